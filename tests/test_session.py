@@ -225,11 +225,11 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "accel unit": (
         accel(unit="m/s2"),
-        "log.accel.unit: expected one of m/s^2, g, mg, m/s, count, V, found \"m/s2\"; did you mean 'm/s^2'?",
+        "log.accel.unit: expected one of m/s^2, g, mg, cm/s^2, mm/s^2, m/s, count, V, found \"m/s2\"; did you mean 'm/s^2'?",
     ),
     "gyro unit": (
         gyro(unit="degs/s"),
-        "expected one of rad/s, deg/s, deg/h, rad, deg, arcsec, count, V, found \"degs/s\"; did you mean 'deg/s'?",
+        "expected one of rad/s, deg/s, mdeg/s, 0.1 deg/s, deg/h, rad, deg, arcsec, count, V, found \"degs/s\"; did you mean 'deg/s'?",
     ),
     "gyro unit of an accel": (gyro(unit="g"), "log.gyro.unit: expected one of rad/s,"),
     "no scale": (

@@ -83,11 +83,21 @@ def housekeeping(log: pl.DataFrame, folder: Path) -> str:
 
 
 def housekeeping_alone(log: pl.DataFrame, folder: Path) -> str:
-    """The same without accelerometers: no recording."""
+    """Time, pressure, volts and a counter, and no accelerometers: no recording."""
     t = log["t"].to_numpy()
     rng = np.random.default_rng(2)
     beside = [1000.9 + 0.05 * rng.normal(size=len(t)), 3.71 + 0.004 * rng.normal(size=len(t)), np.arange(len(t)) % 256]
-    return joined(folder / "station.txt", [], text(np.column_stack(beside), 6), " ")
+    return joined(folder / "station.txt", [], text(np.column_stack([t, *beside]), 6), " ")
+
+
+def two_files_of_other_names(log: pl.DataFrame, folder: Path) -> str:
+    """A recording in two parts, in files that are called after the sensors."""
+    half = log.height // 2
+    for number, part in enumerate((log[:half], log[half:]), 1):
+        t, a, g = parts(part)
+        names = ["ts", *(f"v{k}" for k in range(1, 7))]
+        joined(folder / "two" / f"accel_gyro_{number}.csv", names, [*text(t), *text(a), *text(g)])
+    return "two"
 
 
 def linear_accelerations(log: pl.DataFrame, folder: Path) -> str:

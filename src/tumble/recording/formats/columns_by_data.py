@@ -118,13 +118,12 @@ def columns_by_data(names: Sequence[str], read: Array) -> Told:
 
 
 def _weighed(names: Sequence[str], ranked: Sequence[_Hypothesis]) -> str:
-    """The next hypotheses after the best, of the same accelerometers and of others, in words."""
+    """The next hypotheses after the best, of the same accelerometers, of others and of none, in words."""
     best = ranked[0]
     rivals = (next((h for h in ranked[1:] if (h.accel == best.accel) == same), None) for same in (True, False))
     further = [(rival.cost - best.cost, rival.said(names)) for rival in rivals if rival is not None]
-    if not further:
-        return "columns: no others can be accelerometers"
-    listed = " and ".join(f"{said} (cost +{cost:.1f})" for cost, said in further)
+    further.append((_LIMIT - best.of_accel, "no accelerometers at all"))
+    listed = ", ".join(f"{said} (cost +{cost:.1f})" for cost, said in sorted(further))
     doubt = "; too near to be sure: state --accel, --gyro" if min(further)[0] < _APART else ""
     return f"columns: next would be {listed}; +{_APART:g} is 20 times less likely{doubt}"
 
