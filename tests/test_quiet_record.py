@@ -61,7 +61,7 @@ def test_all_of_a_log_is_taken_in_the_units_of_the_options(tmp_path: Path) -> No
 
 
 def test_a_log_of_which_nothing_is_known_is_refused_with_what_to_state(tmp_path: Path) -> None:
-    noise = np.random.default_rng(1).normal(size=(300, 3)) + [0.0, 0.0, 40.0]
+    noise = np.random.default_rng(1).normal([0.0, 0.0, 40.0], 1.0, size=(300, 3))
     pl.DataFrame(noise, schema=["a", "b", "c"]).write_csv(tmp_path / "still.csv")
     file = str(tmp_path / "still.csv")
     result = CliRunner().invoke(main, ["noise", file])
