@@ -524,12 +524,13 @@ def test_columns_units_and_times_are_those_of_the_format(name: str, log: pl.Data
 @pytest.mark.parametrize("write", [p.numpy_matrix, p.numpy_arrays])
 def test_arrays_of_numpy_are_read(write: p.Write, log: pl.DataFrame, tmp_path: Path) -> None:
     folder = tmp_path / "session"
-    new_session(folder, tmp_path / write(log, tmp_path))
+    draft, _ = new_session(folder, tmp_path / write(log, tmp_path))
     spec = read_session(folder).log
     assert spec.gyro is not None
     copied = pl.read_parquet(folder / "log.parquet")
     assert np.array_equal(copied.select(spec.accel.columns).to_numpy(), log.select(d.ACCEL).to_numpy())
     assert np.array_equal(copied.select(spec.gyro.columns).to_numpy(), log.select(d.GYRO).to_numpy())
+    assert any("by their numbers (a guess)" in said for said in draft.said) == (write is p.numpy_matrix)
 
 
 def test_the_sign_of_core_motion_is_taken_off(log: pl.DataFrame, tmp_path: Path) -> None:

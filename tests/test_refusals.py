@@ -398,6 +398,16 @@ def test_a_wrong_scale_of_raw_gyros_is_named_with_its_size(
     assert found[2] == direction
 
 
+def test_a_scale_that_is_off_by_thousands_is_named_and_no_time_in_which_there_is_no_log(
+    hand: Recording, tmp_path: Path
+) -> None:
+    said = reason(hand.counted(415.0, 4770.0).saying(gyro__scale=4.77), tmp_path / "session")
+    found = re.search(r"the nominal scale of \[log\.gyro\] is ([\d.e+]+) times too small", said)
+    assert found is not None, said
+    assert float(found[1]) == pytest.approx(1000.0, rel=0.05)
+    assert "log.time_unit" not in said
+
+
 def test_a_scale_per_another_unit_is_named(hand: Recording, tmp_path: Path) -> None:
     raw = hand.counted(415.0, 4770.0)
     said = reason(raw.saying(accel__scale=415.0 * G_STANDARD), tmp_path / "accel")

@@ -5,16 +5,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import polars as pl
 
 from corpus.dialects import NAMES, written
 from corpus.programs import Write, field, joined, parts, text
-from tumble.units import DEGREE, G_STANDARD, Array
+from tumble.units import DEGREE, G_STANDARD
 
 
-def whole(values: Array) -> list[list[str]]:
+def whole(values: npt.NDArray[np.floating[Any]]) -> list[list[str]]:
     """Columns of whole numbers."""
     return [[str(v) for v in column] for column in np.round(np.atleast_2d(values.T)).astype(np.int64).tolist()]
 
@@ -43,7 +45,7 @@ def biased_gyros_first(_log: pl.DataFrame, folder: Path) -> str:
     rng = np.random.default_rng(1)
     rows = 6000
     drift = np.cumsum(rng.normal(scale=0.05, size=(rows, 3)), axis=0)
-    gyro: Array = np.array([-109.0, 19.0, 65.0]) + drift + rng.normal(scale=4.0, size=(rows, 3))
+    gyro = np.array([-109.0, 19.0, 65.0]) + drift + rng.normal(scale=4.0, size=(rows, 3))
     accel = np.array([120.0, -310.0, 16100.0]) + rng.normal(scale=40.0, size=(rows, 3))
     return joined(folder / "still.txt", [], [*whole(20.0 * np.arange(rows)), *whole(gyro), *whole(accel)])
 
@@ -65,7 +67,7 @@ def epoch_seconds(log: pl.DataFrame, folder: Path) -> str:
     """The second of the day's date that changes once in 50 rows, then milliseconds since the start, no names."""
     t, a, g = parts(log)
     counted = [1_747_000_000 + np.floor(t), *(4096.0 / G_STANDARD * a).T, *(65.5 / DEGREE * g).T]
-    return joined(folder / "epoch.txt", [], whole(np.column_stack(counted)))
+    return joined(folder / "epoch.txt", [], whole(np.array(counted).T))
 
 
 def housekeeping(log: pl.DataFrame, folder: Path) -> str:

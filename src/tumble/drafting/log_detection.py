@@ -244,9 +244,7 @@ def _by_data(log: FoundLog) -> FoundLog:
         temperatures=known.temperatures,
         counter=known.counter,
     )
-    new = {kind: s for kind, s in found.triads.items() if kind not in named}
-    said = [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in new.items()]
-    return replace(log, columns=columns, said=(*log.said, *said, *told.said))
+    return replace(log, columns=columns, said=(*log.said, *told.said(named)))
 
 
 def _told(log: FoundLog, named: Mapping[str, Sensors]) -> Told:

@@ -195,10 +195,14 @@ def _columns_said(carrying: _Carrying) -> str | None:
 
 
 def _scale_ratio(carrying: _Carrying) -> float | None:
-    """How many times what they should the gyros read, where one ratio for all explains what is missed best."""
-    ratios = np.geomspace(0.2, 5.0, 131)
-    best, ratio = min((carrying.explained(carrying.stated.matrix * ratio), float(ratio)) for ratio in ratios)
-    return ratio if best < np.inf else None
+    """How many times what they should the gyros read, where one ratio for all explains what is missed best; of ratios
+    beyond five, up to those of a unit and its thousandths, only where none within does."""
+    for low, high in ((0.2, 5.0), (5.0, 2e3), (5e-4, 0.2)):
+        ratios = np.geomspace(low, high, 1 + round(40.0 * np.log(high / low)))
+        best, ratio = min((carrying.explained(carrying.stated.matrix * ratio), float(ratio)) for ratio in ratios)
+        if best < np.inf:
+            return ratio
+    return None
 
 
 def _scale_said(ratio: float, channels: Channels, log: LogSpec) -> str:

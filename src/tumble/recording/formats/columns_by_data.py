@@ -11,7 +11,7 @@ filter are none of them.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,10 +63,16 @@ Run = tuple[int, int, int]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Told:
-    """Columns by their numbers, and why: in words what they cost, and the next hypothesis; nothing where none was."""
+    """Columns by their numbers, and the next hypotheses in words; none where nothing was told."""
 
     columns: Columns
-    said: tuple[str, ...] = ()
+    rivals: str = ""
+
+    def said(self, named: Collection[str] = ()) -> list[str]:
+        """What was told, but for kinds of sensors that are `named`, and what else it may be, in sentences."""
+        told = {kind: s for kind, s in self.columns.triads.items() if kind not in named}
+        guesses = [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in told.items()]
+        return [*guesses, self.rivals] if guesses else []
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -100,11 +106,9 @@ def columns_by_data(names: Sequence[str], read: Array) -> Told:
     if runs and len(read) >= _FEWEST_ROWS:
         ranked = _hypotheses(read, runs, numbers, fused=bool(attitudes))
     found: dict[str, Run] = {}
-    said: tuple[str, ...] = ()
     if ranked:
         best = ranked[0]
         found = {ACCEL: best.accel} | ({} if best.gyro is None else {GYRO: best.gyro})
-        said = (_weighed(names, ranked),)
     return Told(
         columns=Columns(
             time=_time([names[j] for j in growing], read[:, growing]),
@@ -113,7 +117,7 @@ def columns_by_data(names: Sequence[str], read: Array) -> Told:
             temperatures=(),
             others=(),
         ),
-        said=said,
+        rivals=_weighed(names, ranked) if ranked else "",
     )
 
 
@@ -201,6 +205,8 @@ def _share_carried(rates: Array, accel: Array) -> float | None:
     explain as a turn, da = −(M ω) × a; None where too little turns."""
     known = np.isfinite(rates).all(axis=1) & np.isfinite(accel).all(axis=1)
     rates, accel = rates[known], accel[known]
+    if len(accel) < 4 * _FEWEST_MOVES:
+        return None
     length = float(np.median(np.linalg.norm(accel, axis=1))) or 1.0
     width = 1
     while True:
