@@ -10,6 +10,7 @@ import polars as pl
 import pytest
 from click.testing import CliRunner
 from corpus import dialects as d
+from corpus import doubtful as q
 from corpus import programs as p
 from corpus.dialects import Case
 
@@ -203,7 +204,7 @@ CASES: dict[str, Case] = {
     # units and counts
     "mg and mdps": Case(
         write=d.named(ST, accel=1e3 * G, gyro=1e3 * DEG, time=1e6, digits=9),
-        said=("thousandths",),
+        said=("in mdeg/s (from the name",),
         worth=(1e3 * G, 1e3 * DEG),
     ),
     "g and deg/s without a word": Case(
@@ -249,6 +250,61 @@ CASES: dict[str, Case] = {
         write=d.raw(8192.0, 65.5, unsigned=True),
         said=("65536 taken off",),
         worth=(8192.0 * G, 65.5 * DEG),
+    ),
+    "BNO055": Case(
+        write=q.bno055,
+        said=(
+            "in cm/s^2 (one g reads 979.",
+            "mg would fit too (-2.1%)",
+            "16 counts per deg/s as in data sheets",
+            "16.4 counts would fit too",
+            "row 1 as it is read: time 0.02 s (ms: 20); accelerometers 8.43, 2.85, 4.17 m/s² (ax: 843, ay: 285,",
+        ),
+        within=2.0,
+        worth=(100.0, 16.0 * DEG),
+    ),
+    "cm/s^2 without a word": Case(
+        write=q.scaled(100.0, DEG), said=("in cm/s^2 (one g reads", "in deg/s they miss the"), worth=(100.0, DEG)
+    ),
+    "mm/s^2 and mdeg/s without a word": Case(
+        write=q.scaled(1e3, 1e3 * DEG), said=("in mm/s^2 (one g reads", "in mdeg/s they miss"), worth=(1e3, 1e3 * DEG)
+    ),
+    "mdeg/s without a word": Case(
+        write=q.scaled(1.0, 1e3 * DEG),
+        said=("in mdeg/s they miss the vertical by 1.8° after a turn, in arcsec, the next, by",),
+        worth=(1.0, 1e3 * DEG),
+    ),
+    # which column is what
+    "columns as stated": Case(
+        write=d.without_names,
+        words=("--accel", "2,3,4", "--gyro", "5,6,7", "--time", "1"),
+        said=("accel: 2, 3, 4, as stated", "gyro: 5, 6, 7, as stated", "time: 1, as stated", GOOD),
+    ),
+    "gyros, accelerometers and magnetometers, no names": Case(
+        write=q.magnetometers_behind,
+        said=(
+            "accel: columns 5, 6, 7, by",
+            "gyro: columns 2, 3, 4, by",
+            "accelerometers 8, 9, 10, gyros 2, 3, 4 (cost +",
+        ),
+        worth=MPU,
+    ),
+    "the date's seconds, no names": Case(
+        write=q.epoch_seconds,
+        said=("accel: columns 2, 3, 4, by", "column '1' in s (by its dates)", "50.003 samples per second"),
+        within=2.0,
+        worth=(4096.0 * G, 65.5 * DEG),
+    ),
+    "a counter, pressure, volts and degrees, no names": Case(
+        write=q.housekeeping,
+        words=("--rate", "50"),
+        said=("accel: columns 8, 9, 10, by", "gyro: columns 5, 6, 7, by", "no accelerometers at all (cost +"),
+        worth=(1.0, DEG),
+    ),
+    "two files whose names say nothing": Case(
+        write=q.two_files_of_other_names,
+        said=("accel: columns v1, v2, v3, by", "gyro: columns v4, v5, v6, by", "2 files"),
+        within=3.0,
     ),
     # when
     "ISO 8601": Case(write=d.clock(d.iso), said=("times of day",)),
@@ -420,8 +476,8 @@ READ: dict[str, tuple[p.Write, str, str | None, str | None]] = {
     "phyphox, its archive": (p.phyphox_archive, "device.csv has no rows of readings", "m/s^2", "rad/s"),
     "SparkFun": (p.sparkfun, "names before the numbers (Acc_x [mg],", "mg", "deg/s"),
     "Adafruit": (p.adafruit, "several lines a sample (Acceleration X", "m/s^2", "rad/s"),
-    "1'000": (p.thousands("'"), "marks between thousands", "mg", "mdps"),
-    "1,000": (p.thousands(","), "marks between thousands", "mg", "mdps"),
+    "1'000": (p.thousands("'"), "marks between thousands", "mg", "mdeg/s"),
+    "1,000": (p.thousands(","), "marks between thousands", "mg", "mdeg/s"),
     "NovAtel, raw sentences": (p.novatel, "sentences RAWIMU of NovAtel", "count", "count"),
     "days": (p.days, "ticks of 86400 s, made seconds", None, None),
     "tenths of microseconds": (p.tenths_of_microseconds, "ticks of 1e-07 s, made seconds", None, None),
@@ -436,7 +492,7 @@ WORTH = {
     "mg": 1e3 * G,
     "rad/s": 1.0,
     "deg/s": DEG,
-    "mdps": 1e3 * DEG,
+    "mdeg/s": 1e3 * DEG,
 }
 
 
@@ -468,12 +524,13 @@ def test_columns_units_and_times_are_those_of_the_format(name: str, log: pl.Data
 @pytest.mark.parametrize("write", [p.numpy_matrix, p.numpy_arrays])
 def test_arrays_of_numpy_are_read(write: p.Write, log: pl.DataFrame, tmp_path: Path) -> None:
     folder = tmp_path / "session"
-    new_session(folder, tmp_path / write(log, tmp_path))
+    draft, _ = new_session(folder, tmp_path / write(log, tmp_path))
     spec = read_session(folder).log
     assert spec.gyro is not None
     copied = pl.read_parquet(folder / "log.parquet")
     assert np.array_equal(copied.select(spec.accel.columns).to_numpy(), log.select(d.ACCEL).to_numpy())
     assert np.array_equal(copied.select(spec.gyro.columns).to_numpy(), log.select(d.GYRO).to_numpy())
+    assert any("by their numbers (a guess)" in said for said in draft.said) == (write is p.numpy_matrix)
 
 
 def test_the_sign_of_core_motion_is_taken_off(log: pl.DataFrame, tmp_path: Path) -> None:
@@ -494,6 +551,9 @@ def test_the_sign_of_core_motion_is_taken_off(log: pl.DataFrame, tmp_path: Path)
         (p.gyros_alone, "expected columns named as accelerometers are"),
         (p.corrected_novatel, "of which gravity and the receiver's own corrections are taken off; log RAWIMUSX"),
         (p.novatel_solution, "found INSPVAXA of NovAtel, a solution; log RAWIMUSX"),
+        (q.field_alone, "found Time .s., X .µT., Y .µT., Z .µT.; log the readings of the accelerometers too"),
+        (q.euler_angles, "found t, roll, pitch, yaw; log the readings of the accelerometers too"),
+        (q.housekeeping_alone, "found 1, 2, 3, 4; state which they are .--accel N,N,N, names or numbers from 1."),
     ],
 )
 def test_what_has_no_accelerometers_is_refused(write: p.Write, said: str, log: pl.DataFrame, tmp_path: Path) -> None:
@@ -522,3 +582,52 @@ def test_a_field_in_tesla_is_one_on_earth(log: pl.DataFrame, tmp_path: Path) -> 
     draft, _ = new_session(tmp_path / "session", tmp_path / "imu.csv")
     assert draft.magnetometer is not None
     assert draft.magnetometer["unit"] == "T"
+
+
+def test_what_a_still_body_leaves_open_is_said(log: pl.DataFrame, tmp_path: Path) -> None:
+    draft, _ = new_session(tmp_path / "session", tmp_path / q.biased_gyros_first(log, tmp_path))
+    assert draft.content["log"]["accel"]["columns"] == ["5", "6", "7"]
+    assert draft.content["log"]["accel"]["scale"] == 16384.0
+    assert any("too near to be sure: state --accel, --gyro" in said for said in draft.said)
+    assert "accelerometers 0.1077, -0.1724, 9.641 m/s² (5: 180, 6: -288, 7: 16107)" in draft.said[-1]
+
+
+def test_words_before_the_axes_stay(log: pl.DataFrame, tmp_path: Path) -> None:
+    draft, faults = new_session(tmp_path / "session", tmp_path / q.linear_accelerations(log, tmp_path))
+    assert draft.content["log"]["accel"]["columns"] == [f"Linear Accel {a}" for a in "XYZ"]
+    assert any("what a filter has left without gravity? That cannot be calibrated" in said for said in draft.said)
+    assert faults
+
+
+def test_columns_that_are_stated_are_those_of_the_log(log: pl.DataFrame, tmp_path: Path) -> None:
+    d.plain(log.head(SHORT), tmp_path)
+    for accel, said in (
+        ("2,3", "--accel: expected three columns that are nothing else, with commas between, found 2,3"),
+        ("2,3,5", "--accel: expected three columns that are nothing else"),
+        ("2,3,9", "--accel: expected names of columns, or numbers from 1 to 7, found '9'; there are t, ax"),
+        ("ax,ay,azz", "found 'azz'; there are t, ax, ay, az, gx, gy, gz; did you mean 'az'?"),
+    ):
+        words = ["--accel", accel, "--gyro", "5,gy,gz", "--time", "t"]
+        made = CliRunner().invoke(main, ["new", str(tmp_path / "session"), str(tmp_path / "log.csv"), *words])
+        assert (made.exit_code, made.stderr.count("\n")) == (2, 1)
+        assert said in made.stderr
+        assert not (tmp_path / "session").exists()
+
+
+def test_a_log_is_calibrated_with_its_columns_stated(log: pl.DataFrame, tmp_path: Path) -> None:
+    file = tmp_path / d.without_names(log, tmp_path)
+    words = ["--accel", "2,3,4", "--gyro", "5,6,7", "--time", "1", "--latitude", LATITUDE]
+    result = CliRunner().invoke(main, ["calibrate", str(file), *words])
+    assert result.exit_code == 0, result.stderr
+    assert "gyro: 5, 6, 7, as stated" in result.stderr
+
+
+def test_the_noise_of_a_log_is_that_of_the_columns_that_new_finds(log: pl.DataFrame, tmp_path: Path) -> None:
+    file = str(tmp_path / d.without_names(log, tmp_path))
+    alike = [
+        CliRunner().invoke(main, ["noise", file, "--json", *words])
+        for words in ([], ["--accel", "2,3,4", "--gyro", "5,6,7", "--accel-unit", "m/s^2", "--gyro-unit", "rad/s"])
+    ]
+    assert [result.exit_code for result in alike] == [0, 0], alike[0].stderr
+    assert alike[0].stdout == alike[1].stdout
+    assert "gyro: columns 5, 6, 7, by their numbers (a guess)" in alike[0].stderr

@@ -13,13 +13,14 @@ from tumble.drafting.gyro_unit_by_readings import step_in_deg_s
 from tumble.drafting.log_times import Stamps, overflow_of, recordings_of, times_of_column
 from tumble.drafting.named_values import cells
 from tumble.drafting.new_session import Given, new_session
-from tumble.drafting.raw_scale import accel_scale, plain_unit
+from tumble.drafting.raw_scale import accel_scale
 from tumble.drafting.respelled import respelled
 from tumble.errors import InputError
 from tumble.recording.clock import seconds_of
 from tumble.recording.dialect import Dialect, is_clock, top_of
 from tumble.recording.formats.columns import ACCEL, GYRO, columns_by_name, is_no_sensor
 from tumble.recording.formats.columns_by_data import columns_by_data
+from tumble.recording.formats.scales import matched
 from tumble.units import G_STANDARD, Array
 
 FACES = np.vstack([np.eye(3), -np.eye(3)])
@@ -34,7 +35,7 @@ def read() -> Array:
 
 
 def triads_of(read: Array) -> dict[str, tuple[str, ...]]:
-    found = columns_by_data([str(j + 1) for j in range(read.shape[1])], read)
+    found = columns_by_data([str(j + 1) for j in range(read.shape[1])], read).columns
     return {kind: sensors.columns for kind, sensors in found.triads.items()}
 
 
@@ -52,9 +53,9 @@ def test_unread_rows_do_not_hide_what_columns_are(read: Array) -> None:
 
 
 def test_sensors_are_not_of_two_arrays(read: Array) -> None:
-    found = columns_by_data(["fb[0]", "fb[1]", "fb[2]", "wb[0]", "wb[1]", "wb[2]"], read)
+    found = columns_by_data(["fb[0]", "fb[1]", "fb[2]", "wb[0]", "wb[1]", "wb[2]"], read).columns
     assert found.triads[ACCEL].columns == ("fb[0]", "fb[1]", "fb[2]")
-    assert not columns_by_data(["a[0]", "fb[0]", "fb[1]", "wb[0]", "wb[1]", "wb[2]"], read).triads
+    assert not columns_by_data(["a[0]", "fb[0]", "fb[1]", "wb[0]", "wb[1]", "wb[2]"], read).columns.triads
 
 
 def test_columns_of_which_no_stretch_is_whole_are_not_told_by_how_they_vary(read: Array) -> None:
@@ -72,7 +73,7 @@ def test_accelerometers_that_read_nothing_or_zero_are_said(tmp_path: Path) -> No
 
 def test_a_counter_that_starts_anew_is_a_time(read: Array) -> None:
     micros = (np.arange(600) * 10_000.0 + 2.0**32 - 3e6) % 2.0**32
-    found = columns_by_data([str(j) for j in range(7)], np.column_stack([micros, read]))
+    found = columns_by_data([str(j) for j in range(7)], np.column_stack([micros, read])).columns
     assert found.time == "0"
     assert found.triads[ACCEL].columns == ("1", "2", "3")
 
@@ -99,9 +100,22 @@ def test_a_converter_has_its_zero_in_the_middle_where_it_writes_nothing_negative
     assert unsigned[1] == [512.0] * 3
 
 
-@pytest.mark.parametrize(("found", "unit"), [(9.78, "m/s^2"), (1.01, "g"), (995.0, "mg"), (1020.0, None), (4.2, None)])
-def test_readings_of_one_g_tell_a_unit_from_counts(found: float, unit: str | None) -> None:
-    assert plain_unit(found) == unit
+@pytest.mark.parametrize(
+    ("found", "unit", "doubted"),
+    [
+        (9.78, "m/s^2", False),
+        (1.01, "g", False),
+        (995.0, "mg", True),
+        (1020.0, None, True),
+        (974.8, "cm/s^2", True),
+        (9790.0, "mm/s^2", False),
+        (4.2, None, False),
+    ],
+)
+def test_readings_of_one_g_tell_a_unit_from_counts(found: float, unit: str | None, doubted: bool) -> None:
+    match = matched(ACCEL, found, whole=True)
+    assert (match.unit, match.doubted) == (unit, doubted)
+    assert ("would fit too" in match.said) == doubted
 
 
 def test_pauses_are_no_part_of_the_rate() -> None:
@@ -281,7 +295,7 @@ def test_rests_in_one_attitude_draw_no_sphere() -> None:
 
 
 def test_axes_alone_are_taken_in_their_order(read: Array) -> None:
-    found = columns_by_data(["time", "z", "y", "x"], np.column_stack([np.arange(600.0), read[:, :3]]))
+    found = columns_by_data(["time", "z", "y", "x"], np.column_stack([np.arange(600.0), read[:, :3]])).columns
     assert found.triads[ACCEL].columns == ("x", "y", "z")
 
 
@@ -428,7 +442,7 @@ def test_tenths_of_degrees_a_second_are_a_unit(read: Array, tmp_path: Path) -> N
     table = np.column_stack([0.01 * np.arange(600), read[:, :3], np.round(100.0 * read[:, 3:])])
     pl.DataFrame(table, schema=names).write_csv(tmp_path / "log.csv")
     draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv")
-    assert (draft.content["log"]["gyro"]["scale"], draft.content["log"]["gyro"]["scale_per"]) == (10.0, "deg/s")
+    assert draft.content["log"]["gyro"]["unit"] == "0.1 deg/s"
 
 
 @pytest.mark.parametrize("decimals", [2, 3, 4])
@@ -441,9 +455,9 @@ def test_quaternions_that_are_rounded_are_no_accelerometers(decimals: int) -> No
 
 def test_columns_of_other_names_are_no_sensor_by_their_numbers(read: Array) -> None:
     for names in (["RSSI (dB)", "LQ (%)", "SNR (dB)"], ["sitting", "standing", "walking"], ["room", "y", "z"]):
-        assert columns_by_data(names, read[:, :3]).triads == {}
+        assert columns_by_data(names, read[:, :3]).columns.triads == {}
     for names in (["fz1", "fz2", "fz3"], ["Kanal X", "Kanal Y", "Kanal Z"], ["9", "10", "11"]):
-        assert columns_by_data(names, read[:, :3]).triads[ACCEL].columns == tuple(names)
+        assert columns_by_data(names, read[:, :3]).columns.triads[ACCEL].columns == tuple(names)
     assert is_no_sensor("seconds_elapsed")
 
 

@@ -331,7 +331,8 @@ def test_a_wrong_unit_of_the_accelerometers_is_named_with_the_one_that_fits(
 ) -> None:
     wrong = recording.times(ACCEL, 1.0 / ACCEL_UNITS[true]).saying(accel__unit=stated)
     said = reason(wrong, tmp_path / "session")
-    assert f'the unit of [log.accel] is not "{stated}"; "{true}" would fit' in said
+    rival = ' or "cm/s^2"' if true == "mg" else ""
+    assert f'the unit of [log.accel] is not "{stated}"; "{true}"{rival} would fit' in said
 
 
 @pytest.mark.parametrize(("true", "stated"), [*permutations(GYRO_UNITS, 2)])
@@ -395,6 +396,16 @@ def test_a_wrong_scale_of_raw_gyros_is_named_with_its_size(
     assert found is not None, said
     assert float(found[1]) == pytest.approx(size, rel=0.03)
     assert found[2] == direction
+
+
+def test_a_scale_that_is_off_by_thousands_is_named_and_no_time_in_which_there_is_no_log(
+    hand: Recording, tmp_path: Path
+) -> None:
+    said = reason(hand.counted(415.0, 4770.0).saying(gyro__scale=4.77), tmp_path / "session")
+    found = re.search(r"the nominal scale of \[log\.gyro\] is ([\d.e+]+) times too small", said)
+    assert found is not None, said
+    assert float(found[1]) == pytest.approx(1000.0, rel=0.05)
+    assert "log.time_unit" not in said
 
 
 def test_a_scale_per_another_unit_is_named(hand: Recording, tmp_path: Path) -> None:

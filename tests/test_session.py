@@ -225,11 +225,11 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "accel unit": (
         accel(unit="m/s2"),
-        "log.accel.unit: expected one of m/s^2, g, mg, m/s, count, V, found \"m/s2\"; did you mean 'm/s^2'?",
+        "expected one of m/s^2, g, mg, cm/s^2, mm/s^2, m/s, count, V, found \"m/s2\"; did you mean 'm/s^2'?",
     ),
     "gyro unit": (
         gyro(unit="degs/s"),
-        "expected one of rad/s, deg/s, deg/h, rad, deg, arcsec, count, V, found \"degs/s\"; did you mean 'deg/s'?",
+        "0.1 deg/s, deg/h, rad, deg, arcsec, count, V, found \"degs/s\"; did you mean 'deg/s'?",
     ),
     "gyro unit of an accel": (gyro(unit="g"), "log.gyro.unit: expected one of rad/s,"),
     "no scale": (
@@ -421,6 +421,8 @@ ACCEL_CASES: list[tuple[dict[str, Any], float, float]] = [
     ({"unit": "m/s^2"}, 9.81, 9.81),
     ({"unit": "g"}, 2.0, 19.6133),
     ({"unit": "mg"}, -500.0, -4.903325),
+    ({"unit": "cm/s^2"}, 980.0, 9.8),
+    ({"unit": "mm/s^2"}, -9800.0, -9.8),
     ({"unit": "m/s"}, 0.196, 9.8),
     ({"unit": "count", "scale": 415.0, "offset": 32768.0}, 36838.55, 9.808554216867478),
     ({"unit": "count", "scale": 4096.0, "scale_per": "g"}, 2048.0, 4.903325),
@@ -431,6 +433,8 @@ ACCEL_CASES: list[tuple[dict[str, Any], float, float]] = [
 GYRO_CASES: list[tuple[dict[str, Any], float, float]] = [
     ({"unit": "rad/s"}, 0.5, 0.5),
     ({"unit": "deg/s"}, 90.0, 1.5707963267948966),
+    ({"unit": "mdeg/s"}, 90_000.0, 1.5707963267948966),
+    ({"unit": "0.1 deg/s"}, 900.0, 1.5707963267948966),
     ({"unit": "deg/h"}, 15.0, 7.27220521664304e-5),
     ({"unit": "rad"}, 0.001, 0.05),
     ({"unit": "deg"}, 0.9, 0.7853981633974483),

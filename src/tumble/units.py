@@ -50,6 +50,8 @@ ACCEL_UNITS = {
     "m/s^2": Unit(factor=1.0, kind="rate"),
     "g": Unit(factor=G_STANDARD, kind="rate"),
     "mg": Unit(factor=1e-3 * G_STANDARD, kind="rate"),
+    "cm/s^2": Unit(factor=1e-2, kind="rate"),
+    "mm/s^2": Unit(factor=1e-3, kind="rate"),
     "m/s": Unit(factor=1.0, kind="increment"),
     "count": Unit(factor=1.0, kind="raw"),
     "V": Unit(factor=1.0, kind="raw"),
@@ -58,6 +60,8 @@ ACCEL_UNITS = {
 GYRO_UNITS = {
     "rad/s": Unit(factor=1.0, kind="rate"),
     "deg/s": Unit(factor=DEGREE, kind="rate"),
+    "mdeg/s": Unit(factor=1e-3 * DEGREE, kind="rate"),
+    "0.1 deg/s": Unit(factor=0.1 * DEGREE, kind="rate"),
     "deg/h": Unit(factor=DEGREE_PER_HOUR, kind="rate"),
     "rad": Unit(factor=1.0, kind="increment"),
     "deg": Unit(factor=DEGREE, kind="increment"),

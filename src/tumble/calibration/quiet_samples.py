@@ -62,16 +62,17 @@ def noise(recording: Session | FilePath, layout: Mapping[str, Any] | None = None
     >>> found.source, [panel.title for panel in found.panels]
     ('the longest rest, 0.0–39.0 s', ['accelerometers', 'gyros'])
     """
-    if isinstance(recording, Session) or _is_session(Path(recording)):
+    if isinstance(recording, Session) or is_session(Path(recording)):
         record = longest_rest(session_from(recording))
     elif layout is None:
-        raise InputError(f"{recording}: expected --accel with the columns of the accelerometers, found none")
+        raise InputError(f"{recording}: expected a session, or `layout`, the table [log], with a log; found neither")
     else:
         record = whole_log(Path(recording), layout)
     return RecordedNoise(panels=noise_panels(record), rate=record.rate, source=record.source)
 
 
-def _is_session(path: Path) -> bool:
+def is_session(path: Path) -> bool:
+    """Whether a path is that of a session, and not of a log."""
     if not path.exists():
         raise InputError(f"{path}: expected a session folder or a log, found no such file")
     return path.is_dir() or path.name == SESSION_FILE or path.suffix == ".toml"

@@ -123,6 +123,26 @@ def number(name: str, default: float, says: str) -> _Option:
     return click.option(name, type=float, default=default, show_default=True, help=says)
 
 
+def column_options(command: _Command) -> _Command:
+    """The options that say which columns of a log are what."""
+    for kind, many, what in (
+        ("time", "N", "column of the time, its name or number"),
+        ("gyro", "N,N,N", "columns of the gyros, names or numbers"),
+        ("accel", "N,N,N", "columns of the accelerometers, names or numbers"),
+    ):
+        command = click.option(f"--{kind}", metavar=many, help=f"Of a LOG: {what} from 1.")(command)
+    return command
+
+
+def columns_stated(accel: str | None, gyro: str | None, time: str | None) -> dict[str, Any]:
+    """What these options say, as `Given` has it."""
+    return {
+        "accel": () if accel is None else tuple(accel.split(",")),
+        "gyro": () if gyro is None else tuple(gyro.split(",")),
+        "time": time,
+    }
+
+
 def terms_option(default: str | None) -> _Option:
     """The option for the groups of parameters that an instrument has; without a default by the method."""
     return click.option(

@@ -11,7 +11,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, FILE, FRAMES, JSON, METHOD_NAMES, say, warn, with_progress
+from tumble.commands.arguments import (
+    EXISTING_FOLDER,
+    FILE,
+    FRAMES,
+    JSON,
+    METHOD_NAMES,
+    column_options,
+    columns_stated,
+    say,
+    warn,
+    with_progress,
+)
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
@@ -52,6 +63,7 @@ if TYPE_CHECKING:
 @click.option("--latitude", type=float, metavar="DEGREES", help="Of a LOG: where it was recorded, ° north.")
 @click.option("--serial", metavar="NUMBER", help="Of a LOG: serial number of the device; default: the log's name.")
 @click.option("--rate", type=float, metavar="HZ", help="Of a LOG: samples per second, instead of the times in it.")
+@column_options
 @click.option(
     "--registry",
     "place",
@@ -74,6 +86,9 @@ def calibrate(
     latitude: float | None,
     serial: str | None,
     rate: float | None,
+    accel: str | None,
+    gyro: str | None,
+    time: str | None,
     place: str | None,
     as_json: bool,
     every: bool,
@@ -84,8 +99,8 @@ def calibrate(
     launch to launch, and --out is required. With --together they are one estimate by the method joint, with
     coefficients over temperature. Several methods are compared: the first one's result is the one written.
 
-    With --latitude, --serial or --rate it is a LOG in any dialect: a session is made of it first, as `tumble new` does,
-    in the folder LOG-session beside it.
+    With --latitude, --serial, --rate, --accel, --gyro or --time it is a LOG in any dialect: a session is made of it
+    first, as `tumble new` does, in the folder LOG-session beside it.
     """
     from tumble.recording.session_file import read_session
 
@@ -102,8 +117,8 @@ def calibrate(
     left_out = () if without is None else _numbers(without)
     true = _truth(truth) if truth else None
     request = CalibrationRequest(methods=methods, iterations=iterations, frame=frame, terms=terms, together=together)
-    given = {"latitude": latitude, "serial": serial, "rate": rate}
-    with _session_of(sessions, given) if set(given.values()) != {None} else nullcontext(sessions) as folders:
+    given = {"latitude": latitude, "serial": serial, "rate": rate, **columns_stated(accel, gyro, time)}
+    with _session_of(sessions, given) if {*given.values()} - {None, ()} else nullcontext(sessions) as folders:
         described = [read_session(folder).without(left_out) for folder in folders]
         alike = None if place is None else _of_type(place, described[0].device.model, frame)
         result, *others = request.calibrations(described, alike)
@@ -218,7 +233,8 @@ def _session_of(logs: Sequence[Path], said: Mapping[str, Any]) -> Iterator[list[
 
     if len(logs) > 1 or (logs[0].is_dir() and (logs[0] / "session.toml").exists()) or logs[0].suffix == ".toml":
         raise InputError(
-            "--latitude, --serial, --rate: expected one log with them, found a session; they stand in its session.toml"
+            "--latitude, --serial, --rate, --accel, --gyro, --time: expected one log with them, found a session; they "
+            "stand in its session.toml"
         )
     name = logs[0].name.partition(".")[0]
     folder = logs[0].with_name(f"{name}-session")

@@ -6,7 +6,15 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, programme_option, say, warn, with_progress
+from tumble.commands.arguments import (
+    EXISTING_FOLDER,
+    column_options,
+    columns_stated,
+    programme_option,
+    say,
+    warn,
+    with_progress,
+)
 
 
 @click.command()
@@ -16,6 +24,7 @@ from tumble.commands.arguments import EXISTING_FOLDER, programme_option, say, wa
 @click.option("--serial", metavar="NUMBER", help="Serial number of the device; default: the name of FOLDER.")
 @click.option("--latitude", type=float, metavar="DEGREES", help="Of the place, ° north.")
 @click.option("--rate", type=float, metavar="HZ", help="Samples per second, instead of the times in the log.")
+@column_options
 @programme_option("Built-in programme that was gone through.")
 @click.option("--message", metavar="NAME", help="Topic or message of a recording, where there are several.")
 def new(
@@ -25,6 +34,9 @@ def new(
     serial: str | None,
     latitude: float | None,
     rate: float | None,
+    accel: str | None,
+    gyro: str | None,
+    time: str | None,
     programme: str | None,
     message: str | None,
 ) -> None:
@@ -37,7 +49,8 @@ def new(
 
     if not log and not more:
         raise click.UsageError("Missing argument 'LOG': the recording")
-    given = Given(serial=serial, latitude=latitude, rate=rate, programme=programme, message=message)
+    columns = columns_stated(accel, gyro, time)
+    given = Given(serial=serial, latitude=latitude, rate=rate, programme=programme, message=message, **columns)
     draft, faults = new_session(folder, [*log, *more], given, progress=with_progress)
     for sentence in draft.said:
         say(sentence)

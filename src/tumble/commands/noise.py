@@ -3,51 +3,68 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, FILE, JSON, say
+from tumble.commands.arguments import (
+    EXISTING_FOLDER,
+    FILE,
+    JSON,
+    column_options,
+    columns_stated,
+    say,
+    with_progress,
+)
+from tumble.errors import InputError
 
 
 @click.command()
 @click.argument("recording", metavar="SESSION|LOG", type=EXISTING_FOLDER)
 @click.option("--plot", type=FILE, help="Draw the Allan deviations into this .svg, .png or .pdf.")
-@click.option("--accel", metavar="COLUMNS", help="LOG: columns of the accelerometers, with commas between them.")
-@click.option("--accel-unit", default="m/s^2", show_default=True, help="LOG: their unit.")
-@click.option("--gyro", metavar="COLUMNS", help="LOG: columns of the gyros.")
-@click.option("--gyro-unit", default="rad/s", show_default=True, help="LOG: their unit.")
-@click.option("--time", "time_column", metavar="COLUMN", help="LOG: column of the time, s.")
-@click.option("--rate", type=float, metavar="HZ", help="LOG: samples per second, where there is no time column.")
+@column_options
+@click.option("--accel-unit", help="Of a LOG: unit of the accelerometers, as in session.toml.")
+@click.option("--gyro-unit", help="Of a LOG: unit of the gyros.")
+@click.option("--rate", type=float, metavar="HZ", help="Of a LOG: samples per second, instead of the times in it.")
 @JSON
 def noise(
     recording: Path,
     plot: Path | None,
     accel: str | None,
-    accel_unit: str,
     gyro: str | None,
-    gyro_unit: str,
-    time_column: str | None,
+    time: str | None,
+    accel_unit: str | None,
+    gyro_unit: str | None,
     rate: float | None,
     as_json: bool,
 ) -> None:
     """Allan deviation: the noise of every sensor, from the longest rest of SESSION or from all of a LOG at rest.
 
-    LOG is a .csv (.gz, .zst) or .parquet file; it needs --accel, and --time or --rate.
+    LOG is a log in any dialect: its columns, units and times are found as `tumble new` finds them, where no option says
+    them.
     """
-    from tumble.calibration.quiet_samples import noise
+    from tumble.calibration.quiet_samples import is_session, noise
+    from tumble.drafting.new_session import Given, new_session
     from tumble.report.allan_picture import plot as draw
     from tumble.terminal.data import noise_data, print_data
     from tumble.terminal.noise import noise_report
     from tumble.terminal.text import print_report
 
-    layout: dict[str, Any] | None = None
-    if accel is not None:
-        layout = {"accel": {"columns": accel.split(","), "unit": accel_unit}}
-        layout |= {"gyro": {"columns": gyro.split(","), "unit": gyro_unit}} if gyro else {}
-        layout |= {"time": time_column} if time_column else {}
-        layout |= {"rate_hz": rate} if rate is not None else {}
-    found = noise(recording, layout)
+    if is_session(recording):
+        found = noise(recording)
+    else:
+        with TemporaryDirectory() as folder:
+            given = Given(rate=rate, **columns_stated(accel, gyro, time))
+            draft, _ = new_session(Path(folder) / "session", recording, given, progress=with_progress)
+            for sentence in draft.said:
+                say(sentence)
+            if draft.rate_guessed:
+                raise InputError(f"{recording}: expected a time column (--time) or the rate (--rate), found neither")
+            layout = dict(draft.content["log"])
+            for kind, unit in (("accel", accel_unit), ("gyro", gyro_unit)):
+                if unit is not None:
+                    layout[kind] = {"columns": layout.get(kind, {"columns": []})["columns"], "unit": unit}
+            found = noise(recording, layout)
     if plot is not None:
         draw(found.panels, plot)
         say(f"written to {plot}")

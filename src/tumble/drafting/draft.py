@@ -15,8 +15,8 @@ class Draft:
     """The content of a session.toml as far as it is known, and how each part of it came about, in sentences. A table
     [log.magnetometer] is offered as a comment: iron nearby spoils it, and not the rest. Whether the rate is a guess,
     whether the unit of the gyros is, and that of a time column; whether the gyros and the
-    accelerometers are whole numbers, as counts are; the rate, Hz, by the times; and the median magnitude of what the
-    accelerometers read, as written."""
+    accelerometers are whole numbers, as counts are; the rate, Hz, by the times; the median magnitude of what the
+    accelerometers read, as written; and whether anything of it is `guessed`: a unit, a time or a column."""
 
     content: Mapping[str, Any]
     said: tuple[str, ...]
@@ -28,6 +28,7 @@ class Draft:
     accel_whole: bool = False
     rate: float = 1.0
     accel_magnitude: float = 1.0
+    guessed: bool = False
 
 
 def session_text(draft: Draft, folder: Path, programme: str | None, *, named: bool) -> str:

@@ -12,23 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from tumble.calibration.observed import Progress, inspect_session
+from tumble.calibration.observed import Observed, Progress, inspect_session
 from tumble.drafting.draft import Draft
 from tumble.drafting.gyro_unit_at_rest import more_than_gyros_read
 from tumble.drafting.gyro_unit_by_earth import RATES, reads_the_earth
 from tumble.drafting.log_times import ASSUMED_RATE, RATES_OF_LOGS
-from tumble.drafting.raw_scale import (
-    PLAIN,
-    Scale,
-    accel_scale,
-    counts_per_deg_s,
-    counts_per_g,
-    gyro_factor,
-    known_unit,
-    plain_unit,
-)
+from tumble.drafting.raw_scale import accel_scale, gyro_factor
 from tumble.errors import TumbleError
-from tumble.estimation.diagnosis.carried_vertical import fitting_gyro_unit
+from tumble.estimation.diagnosis.carried_vertical import fitting_gyro_unit, fitting_time_unit, misses_by_unit
+from tumble.recording.formats.columns import ACCEL, GYRO
+from tumble.recording.formats.scales import Match, matched
 from tumble.recording.session_file import session_of
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
@@ -37,6 +30,7 @@ from tumble.units import DEGREE, GYRO_UNITS
 _LOW_RATES = 10, 12.5, 20, 25, 26, 50, 51.2, 52, 60, 62.5, 64, 100, 102.4, 104, 119, 120, 125, 128, 200, 204.8, 208
 _HIGH_RATES = 238, 240, 250, 256, 300, 400, 416, 476, 500, 512, 800, 833, 952, 1000, 1024, 1600, 1660, 2000, 4000, 8000
 _USUAL_RATES = np.array([*_LOW_RATES, *_HIGH_RATES])  # Hz
+_DOUBLED_RATES = 25.0, 50.0, 100.0, 200.0, 400.0  # Hz: ranges are doubled too
 _RATE_NEAR, _RATE_AGREES = 0.04, 1.7
 _SLOW_RATE = 25.0  # Hz
 _RATE_UNITS = ("rad/s", "deg/s")
@@ -47,7 +41,8 @@ _LARGEST_BIAS = 20.0  # deg/s: what reads more at rest has an offset
 def tried(draft: Draft, progress: Progress) -> tuple[Draft, list[str]]:
     """A draft with what rests and turns say of its guesses, and the faults that are left."""
     draft, faults, turned = _checked(_scaled(draft, progress), progress)
-    return _with_rate(draft, faults, turned, progress)
+    draft, faults = _with_rate(draft, faults, turned, progress)
+    return replace(draft, said=(*draft.said, *_evidence(draft, progress))), faults
 
 
 # -------------------- counts and rates, from rests and turns --------------------
@@ -76,8 +71,14 @@ def _scaled(draft: Draft, progress: Progress) -> Draft:
 
 def _observed(content: Mapping[str, Any], progress: Progress) -> Observations | None:
     """Rests and turns of a session of this content; None where there are none."""
+    found = _inspected(content, progress)
+    return None if found is None else found.observations
+
+
+def _inspected(content: Mapping[str, Any], progress: Progress) -> Observed | None:
+    """What a look at a session of this content finds; None where it cannot be looked at."""
     try:
-        return inspect_session(session_of(content), progress=progress).observations
+        return inspect_session(session_of(content), progress=progress)
     except (TumbleError, np.linalg.LinAlgError):
         return None
 
@@ -93,7 +94,6 @@ def _accel_scaled(
     means = observations.rests.accel if observations is not None else np.empty((0, 3))
     sphere = accel_scale(means)
     seen = f"from {len(means)} rests" if len(means) >= 4 else "a guess from too few rests: state the data sheet's"
-    spherical = sphere is not None
     if sphere is None:
         radius = float(np.median(np.linalg.norm(means, axis=1))) if len(means) else draft.accel_magnitude
         seen = seen if len(means) else "a guess, for there are no rests, from their median magnitude"
@@ -103,16 +103,17 @@ def _accel_scaled(
     if sphere[0] == 0.0:
         said = f"accelerometers: {named} in counts; they read zero, so that the scale is unknown: put that of the "
         return {**log, "accel": made}, [said + "data sheet there"]
-    unit = plain_unit(sphere[0])
-    if unit is not None:
-        said = f"{named} in {unit} (gravity draws a sphere of {sphere[0]:.4g}), zero at {offset} ({seen})"
-        return {**log, "accel": made | {"scale": PLAIN[unit]}}, [f"accelerometers: {said}"]
-    scale = counts_per_g(sphere[0])
+    scale = matched(ACCEL, sphere[0], whole=draft.accel_whole)
+    if scale.unit is not None:
+        told = [f"accelerometers: {named} in {scale.unit} ({scale.said}), zero at {offset} ({seen})"]
+        if offset == 0.0:
+            return {**log, "accel": {"columns": accel["columns"], "unit": scale.unit}}, told
+        return {**log, "accel": made | {"scale": scale.value}}, told
     told = [f"accelerometers: {named} in counts: {scale.said}, zero at {offset} ({seen})"]
-    if not (scale.known or draft.accel_whole or spherical):
+    if not (scale.known or draft.accel_whole):
         told.append(
-            f"accelerometers: {named} are no whole numbers as counts are, and read gravity in no unit: are they what "
-            "is left without gravity? That cannot be calibrated"
+            f"accelerometers: {named} are no whole numbers as counts are, and read gravity in no unit: are they volts, "
+            "or what a filter has left without gravity? That cannot be calibrated"
         )
     return {**log, "accel": made | {"scale": scale.value}}, told
 
@@ -133,18 +134,22 @@ def _gyro_scaled(
             "it: put that of the data sheet there"
         )
         return {**log, "gyro": centred}, [said]
-    scale = counts_per_deg_s(factor / DEGREE)
-    unit = known_unit(scale)
-    if unit is not None:
-        said = f"gyros: {named} in {unit}: so they carry the vertical from rest to rest"
-        return {**log, "gyro": {"columns": gyro["columns"], "unit": unit}}, [said]
+    scale = matched(GYRO, factor, whole=draft.gyro_whole)
+    if scale.unit is not None:
+        said = f"gyros: {named} in {scale.unit}: so they carry the vertical from rest to rest: {scale.said}"
+        return {**log, "gyro": {"columns": gyro["columns"], "unit": scale.unit}}, [said]
     high = float(np.abs(bias).max()) > _LARGEST_BIAS * scale.value
     made = {**(centred if high else gyro), "scale": scale.value}
     return {**log, "gyro": made}, [f"gyros: {named} in counts: {scale.said} (from the turns)", *_doubts(draft, scale)]
 
 
-def _doubts(draft: Draft, scale: Scale) -> list[str]:
-    """That the time may be what is wrong, where its unit is a guess and no data sheet has what the turns show."""
+def _doubts(draft: Draft, scale: Match) -> list[str]:
+    """That the time may be what is wrong: where the rate is a guess, what the counts are at other rates; where the unit
+    of a time is one and no data sheet has what the turns show."""
+    if draft.rate_guessed:
+        at = {rate: matched(GYRO, scale.found * draft.rate / rate, whole=True) for rate in _DOUBLED_RATES}
+        others = [f"{match.value:g} at {rate:g} Hz" for rate, match in at.items() if match.known and rate != draft.rate]
+        return [f"gyros: the rate is a guess, and so is their scale: {', '.join(others)} would fit too"]
     if not draft.time_guessed or scale.known:
         return []
     column = draft.content["log"]["time"]
@@ -154,9 +159,47 @@ def _doubts(draft: Draft, scale: Scale) -> list[str]:
     ]
 
 
+def _evidence(draft: Draft, progress: Progress) -> list[str]:
+    """How well gyros whose unit is a guess carry the vertical in it, beside the next best unit; of those that nothing
+    turned, what they read at rest in each."""
+    gyro = draft.content["log"].get("gyro")
+    if gyro is None or gyro["unit"] == "count" or not draft.gyro_unknown:
+        return []
+    found = _inspected(draft.content, progress)
+    if found is None or found.observations is None:
+        return []
+    misses = misses_by_unit(found.observations, found.session, found.rate)
+    unit = gyro["unit"]
+    rival = next((other for other in misses if other != unit), None)
+    if rival is not None and _moves_the_vertical(found.observations):
+        by, next_by = misses[unit] / DEGREE, misses[rival] / DEGREE
+        told = f"they miss the vertical by {by:.2g}° after a turn, in {rival}, the next, by {next_by:.2g}°"
+        return [f"gyros: in {unit} {told}"]
+    bias = float(np.linalg.norm(np.median(found.observations.rests.gyro, axis=0)))
+    bias /= GYRO_UNITS[unit].per_second(found.rate)
+    sizes = [f"{bias * GYRO_UNITS[unit].factor / DEGREE:.2g} °/s in {unit}" for unit in ("rad/s", "deg/s", "mdeg/s")]
+    return [f"gyros: no turn tells their unit; at rest they read {bias:.3g}: {', '.join(sizes)}"]
+
+
+def _with_time_unit(draft: Draft, faults: list[str], progress: Progress) -> tuple[Draft, list[str]]:
+    """A draft whose times, if their unit is a guess, are in that in which the gyros carry the vertical."""
+    found = _inspected(draft.content, progress) if draft.time_guessed and faults else None
+    if found is None or found.trial is None:
+        return draft, faults
+    unit = fitting_time_unit(found.trial, found.session, found.rate)
+    content = {**draft.content, "log": {**draft.content["log"], "time_unit": unit}}
+    left = faults if unit is None else _looked_at(content, progress)[1]
+    if left:
+        return draft, faults
+    before = draft.content["log"].get("time_unit", "s")
+    told = f"time: in {unit}, not {before}: so the gyros carry the vertical from rest to rest (a guess)"
+    return replace(draft, content=content, said=(*draft.said, told)), []
+
+
 def _with_rate(draft: Draft, faults: list[str], turned: bool, progress: Progress) -> tuple[Draft, list[str]]:
     """A draft whose rate, if it or the unit of the time is a guess, is that at which gyros in a known unit carry the
     vertical from rest to rest; and where their unit is a guess too, in that unit which makes it a usual one."""
+    draft, faults = _with_time_unit(draft, faults, progress)
     log = draft.content["log"]
     doubted = draft.time_guessed and (bool(faults) or not turned)
     if not (draft.rate_guessed or doubted) or "gyro" not in log or log["gyro"]["unit"] not in _RATE_UNITS:
@@ -230,14 +273,19 @@ def _checked(draft: Draft, progress: Progress) -> tuple[Draft, list[str], bool]:
         still = _by_the_earth(draft, progress)
         if still is not draft:
             return still, _looked_at(still.content, progress)[1], True
-    if draft.gyro_unknown and not (turned and _moves_the_vertical(draft, progress)):
+    if draft.gyro_unknown and not (turned and _moves_the_vertical(_observed(draft.content, progress))):
         draft = _by_rests(draft, progress)
         unit, faults, turned = _looked_at(draft.content, progress)
     clocked = not (draft.rate_guessed or (draft.time_guessed and not draft.gyro_whole))  # else these may be wrong
     if faults and draft.gyro_unknown and clocked and unit is None and draft.content["log"]["gyro"]["unit"] == "rad/s":
         return *_in_counts(draft, faults, progress), True
     gyro = draft.content["log"].get("gyro")
-    if not faults or unit is None or gyro["unit"] == "count" or not _moves_the_vertical(draft, progress):
+    if (
+        not faults
+        or unit is None
+        or gyro["unit"] == "count"
+        or not _moves_the_vertical(_observed(draft.content, progress))
+    ):
         return draft, faults, turned
     trial = _with_gyro_unit(draft.content, unit)
     if _looked_at(trial, progress)[1]:
@@ -246,9 +294,8 @@ def _checked(draft: Draft, progress: Progress) -> tuple[Draft, list[str], bool]:
     return replace(draft, content=trial, said=(*draft.said, said)), [], True
 
 
-def _moves_the_vertical(draft: Draft, progress: Progress) -> bool:
+def _moves_the_vertical(observations: Observations | None) -> bool:
     """Whether most turns end with another side up: where they do not, gyros taken for too small carry it too."""
-    observations = _observed(draft.content, progress)
     if observations is None or not observations.turns:
         return False
     vertical = unit_vector(observations.rests.accel)
@@ -287,7 +334,7 @@ def _in_counts(draft: Draft, faults: list[str], progress: Progress) -> tuple[Dra
     factor = None if (observations := _observed(draft.content, progress)) is None else gyro_factor(observations)
     if factor is None:
         return draft, faults
-    scale = counts_per_deg_s(factor)
+    scale = matched(GYRO, factor * DEGREE, whole=draft.gyro_whole)
     gyro = {
         "columns": log["gyro"]["columns"],
         "unit": "count",

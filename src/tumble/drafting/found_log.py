@@ -13,7 +13,7 @@ import numpy as np
 from tumble.drafting.log_times import Stamps, Times, times_of_column, times_without_column
 from tumble.errors import InputError
 from tumble.recording.dialect import Dialect, is_clock
-from tumble.recording.formats.columns import ACCEL, Columns
+from tumble.recording.formats.columns import ACCEL, Columns, is_no_sensor
 from tumble.recording.gaps import is_likely
 from tumble.recording.log_source import LogSource
 from tumble.recording.readers import source_of
@@ -103,9 +103,15 @@ def check_has_accelerometers(log: FoundLog) -> None:
                 f"{log.files[0]}: expected readings of accelerometers, found gravity and acceleration without it, "
                 f"which a filter has made of them ({names[:120]}); log the raw accelerometers"
             )
+        free = [name for name in columns if not is_no_sensor(name)]
+        remedy = (
+            "state which they are (--accel N,N,N, names or numbers from 1)"
+            if len(free) >= len("xyz")
+            else "log the readings of the accelerometers too"
+        )
         raise InputError(
             f"{log.files[0]}: expected columns named as accelerometers are, such as ax, ay, az or acc_x, acc_y, acc_z; "
-            f"found {names[:200]}; rename them"
+            f"found {names[:200]}; {remedy}"
         )
 
 

@@ -5,15 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from tumble.recording.formats.scales import GYRO_COUNTS, GYRO_RANGES
 from tumble.units import DEGREE, Array
 
 _FASTEST = 4200.0 * DEGREE
 """rad/s: beyond the widest range of data sheets, 4000 °/s."""
-_STEPS = (
-    *(full / 32768.0 for full in (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)),
-    *(1.0 / counts for counts in (131.0, 65.5, 32.8, 16.4, 16.0)),
-    *(0.00875, 0.0175, 0.035, 0.07),
-)
+_STEPS = (*(full / 32768.0 for full in GYRO_RANGES), *(round(1.0 / counts, 12) for counts in GYRO_COUNTS))
 """°/s per count."""
 _DECIMALS = range(9)
 _ROUNDED, _FEWEST, _SHARE = 0.2, 20, 0.99

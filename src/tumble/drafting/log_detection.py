@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -19,18 +20,18 @@ from tumble.drafting.other_formats import check_is_log
 from tumble.drafting.respelled import respelled
 from tumble.drafting.sensor_rows import headed_kinds, sensor_column, split_by_header, split_by_sensor
 from tumble.drafting.sensors_apart import are_sensors_apart, of_sensors_apart
+from tumble.drafting.stated_columns import Stated, with_stated
 from tumble.errors import InputError
 from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of, is_clock
 from tumble.recording.formats.columns import (
     ACCEL,
     GYRO,
-    Columns,
     columns_by_name,
     is_no_sensor,
     time_unit,
     unit_of_name,
 )
-from tumble.recording.formats.columns_by_data import columns_by_data, time_by_data
+from tumble.recording.formats.columns_by_data import Told, columns_by_data, time_by_data
 from tumble.recording.formats.message import Sensors
 from tumble.recording.log_source import readable
 from tumble.recording.readers import ENDINGS, source_of
@@ -67,9 +68,11 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(part) if re.fullmatch("[0-9]{1,18}", part) else -1, part) for part in re.split(r"([0-9]+)", path.name)]
 
 
-def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
-    """What text and Parquet files are. Raises InputError for those that are no logs, or not alike."""
+def found_log(files: Sequence[Path], folder: Path, stated: Stated = MappingProxyType({})) -> FoundLog:
+    """What text and Parquet files are, and which of their columns are what, where it is not `stated`. Raises InputError
+    for those that are no logs, or not alike."""
     logs, left = _those_with_rows(files, folder)
+    logs = [with_stated(log, stated) for log in logs]
     logs = [_with_finest_time(log) if len(log.columns.times) > 1 else log for log in logs]
     if are_sensors_apart(logs):
         apart = of_sensors_apart(logs, folder)
@@ -97,19 +100,17 @@ def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
 
 
 def _pooled(logs: Sequence[FoundLog]) -> Sequence[FoundLog]:
-    """Files whose columns have no names and are alike as one log: a file of one position does not tell what they are,
-    all of them do."""
+    """Files alike whose columns no name tells as one log: a file of one position does not tell what they are, all of
+    them do."""
     first = logs[0]
-    nameless = all(log.cells and all(map(str.isdecimal, log.cells)) for log in logs)
-    if (
-        len(logs) < 2
-        or not nameless
-        or any((log.keys, set(log.cells)) != (first.keys, set(first.cells)) for log in logs)
+    if len(logs) < 2 or any(
+        ACCEL in log.columns.triads or not log.cells or (log.keys, set(log.cells)) != (first.keys, set(first.cells))
+        for log in logs
     ):
         return logs
     numeric = _numeric(first)
     time = time_by_data(numeric, first.read(numeric, rows=LONGEST // 10))
-    columns = replace(first.columns, time=time or first.columns.time)
+    columns = replace(first.columns, time=first.columns.time or time)
     return [replace(first, files=tuple(file for log in logs for file in log.files), columns=columns)]
 
 
@@ -227,10 +228,11 @@ def _by_data(log: FoundLog) -> FoundLog:
     """A log whose accelerometers, and gyros unless they are named, are told by their numbers, if they can be. Columns
     whose names say that they are something else are left aside; gx, gy and gz may be no gyros."""
     named = {kind: sensors for kind, sensors in log.columns.triads.items() if kind != ACCEL}
-    found = _told(log, named)
-    if ACCEL not in found.triads and GYRO in named:
+    told = _told(log, named)
+    if ACCEL not in told.columns.triads and GYRO in named:
         named = {kind: sensors for kind, sensors in named.items() if kind != GYRO}
-        found = _told(log, named)
+        told = _told(log, named)
+    found = told.columns
     if ACCEL not in found.triads:
         return log
     known = log.columns
@@ -242,17 +244,15 @@ def _by_data(log: FoundLog) -> FoundLog:
         temperatures=known.temperatures,
         counter=known.counter,
     )
-    told = {kind: s for kind, s in found.triads.items() if kind not in named}
-    said = [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in told.items()]
-    return replace(log, columns=columns, said=(*log.said, *said))
+    return replace(log, columns=columns, said=(*log.said, *told.said(named)))
 
 
-def _told(log: FoundLog, named: Mapping[str, Sensors]) -> Columns:
+def _told(log: FoundLog, named: Mapping[str, Sensors]) -> Told:
     """What the columns of a log are by their numbers, but for those of sensors that are named."""
     names = list(next(iter(log.sources())).names)
     taken = {column for sensors in named.values() for column in sensors.columns} | {log.columns.time}
     numeric = [n for n in _numeric(log) if n not in taken and names.count(n) == 1 and not is_no_sensor(n)]
-    read = log.read(numeric, rows=LONGEST // 10) if len(numeric) >= 3 else np.empty((0, len(numeric)))
+    read = log.read(numeric) if len(numeric) >= 3 else np.empty((0, len(numeric)))
     every = np.full((samples_in(read), len(names)), np.nan)
     every[:, [names.index(name) for name in numeric]] = read[: len(every)]
     return columns_by_data(names, every)

@@ -17,7 +17,11 @@ _GROUP = re.compile(r"(?<![^\W\d])([^\W\d]\w*+)\s*(?:\([^()]*\))?\s*:\s*(?=[^\W\
 _NUMBER = re.compile(r"(?<![\w^/.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _WHEN = re.compile(r"[\s\[\]()>,;|:-]*$")
 _WORD = re.compile(r"([^\W\d]\w*)\s+$")
-_UNIT = re.compile(r"(?<![^\W\d])\s*(m/s\^?2|rad/s|deg/s|dps|mdps|m?g)\s*$")
+_WORDS = re.compile(r"(?<!\w)([^\W\d]\w*(?:[ \t]+[^\W\d]\w*)*)\s+$")
+_UNITS = r"(?:m/s\^?2|rad/s|deg/s|m?dps|m?g)"
+_UNIT = re.compile(rf"(?<![^\W\d])\s*({_UNITS})\s*$")
+_BEHIND = re.compile(rf"^[-+.,\deE\s]*(?:{_UNITS}(?!\w))?")
+"""A number and its unit."""
 _TIME = "time"
 _QUANTITIES = ("velocity", "acceleration", "rate", "field")
 
@@ -28,7 +32,7 @@ def cells(line: str) -> dict[str, str]:
     if not keys:
         return {}
     first = min(found.start() for found in (keys[0], *groups[:1]))
-    when = _WHEN.sub("", _WORD.sub("", line[:first])).strip(" []")
+    when = _WHEN.sub("", _WORDS.sub("", line[:first])).strip(" []")
     found = {_TIME: when} if is_clock(when) or _NUMBER.fullmatch(when) else {}
     for key, name, after in zip(keys, _names(line, keys, groups), [*keys[1:], None], strict=True):
         numbers = _NUMBER.findall(line[key.end() : after.start() if after else None])
@@ -48,28 +52,20 @@ def _qualified(before: str, name: str) -> str:
 
 
 def _names(line: str, keys: Sequence[re.Match[str]], groups: Sequence[re.Match[str]]) -> list[str]:
-    """The names in a line, with the sensor that stands before several, `GYRO: X=0.1, Y=…`; where one comes twice, each
-    with the last word before it: `Acc X: …, Gyr X: …`."""
-    names, word = [], ""
+    """The names in a line: an axis with the sensor that stands before several, `GYRO: X=0.1, Y=…`, else with the words
+    before it, `Linear Accel X = 0.1, Y = …`, which are those of the axes behind it too."""
+    names, words, end = [], "", 0
     for key in keys:
         of = [group[1] for group in groups if group.end() <= key.start() and key[0].rstrip().endswith("=")]
-        names.append("_".join([*of[-1:], key[1]]))
-    if len(set(names)) == len(names):
-        return names
-    whole = []
-    for key in keys:
-        before = line[: key.start()]
-        said = None if _UNIT.search(before) else _WORD.search(before)
-        word = said[1] if said else word
-        whole.append(f"{word} {key[1]}" if word and len(key[1]) == 1 else key[1])
-    return whole
+        before = _WORDS.search(_BEHIND.sub("", line[end : key.start()]))
+        words = before[1] if before else words
+        end = key.end()
+        names.append("_".join([*of[-1:], key[1]]) if of or len(key[1]) > 1 else f"{words} {key[1]}".strip())
+    return names
 
 
 def named_numbers(line: str) -> dict[str, str]:
-    """The same, each name with the word before the first and the unit behind the last number, as in `Rotation X: 0.01,
-    Y: -0.02, Z: 0.00 rad/s`."""
-    first = _KEY.search(line[:LONGEST_LINE])
-    word = _WORD.search(line[: first.start()]) if first else None
+    """The same, each name with the unit behind the last number, as in `Rotation X: 0.01, Y: -0.02, Z: 0.00 rad/s`."""
     unit = _UNIT.search(line[:LONGEST_LINE])
-    before, behind = f"{word[1]} " if word else "", f" [{unit[1]}]" if unit else ""
-    return {f"{before}{name}{behind}": number for name, number in cells(line).items()}
+    behind = f" [{unit[1]}]" if unit else ""
+    return {f"{name}{behind}": number for name, number in cells(line).items()}

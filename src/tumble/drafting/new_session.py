@@ -34,16 +34,18 @@ from tumble.programme.positions import BUILT_IN
 from tumble.recording import formats
 from tumble.recording.autopilot import sensors_content
 from tumble.recording.formats import Sensors
-from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, Columns, temperature_unit
+from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, TIME_KIND, Columns, temperature_unit
 from tumble.recording.formats.message import TIME, Message
+from tumble.recording.formats.scales import ACCEL_COUNTS, matched
 from tumble.recording.log import Log
+from tumble.recording.session import Session
 from tumble.recording.session_file import SESSION_FILE, session_of
 from tumble.recording.session_keys.temperature import TemperatureTable
-from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, TEMPERATURE_UNITS, Array
+from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, TEMPERATURE_UNITS, Array
 
-_HEAD = 20_000
-_TOLERANCE, _TOLERANCE_MG = 0.3, 0.12  # 800 and 1200 are counts per g of data sheets
-_SOFT = 0.03
+_HEAD, _FIRST_ROWS = 20_000, 200
+_NO_COLUMNS = Columns(time=None, time_unit=None, triads={}, temperatures=(), others=())
+_TOLERANCE = 0.3
 _SECONDS, _FEWEST_MEANS, _STEADY = 2.0, 3, 0.4
 """Of accelerometers that turn slowly the mean over so long is most of gravity."""
 _FIELDS = {
@@ -52,19 +54,29 @@ _FIELDS = {
     "gauss": (0.15, 1.5),
     "T": (15e-6, 150e-6),
 }  # with iron about
-_PARTS_OF_DEG_S = {"mdps": (1000.0, "thousandths"), "0.1 deg/s": (10.0, "tenths")}
+_SENSORS = {ACCEL: ("accelerometers", "m/s²", 1.0), GYRO: ("gyros", "°/s", DEGREE)}
 _LIKELY = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # of the middle temperature of a recording
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Given:
-    """What the user knows: serial number, latitude (°), rate (Hz), programme and message of a recording."""
+    """What the user knows: serial number, latitude (°), rate (Hz), programme and message of a recording; and the
+    columns of a text or Parquet log that are its accelerometers, gyros and time, by name or by number from 1."""
 
     serial: str | None = None
     latitude: float | None = None
     rate: float | None = None
     programme: str | None = None
     message: str | None = None
+    accel: Sequence[str] = ()
+    gyro: Sequence[str] = ()
+    time: str | None = None
+
+    @property
+    def columns(self) -> dict[str, Sequence[str]]:
+        """The stated columns by what they are."""
+        stated = {ACCEL: self.accel, GYRO: self.gyro, TIME_KIND: () if self.time is None else (self.time,)}
+        return {kind: columns for kind, columns in stated.items() if columns}
 
 
 NOTHING_GIVEN = Given()
@@ -109,7 +121,8 @@ def new_session(
         draft = replace(draft, content=_with_given(draft.content, folder, given))
         draft, faults = tried(draft, progress)
         content, signed = with_sign(draft.content)
-        draft = replace(draft, content=content, said=(*draft.said, *signed))
+        row = [_row_as_read(session_of(content), draft.rate)] if draft.guessed else []
+        draft = replace(draft, content=content, said=(*draft.said, *signed, *row))
         folder.mkdir(parents=True, exist_ok=True)
         text = session_text(draft, folder, given.programme, named=bool(given.serial))
         with whole_file(path) as temporary:
@@ -123,8 +136,13 @@ def new_session(
 def _of_files(files: list[Path], folder: Path, given: Given) -> Draft:
     recordings = [f for f in files if formats.is_recording(f) or f.is_dir()]
     if not recordings:
-        log = mended(found_log(files, folder), folder, given.rate)
+        log = mended(found_log(files, folder, given.columns), folder, given.rate)
         return _of_log(log, times_of(log, given.rate), given.rate)
+    if given.columns:
+        raise InputError(
+            f"--{', --'.join(given.columns)}: expected a log of text or Parquet, found {recordings[0].name}, whose "
+            "messages say what is what; --message takes one"
+        )
     if len(files) > 1 and len(recordings) < len(files):
         raise InputError(f"{recordings[0]}: expected one recording, found other files too; give each its own session")
     return _of_recording(recordings, folder, given)
@@ -140,6 +158,7 @@ def _of_log(log: FoundLog, times: Times, rate: float | None) -> Draft:
     magnitude = _magnitude(log, found.triads[ACCEL])
     content, more, unknown = _content(log, times, found, magnitude)
     more += _without_gravity(log, found.triads[ACCEL], times.rate)
+    table = content["log"]
     magnetometer, most = _magnetometer(log, found.triads.get(MAGNETOMETER))
     return Draft(
         content=content,
@@ -152,6 +171,9 @@ def _of_log(log: FoundLog, times: Times, rate: float | None) -> Draft:
         gyro_whole=GYRO in found.triads and _is_whole(log.read(found.triads[GYRO].columns, rows=_HEAD)),
         accel_whole=_is_whole(log.read(found.triads[ACCEL].columns, rows=_HEAD)),
         accel_magnitude=magnitude,
+        guessed=times.guessed
+        or times.unit_guessed
+        or any(found.triads[k].unit is None for k in table if k in _SENSORS),
     )
 
 
@@ -171,6 +193,29 @@ def _without_gravity(log: FoundLog, accel: Sensors, rate: float) -> list[str]:
         f"accelerometers: at the mean over {_SECONDS:g} s they read {share:.0%} of what they read at a time: gravity "
         "is not in them; what a filter has left of the readings cannot be calibrated"
     ]
+
+
+def _row_as_read(session: Session, rate: float) -> str:
+    """The first row of a session's log that is whole: its numbers, and what they are taken for."""
+    log = session.log
+    time = [] if log.time is None else [log.time]
+    sensors = {kind: channels for kind, channels in ((ACCEL, log.accel), (GYRO, log.gyro)) if channels is not None}
+    columns = [*time, *(c for channels in sensors.values() for c in channels.columns)]
+    files = tuple(file for file in log.files if isinstance(file, Path))
+    found = FoundLog(files=files, keys={}, columns=_NO_COLUMNS, dialect=log.dialect)
+    read = found.read(columns, rows=_FIRST_ROWS, clock=log.time if log.clock else None)
+    whole = np.flatnonzero(np.isfinite(read).all(axis=1))
+    if not len(whole):
+        return f"no row of the first {len(read)} is whole"
+    row = dict(zip(columns, read[whole[0]].tolist(), strict=True))
+    parts = [f"time {row[name] * log.time_factor:.10g} s ({name}: {row[name]:.10g})" for name in time]
+    for kind, channels in sensors.items():
+        name, unit, one = _SENSORS[kind]
+        numbers = np.array([[row[c] for c in channels.columns]])
+        values = channels.to_si(numbers, np.array([1.0 / rate]))[0] / one
+        written = ", ".join(f"{c}: {row[c]:.6g}" for c in channels.columns)
+        parts.append(f"{name} {', '.join(f'{v:.4g}' for v in values)} {unit} ({written})")
+    return f"row {whole[0] + 1} as it is read: {'; '.join(parts)}"
 
 
 def _is_whole(read: Array) -> bool:
@@ -263,12 +308,12 @@ def _content(log: FoundLog, times: Times, found: Columns, magnitude: float) -> t
     table: dict[str, Any] = {"file": files[0] if len(files) == 1 else files, **log.keys, **times.keys, "accel": accel}
     unknown = False
     if GYRO in found.triads:
-        table["gyro"], more, unknown = _gyro(
-            found.triads[GYRO], log.read(found.triads[GYRO].columns, rows=_HEAD), raw=accel["unit"] == "count"
-        )
+        rates = log.read(found.triads[GYRO].columns, rows=_HEAD)
+        counted = accel["unit"] == "count" and (_is_whole(rates) or matched(ACCEL, magnitude, whole=False).unit is None)
+        table["gyro"], more, unknown = _gyro(found.triads[GYRO], rates, raw=counted)
         said += more
     else:
-        said.append("no gyros were found: the accelerometers alone will be calibrated")
+        said.append("no gyros were found (--gyro states their columns): the accelerometers alone will be calibrated")
     if found.temperatures:
         thermometers, remark = _thermometers(log, found.temperatures)
         table |= {} if thermometers is None else {"temperature": thermometers}
@@ -320,7 +365,8 @@ def _magnitude(log: FoundLog, sensors: Sensors) -> float:
 
 
 def _accel(sensors: Sensors, times: Times, magnitude: float) -> tuple[dict[str, Any], list[str]]:
-    """The table [log.accel]: the unit in which the median magnitude is gravity; of counts, with a scale of one."""
+    """The table [log.accel]: the unit in which the median magnitude is gravity; with a scale of one where it may be
+    that of counts, so that the rests tell."""
     columns = list(sensors.columns)
     named = ", ".join(columns)
     if sensors.unit in ACCEL_UNITS and ACCEL_UNITS[sensors.unit].kind != "raw":
@@ -331,38 +377,29 @@ def _accel(sensors: Sensors, times: Times, magnitude: float) -> tuple[dict[str, 
                 asked = "linear acceleration, which a filter has taken gravity off, cannot be calibrated"
             said.append(f"accelerometers: their magnitude is not that of gravity in {sensors.unit}: {asked}")
         return {"columns": columns, "unit": sensors.unit}, said
-    for name, unit in ACCEL_UNITS.items():
-        named_raw = sensors.unit is not None and ACCEL_UNITS[sensors.unit].kind == "raw"
-        near = _TOLERANCE_MG if name == "mg" else _TOLERANCE
-        fits = abs(magnitude * unit.per_second(times.rate) / G_STANDARD - 1.0) < near
-        if named_raw or unit.kind == "raw" or not fits:
-            continue
-        also = "; 1024 counts per g are possible too" if name == "mg" and abs(magnitude / 1024.0 - 1.0) < _SOFT else ""
-        found = f"accelerometers: {named} in {name} (their magnitude is {magnitude:.6g}){also}"
-        return {"columns": columns, "unit": name}, [found]
+    named_raw = sensors.unit is not None and ACCEL_UNITS[sensors.unit].kind == "raw"
+    worth = {name: unit.per_second(times.rate) for name, unit in ACCEL_UNITS.items() if unit.kind != "raw"}
+    fits = [name for name, one in worth.items() if abs(magnitude * one / G_STANDARD - 1.0) < _TOLERANCE]
+    if fits and not named_raw and magnitude < (1.0 - _TOLERANCE) * ACCEL_COUNTS[0]:
+        also = f"; {' or '.join(fits[1:])} would fit too" if fits[1:] else ""
+        found = f"accelerometers: {named} in {fits[0]} (their magnitude is {magnitude:.6g}){also}"
+        return {"columns": columns, "unit": fits[0]}, [found]
     return {"columns": columns, "unit": "count", "scale": 1.0, "scale_per": "m/s^2", "offset": 0.0}, []
 
 
 def _gyro(sensors: Sensors, read: Array, *, raw: bool) -> tuple[dict[str, Any], list[str], bool]:
-    """The table [log.gyro]; where the accelerometers are in counts, gyros of no named unit are too, and whole numbers
-    which no gyro reads in rad/s."""
+    """The table [log.gyro]; where the accelerometers are `raw`, gyros of no named unit are too, and whole numbers which
+    no gyro reads in rad/s."""
     columns = list(sensors.columns)
     named = ", ".join(columns)
-    if sensors.unit in _PARTS_OF_DEG_S:
-        scale, part = _PARTS_OF_DEG_S[sensors.unit]
-        return (
-            {"columns": columns, "unit": "count", "scale": scale, "scale_per": "deg/s"},
-            [f"gyros: {named} in {part} of deg/s (from the name)"],
-            False,
-        )
     if sensors.unit is not None and GYRO_UNITS[sensors.unit].kind != "raw":
         return (
             {"columns": columns, "unit": sensors.unit},
             [f"gyros: {named} in {sensors.unit} (from the name or the format)"],
             False,
         )
-    fast = too_fast_for_rad_s(read)
-    if not raw and sensors.unit is None and not (fast and _is_whole(read)):
+    fast, whole = too_fast_for_rad_s(read), _is_whole(read)
+    if not raw and sensors.unit is None and not (fast and whole):
         step = step_in_deg_s(read)
         if step is not None:
             said = f"gyros: {named} in deg/s (a guess): their steps are {step:.4g} °/s, a count of data sheets"

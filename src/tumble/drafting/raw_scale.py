@@ -2,35 +2,21 @@
 gravity draws a sphere, and what gyros read for a rad/s from the turns, over which they carry the vertical from rest
 to rest.
 
-Both are rough, as good as the sensors' own scale errors. Data sheets know few sensitivities, which are far apart: the
-one that is near is taken.
+Both are rough, as good as the sensors' own scale errors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-
 import numpy as np
 
-from tumble.recording.formats.columns_by_data import ACCEL_STEPS, MIDDLES
+from tumble.recording.formats.columns import ACCEL
+from tumble.recording.formats.columns_by_data import MIDDLES
+from tumble.recording.formats.scales import matched
 from tumble.reduction.observations import Observations
 from tumble.reduction.sphere import sphere_through
 from tumble.sensors.model import SensorModel
-from tumble.units import DEGREE, G_STANDARD, Array
+from tumble.units import Array
 
-GYRO_STEPS: tuple[float, ...] = tuple(
-    sorted(
-        [
-            *(262.1, 131.0, 65.5, 32.8, 16.4),
-            *(1e3 / s for s in (4.375, 8.75, 17.5, 35.0, 70.0)),
-            14.375, 10.0, 25.0, 40.0, 160.0, 100.0, 1e3, 1e6,
-        ]
-    )
-)  # fmt: skip
-"""Counts per °/s: of full scales of 16 bits, of the mdps per count of other makers, and of thousandths."""
-
-_NEAR = 0.06
 _ALIKE = 0.05
 _NO_OFFSET = 0.3
 _LEAST_SINGULAR = 0.05
@@ -40,42 +26,6 @@ _MOST_MISSED = 0.5
 _SMALLEST, _LARGEST = 0.05, 30.0  # rad, of a turn
 _GRID = 160
 _SLOW = 1e12
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Scale:
-    """Counts per unit as written down, as found, and where it is from in words; whether a data sheet has it."""
-
-    value: float
-    found: float
-    said: str
-    known: bool = True
-
-
-PLAIN: Mapping[str, float] = {"m/s^2": G_STANDARD, "g": 1.0, "mg": 1e3}
-"""What accelerometers read for one g whose numbers are in a unit and no counts."""
-
-_PLAIN_NEAR = 0.03
-
-
-def plain_unit(found: float) -> str | None:
-    """The unit of accelerometers that read this much for one g; None where it is none, or 1024 counts as likely."""
-    near = {unit: abs(found / one - 1.0) for unit, one in PLAIN.items()}
-    unit = min(near, key=lambda name: near[name])
-    return unit if near[unit] < _PLAIN_NEAR and near[unit] < abs(found / 1024.0 - 1.0) else None
-
-
-def matched(found: float, steps: Sequence[float], unit: str) -> Scale:
-    """The data-sheet value next to what was found; the latter where none is near."""
-    nearest = min(steps, key=lambda step: abs(np.log(step / found)))
-    off = found / nearest - 1.0
-    if abs(off) > _NEAR:
-        said = f"{found:.4g} counts per {unit} found, and no data sheet has a value near it"
-        return Scale(value=float(f"{found:.4g}"), found=found, said=said, known=False)
-    value = float(f"{nearest:.6g}")
-    return Scale(
-        value=value, found=found, said=f"{value:g} counts per {unit} as in data sheets, {found:.4g} found ({off:+.1%})"
-    )
 
 
 def accel_scale(means: Array) -> tuple[float, list[float]] | None:
@@ -94,7 +44,7 @@ def _are_one_attitude(means: Array) -> bool:
     """Whether readings at rest are alike, and one g in counts of a data sheet: what they differ by is no sphere."""
     length = float(np.median(np.linalg.norm(means, axis=1)))
     alike = float(np.linalg.norm(means.std(axis=0))) < _ALIKE * length
-    return alike and counts_per_g(length).known
+    return alike and matched(ACCEL, length, whole=True).known
 
 
 def _sphere(points: Array) -> tuple[float, Array] | None:
@@ -150,22 +100,6 @@ def gyro_factor(observations: Observations) -> float | None:
     moved = float(np.minimum(np.arccos(np.clip(cosine, -1.0, 1.0)), _MOST_MISSED).mean())
     carried = np.median(misses(float(best.x))) < _MISS and best.fun < min(_MISS, 0.5 * moved)
     return float(np.exp(best.x)) if carried else None
-
-
-def counts_per_g(radius: float) -> Scale:
-    """Counts per g, as found and as in data sheets."""
-    return matched(radius, ACCEL_STEPS, "g")
-
-
-def counts_per_deg_s(factor: float) -> Scale:
-    """Counts per °/s of gyros that read `factor` for one rad/s, as found and as in data sheets."""
-    return matched(factor * DEGREE, GYRO_STEPS, "deg/s")
-
-
-def known_unit(counts: Scale) -> str | None:
-    """The unit of gyros whose readings are no counts: one °/s reads one, or one rad/s does; None where neither."""
-    units = {"deg/s": 1.0, "rad/s": DEGREE}
-    return next((unit for unit, one in units.items() if abs(counts.found / one - 1.0) < _NEAR), None)
 
 
 def wrapped(columns: Array) -> bool:

@@ -12,12 +12,20 @@ import polars as pl
 
 from tumble.drafting.found_log import SHOWN, FoundLog, check_has_accelerometers
 from tumble.drafting.log_times import times_of_column
-from tumble.drafting.raw_scale import PLAIN
 from tumble.errors import InputError
 from tumble.recording import formats
-from tumble.recording.formats.columns import ACCEL, GYRO, SENSOR_WORDS, Columns, columns_by_name, unit_of_name
+from tumble.recording.formats.columns import (
+    ACCEL,
+    GYRO,
+    SENSOR_WORDS,
+    Columns,
+    columns_by_name,
+    is_no_sensor,
+    unit_of_name,
+)
 from tumble.recording.formats.columns_by_data import time_by_data
 from tumble.recording.formats.message import TIME, Message, Sensors
+from tumble.recording.formats.scales import CANDIDATES
 from tumble.units import TIME_UNITS
 
 _HEAD, _NEAR = 20_000, 0.1
@@ -27,8 +35,11 @@ _NOT_ACCEL = re.compile(r"lin|user|uncal|without|\bno[_ ]?g", re.IGNORECASE)
 
 def are_sensors_apart(logs: Sequence[FoundLog]) -> bool:
     """Whether logs are of one kind of sensors each: the names of their columns say so, or no names of columns say which
-    and those of the files do; where columns have no names, they are no more than a time and three sensors."""
+    and those of the files do; where columns have no names, they are no more than a time and three sensors. Files that
+    all have room for two kinds are recordings of one device."""
     if len(logs) < 2 or any({ACCEL, GYRO} <= set(log.columns.triads) for log in logs):
+        return False
+    if all(sum(not is_no_sensor(name) for name in log.cells) >= len("xyz") + len("xyz") for log in logs):
         return False
     by_kind = _by_kind(logs)
     if set(by_kind) == {ACCEL, GYRO}:
@@ -53,12 +64,12 @@ def _by_kind(logs: Sequence[FoundLog]) -> dict[str, FoundLog]:
 
 
 def _reads_gravity(log: FoundLog) -> bool:
-    """Whether the three sensors of a log of accelerometers read gravity in m/s², g or thousandths of it."""
+    """Whether the three sensors of a log of accelerometers read gravity in a unit."""
     columns = _three(log, ACCEL)[1]
     if not columns:
         return False
     length = float(np.nanmedian(np.linalg.norm(log.read(columns, rows=_HEAD), axis=1)))
-    return any(abs(length / one - 1.0) < _NEAR for one in PLAIN.values())
+    return any(c.unit is not None and abs(length / c.value - 1.0) < _NEAR for c in CANDIDATES[ACCEL])
 
 
 def of_sensors_apart(logs: Sequence[FoundLog], folder: Path) -> FoundLog:
@@ -112,7 +123,7 @@ def _message(log: FoundLog, kind: str) -> Message:
     if not source or stamps is None or times is None:
         raise InputError(
             f"{log.files[0]}: expected a time and columns x, y and z, found {', '.join(list(log.cells)[:SHOWN])}; "
-            "rename them"
+            "write `time,x,y,z` above the rows"
         )
     unit = unit_of_name(kind, source[0]) or unit_of_name(kind, f"{'acc' if kind == ACCEL else 'gyro'} {source[0]}")
     x, y, z = (f"{kind}_{axis}" for axis in "xyz")

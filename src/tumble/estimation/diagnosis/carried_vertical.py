@@ -12,6 +12,7 @@ from tumble.estimation.diagnosis.exchanged_columns import columns_said, signed_p
 from tumble.estimation.diagnosis.upside_down import specific_forces, upside_down, verticals
 from tumble.estimation.observability import rough_directions
 from tumble.recording.session import Channels, LogSpec, Session
+from tumble.recording.session_keys.sensors import GyroTable
 from tumble.reduction.observations import Observations
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, GYRO_UNITS, TIME_UNITS, Array
@@ -27,6 +28,9 @@ SMALL_SCALE_ERROR = 0.1
 
 FASTEST_TURN = 10.0
 """rad/s: by hand or on a table."""
+
+_RATES, _SHORTEST_LOG = (0.5, 20_000.0), 2.0
+"""Hz, and s, of a log that is one."""
 
 BIAS_LIMIT = 100.0
 """rad/s: what no gyro measures, let alone as its bias."""
@@ -107,7 +111,7 @@ def sense_faults(observations: Observations, session: Session, rate: float) -> l
         if largest > BIAS_LIMIT:
             return [f"the gyros read {largest:.3g} rad/s at rest, as no gyro does: the offset of [log.gyro] is wrong"]
         return upside_down(observations, session)
-    found = _unit_said(carrying, rate) or _time_unit_said(carrying, session.log) or _columns_said(carrying)
+    found = _unit_said(carrying, rate) or _time_unit_said(carrying, session.log, rate) or _columns_said(carrying)
     if found is not None:
         return [f"{carrying.said}; {found}"]
     ratio = _scale_ratio(carrying)
@@ -124,6 +128,26 @@ def fitting_gyro_unit(observations: Observations, session: Session, rate: float)
     where they do, or where no unit helps."""
     carrying = _Carrying.of(observations, session)
     return _fitting_unit(carrying, rate) if carrying is not None and carrying.evident else None
+
+
+def fitting_time_unit(observations: Observations, session: Session, rate: float) -> str | None:
+    """The unit of the times in which nominal gyros carry the vertical, where they do not in the one stated; None where
+    they do, or where no unit helps."""
+    carrying = _Carrying.of(observations, session)
+    return _fitting_time_unit(carrying, session.log, rate) if carrying is not None and carrying.evident else None
+
+
+def misses_by_unit(observations: Observations, session: Session, rate: float) -> dict[str, float]:
+    """Median angle, rad, by which nominal gyros miss the vertical after a turn, in the stated unit and in all others,
+    the least first; nothing where nothing turned."""
+    carrying = _Carrying.of(observations, session)
+    if carrying is None:
+        return {}
+    misses = {carrying.channels.unit_name: float(np.median(carrying.miss))}
+    for name, factor in _other_units(carrying.channels, rate):
+        trial = SensorModel(matrix=carrying.stated.matrix / factor, bias=carrying.stated.bias)
+        misses[name] = float(np.median(_misses(observations, trial, carrying.vertical)))
+    return dict(sorted(misses.items(), key=lambda miss: miss[1]))
 
 
 def _fitting_unit(carrying: _Carrying, rate: float) -> str | None:
@@ -143,10 +167,21 @@ def _unit_said(carrying: _Carrying, rate: float) -> str | None:
     return f'the unit of [log.gyro] is not "{carrying.channels.unit_name}", "{unit}" would fit'
 
 
-def _time_unit_said(carrying: _Carrying, log: LogSpec) -> str | None:
+def _time_unit_said(carrying: _Carrying, log: LogSpec, rate: float) -> str | None:
+    unit = _fitting_time_unit(carrying, log, rate)
+    return None if unit is None else f'log.time_unit = "{unit}" would fit'
+
+
+def _fitting_time_unit(carrying: _Carrying, log: LogSpec, rate: float) -> str | None:
+    """The first other unit of the times that explains what the gyros miss, and in which they are those of a log."""
+    rests = carrying.observations.rests
     for name, factor in TIME_UNITS.items():
-        if log.time is not None and carrying.explained(carrying.stated.matrix * log.time_factor / factor) < np.inf:
-            return f'log.time_unit = "{name}" would fit'
+        longer = factor / log.time_factor
+        possible = _RATES[0] < rate / longer < _RATES[1] and float(rests.stop.max()) * longer > _SHORTEST_LOG
+        if log.time is None or log.clock or not possible:
+            continue
+        if carrying.explained(carrying.stated.matrix / longer) < np.inf:
+            return name
     return None
 
 
@@ -160,10 +195,14 @@ def _columns_said(carrying: _Carrying) -> str | None:
 
 
 def _scale_ratio(carrying: _Carrying) -> float | None:
-    """How many times what they should the gyros read, where one ratio for all explains what is missed best."""
-    ratios = np.geomspace(0.2, 5.0, 131)
-    best, ratio = min((carrying.explained(carrying.stated.matrix * ratio), float(ratio)) for ratio in ratios)
-    return ratio if best < np.inf else None
+    """How many times what they should the gyros read, where one ratio for all explains what is missed best; of ratios
+    beyond five, up to those of a unit and its thousandths, only where none within does."""
+    for low, high in ((0.2, 5.0), (5.0, 2e3), (5e-4, 0.2)):
+        ratios = np.geomspace(low, high, 1 + round(40.0 * np.log(high / low)))
+        best, ratio = min((carrying.explained(carrying.stated.matrix * ratio), float(ratio)) for ratio in ratios)
+        if best < np.inf:
+            return ratio
+    return None
 
 
 def _scale_said(ratio: float, channels: Channels, log: LogSpec) -> str:
@@ -221,5 +260,6 @@ def _other_units(channels: Channels, rate: float) -> Iterator[tuple[str, float]]
     """Other units than the stated one (of raw channels: of the scale), and how much larger they are."""
     for name, unit in GYRO_UNITS.items():
         factor = unit.per_second(rate) / channels.unit.per_second(rate)
-        if unit.kind != "raw" and unit != channels.unit and not (channels.raw and unit.kind != channels.unit.kind):
+        allowed = name in GyroTable.SCALE_PER if channels.raw else unit.kind != "raw"
+        if allowed and unit != channels.unit and not (channels.raw and unit.kind != channels.unit.kind):
             yield name, factor

@@ -45,9 +45,9 @@ def messages(path: Path) -> list[Message]:
     for length in sorted({max(shape) for shape in shapes.values()}, reverse=True):
         columns = dict(_columns(path, {name: s for name, s in shapes.items() if max(s) == length}))
         known = columns_by_name(columns)
-        guessed = ACCEL not in known.triads
+        guessed, remark = ACCEL not in known.triads, ""
         if guessed:
-            known = _with_told_by_data(path, columns, known)
+            known, remark = _with_told_by_data(path, columns, known)
         if length < _SHORTEST or not known.triads:
             continue
         factor = TIME_UNITS[known.time_unit or "s"]
@@ -60,6 +60,7 @@ def messages(path: Path) -> list[Message]:
                 magnetometer=known.triads.get(MAGNETOMETER),
                 temperatures=known.temperatures,
                 timed=known.time is not None,
+                remark=remark,
                 rows=partial(_rows, path, columns, known.time, factor),
             )
         )
@@ -101,20 +102,22 @@ def _time_of_four(path: Path, name: str) -> int | None:
     return next((axis for axis, column in zip((0, 3), read.T, strict=True) if grows(column)), None)
 
 
-def _with_told_by_data(path: Path, columns: Columns, known: Known) -> Known:
+def _with_told_by_data(path: Path, columns: Columns, known: Known) -> tuple[Known, str]:
     """What columns are where no name says which are accelerometers: by their numbers, but for the triads that an array
-    of their own is named as."""
+    of their own is named as; and that in words."""
     wide = {array for array, axis in columns.values() if axis is not None and axis > 3}
     named = {k: t for k, t in known.triads.items() if columns[t.columns[0]][0] not in wide}
     taken = {column for triad in named.values() for column in triad.columns}
     free = {name: column for name, column in columns.items() if name not in taken}
     together = {name: column for name, column in free.items() if column[1] is not None} or free
     if not 0 < len(together) <= _WIDEST:
-        return known
+        return known, ""
     told = columns_by_data(list(together), _read_whole(path, together))
-    if ACCEL not in told.triads:
-        return replace(known, triads=named)
-    return replace(known, triads={**told.triads, **named}, time=known.time or told.time)
+    found = told.columns
+    if ACCEL not in found.triads:
+        return replace(known, triads=named), ""
+    known = replace(known, triads={**found.triads, **named}, time=known.time or found.time)
+    return known, "; ".join(told.said(named))
 
 
 def _shapes(path: Path) -> dict[str, tuple[int, ...]]:

@@ -88,6 +88,7 @@ _COUNTED = {"1": "x", "2": "y", "3": "z"}
 _UNITS: Mapping[str, Mapping[str, str]] = {
     ACCEL: {
         "m/s2": "m/s^2", "ms-2": "m/s^2", "m/s/s": "m/s^2", "mps2": "m/s^2", "ms2": "m/s^2", "m_s2": "m/s^2",
+        "cm/s2": "cm/s^2", "cms-2": "cm/s^2", "mm/s2": "mm/s^2", "mms-2": "mm/s^2",
         "g": "g", "mg": "mg", "m/s": "m/s", "count": "count", "counts": "count", "lsb": "count", "raw": "count",
         "adc": "count", "v": "V",
     },
@@ -96,7 +97,7 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
         "deg/s": "deg/s", "°/s": "deg/s", "degs-1": "deg/s", "degree/s": "deg/s", "degrees/s": "deg/s", "dps": "deg/s",
         "radians/s": "rad/s", "radian/s": "rad/s",
         "deg_s": "deg/s", "degs": "deg/s", "degps": "deg/s", "deg/h": "deg/h", "°/h": "deg/h", "dph": "deg/h",
-        "mdps": "mdps", "mdeg/s": "mdps", "0.1deg/s": "0.1 deg/s", "0.1dps": "0.1 deg/s",
+        "mdps": "mdeg/s", "mdeg/s": "mdeg/s", "0.1deg/s": "0.1 deg/s", "0.1dps": "0.1 deg/s",
         "rad": "rad", "deg": "deg", "arcsec": "arcsec", "count": "count",
         "counts": "count", "lsb": "count", "raw": "count", "adc": "count", "v": "V",
     },
@@ -108,8 +109,8 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
 }  # fmt: skip
 
 
-_RATES = ("rad/s", "deg/s", "mdps", "0.1 deg/s", "deg/h")
-_FORCES = ("m/s^2", "g", "mg")
+_RATES = ("rad/s", "deg/s", "mdeg/s", "0.1 deg/s", "deg/h")
+_FORCES = ("m/s^2", "g", "mg", "cm/s^2", "mm/s^2")
 """Units that nothing but gyros, or but accelerometers, has."""
 _OTHER_UNITS = re.compile(r"dbm?|%|m?ah?|[kcm]?m|km/h|kmh|kph|kts|mph|ft|[hk]?pa|m?bar|m?w|lux|lx|hz|bpm|ppm|kg")
 """Units that neither has."""
@@ -214,7 +215,11 @@ def is_no_sensor(name: str) -> bool:
     said = "_".join(words)
     timed = name != "T" and bool(_TIME.search(said))
     return (
-        bool(_NO_SENSOR.search(said)) or timed or _UNITS[GYRO].get(unit) in _RATES or bool(_OTHER_UNITS.fullmatch(unit))
+        bool(_NO_SENSOR.search(said))
+        or timed
+        or _UNITS[GYRO].get(unit) in _RATES
+        or bool(_OTHER_UNITS.fullmatch(unit))
+        or (unit in _UNITS[MAGNETOMETER] and unit not in _UNITS[ACCEL])
     )
 
 

@@ -1,71 +1,246 @@
-"""What columns without telling names are, by their numbers.
+"""What columns without telling names are, by their numbers: of all hypotheses, which three columns side by side are
+accelerometers and which are gyros, the one of the least cost over the whole recording, and the next one beside it.
 
-Where the body rests, accelerometers read a vector of one length in many directions, and gyros one and the same small
-vector. So of three columns side by side the means over quiet stretches spread as far as the readings themselves for
-accelerometers, and hardly at all for gyros. Of a body that never moves the accelerometers are those that read one
-gravity. A time grows from row to row.
+The cost is −2 times the logarithm of a likelihood, up to what all hypotheses have in common. Accelerometers read one
+length at rest about a zero that is near none, in a unit or in counts of data sheets, and scatter little; as the body
+turns their mean vectors spread over a sphere. Gyros read one and the same vector at rest, and turn the vector of the
+accelerometers: da = −ω × a. The three sensors of a kind have the same noise. A time, a counter and a vector of a
+filter are none of them.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from tumble.recording.formats.columns import ACCEL, GYRO, Columns, in_order
 from tumble.recording.formats.message import Sensors
-from tumble.units import G_STANDARD, Array, BoolArray
+from tumble.recording.formats.scales import CANDIDATES, NEAR
+from tumble.units import Array, BoolArray
 
 _ELEMENT = re.compile(r"(.*)\[\d+\]")
 _BLOCK = 25
 _QUIET_SHARE = 0.4
-_SAME_LENGTH = 0.15
-_STEADY = 0.25
 _FEWEST_ROWS = 200
 _ANEW = 1e-3
-_STILL = 0.05
+_CHANGES, _SECONDS = 0.02, 1e-4  # of the steps of a time; of one in whole seconds
+_CENTURY = 1.1e9, 2.2e9  # s since 1970: 2004 to 2039
 _SAME_NORM = 1e-5
 _ROUNDED_NORM, _UNIT_NORM, _TURNED = 3e-3, 5e-3, 0.05
 """Of quaternions that are rounded: the spread of their length, how far its mean is from 1, and the least spread of
 each of the four."""
-_NEAR, _OFF, _UNSTEADY = 0.06, 0.25, 0.6
-_PLAIN, _STRANGEST = 2, 3
-_THERMOMETER = 5.0
 
-ACCEL_STEPS: tuple[float, ...] = tuple(sorted([*(float(2**k) for k in range(5, 18)), 800.0, 1200.0, 1e3 / 0.732, 1e6]))
-"""Counts per g of data sheets: powers of two (which 0.061, 0.122 … mg per count are too), and others."""
+# Standard deviations of what the cost weighs, as small sensors have it
+_LENGTH = 0.05  # of gravity, from rest to rest: biases of 50 mg, scale errors of some percent
+_ZERO = 0.25  # of gravity
+_SCATTER = 0.02  # of gravity, of a sample at rest
+_NOISE = 0.5  # logarithm of the noise of one axis over that of another
+_STEADY = 0.25  # what gyros differ by at rest, over what they do in all
+_COUNTED = 2.0  # −2 ln of the chance that a unit is a count of data sheets; with powers of two a sixth fit by chance
+_NO_SCALE = 16.0  # in no unit, and in no counts
+_CARRIED = 18.0  # gyros that turn the accelerometers' vector wholly, against some that do not at all
+_AMID = 1.5  # three columns that are some of two threes
+_BIAS = 0.5  # of gyros, a factor of e of their mean vector over what they do in all
+_MOST = 9.0  # of a single deviation: three standard ones
+_LIMIT = 4.0  # of accelerometers, and of gyros beside those
+_APART = 6.0
+"""A hypothesis that costs so much more than another is 20 times less likely."""
+_MOVES, _JUMPS, _FEWEST_MOVES = 0.05, 0.3, 20
+"""Of gravity: changes of it from block to block that show gyros, those from which a position was skipped, and how
+many of them tell."""
+
+_ONE_WAY = 0.05
 
 MIDDLES = (128.0, 512.0, 2048.0, 8192.0, 32768.0, 2.0**23, 2.0**31)
 """Where a converter that knows no sign, and so writes nothing negative, has its zero."""
 
+Run = tuple[int, int, int]
+"""Three columns side by side."""
 
-def columns_by_data(names: Sequence[str], read: Array) -> Columns:
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Told:
+    """Columns by their numbers, and the next hypotheses in words; none where nothing was told."""
+
+    columns: Columns
+    rivals: str = ""
+
+    def said(self, named: Collection[str] = ()) -> list[str]:
+        """What was told, but for kinds of sensors that are `named`, and what else it may be, in sentences."""
+        told = {kind: s for kind, s in self.columns.triads.items() if kind not in named}
+        guesses = [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in told.items()]
+        return [*guesses, self.rivals] if guesses else []
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Hypothesis:
+    """Which columns are accelerometers and which gyros, None where none are, what that costs, and what of it the
+    accelerometers do, less what the gyros' turning of their vector is worth."""
+
+    cost: float
+    of_accel: float
+    accel: Run
+    gyro: Run | None
+
+    def said(self, names: Sequence[str]) -> str:
+        """In words."""
+        named = [", ".join(in_order([names[j] for j in run])) for run in (self.accel, self.gyro) if run]
+        return f"accelerometers {named[0]}, {f'gyros {named[1]}' if self.gyro else 'no gyros'}"
+
+
+def columns_by_data(names: Sequence[str], read: Array) -> Told:
     """What the columns (m, n) of a table with these names are; no triads where nothing looks like accelerometers.
     Columns of no numbers are NaN."""
     if not len(read):
-        return Columns(time=None, time_unit=None, triads={}, temperatures=(), others=())
+        return Told(columns=Columns(time=None, time_unit=None, triads={}, temperatures=(), others=()))
     growing = [j for j in range(len(names)) if grows(read[:, j])]
-    numbers = [
-        j
-        for j in range(len(names))
-        if j not in growing and np.isfinite(read[:, j]).mean() > 0.5 and _varies(read[:, j])
-    ]
-    attitudes = _attitudes(read, numbers)
-    numbers = [j for j in numbers if j not in attitudes]
+    read_at_all = [j for j in range(len(names)) if j not in growing and np.isfinite(read[:, j]).mean() > 0.5]
+    attitudes = _attitudes(read, read_at_all)
+    numbers = [j for j in read_at_all if j not in attitudes and _is_sensor(read[:, j])]
     runs = [(j, j + 1, j + 2) for j in numbers if j + 1 in numbers and j + 2 in numbers]
     runs = [run for run in runs if _are_one_sensor([names[j] for j in run])]
-    runs.sort(key=lambda run: _is_amid(run, numbers))
-    found: dict[str, Run] = {}
+    ranked: list[_Hypothesis] = []
     if runs and len(read) >= _FEWEST_ROWS:
-        found = _sensors(read, runs, _quiet(read[:, numbers]), fused=bool(attitudes)) or _at_rest(read, runs)
-    return Columns(
-        time=_time([names[j] for j in growing], read[:, growing]),
-        time_unit=None,
-        triads={kind: Sensors(columns=in_order([names[j] for j in run]), unit=None) for kind, run in found.items()},
-        temperatures=(),
-        others=(),
+        ranked = _hypotheses(read, runs, numbers, fused=bool(attitudes))
+    found: dict[str, Run] = {}
+    if ranked:
+        best = ranked[0]
+        found = {ACCEL: best.accel} | ({} if best.gyro is None else {GYRO: best.gyro})
+    return Told(
+        columns=Columns(
+            time=_time([names[j] for j in growing], read[:, growing]),
+            time_unit=None,
+            triads={kind: Sensors(columns=in_order([names[j] for j in run]), unit=None) for kind, run in found.items()},
+            temperatures=(),
+            others=(),
+        ),
+        rivals=_weighed(names, ranked) if ranked else "",
     )
+
+
+def _weighed(names: Sequence[str], ranked: Sequence[_Hypothesis]) -> str:
+    """The next hypotheses after the best, of the same accelerometers, of others and of none, in words."""
+    best = ranked[0]
+    rivals = (next((h for h in ranked[1:] if (h.accel == best.accel) == same), None) for same in (True, False))
+    further = [(rival.cost - best.cost, rival.said(names)) for rival in rivals if rival is not None]
+    further.append((_LIMIT - best.of_accel, "no accelerometers at all"))
+    listed = ", ".join(f"{said} (cost +{cost:.1f})" for cost, said in sorted(further))
+    doubt = "; too near to be sure: state --accel, --gyro" if min(further)[0] < _APART else ""
+    return f"columns: next would be {listed}; +{_APART:g} is 20 times less likely{doubt}"
+
+
+def _hypotheses(read: Array, runs: Sequence[Run], numbers: Sequence[int], *, fused: bool) -> list[_Hypothesis]:
+    """All hypotheses, the cheapest first. Beside what a filter has `fused`, accelerometers are in a unit or counts of
+    data sheets."""
+    quiet = _quiet(read[:, numbers])
+    if not quiet.any():
+        return []
+    noise = {run: _unlike_noise(read[:, run], quiet) for run in runs}
+    amid = {run: _AMID * _is_amid(run, numbers) for run in runs}
+    accels = {run: _cost_of_accelerometers(read[:, run], quiet, fused=fused) + noise[run] + amid[run] for run in runs}
+    found = [_Hypothesis(cost=cost, of_accel=cost, accel=run, gyro=None) for run, cost in accels.items()]
+    for accel, cost in accels.items():
+        if cost > _CARRIED + _LIMIT:
+            continue
+        for gyro in runs:
+            if not set(gyro) & set(accel):
+                carried = _cost_of_turns(read[:, gyro], read[:, accel], quiet)
+                place = 0.1 * abs(gyro[0] - accel[0]) + 0.5 * (gyro[0] < accel[0])
+                beside = carried + _unsteady(read[:, gyro], quiet) + noise[gyro] + amid[gyro] + place - _LIMIT
+                of_accel = cost + min(carried, 0.0)
+                found.append(_Hypothesis(cost=cost + beside, of_accel=of_accel, accel=accel, gyro=gyro))
+    found = [h for h in found if h.of_accel <= _LIMIT]
+    return sorted(found, key=lambda h: h.cost)
+
+
+def _cost_of_accelerometers(columns: Array, quiet: BoolArray, *, fused: bool) -> float:
+    """What it costs to take three columns for accelerometers, by themselves."""
+    means, scatter = _rests(columns, quiet)
+    read = columns[np.isfinite(columns)]
+    whole = bool((read == np.floor(read)).all())
+    centres = [(middle * np.ones(3), 0.0) for middle in (0.0, *(MIDDLES if whole and (means > 0.0).all() else ()))]
+    spread = float(np.linalg.norm(means.std(axis=0)))
+    if len(means) > len("xyz") and spread > 0.0:
+        centres.append((_centre(means), 1.0))
+    costs = []
+    for centre, free in centres:
+        lengths = np.linalg.norm(means - centre, axis=1)
+        length = float(lengths.mean())
+        if not length > 0.0 or not np.isfinite(length):
+            continue
+        uneven = float(lengths.std()) / length
+        ranked = sorted((abs(np.log(length / c.value)), c.unit is None) for c in CANDIDATES[ACCEL] if c.unit or whole)
+        off, counted = ranked[0]
+        scale = (off / NEAR) ** 2 + _COUNTED * counted
+        scale = scale if scale < _MOST + _COUNTED else np.inf if fused else _NO_SCALE
+        sphere = 2.0 * np.log(min(1.0, max(uneven, _LENGTH / 5.0) * length / max(spread, 1e-300)))
+        zero = free * float(np.abs(centre).max()) / (_ZERO * length)
+        shaken = float(np.linalg.norm(scatter)) / (_SCATTER * length)
+        costs.append((uneven / _LENGTH) ** 2 + scale + sphere + zero**2 + min(shaken**2, _MOST))
+    return float(min(costs, default=np.inf))
+
+
+def _unsteady(columns: Array, quiet: BoolArray) -> float:
+    """What it costs that three columns differ from rest to rest, as gyros do not, and read much beside what they vary
+    by."""
+    means, _ = _rests(columns, quiet)
+    everything = float(np.linalg.norm(columns[np.isfinite(columns).all(axis=1)].std(axis=0)))
+    of_rests = float(np.linalg.norm(means.std(axis=0))) / max(_STEADY * everything, 1e-300)
+    bias = float(np.linalg.norm(np.median(means, axis=0))) / max(everything, 1e-300)
+    return min(of_rests**2, _MOST) + _BIAS * float(np.log1p(bias))
+
+
+def _cost_of_turns(columns: Array, accel: Array, quiet: BoolArray) -> float:
+    """What it costs to say that three columns turn the vector of the accelerometers (m, 3), which is worth something
+    where they do; nothing where too little turns."""
+    share = _share_carried(columns - np.median(_rests(columns, quiet)[0], axis=0), accel)
+    return 0.0 if share is None else _CARRIED * (0.5 - share)
+
+
+def _share_carried(rates: Array, accel: Array) -> float | None:
+    """The share of the changes of the accelerometers' vector (m, 3) that rates (m, 3), whatever their scales and axes,
+    explain as a turn, da = −(M ω) × a; None where too little turns."""
+    known = np.isfinite(rates).all(axis=1) & np.isfinite(accel).all(axis=1)
+    rates, accel = rates[known], accel[known]
+    if len(accel) < 4 * _FEWEST_MOVES:
+        return None
+    length = float(np.median(np.linalg.norm(accel, axis=1))) or 1.0
+    width = 1
+    while True:
+        blocks = len(accel) // width
+        if blocks < 4 * _FEWEST_MOVES:
+            return None
+        a = accel[: blocks * width].reshape(blocks, width, 3).mean(axis=1) / length
+        w = rates[: blocks * width].reshape(blocks, width, 3).mean(axis=1)
+        change = np.diff(a, axis=0)
+        size = np.linalg.norm(change, axis=1)
+        rank = max(_FEWEST_MOVES, blocks // 200)
+        if np.partition(size, -rank)[-rank] >= 2.0 * _MOVES:
+            break
+        width *= 2
+    moves = (size > max(_MOVES, 5.0 * float(np.median(size)))) & (size < _JUMPS)
+    if np.count_nonzero(moves) < _FEWEST_MOVES:
+        return None
+    middle, rate = 0.5 * (a[1:] + a[:-1])[moves], 0.5 * (w[1:] + w[:-1])[moves]
+    axes = np.eye(3)
+    rows = np.stack([np.cross(middle, axes[i]) * rate[:, [j]] for i in range(3) for j in range(3)], axis=2)
+    wanted = change[moves].reshape(-1)
+    matrix = rows.reshape(len(wanted), 9)
+    matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
+    left = wanted - matrix @ np.linalg.lstsq(matrix, wanted, rcond=None)[0]
+    return 1.0 - float(left @ left) / float(wanted @ wanted)
+
+
+def _unlike_noise(columns: Array, quiet: BoolArray) -> float:
+    """What it costs that the noises of three columns at rest differ; of a column that reads one number, half of the
+    least of its steps."""
+    _, scatter = _rests(columns, quiet)
+    steps = [np.diff(np.unique(column[np.isfinite(column)])) for column in columns.T]
+    noise = [max(float(s), 0.5 * float(step.min())) for s, step in zip(scatter, steps, strict=True)]
+    return min(float(np.std(np.log(noise))) ** 2 / _NOISE**2, _MOST)
 
 
 def _are_one_sensor(names: Sequence[str]) -> bool:
@@ -86,10 +261,6 @@ def _array(name: str) -> str:
     """The array that a column is of, `imu/fb` of `imu/fb[2]`; nothing for others."""
     found = _ELEMENT.fullmatch(name)
     return found[1] if found else ""
-
-
-Run = tuple[int, int, int]
-"""Three columns side by side."""
 
 
 def _is_amid(run: Run, numbers: Sequence[int]) -> bool:
@@ -123,85 +294,6 @@ def _turns_alone(columns: Array) -> bool:
     return bool(length.std() < min(alike * length.mean(), 0.1 * spread.max()))
 
 
-def _sensors(read: Array, runs: Sequence[Run], quiet: BoolArray, *, fused: bool) -> dict[str, Run]:
-    """Accelerometers, which of those that read one length are those that read it as gravity, and the gyros that are
-    next to them, behind them first. What is in no unit and no counts of data sheets is none beside what a filter has
-    `fused`, without gyros, and where three others read gravity in a unit."""
-    kinds = {run: _kind(read[:, run], quiet) for run in runs}
-    accels = [run for run in runs if kinds[run] == ACCEL]
-    strangeness = {run: _strangeness(read[:, run], quiet) for run in runs} if accels else {}
-    told = min(accels, key=strangeness.__getitem__, default=None)
-    if told is None:
-        return {}
-    # where one axis reads nearly all of gravity, two of three and another have its length too
-    strange = strangeness[told]
-    accel = next(run for run in runs if set(run) & set(told) and strangeness[run] <= strange)
-    gyros = [run for run in runs if kinds[run] == GYRO and not set(run) & set(accel)]
-    next_to = min(gyros, key=lambda run: (run[0] < accel[0], abs(run[0] - accel[0])), default=None)
-    others = (run for run in runs if run != accel)
-    if strange >= _STRANGEST and (fused or next_to is None or any(strangeness[run] < _PLAIN for run in others)):
-        return {}
-    if next_to is None:
-        return {ACCEL: accel}
-    return {ACCEL: accel, GYRO: _without_thermometer(next_to, gyros, lambda run: _unrest(read[:, run], quiet))}
-
-
-def _without_thermometer(run: Run, gyros: Sequence[Run], unrest: Callable[[Run], Array]) -> Run:
-    """Three gyros, or where the first column is a thermometer between accelerometers and gyros the three behind it: its
-    means differ from rest to rest far more than theirs, in parts of what it does in all."""
-    behind = (run[1], run[2], run[2] + 1)
-    if behind not in gyros:
-        return run
-    first, *others = unrest(run)
-    last = unrest(behind)[2]
-    return behind if first > _THERMOMETER * max(*others, last) else run
-
-
-def _strangeness(columns: Array, quiet: BoolArray) -> int:
-    """How unlike those of accelerometers the readings of three columns are whose length is one at rest: in no unit and
-    no counts of data sheets, or with a zero far off, as magnetometers with iron about have it."""
-    means = _rests(columns, quiet)
-    read = columns[np.isfinite(columns)]
-    counts = ACCEL_STEPS if (read == np.floor(read)).all() else ()
-    ones = (G_STANDARD,), (1.0, 1e3), counts
-
-    def strange(centre: Array | float) -> int:
-        lengths = np.linalg.norm(means - centre, axis=1)
-        length = float(lengths.mean())
-        off = min(float(np.abs(centre - middle).max()) for middle in (0.0, *(MIDDLES if (means > 0.0).all() else ())))
-        near = next((k for k, values in enumerate(ones) if _is_near(length, values)), len(ones))
-        return near + len(ones) * (off > _OFF * length or lengths.std() > _SAME_LENGTH * length)
-
-    return min(strange(0.0), strange(_centre(means)))  # a sphere is not seen from one side
-
-
-def _is_near(length: float, ones: Sequence[float]) -> bool:
-    return any(abs(length / one - 1.0) < _NEAR for one in ones)
-
-
-def _at_rest(read: Array, runs: Sequence[Run]) -> dict[str, Run]:
-    """What columns are where nothing ever moves: accelerometers read one gravity, gyros, beside them, the least of what
-    they scatter by."""
-    still = [run for run in runs if _reads_gravity(read[:, run])]
-    if not still:
-        return {}
-    beside = [run for run in runs if not set(run) & set(still[0])]
-    return {ACCEL: still[0]} | ({GYRO: min(beside, key=lambda run: _share(read[:, run]))} if beside else {})
-
-
-def _share(columns: Array) -> float:
-    """The mean vector that three columns read, in parts of what they scatter by."""
-    scatter = float(np.linalg.norm(np.nanstd(columns, axis=0)))
-    return float(np.linalg.norm(np.nanmean(columns, axis=0))) / scatter if scatter > 0.0 else np.inf
-
-
-def _reads_gravity(columns: Array) -> bool:
-    """Whether three columns read gravity in m/s², g or thousandths of it, and always nearly the same."""
-    length = float(np.linalg.norm(np.nanmedian(columns, axis=0)))
-    steady = float(np.nanstd(columns, axis=0).max()) < _STILL * length
-    return steady and any(abs(length / one - 1.0) < _STILL for one in (G_STANDARD, 1.0, 1e3))
-
-
 def time_by_data(names: Sequence[str], read: Array) -> str | None:
     """The column of a table (m, n) that is a time; None where none grows as one, or only a counter of samples."""
     growing = [j for j in range(len(names)) if grows(read[:, j]) and not _counts(read[:, j])]
@@ -213,9 +305,12 @@ def _time(names: Sequence[str], read: Array) -> str | None:
     return time_by_data(names, read) or (names[0] if names else None)
 
 
-def _varies(column: Array) -> bool:
-    """Whether the readings of a column are not all the same."""
-    return bool(np.ptp(column[np.isfinite(column)]) > 0.0)
+def _is_sensor(column: Array) -> bool:
+    """Whether the readings of a column are not all the same, and rise and fall: clocks, counters and the numbers of
+    positions rise, or fall, nearly always when they change."""
+    steps = np.diff(column[np.isfinite(column)])
+    rises, falls = np.count_nonzero(steps > 0.0), np.count_nonzero(steps < 0.0)
+    return bool(min(rises, falls) > _ONE_WAY * max(rises, falls) and rises + falls > 0)
 
 
 def _counts(column: Array) -> bool:
@@ -231,7 +326,8 @@ def grows(column: Array) -> bool:
     anew = steps < -0.5 * np.ptp(read) if len(read) else np.zeros(0, dtype=bool)
     if 0 < np.count_nonzero(anew) <= max(1.0, _ANEW * len(steps)):
         steps[anew] = np.median(steps)
-    if len(steps) < 10 or (steps < 0.0).any() or np.mean(steps > 0.0) < 0.02:
+    dated = len(read) > 0 and _CENTURY[0] < read[0] < _CENTURY[1]
+    if len(steps) < 10 or (steps < 0.0).any() or np.mean(steps > 0.0) < (_SECONDS if dated else _CHANGES):
         return False
     r = np.corrcoef(np.arange(len(steps) + 1), np.concatenate([[0.0], np.cumsum(steps)]))[0, 1]
     return bool(r > 0.95)
@@ -255,28 +351,11 @@ def _quiet(columns: Array) -> BoolArray:
     return np.asarray(read & (largest <= np.quantile(largest[read], _QUIET_SHARE)))
 
 
-def _rests(columns: Array, quiet: BoolArray) -> Array:
-    """Means of the quiet blocks."""
-    means = _means(columns)[0][quiet]
-    return np.asarray(means[np.isfinite(means).all(axis=1)])
-
-
-def _kind(columns: Array, quiet: BoolArray) -> str | None:
-    """What three columns side by side are."""
-    means = _rests(columns, quiet)
-    if not len(means):
-        return None
-    everything = columns[np.isfinite(columns).all(axis=1)].std(axis=0)
-    if np.linalg.norm(means.std(axis=0)) < _STEADY * np.linalg.norm(everything):
-        return GYRO if _unrest(columns, quiet).max() < _UNSTEADY else None
-    length = np.linalg.norm(means - _centre(means), axis=1)
-    return ACCEL if length.std() < _SAME_LENGTH * length.mean() else None
-
-
-def _unrest(columns: Array, quiet: BoolArray) -> Array:
-    """How much the readings at rest differ from one rest to another, (3,), in parts of how much they do in all."""
-    everything = columns[np.isfinite(columns).all(axis=1)].std(axis=0)
-    return np.asarray(_rests(columns, quiet).std(axis=0) / np.where(everything > 0.0, everything, 1.0))
+def _rests(columns: Array, quiet: BoolArray) -> tuple[Array, Array]:
+    """Means of the quiet blocks, and the median scatter (3,) in them."""
+    means, scatter = _means(columns)
+    known = quiet & np.isfinite(means).all(axis=1)
+    return means[known], np.median(scatter[known], axis=0)
 
 
 def _centre(means: Array) -> Array:
