@@ -20,6 +20,7 @@ from tumble.drafting.respelled import respelled
 from tumble.drafting.sensor_rows import headed_kinds, sensor_column, split_by_header, split_by_sensor
 from tumble.drafting.sensors_apart import are_sensors_apart, of_sensors_apart
 from tumble.errors import InputError
+from tumble.files import OutputFolder
 from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of, is_clock
 from tumble.recording.formats.columns import (
     ACCEL,
@@ -67,7 +68,7 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(part) if re.fullmatch("[0-9]{1,18}", part) else -1, part) for part in re.split(r"([0-9]+)", path.name)]
 
 
-def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
+def found_log(files: Sequence[Path], folder: OutputFolder) -> FoundLog:
     """What text and Parquet files are. Raises InputError for those that are no logs, or not alike."""
     logs, left = _those_with_rows(files, folder)
     logs = [_with_finest_time(log) if len(log.columns.times) > 1 else log for log in logs]
@@ -117,7 +118,7 @@ class _NoRowsError(InputError):
     """A text file without rows of readings."""
 
 
-def _those_with_rows(files: Sequence[Path], folder: Path) -> tuple[list[FoundLog], tuple[str, ...]]:
+def _those_with_rows(files: Sequence[Path], folder: OutputFolder) -> tuple[list[FoundLog], tuple[str, ...]]:
     """What the files are, and what is said of those left out: text without rows of readings beside logs that have
     some, as the metadata that a phone writes."""
     logs: list[FoundLog] = []
@@ -134,7 +135,7 @@ def _those_with_rows(files: Sequence[Path], folder: Path) -> tuple[list[FoundLog
     return logs, tuple(said)
 
 
-def _found(file: Path, folder: Path) -> list[FoundLog]:
+def _found(file: Path, folder: OutputFolder) -> list[FoundLog]:
     """What a file is: one log, or where its rows are of single sensors one of each."""
     if file.suffix.lower() == ".parquet":
         return [FoundLog(files=(file,), keys={}, columns=columns_by_name(source_of(file).names))]

@@ -20,6 +20,7 @@ from tumble.drafting.log_times import overflow_of, recordings_of, times_without_
 from tumble.drafting.positions_apart import positions_apart
 from tumble.drafting.raw_scale import unwrapped, wrapped
 from tumble.errors import InputError
+from tumble.files import OutputFolder
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER
 from tumble.recording.formats.message import TIME
 from tumble.recording.log_source import LogSource
@@ -50,7 +51,7 @@ class _Mending:
     said: tuple[str, ...] = ()
 
 
-def mended(log: FoundLog, folder: Path, rate: float | None) -> FoundLog:
+def mended(log: FoundLog, folder: OutputFolder, rate: float | None) -> FoundLog:
     """A log, or the copy of one of which a session file cannot say what it needs."""
     for kind, sensors in log.columns.triads.items():
         if kind != MAGNETOMETER and not np.isfinite(log.read(sensors.columns, rows=SAMPLE_ROWS)).any():
@@ -125,18 +126,18 @@ def _with_positions(mending: _Mending, log: FoundLog, rate: float | None) -> _Me
     return replace(mending, positions=positions, said=(*mending.said, said))
 
 
-def _copied(log: FoundLog, folder: Path, mending: _Mending) -> FoundLog:
+def _copied(log: FoundLog, folder: OutputFolder, mending: _Mending) -> FoundLog:
     """The columns that matter, mended, as Parquet files in a folder."""
-    folder.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
     if mending.positions is not None:
         whole = pl.concat(_tables(next(iter(log.sources())), log, mending))
         for number, (start, stop) in enumerate(mending.positions, 1):
-            files.append(folder / f"position-{number:02d}.parquet")
+            files.append(folder.new_file(f"position-{number:02d}.parquet"))
             write_tables(files[-1], iter([whole.slice(start, stop - start)]))
     else:
         for number, source in enumerate(log.sources(), 1):
-            files.append(folder / ("log.parquet" if len(log.files) == 1 else f"log-{number:02d}.parquet"))
+            name = "log.parquet" if len(log.files) == 1 else f"log-{number:02d}.parquet"
+            files.append(source.path if source.path in folder.written else folder.new_file(name))
             write_tables(files[-1], _tables(source, log, mending))
     columns = log.columns
     if mending.time is not None:

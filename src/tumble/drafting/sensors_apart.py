@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -14,6 +13,7 @@ from tumble.drafting.found_log import SHOWN, FoundLog, check_has_accelerometers
 from tumble.drafting.log_times import times_of_column
 from tumble.drafting.raw_scale import PLAIN
 from tumble.errors import InputError
+from tumble.files import OutputFolder
 from tumble.recording import formats
 from tumble.recording.formats.columns import ACCEL, GYRO, SENSOR_WORDS, Columns, columns_by_name, unit_of_name
 from tumble.recording.formats.columns_by_data import time_by_data
@@ -61,14 +61,14 @@ def _reads_gravity(log: FoundLog) -> bool:
     return any(abs(length / one - 1.0) < _NEAR for one in PLAIN.values())
 
 
-def of_sensors_apart(logs: Sequence[FoundLog], folder: Path) -> FoundLog:
+def of_sensors_apart(logs: Sequence[FoundLog], folder: OutputFolder) -> FoundLog:
     """Accelerometers and gyros that come in a file each, as of phones, as one log at the times of the gyros."""
     by_kind = _by_kind(logs)
     if ACCEL not in by_kind:
         check_has_accelerometers(logs[0])
     accel, gyro = _message(by_kind[ACCEL], ACCEL), _message(by_kind[GYRO], GYRO) if GYRO in by_kind else None
-    folder.mkdir(parents=True, exist_ok=True)
-    formats.as_log(folder / "log.parquet", accel, gyro)
+    joined = folder.new_file("log.parquet")
+    formats.as_log(joined, accel, gyro)
     triads = {ACCEL: accel.accel, GYRO: gyro.gyro if gyro is not None else None}
     named = " and ".join(log.files[0].name for log in by_kind.values())
     columns = Columns(
@@ -80,9 +80,9 @@ def of_sensors_apart(logs: Sequence[FoundLog], folder: Path) -> FoundLog:
     )
     unused = [log.files[0].name for log in logs if log not in by_kind.values()]
     also = (f"also there, and not used: {', '.join(unused)}",) if unused else ()
-    said = f"{named}: one log at the times of the gyros, written to {folder / 'log.parquet'}"
+    said = f"{named}: one log at the times of the gyros, written to {joined}"
     fastest = accel if gyro is None else gyro
-    return FoundLog(files=(folder / "log.parquet",), keys={}, columns=columns, said=(said, *also, fastest.remark))
+    return FoundLog(files=(joined,), keys={}, columns=columns, said=(said, *also, fastest.remark))
 
 
 def _without_names(log: FoundLog) -> bool:
