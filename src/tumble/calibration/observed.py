@@ -109,6 +109,7 @@ def inspected(session: Session, progress: Progress, beside: Executor) -> Observe
         reduction = without_blemishes(reduction)
         segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
         segmentation = exclusion.without_times(reduction, segmentation, session.excluded)
+        segmentation = replace(segmentation, stated_rate=session.log.rate)
         if session.gyro_block is not None and session.log.gyro is not None:
             reduction = without_unknown_turns(reduction, segmentation.rests, session.gyro_block, session.log.gyro)
         observations = _observed(session, reduction, segmentation.rests)

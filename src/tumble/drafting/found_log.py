@@ -17,6 +17,7 @@ from tumble.recording.formats.columns import ACCEL, Columns
 from tumble.recording.gaps import is_likely
 from tumble.recording.log_source import LogSource
 from tumble.recording.readers import source_of
+from tumble.reduction.segmentation import MIN_REST_SECONDS
 from tumble.units import Array
 
 LONGEST = 2_000_000
@@ -25,6 +26,8 @@ LONGEST = 2_000_000
 SAMPLE_ROWS = 200
 _FUSED = re.compile(r"grav|user_?acc|linear_?acc(?!.*cov)|\blacc", re.IGNORECASE)
 SHOWN = 12
+_SHORTEST_SESSION = 4 * MIN_REST_SECONDS
+"""s: what four rests alone take, and fewer tell nothing."""
 _FILLED = 50
 """Rows that are alike in all sensors, at the end of a log, are no samples if they are as many."""
 
@@ -115,8 +118,12 @@ def times_of(log: FoundLog, rate: float | None) -> Times:
         return times_without_column(rate, ())
     stamps = log.stamps()
     times = None if stamps is None else times_of_column(stamps)
-    if times is not None:
-        return times
+    if times is not None and stamps is not None:
+        span = len(stamps.values) / times.rate
+        if len(log.files) > 1 or span >= _SHORTEST_SESSION:
+            return times
+        short = f"time: by its times all of the log is {span:.3g} s, too short to turn and rest in: is their unit right?"
+        return replace(times, said=(*times.said, short))
     assumed = times_without_column(None, log.remarks)
     if stamps is None:
         return assumed

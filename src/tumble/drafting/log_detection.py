@@ -242,6 +242,7 @@ def _by_data(log: FoundLog) -> FoundLog:
         time_unit=known.time_unit,
         temperatures=known.temperatures,
         counter=known.counter,
+        interval=known.interval,
     )
     told = {kind: s for kind, s in found.triads.items() if kind not in named}
     said = [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in told.items()]

@@ -16,15 +16,23 @@ import numpy as np
 import polars as pl
 
 from tumble.drafting.found_log import LONGEST, SAMPLE_ROWS, FoundLog, samples_in
-from tumble.drafting.log_times import overflow_of, recordings_of, times_without_column, unwound
+from tumble.drafting.log_times import (
+    Stamps,
+    overflow_of,
+    recordings_of,
+    times_of_column,
+    times_without_column,
+    unwound,
+)
 from tumble.drafting.positions_apart import positions_apart
 from tumble.drafting.raw_scale import unwrapped, wrapped
 from tumble.errors import InputError
 from tumble.files import OutputFolder
-from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER
+from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, time_unit
 from tumble.recording.formats.message import TIME
 from tumble.recording.log_source import LogSource
 from tumble.recording.writer import write_tables
+from tumble.units import TIME_UNITS
 
 _TICK = 1e-4  # s, of an Xsens SampleTimeFine
 _TENTHS_OF_MICROSECONDS = (6.2e17, 6.7e17), (1.2e17, 1.7e17)  # of dates from 1965 to 2139
@@ -37,12 +45,13 @@ _BLANK_SHARE = 0.02
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Mending:
     """What of a log a session file cannot say: the kinds of sensors whose 16 bits were read `unsigned`, a column and
-    what makes its numbers seconds, the column of the nanoseconds beside it, at which number its time stamps start anew,
+    what makes its numbers seconds, whether these are intervals to be added up, the column of the nanoseconds beside it, at which number its time stamps start anew,
     how many rows at the beginning are samples, whether rows without readings are left out, the first and last + 1 rows
     of positions without turns between them, and all that in words."""
 
     unsigned: tuple[str, ...] = ()
     time: tuple[str, float] | None = None
+    intervals: bool = False
     nanoseconds: str | None = None
     overflow: float | None = None
     samples: int | None = None
@@ -91,6 +100,11 @@ def _with_signs(mending: _Mending, log: FoundLog) -> _Mending:
 def _with_time(mending: _Mending, log: FoundLog, rate: float | None) -> _Mending:
     """With what a column of ticks or a counter of samples needs; `rate` as given, Hz, which stands for time stamps."""
     column, said = log.columns.time, list(mending.said)
+    intervals = None if rate is not None else _intervals(log)
+    if intervals is not None:
+        column, unit = intervals
+        said.append(f"time: none, but column {column!r} has the intervals between samples, in {unit}: added up")
+        return replace(mending, time=(column, TIME_UNITS[unit]), intervals=True, said=tuple(said))
     if column is None:
         counter = _counting(log)
         if counter is None:
@@ -174,11 +188,26 @@ def _tables(source: LogSource, log: FoundLog, mending: _Mending) -> Iterator[pl.
             stamps = unwound(read[column].to_numpy(), mending.overflow, last)
             last = next((float(t) for t in stamps[::-1] if np.isfinite(t)), last)
             table = table.with_columns(pl.Series(column, stamps))
+        if mending.intervals and time is not None:
+            stamps = (last or 0.0) + read[time[0]].fill_nan(0.0).cum_sum().to_numpy()
+            last = float(stamps[-1]) if len(stamps) else last
+            table = table.with_columns(pl.Series(time[0], stamps))
         if time is not None:
             part = pl.lit(0.0) if mending.nanoseconds is None else 1e-9 * pl.col(mending.nanoseconds)
             table = table.rename({time[0]: TIME}).with_columns(pl.col(TIME) * time[1] + part)
         stamp = column if time is None else TIME
         yield table if stamp is None else table.filter(pl.col(stamp).is_finite())
+
+
+def _intervals(log: FoundLog) -> tuple[str, str] | None:
+    """The column of the intervals from sample to sample, and their unit, where no column has the times."""
+    column = log.columns.interval
+    if column is None or log.columns.time is not None or len(log.files) > 1:
+        return None
+    steps = log.read([column])[:, 0]
+    steps = steps[np.isfinite(steps)]
+    times = times_of_column(Stamps(column=column, values=np.cumsum(steps), unit=time_unit(column)))
+    return None if times is None or (steps < 0.0).any() else (column, times.keys.get("time_unit", "s"))
 
 
 def _overflow(log: FoundLog) -> float | None:
