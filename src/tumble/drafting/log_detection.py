@@ -71,7 +71,7 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 def found_log(files: Sequence[Path], folder: OutputFolder) -> FoundLog:
     """What text and Parquet files are. Raises InputError for those that are no logs, or not alike."""
     logs, left = _those_with_rows(files, folder)
-    logs = [_with_finest_time(log) if len(log.columns.times) > 1 else log for log in logs]
+    logs = [_with_thermometers(_with_finest_time(log) if len(log.columns.times) > 1 else log) for log in logs]
     if are_sensors_apart(logs):
         apart = of_sensors_apart(logs, folder)
         return replace(apart, said=(*apart.said, *left))
@@ -281,6 +281,19 @@ def _with_finest_time(log: FoundLog) -> FoundLog:
             return trial
         growing.append(trial)
     return next(iter(growing), log)
+
+
+def _with_thermometers(log: FoundLog) -> FoundLog:
+    """A log without the thermometers that read nothing, so that one that does is taken."""
+    empty = [name for name in log.columns.temperatures if not len(log.readings(name))]
+    if not empty:
+        return log
+    known = log.columns
+    sensors = [column for triad in known.triads.values() for column in triad.columns]
+    found = columns_by_name([n for n in (*sensors, *known.temperatures, *known.others) if n not in empty])
+    columns = replace(known, temperatures=found.temperatures, others=found.others)
+    said = f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
+    return _with_thermometers(replace(log, columns=columns, said=(*log.said, said)))
 
 
 def _with_time(log: FoundLog) -> FoundLog:

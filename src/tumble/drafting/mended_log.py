@@ -30,9 +30,10 @@ from tumble.errors import InputError
 from tumble.files import OutputFolder
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, time_unit
 from tumble.recording.formats.message import TIME
+from tumble.recording.gaps import JUMP
 from tumble.recording.log_source import LogSource
 from tumble.recording.writer import write_tables
-from tumble.units import TIME_UNITS
+from tumble.units import TIME_UNITS, BoolArray
 
 _TICK = 1e-4  # s, of an Xsens SampleTimeFine
 _TENTHS_OF_MICROSECONDS = (6.2e17, 6.7e17), (1.2e17, 1.7e17)  # of dates from 1965 to 2139
@@ -40,14 +41,17 @@ _DAYS, _DAY = ((7.2e5, 7.7e5), (2.5e4, 8e4)), 86400.0  # of dates in MATLAB, and
 _SHORTEST, _LONGEST = 5e-5, 0.5  # s, between samples
 _NANO = re.compile("(nano|n)(?=sec)", re.IGNORECASE)
 _BLANK_SHARE = 0.02
+_READ_SHARE = 0.5
+"""Of its sensors, that a sample at least reads: a row with words and numbers of something else reads fewer."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Mending:
     """What of a log a session file cannot say: the kinds of sensors whose 16 bits were read `unsigned`, a column and
-    what makes its numbers seconds, whether these are intervals to be added up, the column of the nanoseconds beside it, at which number its time stamps start anew,
-    how many rows at the beginning are samples, whether rows without readings are left out, the first and last + 1 rows
-    of positions without turns between them, and all that in words."""
+    what makes its numbers seconds, whether these are `intervals` to be added up, the column of the nanoseconds beside
+    it, at which number its time stamps start anew, how many rows at the beginning are samples, whether rows without
+    readings are left out, the first and last + 1 rows of positions without turns between them, and all that in
+    words."""
 
     unsigned: tuple[str, ...] = ()
     time: tuple[str, float] | None = None
@@ -79,12 +83,25 @@ def _with_samples(log: FoundLog) -> _Mending:
     if samples < len(read):
         said = f"rows: the last {len(read) - samples} are all alike and no samples: left out"
         mending = replace(mending, samples=samples, said=(said,))
-    found = np.asarray(np.isfinite(read[:samples]).any(axis=1))
+    found = np.asarray(np.isfinite(read[:samples]).mean(axis=1) >= _READ_SHARE)
     blank = int(np.count_nonzero(~found))
-    if blank > _BLANK_SHARE * samples or (len(log.files) == 1 and samples and not found[0]):
+    one = len(log.files) == 1 and samples > 0
+    if blank > _BLANK_SHARE * samples or (one and blank and (not found[0] or _are_between(log, found))):
         said = f"rows: {blank} of {samples} have no readings of these sensors, as rows of others: left out"
         mending = replace(mending, without_blank=True, said=(*mending.said, said))
     return mending
+
+
+def _are_between(log: FoundLog, found: BoolArray) -> bool:
+    """Whether most rows without readings are between samples that follow each other as usual: none is a lost sample."""
+    stamps = log.stamps()
+    time = np.empty(0) if stamps is None else stamps.values[: len(found)]
+    if len(time) < len(found) or not found[1:].any():
+        return False
+    samples = np.flatnonzero(found)
+    steps = np.diff(time[samples])
+    between = np.diff(samples) > 1
+    return bool(between.any() and np.median(steps[between]) < JUMP * np.median(steps))
 
 
 def _with_signs(mending: _Mending, log: FoundLog) -> _Mending:
@@ -182,7 +199,7 @@ def _tables(source: LogSource, log: FoundLog, mending: _Mending) -> Iterator[pl.
         read = rows if left is None else rows.head(left)
         left = None if left is None else left - len(read)
         if mending.without_blank:
-            read = read.filter(pl.any_horizontal(pl.col(sensors).is_finite()))
+            read = read.filter(pl.mean_horizontal(pl.col(sensors).is_finite()) >= _READ_SHARE)
         table = read.with_columns(pl.Series(c, unwrapped(read[c].to_numpy())) for c in unsigned)
         if mending.overflow is not None and column is not None:
             stamps = unwound(read[column].to_numpy(), mending.overflow, last)

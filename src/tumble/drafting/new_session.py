@@ -283,6 +283,9 @@ def _content(log: FoundLog, times: Times, found: Columns, magnitude: float) -> t
 def _thermometers(log: FoundLog, columns: Sequence[str]) -> tuple[dict[str, Any] | None, str]:
     """The table [log.temperature], None where numbers are raw. Columns in several units are, as raw ones, with what
     their numbers are worth."""
+    empty = [column for column in columns if not len(log.readings(column))]
+    if empty:
+        return None, f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
     found = {column: _temperature_unit(log, column) for column in columns}
     listed, units = list(columns), [found[column][0] for column in columns]
     whose = {1: "", 2: ", accelerometers and gyros"}.get(len(listed), ", one a sensor, accelerometers first")
@@ -305,7 +308,7 @@ def _thermometers(log: FoundLog, columns: Sequence[str]) -> tuple[dict[str, Any]
 def _temperature_unit(log: FoundLog, column: str) -> tuple[str, str, float]:
     """The unit that the name of a column says, or in which its numbers are temperatures of the air on Earth or of a
     chamber; how it was found; and their median."""
-    middle = float(np.nanmedian(log.read([column], rows=_HEAD)))
+    middle = float(np.median(log.readings(column)))
     named = temperature_unit(column)
     if named is not None:
         return named, "from the name", middle

@@ -121,7 +121,9 @@ def _message(log: FoundLog, kind: str) -> Message:
     read = log.read([stamps.column, *source], clock=stamps.column if stamps.clock else None)
     read = read[np.isfinite(read).all(axis=1)]
     if recordings_of(read[:, 0]) is not None:
-        raise InputError(f"{log.files[0]}: expected one recording, found a clock that starts anew; give each its own file")
+        raise InputError(
+            f"{log.files[0]}: expected one recording, found a clock that starts anew; give each its own file"
+        )
     if times.keys.get("regular"):
         rows = np.arange(len(read), dtype=float)
         read[:, 0] = np.polynomial.Polynomial.fit(rows, read[:, 0], 1)(rows)
