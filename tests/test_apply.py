@@ -235,7 +235,7 @@ def test_a_log_that_breaks_off_leaves_what_was_there(tmp_path: Path) -> None:
     out = tmp_path / "out.parquet"
     out.write_text("before")
     with pytest.raises(LogError, match=r"log\.csv: expected rows of numbers, found"):
-        apply_to_session(calibration(), read_session(tmp_path), out)
+        apply_to_session(calibration(), read_session(tmp_path), out, force=True)
     assert out.read_text() == "before"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["log.csv", "out.parquet", "session.toml"]
 
@@ -266,6 +266,18 @@ def test_the_command_writes_verifies_and_replaces_only_with_force(tmp_path: Path
     assert again.exit_code == 2
     assert "give --force" in again.stderr
     assert CliRunner().invoke(main, [*words, "--force"]).exit_code == 0
+
+
+def test_what_cannot_be_verified_is_not_written(tmp_path: Path) -> None:
+    """A recording without rests."""
+    session_of(tmp_path, triad_csv(*recording()), {"time": "t", **RATE})
+    calibration().write(tmp_path / "c.json")
+    words = ["apply", str(tmp_path / "c.json"), str(tmp_path), "-o", str(tmp_path / "out.parquet")]
+    refused = CliRunner().invoke(main, [*words, "--verify"])
+    assert refused.exit_code == 2
+    assert "leave out --verify" in refused.stderr
+    assert not (tmp_path / "out.parquet").exists()
+    assert CliRunner().invoke(main, words).exit_code == 0
 
 
 def test_models_of_identity_change_nothing(tmp_path: Path) -> None:

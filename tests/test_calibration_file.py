@@ -9,7 +9,7 @@ import json
 import math
 import os
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -416,14 +416,14 @@ def test_a_file_from_the_same_log_and_method_is_replaced(session: Path, tmp_path
     [
         lambda content: content["provenance"].update(log_sha256="0" * 64),
         lambda content: content.update(method="staged"),
-        lambda content: content.pop("provenance"),
-        lambda content: content.clear(),
+        lambda content: content["outcome"]["accel"].update(reasons=["bad accelerometers"]),
     ],
 )
 def test_another_file_is_replaced_only_by_force(
     session: Path, file: Path, content: Any, change: Callable[[Any], None]
 ) -> None:
     other = copy.deepcopy(content)
+    other["method"] = "scalar"
     change(other)
     file.write_text(json.dumps(other), encoding="utf-8")
     before = file.read_bytes()
@@ -438,13 +438,30 @@ def test_another_file_is_replaced_only_by_force(
     assert contents(file)["provenance"] == content["provenance"] | {"created": contents(file)["provenance"]["created"]}
 
 
-@pytest.mark.parametrize("text", [b"a letter", b"\xff\x00", b"[]", b""])
-def test_a_file_that_is_no_calibration_is_not_replaced(session: Path, tmp_path: Path, text: bytes) -> None:
+@pytest.mark.parametrize("kinds", [("accel", "gyro"), ("accel",)])
+def test_a_calibration_that_was_refused_gives_way_to_one_by_another_method(
+    session: Path, file: Path, content: Any, kinds: Sequence[str]
+) -> None:
+    """Of accelerometers without gyros too."""
+    other = {**copy.deepcopy(content), "method": "scalar", **{k: None for k in ("accel", "gyro") if k not in kinds}}
+    for kind in kinds:
+        other["outcome"][kind]["reasons"] = ["the rests scatter"]
+    file.write_text(json.dumps(other), encoding="utf-8")
+    assert command(session, "--out", file).exit_code == 0
+    assert contents(file)["method"] == content["method"]
+
+
+@pytest.mark.parametrize("text", [b"a letter", b"\xff\x00", b"[]", b"{}", b""])
+@pytest.mark.parametrize("options", [(), ("--force",)])
+def test_a_file_that_is_no_calibration_is_not_replaced(
+    session: Path, tmp_path: Path, text: bytes, options: Sequence[str]
+) -> None:
     out = tmp_path / "letter.json"
     out.write_bytes(text)
-    result = command(session, "--out", out)
+    result = command(session, "--out", out, *options)
     assert result.exit_code == 2
     assert "expected a calibration to replace, found another file" in result.stderr
+    assert result.stderr.count("\n") == 1
     assert out.read_bytes() == text
 
 

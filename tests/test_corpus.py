@@ -23,6 +23,7 @@ from tumble.drafting.log_times import Stamps, times_of_column
 from tumble.drafting.mended_log import mended
 from tumble.drafting.new_session import new_session
 from tumble.errors import InputError
+from tumble.files import OutputFolder
 from tumble.planning.setup import Setup
 from tumble.recording.session import Channels
 from tumble.recording.session_file import read_session
@@ -501,9 +502,9 @@ def test_columns_units_and_times_are_those_of_the_format(name: str, log: pl.Data
     write, said, accel, gyro = READ[name]
     log = log.head(SHORT)
     given = tmp_path / write(log, tmp_path)
-    folder = tmp_path / "session"
-    files = unzipped(given, folder) if given.suffix == ".zip" else files_of(given)
-    found = mended(found_log(files, folder), folder, None)
+    output = OutputFolder(tmp_path / "session")
+    files = unzipped(given, output) if given.suffix == ".zip" else files_of(given)
+    found = mended(found_log(files, output), output, None)
     assert said in "; ".join(found.said)
     for kind, unit, columns in (("accel", accel, d.ACCEL), ("gyro", gyro, d.GYRO)):
         sensors = found.columns.triads[kind]

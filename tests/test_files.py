@@ -60,9 +60,8 @@ def test_a_folder_that_is_not_there_is_named_by_the_file(tmp_path: Path) -> None
 def test_nothing_is_left_of_a_folder_that_fails(tmp_path: Path) -> None:
 
     def stopped() -> None:
-        with nothing_left(tmp_path / "a" / "b"):
-            (tmp_path / "a" / "b").mkdir(parents=True)
-            (tmp_path / "a" / "b" / "file").write_text("")
+        with nothing_left(tmp_path / "a" / "b") as output:
+            output.new_file("file").write_text("half")
             raise ValueError("stop")
 
     with pytest.raises(ValueError, match="stop"):

@@ -16,6 +16,7 @@ from tumble.drafting.new_session import Given, new_session
 from tumble.drafting.raw_scale import accel_scale
 from tumble.drafting.respelled import respelled
 from tumble.errors import InputError
+from tumble.files import OutputFolder
 from tumble.recording.clock import seconds_of
 from tumble.recording.dialect import Dialect, is_clock, top_of
 from tumble.recording.formats.columns import ACCEL, GYRO, columns_by_name, is_no_sensor
@@ -154,7 +155,7 @@ def test_a_clock_may_be_one_of_twelve_hours() -> None:
 def test_rows_come_out_of_what_is_about_them(lines: list[str], copied: str, tmp_path: Path) -> None:
     log = tmp_path / "log.txt"
     log.write_text("\n".join([*lines, ""]))
-    found = respelled(log, log.read_bytes(), tmp_path / "session")
+    found = respelled(log, log.read_bytes(), OutputFolder(tmp_path / "session"))
     assert found is not None
     assert found[0].read_text() == copied
 

@@ -18,6 +18,7 @@ from tumble.drafting.log_detection import found_log
 from tumble.drafting.new_session import new_session
 from tumble.drafting.workbook import sheets_of
 from tumble.errors import InputError, MissingExtraError
+from tumble.files import OutputFolder
 from tumble.recording.formats.columns import ACCEL, GYRO
 from tumble.units import G_STANDARD, Array
 
@@ -35,7 +36,7 @@ def rows() -> Array:
 
 def check_read(files: list[Path], rows: Array, folder: Path, *, accel: float = 1.0) -> None:
     """The log in files is `rows`, whose accelerometers it has times a factor."""
-    found = found_log(files, folder)
+    found = found_log(files, OutputFolder(folder))
     assert found.read(found.columns.triads[ACCEL].columns) == pytest.approx(accel * rows[:, 1:4], abs=1e-9)
     assert found.read(found.columns.triads[GYRO].columns) == pytest.approx(rows[:, 4:], abs=1e-9)
     times = times_of(found, None)
@@ -50,7 +51,7 @@ def test_a_document_of_json_is_its_readings(name: str, rows: Array, tmp_path: Pa
 @pytest.mark.parametrize(("write", "accel"), [(d.phone_workbook, 1.0), (d.table_workbook, 1.0 / G_STANDARD)])
 def test_a_workbook_is_its_readings(write: d.Write, accel: float, rows: Array, tmp_path: Path) -> None:
     folder = tmp_path / "session"
-    check_read(sheets_of(write(rows, tmp_path), folder), rows, folder, accel=accel)
+    check_read(sheets_of(write(rows, tmp_path), OutputFolder(folder)), rows, folder, accel=accel)
 
 
 def test_without_its_library_a_workbook_names_the_ways_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

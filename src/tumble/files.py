@@ -6,7 +6,7 @@ import os
 import re
 import secrets
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 FilePath = str | os.PathLike[str]
@@ -56,29 +56,47 @@ def _said(error: OSError) -> str:
     return os.strerror(error.errno) if error.errno else str(error)
 
 
-def not_there(path: Path) -> Path:
-    """A path, with `-copy` behind its name where a file has it already."""
-    while path.exists():
-        path = path.with_stem(f"{path.stem}-copy")
-    return path
-
-
 def plain_name(word: str) -> str:
     """A word as a part of the name of a file."""
     return re.sub(r"\W+", "-", word).strip("-")[:40] or "unnamed"
 
 
+class OutputFolder:
+    """A folder that new files are written into. It is made with the first of them, and none replaces another."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.written: list[Path] = []
+
+    def new_file(self, name: str) -> Path:
+        """The path of a file of this name, which is there from now on and empty; with a number behind its stem where
+        there was one already."""
+        self.path.mkdir(parents=True, exist_ok=True)
+        wanted = path = self.path / name
+        number = 1
+        while True:
+            try:
+                path.touch(exist_ok=False)
+            except FileExistsError:
+                number += 1
+                path = wanted.with_stem(f"{wanted.stem}-{number}")
+            else:
+                self.written.append(path)
+                return path
+
+
 @contextmanager
-def nothing_left(folder: Path) -> Iterator[None]:
-    """Where the block fails, the folder is as it was: not there, or without the files that were written into it."""
+def nothing_left(folder: Path) -> Iterator[OutputFolder]:
+    """Where the block fails, none of its new files is left in the folder, nor the folder if it was made for them and
+    nobody else has written into it."""
     absent = [place for place in (folder, *folder.parents) if not place.exists()]
-    before = set(folder.iterdir()) if folder.is_dir() else set()
+    output = OutputFolder(folder)
     try:
-        yield
+        yield output
     except BaseException:
-        for file in set(folder.iterdir()) - before if folder.is_dir() else ():
+        for file in output.written:
             file.unlink(missing_ok=True)
-        for place in absent:
-            if place.is_dir():
+        with suppress(OSError):  # not empty
+            for place in absent:
                 place.rmdir()
         raise

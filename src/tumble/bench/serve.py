@@ -14,6 +14,7 @@ from tumble.bench.access import Access, lasting_token
 from tumble.bench.station import Station
 from tumble.errors import InputError, needs_extra
 from tumble.files import nothing_left
+from tumble.recording.session_file import SESSION_FILE
 
 LOOPBACK = "127.0.0.1"
 _ANY = ("0.0.0.0", "::")
@@ -78,7 +79,8 @@ def _started(stations: Callable[[], Sequence[Station]], folders: Sequence[Path])
     with ExitStack() as new:
         for folder in folders:
             if not folder.exists():
-                new.enter_context(nothing_left(folder))
+                begun = new.enter_context(nothing_left(folder))
+                begun.written += [folder / name for name in (SESSION_FILE, "log.csv")]
         opened = stations()
         try:
             for station in opened:

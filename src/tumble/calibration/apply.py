@@ -151,10 +151,13 @@ class _Piece:
         )
 
 
-def apply_to_session(calibration: Calibration | FilePath, session: Session | FilePath, out: FilePath) -> dict[str, Any]:
+def apply_to_session(
+    calibration: Calibration | FilePath, session: Session | FilePath, out: FilePath, *, force: bool = False
+) -> dict[str, Any]:
     """Correct the log of a session, into a .csv or .parquet file, whole or not at all, as a stream: memory does not
-    grow with the log. Several files of a log come one below the other. The calibration is one or its file, the session
-    one or its folder. Returns the description of the corrected log, as `session_of` and `write_session` take it.
+    grow with the log. A file that exists is replaced with `force`, the log itself never. Several files of a log come
+    one below the other. The calibration is one or its file, the session one or its folder. Returns the description of
+    the corrected log, as `session_of` and `write_session` take it.
 
     Every column keeps its name and place; sensors are corrected as `Calibration.apply` does and are in SI, or, where
     the names of their columns say the log's unit, in that; everything else is copied, from CSV as the text it is.
@@ -169,6 +172,7 @@ def apply_to_session(calibration: Calibration | FilePath, session: Session | Fil
     {'columns': ['gx', 'gy', 'gz'], 'unit': 'rad/s'}
     """
     calibration, session, path = accepted_part(calibration_from(calibration)), session_from(session), Path(out)
+    session.check_new(path, force=force)
     parts = _parts(calibration, session)
     log = open_log(session)
     write_tables(path, _tables(session, parts, calibration.compensator, 1.0 / log.rate))

@@ -274,14 +274,14 @@ class Calibration(Mapping[str, Parameter]):
             raise CalibrationError(str(error)) from error
 
     def write(self, path: FilePath, *, force: bool = False) -> None:
-        """Write the calibration file, whole or not at all. An existing file is replaced only if it came from the
-        same log by the same method, or with `force`."""
+        """Write the calibration file, whole or not at all. An existing calibration file is replaced only if it came
+        from the same log by the same method, if neither its accelerometers nor its gyros were accepted, or with
+        `force`; a file that is none is not replaced."""
         path = Path(path)
         if path.exists():
             if not os.access(path, os.W_OK):
                 raise CalibrationError(f"{path}: cannot be replaced: it is read-only; choose another --out")
-            if not force:
-                self._check_replaceable(path)
+            self._check_replaceable(path, force)
         text = self.text()
         try:
             with whole_file(path) as temporary:
@@ -289,17 +289,20 @@ class Calibration(Mapping[str, Parameter]):
         except OSError as error:
             raise CalibrationError(f"{path}: cannot be written: {error.strerror}; choose another --out") from error
 
-    def _check_replaceable(self, path: Path) -> None:
-        advice = "give --force to replace it, or --out for another file"
+    def _check_replaceable(self, path: Path, force: bool) -> None:
         try:
             old = json_of(text_of_document(path))
             same = old["method"] == self.method and old["provenance"]["log_sha256"] == self.provenance["log_sha256"]
+            of_use = any(not old["outcome"][kind]["reasons"] and old[kind] is not None for kind in ("accel", "gyro"))
         except (OSError, ValueError, KeyError, TypeError, InputError) as error:
             raise CalibrationError(
-                f"{path}: expected a calibration to replace, found another file; {advice}"
+                f"{path}: expected a calibration to replace, found another file; remove it, or choose another --out"
             ) from error
-        if not same:
-            raise CalibrationError(f"{path}: holds a calibration from another log or by another method; {advice}")
+        if of_use and not same and not force:
+            raise CalibrationError(
+                f"{path}: holds a calibration from another log or by another method; give --force to replace it, or "
+                "--out for another file"
+            )
 
     def content(self) -> dict[str, Any]:
         """What the calibration file holds."""

@@ -113,6 +113,7 @@ def inspected(session: Session, progress: Progress, beside: Executor) -> Observe
         segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
         faults = faults or normalised(reduction, segmentation.rests, onto_body(session.accel_block.axes))
         segmentation = exclusion.without_times(reduction, segmentation, session.excluded)
+        segmentation = replace(segmentation, stated_rate=session.log.rate)
         if session.gyro_block is not None and session.log.gyro is not None:
             reduction = without_unknown_turns(reduction, segmentation.rests, session.gyro_block, session.log.gyro)
         observations = _observed(session, reduction, segmentation.rests)

@@ -7,7 +7,6 @@ from pathlib import Path
 import click
 
 from tumble.commands.arguments import EXISTING_FOLDER, FILE, say
-from tumble.errors import InputError
 
 
 @click.command()
@@ -23,14 +22,16 @@ def apply(calibration: Path, session: Path, out: Path, force: bool, verify: bool
     is copied.
     """
     from tumble.calibration.apply import applied, apply_to_session, rest_residuals
+    from tumble.recording.session_file import read_session
     from tumble.terminal.residuals import residual_table
     from tumble.terminal.text import print_report
 
-    if out.exists() and not force:
-        raise InputError(f"{out}: expected a new file, found one that exists; give --force to replace it")
-    apply_to_session(calibration, session, out)
+    described = read_session(session)
+    described.check_new(out, force=force)
+    residuals = rest_residuals(calibration, described) if verify else ()
+    apply_to_session(calibration, described, out, force=force)
     say(f"written to {out}")
-    for sentence in applied(calibration, session):
+    for sentence in applied(calibration, described):
         say(sentence)
     if verify:
-        print_report(residual_table(rest_residuals(calibration, session)))
+        print_report(residual_table(residuals))

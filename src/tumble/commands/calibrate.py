@@ -228,7 +228,7 @@ def _of_type(place: str, model: str | None, frame: Frame) -> TypeSpread:
 @contextmanager
 def _session_of(logs: Sequence[Path], said: Mapping[str, Any]) -> Iterator[list[Path]]:
     """The folder of a session made of a log, of which this is said; it is there no more where the block fails."""
-    from tumble.drafting.new_session import Given, new_session
+    from tumble.drafting.new_session import Given, written_session
     from tumble.files import nothing_left
 
     if len(logs) > 1 or (logs[0].is_dir() and (logs[0] / "session.toml").exists()) or logs[0].suffix == ".toml":
@@ -243,11 +243,9 @@ def _session_of(logs: Sequence[Path], said: Mapping[str, Any]) -> Iterator[list[
             f"{folder}: expected none yet, found the session that was made of this log before; calibrate that "
             f"(tumble calibrate {folder}), or remove it to make it anew"
         )
-    with nothing_left(folder):
+    with nothing_left(folder) as output:
         given = Given(**said)
-        draft, faults = new_session(
-            folder, logs[0], replace(given, serial=given.serial or name), progress=with_progress
-        )
+        draft, faults = written_session(output, logs[0], replace(given, serial=given.serial or name), with_progress)
         for sentence in draft.said:
             say(sentence)
         for fault in faults:

@@ -8,7 +8,7 @@ import zlib
 from pathlib import Path, PurePosixPath
 
 from tumble.errors import InputError
-from tumble.files import not_there, whole_file
+from tumble.files import OutputFolder, whole_file
 from tumble.recording.unpacked import LARGEST_RATIO, SMALL_BYTES
 
 _MOST_FILES = 200
@@ -23,12 +23,11 @@ def is_archive(file: Path) -> bool:
     return file.suffix.lower() == ".zip"
 
 
-def unzipped(archive: Path, folder: Path) -> list[Path]:
-    """The files in an archive, in a folder that is made if need be, but for hidden ones and those that are no logs.
+def unzipped(archive: Path, folder: OutputFolder) -> list[Path]:
+    """The files in an archive, in a folder, but for hidden ones and those that are no logs.
 
     Raises InputError for an archive that is damaged or locked, or holds none, or more than readings would."""
     limit = max(LARGEST_RATIO * archive.stat().st_size, SMALL_BYTES)
-    folder.mkdir(parents=True, exist_ok=True)
     try:
         with zipfile.ZipFile(archive) as opened:
             members = [m for m in opened.infolist() if not m.is_dir() and _may_be_log(PurePosixPath(m.filename))]
@@ -48,9 +47,9 @@ def _may_be_log(name: PurePosixPath) -> bool:
     return not hidden and name.suffix.lower() not in _NO_LOGS
 
 
-def _written(opened: zipfile.ZipFile, member: zipfile.ZipInfo, folder: Path) -> Path:
+def _written(opened: zipfile.ZipFile, member: zipfile.ZipInfo, folder: OutputFolder) -> Path:
     """A file of an archive, of which no more than it states comes out, by its name without folders."""
-    target = not_there(folder / PurePosixPath(member.filename.replace("\\", "/")).name)
+    target = folder.new_file(PurePosixPath(member.filename.replace("\\", "/")).name)
     with opened.open(member) as stream, whole_file(target) as temporary, temporary.open("wb") as out:
         while piece := stream.read(_PIECE_BYTES):
             out.write(piece)

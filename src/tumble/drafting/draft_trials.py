@@ -32,7 +32,10 @@ _HIGH_RATES = 238, 240, 250, 256, 300, 400, 416, 476, 500, 512, 800, 833, 952, 1
 _USUAL_RATES = np.array([*_LOW_RATES, *_HIGH_RATES])  # Hz
 _DOUBLED_RATES = 25.0, 50.0, 100.0, 200.0, 400.0  # Hz: ranges are doubled too
 _RATE_NEAR, _RATE_AGREES = 0.04, 1.7
-_SLOW_RATE = 25.0  # Hz
+_TRIAL_RATES = (ASSUMED_RATE, ASSUMED_RATE / 4.0, 4.0 * ASSUMED_RATE)
+"""Hz: at too high a rate rests would be too short, at too low a one short ones pass."""
+_FEWEST_TURNS = 3
+"""Which the vertical moved in and no gyro was clipped in: a rate from fewer is as good as their worst."""
 _RATE_UNITS = ("rad/s", "deg/s")
 _TURNED = 0.99  # cosine of 8°
 _LARGEST_BIAS = 20.0  # deg/s: what reads more at rest has an offset
@@ -202,17 +205,30 @@ def _with_rate(draft: Draft, faults: list[str], turned: bool, progress: Progress
     draft, faults = _with_time_unit(draft, faults, progress)
     log = draft.content["log"]
     doubted = draft.time_guessed and (bool(faults) or not turned)
-    if not (draft.rate_guessed or doubted) or "gyro" not in log or log["gyro"]["unit"] not in _RATE_UNITS:
+    if not (draft.rate_guessed or doubted):
         return draft, faults
     even = {key: value for key, value in log.items() if key not in ("time", "time_unit", "regular")}
+    rests: dict[float, int] = {}
     found = None
-    for trial in (even.get("rate_hz", ASSUMED_RATE), _SLOW_RATE):  # at too high a rate rests would be too short
+    for trial in _TRIAL_RATES:
         observations = _observed({**draft.content, "log": {**even, "rate_hz": trial}}, progress)
-        factor = None if observations is None else gyro_factor(observations)
-        found = trial * factor if found is None and factor is not None else found
-    if found is None or not RATES_OF_LOGS[0] <= found <= RATES_OF_LOGS[1]:
-        return draft, faults
+        rests[trial] = 0 if observations is None else len(observations.rests)
+        if "gyro" not in log or log["gyro"]["unit"] not in _RATE_UNITS or observations is None:
+            continue
+        factor = gyro_factor(observations) if _telling_turns(observations) >= _FEWEST_TURNS else None
+        if factor is not None and RATES_OF_LOGS[0] <= trial * factor <= RATES_OF_LOGS[1]:
+            found = trial * factor
+            break
+    if found is None:
+        return (replace(draft, said=(*draft.said, *_rests_by_rate(rests))) if draft.rate_guessed else draft), faults
     unit, rate = _unit_and_rate(found, log["gyro"]["unit"], draft)
+    if doubted and not rate.usual:
+        told = (
+            f"time: column {log['time']!r} is taken as it is written, though the gyros would carry the vertical at "
+            f"{rate.found:.4g} samples per second: is their unit right? If it counts samples or ticks, give the rate "
+            "(--rate)"
+        )
+        return replace(draft, said=(*draft.said, told)), faults
     if doubted and max(rate.found / draft.rate, draft.rate / rate.found) < _RATE_AGREES:
         if unit == log["gyro"]["unit"]:  # the scale of the gyros is wrong, or a turn, and not the time
             return draft, faults
@@ -232,6 +248,29 @@ def _with_rate(draft: Draft, faults: list[str], turned: bool, progress: Progress
     if doubted and left:  # what is wrong is not the time alone
         return draft, faults
     return replace(draft, content=content, said=(*draft.said, *said)), left
+
+
+def _telling_turns(observations: Observations) -> int:
+    """How many turns end with another side up and have no clipped gyro, one that reads the most it reads in any turn
+    in two samples in a row."""
+    turns, samples = observations.turns, observations.turn_samples
+    if turns is None or samples is None or not len(turns):
+        return 0
+    vertical = unit_vector(observations.rests.accel)
+    tilted = (vertical[turns.first] * vertical[turns.last]).sum(axis=1) < _TURNED
+    spans = zip(samples.start.tolist(), samples.stop.tolist(), strict=True)
+    rates = [np.abs(samples.samples.read_with_spare(start, stop)[0]) for start, stop in spans]
+    at_limit = [rate == np.max([each.max(axis=0) for each in rates], axis=0) for rate in rates]
+    clipped = np.array([bool((each[1:] & each[:-1]).any()) for each in at_limit])
+    return int(np.count_nonzero(tilted & ~clipped))
+
+
+def _rests_by_rate(rests: Mapping[float, int]) -> list[str]:
+    """What there is to say where the number of rests hangs on a rate that is a guess."""
+    if len(set(rests.values())) < 2:
+        return []
+    counts = ", ".join(f"{count} at {rate:g} Hz" for rate, count in sorted(rests.items()))
+    return [f"time: how many rests there are depends on the rate, which no turns show: {counts}; give it (--rate)"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -11,20 +12,24 @@ from typing import Any
 import numpy as np
 
 from tumble.drafting.log_times import Stamps, Times, times_of_column, times_without_column
-from tumble.errors import InputError
+from tumble.errors import InputError, LogError
 from tumble.recording.dialect import Dialect, is_clock
 from tumble.recording.formats.columns import ACCEL, Columns, is_no_sensor
 from tumble.recording.gaps import is_likely
 from tumble.recording.log_source import LogSource
 from tumble.recording.readers import source_of
+from tumble.reduction.segmentation import MIN_REST_SECONDS
 from tumble.units import Array
 
 LONGEST = 2_000_000
 """Rows that are looked at."""
 
 SAMPLE_ROWS = 200
+_HEAD = 20_000
 _FUSED = re.compile(r"grav|user_?acc|linear_?acc(?!.*cov)|\blacc", re.IGNORECASE)
 SHOWN = 12
+_SHORTEST_SESSION = 4 * MIN_REST_SECONDS
+"""s: what four rests alone take, and fewer tell nothing."""
 _FILLED = 50
 """Rows that are alike in all sensors, at the end of a log, are no samples if they are as many."""
 
@@ -58,6 +63,16 @@ class FoundLog:
                 if count >= rows:
                     return np.concatenate(found)
         return np.concatenate(found)
+
+    def readings(self, column: str) -> Array:
+        """The numbers in the first rows of a column; where there are none, those in all. None where some of its rows
+        cannot be read."""
+        with suppress(LogError):
+            for rows in (_HEAD, LONGEST):
+                found = self.read([column], rows=rows)[:, 0]
+                if np.isfinite(found).any():
+                    return found[np.isfinite(found)]
+        return np.empty(0)
 
     def is_clock(self, column: str) -> bool:
         """Whether a column has times of day."""
@@ -121,8 +136,12 @@ def times_of(log: FoundLog, rate: float | None) -> Times:
         return times_without_column(rate, ())
     stamps = log.stamps()
     times = None if stamps is None else times_of_column(stamps)
-    if times is not None:
-        return times
+    if times is not None and stamps is not None:
+        span = len(stamps.values) / times.rate
+        if len(log.files) > 1 or span >= _SHORTEST_SESSION:
+            return times
+        short = f"time: all of the log is {span:.3g} s by its times, too short to turn and rest in: is the unit right?"
+        return replace(times, said=(*times.said, short))
     assumed = times_without_column(None, log.remarks)
     if stamps is None:
         return assumed

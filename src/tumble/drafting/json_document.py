@@ -16,7 +16,7 @@ from typing import Any
 from tumble.drafting.json_lines import column_name, values_of
 from tumble.drafting.sensor_rows import are_sensors
 from tumble.errors import InputError
-from tumble.files import not_there, plain_name, whole_file
+from tumble.files import OutputFolder, plain_name, whole_file
 from tumble.recording.dialect import Dialect
 from tumble.recording.formats.columns import columns_by_name
 from tumble.recording.log_source import readable
@@ -29,8 +29,8 @@ _DEEPEST = 8
 _Table = dict[str, Sequence[str]]
 
 
-def tables_of_json(file: Path, seen: bytes, folder: Path) -> tuple[list[Path], str] | None:
-    """The tables in a document of JSON, a CSV file each in a folder that is made if need be, and what there is to say
+def tables_of_json(file: Path, seen: bytes, folder: OutputFolder) -> tuple[list[Path], str] | None:
+    """The tables in a document of JSON, a CSV file each in a folder, and what there is to say
     of them; None for a file that is none. `seen`: the first bytes of the file."""
     if seen.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] not in (b"{", b"["):
         return None
@@ -48,18 +48,16 @@ def tables_of_json(file: Path, seen: bytes, folder: Path) -> tuple[list[Path], s
             f'{file}: expected columns of numbers, {{"t": […], "ax": […], …}}, or a list of samples, found a document '
             "of JSON with neither; write the readings as CSV"
         )
-    folder.mkdir(parents=True, exist_ok=True)
     stem = file.name.partition(".")[0]
     written = [
-        _written(table, folder / (f"{stem}-{plain_name(name)}.csv" if len(tables) > 1 else f"{stem}.csv"))
+        _written(table, folder.new_file(f"{stem}-{plain_name(name)}.csv" if len(tables) > 1 else f"{stem}.csv"))
         for name, table in tables.items()
     ]
     named = ", ".join(path.name for path in written[:5]) + (", …" if len(written) > 5 else "")
     return written, f"text: a document of JSON: copied to {named}"
 
 
-def _written(table: Mapping[str, Sequence[str]], place: Path) -> Path:
-    target = not_there(place)
+def _written(table: Mapping[str, Sequence[str]], target: Path) -> Path:
     with whole_file(target) as temporary, temporary.open("w", encoding="utf-8", newline="") as out:
         if not all(name.isdecimal() for name in table):
             out.write(",".join(table) + "\n")

@@ -22,6 +22,7 @@ from tumble.drafting.sensor_rows import headed_kinds, sensor_column, split_by_he
 from tumble.drafting.sensors_apart import are_sensors_apart, of_sensors_apart
 from tumble.drafting.stated_columns import Stated, with_stated
 from tumble.errors import InputError
+from tumble.files import OutputFolder
 from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of, is_clock
 from tumble.recording.formats.columns import (
     ACCEL,
@@ -68,12 +69,12 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(part) if re.fullmatch("[0-9]{1,18}", part) else -1, part) for part in re.split(r"([0-9]+)", path.name)]
 
 
-def found_log(files: Sequence[Path], folder: Path, stated: Stated = MappingProxyType({})) -> FoundLog:
+def found_log(files: Sequence[Path], folder: OutputFolder, stated: Stated = MappingProxyType({})) -> FoundLog:
     """What text and Parquet files are, and which of their columns are what, where it is not `stated`. Raises InputError
     for those that are no logs, or not alike."""
     logs, left = _those_with_rows(files, folder)
     logs = [with_stated(log, stated) for log in logs]
-    logs = [_with_finest_time(log) if len(log.columns.times) > 1 else log for log in logs]
+    logs = [_with_thermometers(_with_finest_time(log) if len(log.columns.times) > 1 else log) for log in logs]
     if are_sensors_apart(logs):
         apart = of_sensors_apart(logs, folder)
         return replace(apart, said=(*apart.said, *left))
@@ -118,7 +119,7 @@ class _NoRowsError(InputError):
     """A text file without rows of readings."""
 
 
-def _those_with_rows(files: Sequence[Path], folder: Path) -> tuple[list[FoundLog], tuple[str, ...]]:
+def _those_with_rows(files: Sequence[Path], folder: OutputFolder) -> tuple[list[FoundLog], tuple[str, ...]]:
     """What the files are, and what is said of those left out: text without rows of readings beside logs that have
     some, as the metadata that a phone writes."""
     logs: list[FoundLog] = []
@@ -135,7 +136,7 @@ def _those_with_rows(files: Sequence[Path], folder: Path) -> tuple[list[FoundLog
     return logs, tuple(said)
 
 
-def _found(file: Path, folder: Path) -> list[FoundLog]:
+def _found(file: Path, folder: OutputFolder) -> list[FoundLog]:
     """What a file is: one log, or where its rows are of single sensors one of each."""
     if file.suffix.lower() == ".parquet":
         return [FoundLog(files=(file,), keys={}, columns=columns_by_name(source_of(file).names))]
@@ -243,6 +244,7 @@ def _by_data(log: FoundLog) -> FoundLog:
         time_unit=known.time_unit,
         temperatures=known.temperatures,
         counter=known.counter,
+        interval=known.interval,
     )
     return replace(log, columns=columns, said=(*log.said, *told.said(named)))
 
@@ -279,6 +281,19 @@ def _with_finest_time(log: FoundLog) -> FoundLog:
             return trial
         growing.append(trial)
     return next(iter(growing), log)
+
+
+def _with_thermometers(log: FoundLog) -> FoundLog:
+    """A log without the thermometers that read nothing, so that one that does is taken."""
+    empty = [name for name in log.columns.temperatures if not len(log.readings(name))]
+    if not empty:
+        return log
+    known = log.columns
+    sensors = [column for triad in known.triads.values() for column in triad.columns]
+    found = columns_by_name([n for n in (*sensors, *known.temperatures, *known.others) if n not in empty])
+    columns = replace(known, temperatures=found.temperatures, others=found.others)
+    said = f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
+    return _with_thermometers(replace(log, columns=columns, said=(*log.said, said)))
 
 
 def _with_time(log: FoundLog) -> FoundLog:

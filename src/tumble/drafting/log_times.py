@@ -84,7 +84,7 @@ def times_of_column(stamps: Stamps) -> Times | None:
     """Unit and rate of a time column; None where it is none."""
     values = stamps.values[np.isfinite(stamps.values)]
     values = values[:-1] if len(values) > 3 and values[-1] < values[-2] else values  # of a line that was cut
-    if len(values) < 3 or not _grow(values):
+    if len(values) < 3 or not grows_mostly(values):
         return None
     typical = _typical_step(values)
     if not 0.0 < typical < math.inf:
@@ -94,7 +94,8 @@ def times_of_column(stamps: Stamps) -> Times | None:
     keys: dict[str, Any] = {"time": stamps.column}
     if stamps.clock or taken != "s":
         keys["time_unit"] = "iso8601" if stamps.clock else taken
-    guessed = not stamps.clock and stamps.unit is None and how != _BY_DATES
+    whole = bool((values == np.floor(values)).all())  # fractions are of seconds, and no counts of samples or ticks
+    guessed = whole and not stamps.clock and stamps.unit is None and how != _BY_DATES
     if not RATES_OF_LOGS[0] <= 1.0 / interval <= RATES_OF_LOGS[1]:
         sure = (*sure, f"time: {1.0 / interval:.3g} samples per second is no rate of a log: is the unit right?")
     uneven = _unevenness(values, typical)
@@ -111,9 +112,9 @@ def times_of_column(stamps: Stamps) -> Times | None:
     return Times(keys={**keys, "regular": True}, said=(said, more, *sure), rate=1.0 / mean, unit_guessed=guessed)
 
 
-def _grow(values: Array) -> bool:
-    """Whether stamps grow, but for a few places at which a clock was started anew."""
-    steps = np.diff(values)
+def grows_mostly(values: Array) -> bool:
+    """Whether stamps grow, but for a few places at which a clock was started anew or rows are out of order."""
+    steps = np.diff(values[np.isfinite(values)])
     return bool(steps[steps > 0.0].sum() > _SHORTEST and np.mean(steps < 0.0) <= _ANEW)
 
 

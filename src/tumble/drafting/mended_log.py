@@ -16,14 +16,24 @@ import numpy as np
 import polars as pl
 
 from tumble.drafting.found_log import LONGEST, SAMPLE_ROWS, FoundLog, samples_in
-from tumble.drafting.log_times import overflow_of, recordings_of, times_without_column, unwound
+from tumble.drafting.log_times import (
+    Stamps,
+    overflow_of,
+    recordings_of,
+    times_of_column,
+    times_without_column,
+    unwound,
+)
 from tumble.drafting.positions_apart import positions_apart
 from tumble.drafting.raw_scale import unwrapped, wrapped
 from tumble.errors import InputError
-from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER
+from tumble.files import OutputFolder
+from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, time_unit
 from tumble.recording.formats.message import TIME
+from tumble.recording.gaps import JUMP
 from tumble.recording.log_source import LogSource
 from tumble.recording.writer import write_tables
+from tumble.units import TIME_UNITS, BoolArray
 
 _TICK = 1e-4  # s, of an Xsens SampleTimeFine
 _TENTHS_OF_MICROSECONDS = (6.2e17, 6.7e17), (1.2e17, 1.7e17)  # of dates from 1965 to 2139
@@ -31,17 +41,21 @@ _DAYS, _DAY = ((7.2e5, 7.7e5), (2.5e4, 8e4)), 86400.0  # of dates in MATLAB, and
 _SHORTEST, _LONGEST = 5e-5, 0.5  # s, between samples
 _NANO = re.compile("(nano|n)(?=sec)", re.IGNORECASE)
 _BLANK_SHARE = 0.02
+_READ_SHARE = 0.5
+"""Of its sensors, that a sample at least reads: a row with words and numbers of something else reads fewer."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Mending:
     """What of a log a session file cannot say: the kinds of sensors whose 16 bits were read `unsigned`, a column and
-    what makes its numbers seconds, the column of the nanoseconds beside it, at which number its time stamps start anew,
-    how many rows at the beginning are samples, whether rows without readings are left out, the first and last + 1 rows
-    of positions without turns between them, and all that in words."""
+    what makes its numbers seconds, whether these are `intervals` to be added up, the column of the nanoseconds beside
+    it, at which number its time stamps start anew, how many rows at the beginning are samples, whether rows without
+    readings are left out, the first and last + 1 rows of positions without turns between them, and all that in
+    words."""
 
     unsigned: tuple[str, ...] = ()
     time: tuple[str, float] | None = None
+    intervals: bool = False
     nanoseconds: str | None = None
     overflow: float | None = None
     samples: int | None = None
@@ -50,7 +64,7 @@ class _Mending:
     said: tuple[str, ...] = ()
 
 
-def mended(log: FoundLog, folder: Path, rate: float | None) -> FoundLog:
+def mended(log: FoundLog, folder: OutputFolder, rate: float | None) -> FoundLog:
     """A log, or the copy of one of which a session file cannot say what it needs."""
     for kind, sensors in log.columns.triads.items():
         if kind != MAGNETOMETER and not np.isfinite(log.read(sensors.columns, rows=SAMPLE_ROWS)).any():
@@ -69,12 +83,25 @@ def _with_samples(log: FoundLog) -> _Mending:
     if samples < len(read):
         said = f"rows: the last {len(read) - samples} are all alike and no samples: left out"
         mending = replace(mending, samples=samples, said=(said,))
-    found = np.asarray(np.isfinite(read[:samples]).any(axis=1))
+    found = np.asarray(np.isfinite(read[:samples]).mean(axis=1) >= _READ_SHARE)
     blank = int(np.count_nonzero(~found))
-    if blank > _BLANK_SHARE * samples or (len(log.files) == 1 and samples and not found[0]):
+    one = len(log.files) == 1 and samples > 0
+    if blank > _BLANK_SHARE * samples or (one and blank and (not found[0] or _are_between(log, found))):
         said = f"rows: {blank} of {samples} have no readings of these sensors, as rows of others: left out"
         mending = replace(mending, without_blank=True, said=(*mending.said, said))
     return mending
+
+
+def _are_between(log: FoundLog, found: BoolArray) -> bool:
+    """Whether most rows without readings are between samples that follow each other as usual: none is a lost sample."""
+    stamps = log.stamps()
+    time = np.empty(0) if stamps is None else stamps.values[: len(found)]
+    if len(time) < len(found) or not found[1:].any():
+        return False
+    samples = np.flatnonzero(found)
+    steps = np.diff(time[samples])
+    between = np.diff(samples) > 1
+    return bool(between.any() and np.median(steps[between]) < JUMP * np.median(steps))
 
 
 def _with_signs(mending: _Mending, log: FoundLog) -> _Mending:
@@ -90,6 +117,11 @@ def _with_signs(mending: _Mending, log: FoundLog) -> _Mending:
 def _with_time(mending: _Mending, log: FoundLog, rate: float | None) -> _Mending:
     """With what a column of ticks or a counter of samples needs; `rate` as given, Hz, which stands for time stamps."""
     column, said = log.columns.time, list(mending.said)
+    intervals = None if rate is not None else _intervals(log)
+    if intervals is not None:
+        column, unit = intervals
+        said.append(f"time: none, but column {column!r} has the intervals between samples, in {unit}: added up")
+        return replace(mending, time=(column, TIME_UNITS[unit]), intervals=True, said=tuple(said))
     if column is None:
         counter = _counting(log)
         if counter is None:
@@ -125,18 +157,18 @@ def _with_positions(mending: _Mending, log: FoundLog, rate: float | None) -> _Me
     return replace(mending, positions=positions, said=(*mending.said, said))
 
 
-def _copied(log: FoundLog, folder: Path, mending: _Mending) -> FoundLog:
+def _copied(log: FoundLog, folder: OutputFolder, mending: _Mending) -> FoundLog:
     """The columns that matter, mended, as Parquet files in a folder."""
-    folder.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
     if mending.positions is not None:
         whole = pl.concat(_tables(next(iter(log.sources())), log, mending))
         for number, (start, stop) in enumerate(mending.positions, 1):
-            files.append(folder / f"position-{number:02d}.parquet")
+            files.append(folder.new_file(f"position-{number:02d}.parquet"))
             write_tables(files[-1], iter([whole.slice(start, stop - start)]))
     else:
         for number, source in enumerate(log.sources(), 1):
-            files.append(folder / ("log.parquet" if len(log.files) == 1 else f"log-{number:02d}.parquet"))
+            name = "log.parquet" if len(log.files) == 1 else f"log-{number:02d}.parquet"
+            files.append(source.path if source.path in folder.written else folder.new_file(name))
             write_tables(files[-1], _tables(source, log, mending))
     columns = log.columns
     if mending.time is not None:
@@ -167,17 +199,32 @@ def _tables(source: LogSource, log: FoundLog, mending: _Mending) -> Iterator[pl.
         read = rows if left is None else rows.head(left)
         left = None if left is None else left - len(read)
         if mending.without_blank:
-            read = read.filter(pl.any_horizontal(pl.col(sensors).is_finite()))
+            read = read.filter(pl.mean_horizontal(pl.col(sensors).is_finite()) >= _READ_SHARE)
         table = read.with_columns(pl.Series(c, unwrapped(read[c].to_numpy())) for c in unsigned)
         if mending.overflow is not None and column is not None:
             stamps = unwound(read[column].to_numpy(), mending.overflow, last)
             last = next((float(t) for t in stamps[::-1] if np.isfinite(t)), last)
             table = table.with_columns(pl.Series(column, stamps))
+        if mending.intervals and time is not None:
+            stamps = (last or 0.0) + read[time[0]].fill_nan(0.0).cum_sum().to_numpy()
+            last = float(stamps[-1]) if len(stamps) else last
+            table = table.with_columns(pl.Series(time[0], stamps))
         if time is not None:
             part = pl.lit(0.0) if mending.nanoseconds is None else 1e-9 * pl.col(mending.nanoseconds)
             table = table.rename({time[0]: TIME}).with_columns(pl.col(TIME) * time[1] + part)
         stamp = column if time is None else TIME
         yield table if stamp is None else table.filter(pl.col(stamp).is_finite())
+
+
+def _intervals(log: FoundLog) -> tuple[str, str] | None:
+    """The column of the intervals from sample to sample, and their unit, where no column has the times."""
+    column = log.columns.interval
+    if column is None or log.columns.time is not None or len(log.files) > 1:
+        return None
+    steps = log.read([column])[:, 0]
+    steps = steps[np.isfinite(steps)]
+    times = times_of_column(Stamps(column=column, values=np.cumsum(steps), unit=time_unit(column)))
+    return None if times is None or (steps < 0.0).any() else (column, times.keys.get("time_unit", "s"))
 
 
 def _overflow(log: FoundLog) -> float | None:

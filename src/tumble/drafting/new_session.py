@@ -29,7 +29,7 @@ from tumble.drafting.mended_log import mended
 from tumble.drafting.opposite_sign import with_sign
 from tumble.drafting.workbook import is_workbook, sheets_of
 from tumble.errors import InputError, LogError
-from tumble.files import FilePath, nothing_left, whole_file
+from tumble.files import FilePath, OutputFolder, nothing_left, whole_file
 from tumble.programme.positions import BUILT_IN
 from tumble.recording import formats
 from tumble.recording.autopilot import sensors_content
@@ -102,8 +102,15 @@ def new_session(
     >>> print(draft.said[0], faults)
     time: column 't' in s (by its steps), 100 samples per second []
     """
-    folder = Path(folder)
-    path = folder / SESSION_FILE
+    with nothing_left(Path(folder)) as output:
+        return written_session(output, logs, given, progress)
+
+
+def written_session(
+    folder: OutputFolder, logs: FilePath | Sequence[FilePath], given: Given, progress: Progress
+) -> tuple[Draft, list[str]]:
+    """`new_session` into a folder whose new files are left to the caller where it fails."""
+    path = folder.path / SESSION_FILE
     if path.exists():
         raise InputError(f"{path}: expected a folder without a session, found one; choose another folder")
     listed = [logs] if isinstance(logs, str | os.PathLike) else logs
@@ -114,26 +121,24 @@ def new_session(
         raise InputError(f"--latitude: expected a number from -90 to 90, found {given.latitude:g}")
     if given.rate is not None and not 0.0 < given.rate < 1e9:
         raise InputError(f"--rate: expected a positive number, found {given.rate:g}")
-    with nothing_left(folder):
-        files = [found for file in files for found in (unzipped(file, folder) if is_archive(file) else [file])]
-        files = [found for file in files for found in (sheets_of(file, folder) if is_workbook(file) else [file])]
-        draft = _of_files(files, folder, given)
-        draft = replace(draft, content=_with_given(draft.content, folder, given))
-        draft, faults = tried(draft, progress)
-        content, signed = with_sign(draft.content)
-        row = [_row_as_read(session_of(content), draft.rate)] if draft.guessed else []
-        draft = replace(draft, content=content, said=(*draft.said, *signed, *row))
-        folder.mkdir(parents=True, exist_ok=True)
-        text = session_text(draft, folder, given.programme, named=bool(given.serial))
-        with whole_file(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+    files = [found for file in files for found in (unzipped(file, folder) if is_archive(file) else [file])]
+    files = [found for file in files for found in (sheets_of(file, folder) if is_workbook(file) else [file])]
+    draft = _of_files(files, folder, given)
+    draft = replace(draft, content=_with_given(draft.content, folder.path, given))
+    draft, faults = tried(draft, progress)
+    content, signed = with_sign(draft.content)
+    row = [_row_as_read(session_of(content), draft.rate)] if draft.guessed else []
+    draft = replace(draft, content=content, said=(*draft.said, *signed, *row))
+    text = session_text(draft, folder.path, given.programme, named=bool(given.serial))
+    with whole_file(folder.new_file(SESSION_FILE)) as temporary:
+        temporary.write_text(text, encoding="utf-8")
     return draft, faults
 
 
 # -------------------- what is known from names and first numbers --------------------
 
 
-def _of_files(files: list[Path], folder: Path, given: Given) -> Draft:
+def _of_files(files: list[Path], folder: OutputFolder, given: Given) -> Draft:
     recordings = [f for f in files if formats.is_recording(f) or f.is_dir()]
     if not recordings:
         log = mended(found_log(files, folder, given.columns), folder, given.rate)
@@ -223,7 +228,7 @@ def _is_whole(read: Array) -> bool:
     return bool((read == np.floor(read))[np.isfinite(read)].all())
 
 
-def _of_recording(recordings: Sequence[Path], folder: Path, given: Given) -> Draft:
+def _of_recording(recordings: Sequence[Path], folder: OutputFolder, given: Given) -> Draft:
     """From another format, whose messages become a Parquet file. Several files are one recording where the
     accelerometers are in the one and the gyros in the other."""
     recording, found = recordings[0], formats.messages(*recordings)
@@ -231,8 +236,7 @@ def _of_recording(recordings: Sequence[Path], folder: Path, given: Given) -> Dra
         raise InputError(f"{recording}: expected one recording, found {len(recordings)}; give each its own session")
     accel = _named(found, given.message, recording)
     gyro = accel if accel.gyro else next((m for m in found if m.gyro and _pairs(accel, m)), None)
-    log = folder / "log.parquet"
-    folder.mkdir(parents=True, exist_ok=True)
+    log = folder.new_file("log.parquet")
     apart = [] if _temperatures(accel, gyro) else [m for m in found if m.thermometer]
     thermometers = _thermometers_of(accel, gyro, apart)
     formats.as_log(log, accel, gyro, thermometers)
@@ -324,6 +328,9 @@ def _content(log: FoundLog, times: Times, found: Columns, magnitude: float) -> t
 def _thermometers(log: FoundLog, columns: Sequence[str]) -> tuple[dict[str, Any] | None, str]:
     """The table [log.temperature], None where numbers are raw. Columns in several units are, as raw ones, with what
     their numbers are worth."""
+    empty = [column for column in columns if not len(log.readings(column))]
+    if empty:
+        return None, f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
     found = {column: _temperature_unit(log, column) for column in columns}
     listed, units = list(columns), [found[column][0] for column in columns]
     whose = {1: "", 2: ", accelerometers and gyros"}.get(len(listed), ", one a sensor, accelerometers first")
@@ -346,7 +353,7 @@ def _thermometers(log: FoundLog, columns: Sequence[str]) -> tuple[dict[str, Any]
 def _temperature_unit(log: FoundLog, column: str) -> tuple[str, str, float]:
     """The unit that the name of a column says, or in which its numbers are temperatures of the air on Earth or of a
     chamber; how it was found; and their median."""
-    middle = float(np.nanmedian(log.read([column], rows=_HEAD)))
+    middle = float(np.median(log.readings(column)))
     named = temperature_unit(column)
     if named is not None:
         return named, "from the name", middle

@@ -21,7 +21,7 @@ from tumble.drafting.several_lines import several_lines
 from tumble.drafting.spelling import Spelling, most_common, of_named_values
 from tumble.drafting.units_in_cells import units_in_cells
 from tumble.errors import InputError
-from tumble.files import not_there, whole_file
+from tumble.files import OutputFolder, whole_file
 from tumble.recording.dialect import encoding_of
 from tumble.recording.log_source import readable
 from tumble.recording.text_pieces import opened
@@ -33,8 +33,8 @@ _BRACKETED = re.compile(r"\s*[\[({][-+.\d][^\[\](){}:]*[\])}]\s*[,;]?\s*")
 _MONITORED = re.compile(r"\s*(\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\s*->\s*(.*)")
 
 
-def respelled(file: Path, seen: bytes, folder: Path) -> tuple[Path, str] | None:
-    """The copy of a text log in a folder, made if need be, and what there is to say of it; None for one that can be
+def respelled(file: Path, seen: bytes, folder: OutputFolder) -> tuple[Path, str] | None:
+    """The copy of a text log in a folder, and what there is to say of it; None for one that can be
     read as it is. `seen`: the first bytes of the file."""
     encoding = encoding_of(seen)
     text = seen.decode(encoding, errors="replace")
@@ -53,8 +53,7 @@ def respelled(file: Path, seen: bytes, folder: Path) -> tuple[Path, str] | None:
         spelling = Spelling(names=(), values=lambda line: [line], said="lines that end in a carriage return")
     if spelling is None:
         return None
-    target = not_there(folder / f"{file.name.partition('.')[0]}.csv")
-    folder.mkdir(parents=True, exist_ok=True)
+    target = folder.new_file(f"{file.name.partition('.')[0]}.csv")
     with readable(file), opened(file, encoding) as stream, whole_file(target) as temporary, temporary.open("wb") as out:
         if spelling.names:
             out.write(f"{','.join(spelling.names)}\n".encode())

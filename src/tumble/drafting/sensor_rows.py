@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from tumble.errors import InputError
-from tumble.files import plain_name, whole_file
+from tumble.files import OutputFolder, plain_name, whole_file
 from tumble.recording.dialect import Dialect, Top, is_clock
 from tumble.recording.formats.columns import ACCEL, GYRO, SENSOR_WORDS, columns_by_name
 from tumble.recording.log_source import readable
@@ -60,10 +60,9 @@ def headed_kinds(seen: bytes) -> tuple[str, dict[str, list[str]]]:
     return "", {}
 
 
-def split_by_header(file: Path, kinds: Mapping[str, Sequence[str]], delimiter: str, folder: Path) -> list[Path]:
+def split_by_header(file: Path, kinds: Mapping[str, Sequence[str]], delimiter: str, folder: OutputFolder) -> list[Path]:
     """The rows of each sensor in a file of its own, with the names that comments state of it."""
-    folder.mkdir(parents=True, exist_ok=True)
-    parts = {word: folder / f"{file.name.partition('.')[0]}-{plain_name(word)}.csv" for word in kinds}
+    parts = {word: folder.new_file(f"{file.name.partition('.')[0]}-{plain_name(word)}.csv") for word in kinds}
     with ExitStack() as files, readable(file), opened(file) as stream:
         outs = {word: files.enter_context(files.enter_context(whole_file(p)).open("wb")) for word, p in parts.items()}
         for word, names in kinds.items():
@@ -75,7 +74,7 @@ def split_by_header(file: Path, kinds: Mapping[str, Sequence[str]], delimiter: s
     return list(parts.values())
 
 
-def split_by_sensor(file: Path, dialect: Dialect, top: Top, label: int, folder: Path) -> list[Path]:
+def split_by_sensor(file: Path, dialect: Dialect, top: Top, label: int, folder: OutputFolder) -> list[Path]:
     """The rows of each sensor in a file of its own, with all columns but the label."""
     columns = [j for j in range(len(top.names)) if j != label]
     names = [top.names[j] for j in columns] if dialect.header else list(_UNNAMED)
@@ -84,7 +83,6 @@ def split_by_sensor(file: Path, dialect: Dialect, top: Top, label: int, folder: 
             f"{file}: expected a time and three readings behind the name of a sensor, found {len(columns)} columns; "
             "give them names in a first line"
         )
-    folder.mkdir(parents=True, exist_ok=True)
     parts: dict[str, Path] = {}
     with ExitStack() as files, readable(file), opened(file, dialect.encoding) as stream:
         outs = {}
@@ -96,7 +94,7 @@ def split_by_sensor(file: Path, dialect: Dialect, top: Top, label: int, folder: 
             if word not in parts:
                 if len(parts) == _MOST_SENSORS:
                     raise InputError(f"{file}: expected at most {_MOST_SENSORS} sensors, found more")
-                parts[word] = folder / f"{file.name.partition('.')[0]}-{word}.csv"
+                parts[word] = folder.new_file(f"{file.name.partition('.')[0]}-{word}.csv")
                 outs[word] = files.enter_context(files.enter_context(whole_file(parts[word])).open("wb"))
                 outs[word].write(f"{','.join(names)}\n".encode())
             outs[word].write((",".join(cells[j].replace(",", ".") for j in columns) + "\n").encode())

@@ -5,14 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import polars as pl
 
 from tumble.drafting.found_log import SHOWN, FoundLog, check_has_accelerometers
-from tumble.drafting.log_times import times_of_column
+from tumble.drafting.log_times import grows_mostly, recordings_of, times_of_column
 from tumble.errors import InputError
+from tumble.files import OutputFolder
 from tumble.recording import formats
 from tumble.recording.formats.columns import (
     ACCEL,
@@ -72,14 +72,14 @@ def _reads_gravity(log: FoundLog) -> bool:
     return any(c.unit is not None and abs(length / c.value - 1.0) < _NEAR for c in CANDIDATES[ACCEL])
 
 
-def of_sensors_apart(logs: Sequence[FoundLog], folder: Path) -> FoundLog:
+def of_sensors_apart(logs: Sequence[FoundLog], folder: OutputFolder) -> FoundLog:
     """Accelerometers and gyros that come in a file each, as of phones, as one log at the times of the gyros."""
     by_kind = _by_kind(logs)
     if ACCEL not in by_kind:
         check_has_accelerometers(logs[0])
     accel, gyro = _message(by_kind[ACCEL], ACCEL), _message(by_kind[GYRO], GYRO) if GYRO in by_kind else None
-    folder.mkdir(parents=True, exist_ok=True)
-    formats.as_log(folder / "log.parquet", accel, gyro)
+    joined = folder.new_file("log.parquet")
+    formats.as_log(joined, accel, gyro)
     triads = {ACCEL: accel.accel, GYRO: gyro.gyro if gyro is not None else None}
     named = " and ".join(log.files[0].name for log in by_kind.values())
     columns = Columns(
@@ -91,9 +91,9 @@ def of_sensors_apart(logs: Sequence[FoundLog], folder: Path) -> FoundLog:
     )
     unused = [log.files[0].name for log in logs if log not in by_kind.values()]
     also = (f"also there, and not used: {', '.join(unused)}",) if unused else ()
-    said = f"{named}: one log at the times of the gyros, written to {folder / 'log.parquet'}"
+    said = f"{named}: one log at the times of the gyros, written to {joined}"
     fastest = accel if gyro is None else gyro
-    return FoundLog(files=(folder / "log.parquet",), keys={}, columns=columns, said=(said, *also, fastest.remark))
+    return FoundLog(files=(joined,), keys={}, columns=columns, said=(said, *also, fastest.remark))
 
 
 def _without_names(log: FoundLog) -> bool:
@@ -110,7 +110,9 @@ def _three(log: FoundLog, kind: str) -> tuple[FoundLog, list[str]]:
         renamed = {f"{'a' if kind == ACCEL else 'g'} {name.split()[0] if name else name}": name for name in log.cells}
         sensors = columns_by_name(renamed).triads.get(kind)
         return log, [] if sensors is None else [renamed[column] for column in sensors.columns]
-    time = time_by_data(list(log.cells), log.read(list(log.cells)))
+    read = log.read(list(log.cells))
+    rising = [name for name, column in zip(log.cells, read.T, strict=True) if grows_mostly(column)]
+    time = time_by_data(list(log.cells), read) or (rising[0] if len(rising) == 1 else None)
     three = [name for name in log.cells if name != time]
     return replace(log, columns=replace(log.columns, time=time)), three if len(three) == len("xyz") else []
 
@@ -128,6 +130,15 @@ def _message(log: FoundLog, kind: str) -> Message:
     unit = unit_of_name(kind, source[0]) or unit_of_name(kind, f"{'acc' if kind == ACCEL else 'gyro'} {source[0]}")
     x, y, z = (f"{kind}_{axis}" for axis in "xyz")
     read = log.read([stamps.column, *source], clock=stamps.column if stamps.clock else None)
+    read = read[np.isfinite(read).all(axis=1)]
+    if recordings_of(read[:, 0]) is not None:
+        raise InputError(
+            f"{log.files[0]}: expected one recording, found a clock that starts anew; give each its own file"
+        )
+    if times.keys.get("regular"):
+        rows = np.arange(len(read), dtype=float)
+        read[:, 0] = np.polynomial.Polynomial.fit(rows, read[:, 0], 1)(rows)
+    read = read[np.argsort(read[:, 0], kind="stable")]
     read[:, 0] *= 1.0 if stamps.clock else TIME_UNITS[times.keys.get("time_unit", "s")]
     found = Sensors(columns=(x, y, z), unit=unit)
     return Message(
@@ -136,5 +147,5 @@ def _message(log: FoundLog, kind: str) -> Message:
         accel=found if kind == ACCEL else None,
         gyro=found if kind == GYRO else None,
         remark=f"{log.files[0].name}: {'; '.join(times.said)}",
-        rows=lambda: iter([pl.DataFrame(read[np.isfinite(read).all(axis=1)], schema=[TIME, x, y, z], orient="row")]),
+        rows=lambda: iter([pl.DataFrame(read, schema=[TIME, x, y, z], orient="row")]),
     )

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tumble.errors import InputError, needs_extra
-from tumble.files import not_there, plain_name, whole_file
+from tumble.files import OutputFolder, plain_name, whole_file
 from tumble.recording.unpacked import LARGEST_RATIO, SMALL_BYTES
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def is_workbook(file: Path) -> bool:
     return file.suffix.lower() in ENDINGS
 
 
-def sheets_of(workbook: Path, folder: Path) -> list[Path]:
+def sheets_of(workbook: Path, folder: OutputFolder) -> list[Path]:
     """The sheets of a workbook that have rows, a CSV file each, in a folder that is made if need be.
 
     Raises InputError for one that is damaged, has none, or is larger than readings would be, and MissingExtraError
@@ -44,10 +44,11 @@ def sheets_of(workbook: Path, folder: Path) -> list[Path]:
                     f"{workbook}: expected 1 to {_MOST_SHEETS} sheets with rows of at most {_WIDEST} values, found "
                     f"{len(sheets)} with rows; save the sheets that matter as CSV"
                 )
-            folder.mkdir(parents=True, exist_ok=True)
             stem = workbook.name.partition(".")[0]
             return [
-                _written(sheet, folder / (f"{stem}-{plain_name(sheet.name)}" if len(sheets) > 1 else stem))
+                _written(
+                    sheet, folder.new_file(f"{stem}-{plain_name(sheet.name)}.csv" if len(sheets) > 1 else f"{stem}.csv")
+                )
                 for sheet in sheets
             ]
     except (CalamineError, zipfile.BadZipFile, OSError, ValueError) as error:
@@ -71,9 +72,8 @@ def _sheets(workbook: CalamineWorkbook) -> Iterator[CalamineSheet]:
         yield workbook.get_sheet_by_name(name)
 
 
-def _written(sheet: CalamineSheet, place: Path) -> Path:
+def _written(sheet: CalamineSheet, target: Path) -> Path:
     """The rows of a sheet as a CSV file."""
-    target = not_there(place.with_name(f"{place.name}.csv"))
     with whole_file(target) as temporary, temporary.open("w", encoding="utf-8", newline="") as out:
         csv.writer(out, lineterminator="\n").writerows(_rows(sheet.iter_rows()))
     return target

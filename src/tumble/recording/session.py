@@ -250,6 +250,16 @@ class Session(Brief):
             return None
         return Block(kind="gyro", axes=self.log.gyro.axes, thermometers=() if known is None else known.gyro)
 
+    def check_new(self, out: Path, *, force: bool) -> None:
+        """Raises InputError where a file that is to be written exists, unless by `force`, and where it is one that the
+        session is read from."""
+        if not out.exists():
+            return
+        if any(isinstance(file, Path) and file.exists() and out.samefile(file) for file in self.log.files):
+            raise InputError(f"{out}: expected another file, found the recording of the session; choose another name")
+        if not force:
+            raise InputError(f"{out}: expected a new file, found one that exists; give --force to replace it")
+
     def without(self, rests: Iterable[int]) -> Session:
         """The session without the rests of these numbers, from 1 as results count them, beside what it leaves out
         itself. Raises InputError for what is no such number."""

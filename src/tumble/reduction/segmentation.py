@@ -111,6 +111,8 @@ class Segmentation:
     rate_limit: float | None
     scatter_limit: float
     jump: LevelJump | None = None
+    stated_rate: float | None = None
+    """Samples per second, Hz, where no time in the log shows them: what is a second, and so a rest, hangs on it."""
 
     def jumped(self) -> tuple[str, ...]:
         """That the level of the gyros at rest jumps once between two of the rests, and what to do; nothing where it
@@ -136,7 +138,8 @@ class Segmentation:
         off = [r for r in self.rejected if r.fails == "level"]
         said = []
         if short:
-            said.append(f"{_counted(short)} too short: rests must be {STILL_SECONDS} s")
+            by = "" if self.stated_rate is None else f", by log.rate_hz = {self.stated_rate:g}, which no time confirms"
+            said.append(f"{_counted(short)} too short: rests must be {STILL_SECONDS} s{by}")
         if off:
             said.append(f"{_counted(off)} discarded because the gyros read otherwise than at rest")
         return tuple(said)

@@ -16,7 +16,7 @@ from tumble.files import FilePath, nothing_left, whole_file
 from tumble.planning.setup import Setup
 from tumble.programme.positions import BUILT_IN, Programme
 from tumble.recording.session import Session
-from tumble.recording.session_file import session_of, write_session
+from tumble.recording.session_file import SESSION_FILE, session_of, write_session
 from tumble.sensors.model import Block
 from tumble.simulation.climate import Climate
 from tumble.simulation.recording import Recording, record
@@ -90,16 +90,17 @@ def write_simulation(
 
     session.toml names a built-in programme, lists the positions of another, and names none for random ones.
     Raises InputError."""
-    if (folder / "session.toml").exists():
-        raise InputError(f"{folder}: expected a new folder, found a session in it; give another one")
+    log = f"log.{log_format}"
+    for name, said in ((SESSION_FILE, "a session"), (log, log), (TRUTH_FILE, TRUTH_FILE)):
+        if (folder / name).exists():
+            raise InputError(f"{folder}: expected a new folder, found {said} in it; give another one")
     recording = record(scenario, rng)
     truth = {name: scenario.truth[name] for name in scenario.names}
     truth |= _truth_of(scenario.climate)
     try:
-        with nothing_left(folder):
-            folder.mkdir(parents=True, exist_ok=True)
-            _write_log(folder / f"log.{log_format}", scenario, recording)
-            with whole_file(folder / TRUTH_FILE) as temporary:
+        with nothing_left(folder) as output:
+            _write_log(output.new_file(log), scenario, recording)
+            with whole_file(output.new_file(TRUTH_FILE)) as temporary:
                 temporary.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
             write_session(folder, _content(scenario, log_format))
     except OSError as error:

@@ -57,6 +57,9 @@ _TIME_WORDS = {
     "us": "us", "micros": "us", "microseconds": "us",
     "ns": "ns", "nanos": "ns", "nanoseconds": "ns",
 }  # fmt: skip
+_INTERVAL = re.compile(r"(^|_)(d_?t|delta_?t|delta_?time|time_?delta|(sample_?)?interval)(_[munµ]?s(ec)?)?$")
+"""Times from the sample before."""
+
 _COUNTER = re.compile(
     r"(^|_)(packet_?counter|counter|cnt|n_samples|samples?|sample_?(no|number|index)|index|idx|row|seq)$"
 )
@@ -128,7 +131,8 @@ def _unit(text: str) -> str:
 class Columns:
     """The columns found in a table: the time with its unit (None where the name does not say), one triad of each kind,
     the `temperatures` as [log.temperature] has them, and a column that counts the samples. `others` are the names of
-    triads of the same kinds, and of thermometers, that were not taken, `times` those of all times."""
+    triads of the same kinds, and of thermometers, that were not taken, `times` those of all times, `interval` that of
+    the times from sample to sample."""
 
     time: str | None
     time_unit: str | None
@@ -137,6 +141,7 @@ class Columns:
     others: tuple[str, ...]
     counter: str | None = None
     times: tuple[str, ...] = ()
+    interval: str | None = None
 
 
 def columns_by_name(names: Iterable[str]) -> Columns:
@@ -160,9 +165,10 @@ def columns_by_name(names: Iterable[str]) -> Columns:
             triads[kind] = Sensors(columns=(x, y, z), unit=_UNITS[kind].get(_split(x)[1]))
     taken = {column for triad in triads.values() for column in triad.columns}
     free = [name for name in names if name and name not in taken]
-    times = [name for name in free if name != "T" and _TIME.search("_".join(_split(name)[0]))]
+    interval = next((name for name in free if _INTERVAL.search("_".join(_split(name)[0]))), None)
+    times = [n for n in free if n not in ("T", interval) and _TIME.search("_".join(_split(n)[0]))]
     time = next((name for name in times if _OF_THE_SAMPLE.search("_".join(_split(name)[0]))), next(iter(times), None))
-    warm.pop(time or "", None)
+    warm = {name: found for name, found in warm.items() if name not in (time, interval)}
     temperatures = of_sensors(warm, gyros=GYRO in triads)
     return Columns(
         time=time,
@@ -172,6 +178,7 @@ def columns_by_name(names: Iterable[str]) -> Columns:
         temperatures=temperatures,
         others=(*others, *(name for name in warm if name not in temperatures)),
         times=tuple(times),
+        interval=interval,
     )
 
 

@@ -28,8 +28,8 @@ ENDINGS: tuple[str, ...] = tuple(_READERS)
 """Endings of the files that can be read; a ROS 2 bag may also be a folder."""
 
 _DATAFLASH_TEXT = b"FMT,"
-_TEXT = re.compile(rb"[-+\d.,;\seE]{24}")
-"""How text begins that has the ending of something else, as MATLAB writes it with `save -ascii`."""
+_NO_TEXT = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
+"""What text has nowhere, whatever the ending of its file, and every recording has in its first bytes."""
 
 _NEEDED: Mapping[str, str] = {"ros": "rosbags", "ulog": "pyulog", "ardupilot": "pymavlink", "arrays": "h5py"}
 
@@ -43,15 +43,15 @@ def _reader(path: Path) -> str | None:
     if path.is_dir():
         return "ros" if (path / "metadata.yaml").is_file() else None
     first = _first_bytes(path)
-    if _TEXT.match(first):
-        return None
-    return _READERS.get(path.suffix.lower()) or ("ardupilot" if first.startswith(_DATAFLASH_TEXT) else None)
+    if first.startswith(_DATAFLASH_TEXT):
+        return "ardupilot"
+    return None if first and not _NO_TEXT.search(first) else _READERS.get(path.suffix.lower())
 
 
 def _first_bytes(path: Path) -> bytes:
     try:
         with path.open("rb") as stream:
-            return stream.read(64)
+            return stream.read(256)
     except OSError:
         return b""
 
