@@ -21,7 +21,7 @@ from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.registry.connect import Registry, open_registry
 from tumble.registry.limits import parse_limits
-from tumble.registry.records import OCCASIONS, STATES, Particulars, submission, utc
+from tumble.registry.records import OCCASIONS, STATES, Particulars, past, submission, utc
 from tumble.registry.schema import CALIBRATION
 from tumble.registry.store import add_limits_within, add_within, every_limits, every_record
 
@@ -134,7 +134,7 @@ class _Import:
     def _limits(self, content: Mapping[str, Any], where: str) -> None:
         file, systematic = content["file"], content["systematic"]
         parse_limits(file, systematic, where)
-        added = utc(content["added"], f"{where}: added")
+        added = past(content["added"], f"{where}: added")
         number = add_limits_within(self.connection, content["model"], file, systematic, added)
         self.limits[content["sha256"]] = number
 
@@ -153,7 +153,7 @@ class _Import:
         done = add_within(
             self.connection,
             submission(content["file"], where, particulars),
-            utc(content["added"], f"{where}: added"),
+            past(content["added"], f"{where}: added"),
             lambda _: limits,
         )
         self.records[done.record.sha256] = done.record.number

@@ -153,6 +153,14 @@ def utc(text: str, where: str) -> datetime:
         raise InputError(f"{where}: expected a date such as 2026-03-31, found {text!r}") from None
 
 
+def past(text: str, where: str) -> datetime:
+    """`utc` of what has happened; a day is left to time zones."""
+    moment = utc(text, where)
+    if moment > datetime.now(UTC) + timedelta(days=1):
+        raise InputError(f"{where}: expected a date that is past, found {text!r}")
+    return moment
+
+
 def all_parameter_rows(calibration: Calibration) -> Iterable[ParameterRow]:
     """Parameters of a calibration and of its launches."""
     yield from parameter_rows(calibration.parameters)

@@ -9,11 +9,11 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import Row, Select, func, insert, select
+from sqlalchemy import Row, Select, insert, select
 
 from tumble.errors import InputError
 from tumble.files import FilePath
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 
 NOTHING_SAID = Particulars()
+
+_LIMITS_ORDER = (LIMITS.c.added, LIMITS.c.number)
+"""In which limits of a type follow each other; the last ones are in force."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -264,12 +267,14 @@ def launches_of(connection: Connection, number: int) -> list[LaunchRow]:
 def set_limits(registry: Registry, model: str, file: str, systematic: str | None) -> tuple[LimitsRecord, bool]:
     """Put limits in force for a device type, from now on; and whether they are other ones than before."""
     with registry.writing() as connection:
+        added = datetime.now(UTC)
         number = _number_of_limits(connection, model)
         if number is not None:
-            now = _limits(connection, number)
-            if (now.file, now.systematic) == (file, systematic):
-                return now, False
-        return _limits(connection, add_limits_within(connection, model, file, systematic, datetime.now(UTC))), True
+            before = _limits(connection, number)
+            if (before.file, before.systematic) == (file, systematic):
+                return before, False
+            added = max(added, before.added + timedelta(microseconds=1))  # those may come from a clock that is ahead
+        return _limits(connection, add_limits_within(connection, model, file, systematic, added)), True
 
 
 def add_limits_within(connection: Connection, model: str, file: str, systematic: str | None, added: datetime) -> int:
@@ -284,7 +289,10 @@ def add_limits_within(connection: Connection, model: str, file: str, systematic:
 
 
 def _number_of_limits(connection: Connection, model: str) -> int | None:
-    return connection.execute(select(func.max(LIMITS.c.number)).where(LIMITS.c.model == model)).scalar()
+    """The number of the limits in force for a type: those that were given last, wherever. An import numbers older
+    limits after newer ones."""
+    latest = select(LIMITS.c.number).where(LIMITS.c.model == model).order_by(*(c.desc() for c in _LIMITS_ORDER))
+    return connection.execute(latest.limit(1)).scalar()
 
 
 def _limits(connection: Connection, number: int) -> LimitsRecord:
@@ -293,8 +301,8 @@ def _limits(connection: Connection, number: int) -> LimitsRecord:
 
 
 def every_limits(connection: Connection) -> list[LimitsRecord]:
-    """All limits of all types, former ones too, by number."""
-    return [LimitsRecord(**row._asdict()) for row in connection.execute(select(LIMITS).order_by(LIMITS.c.number))]
+    """All limits of all types, former ones too, in the order in which they came in force."""
+    return [LimitsRecord(**row._asdict()) for row in connection.execute(select(LIMITS).order_by(*_LIMITS_ORDER))]
 
 
 def limits_records(registry: Registry) -> list[LimitsRecord]:
