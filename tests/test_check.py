@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from scipy import stats
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.check import FieldCheck, check_calibration, known_before
-from tumble.calibration.results import Launch, Parameter
+from tumble.calibration.results import Launch, Member, Parameter
 from tumble.cli import main
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Outcome
@@ -26,6 +27,8 @@ from tumble.estimation.likelihood import Point, Prior, Problem
 from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.method import joint
 from tumble.planning.setup import Setup
+from tumble.recording.circumstances import Circumstances
+from tumble.recording.session_file import read_session
 from tumble.reduction.observations import Observations
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import HandHeld, Scenario, scenario_of
@@ -210,6 +213,39 @@ def test_a_session_is_checked_and_the_calibration_updated(folder: Path) -> None:
     )
     assert refused.exit_code == 2
     assert "another log" in refused.stderr
+
+
+OF_THE_DEVICE = {"serial", "model", "axes", "readings", "thermometers", "imu", "frame"}
+OF_THE_CALIBRATION = {"method", "outcome", "fits", "mag", "measured_between", "groups"}
+"""On which the updated uncertainties still rest."""
+OF_THE_CHECK = {
+    "parameters", "covariance", "accel", "gyro", "prediction", "reference_temperature", "references", "site",
+    "circumstances", "sample_rate", "notes", "provenance",
+}  # fmt: skip
+OF_SESSIONS_THAT_ARE_NOT_THERE = {"iterations", "rests", "turns", "programme", "launches", "clock_u", "together"}
+
+
+def test_every_field_of_an_updated_calibration_is_carried_along_or_made_on_purpose(folder: Path) -> None:
+    """A new field of a calibration belongs into one of the sets, and into `_updated` accordingly."""
+    sets = OF_THE_DEVICE, OF_THE_CALIBRATION, OF_THE_CHECK, OF_SESSIONS_THAT_ARE_NOT_THERE
+    assert sorted(field.name for field in fields(Calibration)) == sorted(chain(*sets))
+    before = replace(
+        read_calibration(folder / "calibration.json"),
+        circumstances=Circumstances(date="2020-02-02", operator="B. Before", equipment=("old table",)),
+        programme="cube-14",
+        clock_u=1e-5,
+        together=(Member(session="s", log_sha256="", rests=4, turns=3, temperatures=(20.0, 30.0)),),
+    )
+    now = Circumstances(date="2026-03-04", operator="A. After")
+    session = replace(read_session(folder / "again"), circumstances=now)
+    updated = check_calibration(before, session).updated()
+    assert updated.circumstances == now
+    for name in (*OF_THE_DEVICE, *OF_THE_CALIBRATION - {"measured_between", "groups"}):
+        assert getattr(updated, name) == getattr(before, name), name
+    for name in OF_SESSIONS_THAT_ARE_NOT_THERE:
+        assert not getattr(updated, name), name
+    elsewhere = replace(session, site=replace(session.site, gravity=session.site.gravity + 1e-5))
+    assert check_calibration(before, elsewhere).updated().site is None  # scale factors know of both
 
 
 def test_a_check_is_printed_as_data(folder: Path) -> None:

@@ -24,12 +24,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 
 import numpy as np
 
-from tumble import __version__
-from tumble.calibration.calibrate import grade_of
+from tumble.calibration.calibrate import grade_of, provenance_of
 from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.coverage import by_gravity, shared_gravity
 from tumble.calibration.from_estimate import readings_of_session, reference_of, references_of
@@ -43,7 +41,8 @@ from tumble.estimation.field_check import ChangedParameter, CheckResult, KnownBe
 from tumble.estimation.prediction import prediction
 from tumble.estimation.variables import variables_of
 from tumble.files import FilePath
-from tumble.recording.session import Session
+from tumble.recording.circumstances import Circumstances
+from tumble.recording.session import Session, Site
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
@@ -61,7 +60,8 @@ USUAL_DEGREES = 4.0
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FieldCheck:
     """What a session of `rests` rests and `turns` turns says of a calibration: the `result`, in SI, what was supposed,
-    in sentences, and the calibration in the frame `accelerometer` with the instrument it was taken for."""
+    in sentences, the calibration in the frame `accelerometer` with the instrument it was taken for, and where, when,
+    how and with which sample rate (Hz) the session was recorded."""
 
     calibration: Calibration
     session: str
@@ -74,6 +74,9 @@ class FieldCheck:
     instrument: Instrument
     temperature: float | None
     references: Mapping[str, tuple[float, ...]]
+    site: Site
+    circumstances: Circumstances
+    sample_rate: float
 
     @property
     def valid(self) -> bool:
@@ -147,6 +150,9 @@ def check_calibration(calibration: Calibration | FilePath, session: Session | Fi
         instrument=known.instrument,
         temperature=reference_of(observations),
         references=references_of(observations),
+        site=session.site,
+        circumstances=observed.circumstances,
+        sample_rate=observed.rate,
     )
 
 
@@ -308,31 +314,40 @@ def _updated(check: FieldCheck) -> Calibration:
     )
     rate = None if before.prediction is None else before.prediction.at_rate
     gyro = instrument.gyro
-    return replace(
-        before,
+    known = before.reference_temperature is not None
+    return Calibration(
+        # the device and its sensors
+        serial=before.serial,
+        model=before.model,
+        axes=before.axes,
+        readings=before.readings,
+        thermometers=before.thermometers,
+        imu=before.imu,
+        frame=before.frame,
+        # what still rests on the calibration
+        method=before.method,
+        outcome=before.outcome,
+        fits=before.fits,
+        groups=tuple(group for group in before.groups if variable_of(group.name) != "time"),
+        mag=before.mag,
+        measured_between=before.temperature_range,
+        # what the check says
         parameters=(*parameters, *others),
         covariance=_with_others(before, others, result.covariance[np.ix_(at, at)]),
         accel=instrument.model(instrument.accel, result.values),
         gyro=None if gyro is None else instrument.model(gyro, result.values),
-        iterations=(),
-        rests=(),
-        turns=(),
-        launches=(),
-        clock_u=0.0,
-        groups=tuple(group for group in before.groups if variable_of(group.name) != "time"),
         prediction=None
         if before.site is None
         else prediction(instrument, result.values, result.covariance, gravity=before.site.gravity, rate=rate),
-        reference_temperature=check.temperature if before.reference_temperature is not None else None,
-        references=check.references if before.reference_temperature is not None else {},
-        measured_between=before.temperature_range,
+        reference_temperature=check.temperature if known else None,
+        references=check.references if known else {},
+        site=before.site if before.site == check.site else None,
+        circumstances=check.circumstances,
+        sample_rate=check.sample_rate,
         notes=(_how(check), *before.notes),
         provenance={
-            **before.provenance,
-            "log_sha256": check.sha256,
+            **provenance_of(check.sha256),
             "calibrated_log_sha256": before.provenance.get("log_sha256", "unknown"),
-            "software": f"tumble {__version__}",
-            "created": datetime.now(UTC).isoformat(timespec="seconds"),
         },
     )
 
