@@ -25,7 +25,7 @@ from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.circumstances import AirConditions, Circumstances
 from tumble.recording.session_file import session_of
-from tumble.registry.limits import LimitJudgement, judge_value
+from tumble.registry.limits import judge_value
 from tumble.registry.records import Particulars, read_submission
 from tumble.report.write import write_report
 from tumble.simulation.session import simulate_session
@@ -166,15 +166,12 @@ def test_the_badge_is_one_of_the_four_outcomes(tmp_path: Path, at: float, outcom
 
 
 def test_outcomes_without_a_value_or_u_are_undecided() -> None:
-    def judged(value: float | None, expanded: float | None, low: float = -1.0) -> str:
+    def judged(value: float, expanded: float | None, low: float = -1.0) -> str:
         u = None if expanded is None else 0.5 * expanded
-        result = "undecided" if value is None else judge_value(value, u, low, 1.0)
-        return LimitJudgement(
-            name="a", unit="1", value=value, expanded=expanded, low=low, high=1.0, result=result
-        ).statement
+        return judge_value(value, u, low, 1.0)
 
     assert [judged(v, 0.2) for v in (0.0, 0.9, 1.1, 1.3)] == ["pass", "conditional pass", "conditional fail", "fail"]
-    assert [judged(None, None), judged(0.0, None), judged(0.0, 0.2, np.nan)] == ["undecided"] * 3
+    assert [judged(0.0, None), judged(0.0, 0.2, np.nan)] == ["undecided"] * 2
 
 
 def test_the_logo_is_in_the_page_and_the_page_loads_nothing(made: Path) -> None:

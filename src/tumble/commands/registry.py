@@ -129,7 +129,7 @@ def _print_record(opened: Any, record: Record, rows: list[ParameterRow], as_json
     if verdict is None or verdict.result == "pass":
         return True
     for reason in verdict.reasons():
-        warn(f"not accepted: {reason}")
+        warn(f"{verdict.occasion} check: {reason}")
     return False
 
 
@@ -220,8 +220,8 @@ def show(number: int, out: Path | None, as_json: bool, every: bool, place: str |
 def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, every: bool, place: str | None) -> None:
     """Every parameter of the device SERIAL over its calibrations, or one PARAMETER in every calibration.
 
-    Exit status 1 if the device has changed since the calibration before by more than chance makes (0.001), in a
-    parameter or in all together.
+    Exit status 1 if the device has changed since the calibration before by more than chance makes, in a parameter or
+    in all together, as `tumble compare` says it of both.
     """
     from tumble.registry.connect import open_registry
     from tumble.registry.monitor import monitored

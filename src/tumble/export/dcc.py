@@ -31,7 +31,7 @@ from tumble.export.certificate import RELATES, STATES, Certificate, Party
 from tumble.export.exported import Exported, example, models, one_line, origin, shown
 from tumble.export.larger_model import NOT_IN_MATRIX, not_held
 from tumble.registry.conformity import verdicts
-from tumble.registry.limits import AGREED_RULE, LimitJudgement, Verdict, limits_of
+from tumble.registry.limits import RULE, LimitJudgement, Verdict, limits_of
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import sensor_kind
 from tumble.units import Array
@@ -269,9 +269,9 @@ def _conformity(parent: ET.Element, certificate: Certificate, judged: Sequence[V
         if certificate.agreed is not None:
             _named(statement, "description", f"limits and decision rule as agreed: {certificate.agreed}")
         _child(statement, "norm", "ILAC-G8:09/2019")
-        _named(statement, "declaration", AGREED_RULE)
-        if verdict.statement in _CONFORMITY:
-            _child(statement, "conformity", _CONFORMITY[verdict.statement])
+        _named(statement, "declaration", RULE)
+        if verdict.result in _CONFORMITY:
+            _child(statement, "conformity", _CONFORMITY[verdict.result])
 
 
 def _typed(element: ET.Element, kind: str | None) -> ET.Element:
@@ -300,7 +300,7 @@ def _parameters(data: ET.Element, calibration: Calibration, judged: Sequence[Ver
         _named(quantity, "name", parameter.name)
         _real(quantity, parameter.value, parameter.u, parameter.unit, degrees_of_freedom(parameter))
         found = [(v.occasion, j) for v in judged for j in v.judgements if j.name == parameter.name]
-        told = [(occasion, j) for occasion, j in found if j.statement in _CONFORMITY]
+        told = [(occasion, j) for occasion, j in found if j.result in _CONFORMITY]
         every = _child(quantity, "measurementMetaData") if told else quantity
         for occasion, judgement in told:
             statement = _typed(_child(every, "metaData"), "basic_conformity")
@@ -310,7 +310,7 @@ def _parameters(data: ET.Element, calibration: Calibration, judged: Sequence[Ver
                 "declaration",
                 f"limits {judgement.low:g} to {judgement.high:g} {judgement.unit}{_over(judgement)}",
             )
-            _child(statement, "conformity", _CONFORMITY[judgement.statement])
+            _child(statement, "conformity", _CONFORMITY[judgement.result])
 
 
 def _real(quantity: ET.Element, value: float, u: float | None, unit: str, degrees: float) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.temperature_curves import Range, changing, curve, measured_range
-from tumble.registry.limits import LimitJudgement, Limits, Result, Verdict, judge
+from tumble.registry.limits import LimitJudgement, Limits, Result, Verdict, judge, result_inside
 from tumble.registry.records import OCCASIONS, parameter_rows
 from tumble.sensors.parameters import FURTHER, group_name
 from tumble.units import Array
@@ -66,12 +66,12 @@ def _unmeasured(wanted: tuple[float, float], measured: Range | None) -> str:
 def _worst(
     one: LimitJudgement, calibration: Calibration, wanted: tuple[float, float], measured: Range | None, *, known: bool
 ) -> LimitJudgement:
-    """A parameter judged where it is worst; undecided where it would pass and not all was measured."""
+    """A parameter judged where it is worst; undecided where it would not fail and not all was measured."""
     beyond = not known or bool(_unmeasured(wanted, measured))
     if known and measured is not None and max(wanted[0], measured.low) < min(wanted[1], measured.high):
         at = _temperatures(max(wanted[0], measured.low), min(wanted[1], measured.high))
         one = _judged(one, at, *_values(calibration, one.name, at))
-    if one.result == "pass" and beyond:
+    if beyond and one.result in ("pass", "conditional pass"):
         return replace(one, result="undecided", beyond=True)
     return one
 
@@ -85,9 +85,9 @@ def _judged(one: LimitJudgement, at: Array, value: Array, expanded: Array | None
     """The judgement at the worst of temperatures (N,) with values (N,) and U (N,)."""
     U = np.zeros(len(at)) if expanded is None else expanded
     inside = np.minimum(value - one.low, one.high - value)
-    fails = inside < -U
-    i = int(np.argmin(np.where(fails, inside + U, np.inf) if fails.any() else inside - U))
-    result: Result = "undecided" if expanded is None else _result(float(inside[i]), float(U[i]))
+    outside = inside + U if np.any(inside < -U) else inside if np.any(inside < 0.0) else inside - U
+    i = int(np.argmin(outside))
+    result: Result = "undecided" if expanded is None else result_inside(float(inside[i]), float(U[i]))
     return replace(
         one,
         value=float(value[i]),
@@ -95,11 +95,6 @@ def _judged(one: LimitJudgement, at: Array, value: Array, expanded: Array | None
         result=result,
         at=float(at[i]),
     )
-
-
-def _result(inside: float, expanded: float) -> Result:
-    """The verdict on a value that is so far inside its limits."""
-    return "pass" if inside >= expanded else "fail" if inside < -expanded else "undecided"
 
 
 def _temperatures(low: float, high: float) -> Array:

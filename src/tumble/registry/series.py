@@ -104,10 +104,10 @@ def latest_comparison(registry: Registry, serial: str, frame: str) -> Comparison
     at = next((i for i in range(len(found) - 1, 0, -1) if found[i].state != "as-left"), None)
     if at is None:
         return None
-    later, earlier = (calibration_in(registry, found[i], frame) for i in (at, at - 1))
+    earlier, later = (calibration_in(registry, found[i], frame) for i in (at - 1, at))
     if not {p.name for p in later.parameters} & {p.name for p in earlier.parameters}:
         return None
-    return compare_calibrations(later, earlier)
+    return compare_calibrations(earlier, later)
 
 
 def verdict_of(

@@ -12,7 +12,7 @@ from tumble.calibration.further import predicted
 from tumble.errors import InputError
 from tumble.export.certificate import Certificate
 from tumble.registry.conformity import verdicts
-from tumble.registry.limits import STATEMENTS, Limits, Statement, Verdict
+from tumble.registry.limits import RESULTS, Limits, Result, Verdict
 from tumble.report import certified, compare, limits, over_temperature, recording, result
 from tumble.report.blocks import Block, Document, Facts, Items, Part, Section, Text, Tone
 from tumble.report.numbers import NONE
@@ -95,9 +95,10 @@ class ReportBasis:
 
 def _tone(sources: Sequence[Source], given: ReportBasis) -> Tone:
     """The colour of the worst verdict."""
-    if _badge(sources, given) == "conditional pass":
-        return "doubt"
-    if not_accepted(sources, given.acceptance):
+    badge = _badge(sources, given)
+    if badge in limits.TONES:
+        return limits.TONES[badge]
+    if badge == "not accepted":
         return "bad"
     return "doubt" if any(source.calibration.outcome.remarks for source in sources) else "good"
 
@@ -110,14 +111,14 @@ def _badge(sources: Sequence[Source], given: ReportBasis) -> str:
         return "not accepted"
     found = _outcomes(sources, given)
     if found:
-        return min((each for _, each in found), key=STATEMENTS.index)
+        return min((each for _, each in found), key=RESULTS.index)
     return "accepted with scatter" if any(outcome.remarks for outcome in outcomes) else "accepted"
 
 
-def _outcomes(sources: Sequence[Source], given: ReportBasis) -> list[tuple[str, Statement]]:
+def _outcomes(sources: Sequence[Source], given: ReportBasis) -> list[tuple[str, Result]]:
     """The outcome of every check, with its name."""
     found = [verdict for _, verdict in _checks(sources, given.acceptance)]
-    return [(v.occasion, v.result if given.certificate is None else v.statement) for v in found]
+    return [(verdict.occasion, verdict.result) for verdict in found]
 
 
 def _verdict(sources: Sequence[Source], given: ReportBasis) -> str:
@@ -126,10 +127,10 @@ def _verdict(sources: Sequence[Source], given: ReportBasis) -> str:
     if not all(outcome.accepted for outcome in outcomes):
         return "not accepted"
     accepted = "accepted with scatter" if any(outcome.remarks for outcome in outcomes) else "accepted"
-    results: dict[str, list[Statement]] = {}
+    results: dict[str, list[Result]] = {}
     for occasion, outcome in _outcomes(sources, given):
         results.setdefault(occasion, []).append(outcome)
-    worst = [f"{check}: {min(found, key=STATEMENTS.index)}" for check, found in results.items()]
+    worst = [f"{check}: {min(found, key=RESULTS.index)}" for check, found in results.items()]
     return ", ".join([accepted, *worst])
 
 
@@ -246,10 +247,10 @@ def _by_parameter(calibration: Calibration, given: ReportBasis) -> dict[str, str
     """The worst outcome of the checks of every parameter that has a limit."""
     if given.acceptance is None or given.acceptance.frame != calibration.frame:
         return {}
-    found: dict[str, Statement] = {}
+    found: dict[str, Result] = {}
     for judgement in (j for verdict in verdicts(calibration, given.acceptance) for j in verdict.judgements):
-        outcome = judgement.result if given.certificate is None else judgement.statement
-        found[judgement.name] = min(found.get(judgement.name, outcome), outcome, key=STATEMENTS.index)
+        outcome = judgement.result
+        found[judgement.name] = min(found.get(judgement.name, outcome), outcome, key=RESULTS.index)
     return dict(found)
 
 

@@ -10,6 +10,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from tumble.calibration.compare import Comparison
 from tumble.calibration.coverage import expanded_of as expanded_uncertainty
 from tumble.calibration.results import Parameter
 from tumble.registry.due import Due
@@ -21,7 +22,7 @@ from tumble.registry.series import SeriesPoint
 from tumble.registry.store import LimitsRecord
 from tumble.registry.trend import Change, Trend
 from tumble.sensors.parameters import beyond_linear, group_name
-from tumble.terminal.comparison import chi_square_of
+from tumble.terminal.comparison import judged_lines
 from tumble.terminal.table import plain_table
 from tumble.terminal.text import shown_units
 from tumble.units import rounded, two_digits
@@ -232,9 +233,12 @@ def _forecast_line(each: Forecast, size: float, unit: str) -> str:
 
 def _together(found: Monitored) -> list[RenderableType]:
     """What all parameters together say of a change."""
-    if found.comparison is None or found.comparison.chi_square is None:
-        return []
-    return [Text(""), Text(f"the latest against the one before, all together: {chi_square_of(found.comparison)}")]
+    return [] if found.comparison is None else [Text(""), *map(Text, change_lines(found.comparison))]
+
+
+def change_lines(comparison: Comparison) -> list[str]:
+    """What has changed since the calibration before, in sentences."""
+    return [f"the latest against the one before: {line}" for line in judged_lines(comparison)]
 
 
 def history_report(found: Monitored) -> RenderableType:

@@ -68,6 +68,8 @@ def trend_data(found: Monitored) -> dict[str, Any]:
         "frame": found.frame,
         "limits": {name: list(limits) for name, limits in found.limits.items()},
         "parameters": [_trend(trend) for trend in found.trends],
+        "changed": found.changed(),
+        "forecasts": found.forecasts(),
     }
 
 
@@ -114,6 +116,7 @@ def due_data(found: Sequence[Due], today: date) -> dict[str, Any]:
                 "performed": item.record.performed,
                 "months": item.months,
                 "due": item.day,
+                "by_drift": item.by_drift if item.drifts else None,
                 "overdue": item.day is not None and item.day < today,
             }
             for item in found
