@@ -238,7 +238,8 @@ def _together(found: Monitored) -> list[RenderableType]:
 
 def change_lines(comparison: Comparison) -> list[str]:
     """What has changed since the calibration before, in sentences."""
-    return [f"the latest against the one before: {line}" for line in judged_lines(comparison)]
+    first, *others = judged_lines(comparison)
+    return [f"the latest against the one before: {first}", *others]
 
 
 def history_report(found: Monitored) -> RenderableType:
