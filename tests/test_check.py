@@ -19,6 +19,7 @@ from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.check import FieldCheck, check_calibration, known_before
 from tumble.calibration.results import Launch, Member, Parameter
+from tumble.calibration.type_spread import KnownLaunches
 from tumble.cli import main
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Outcome
@@ -30,6 +31,11 @@ from tumble.planning.setup import Setup
 from tumble.recording.circumstances import Circumstances
 from tumble.recording.session_file import read_session
 from tumble.reduction.observations import Observations
+from tumble.registry.connect import open_registry
+from tumble.registry.records import Particulars, submission
+from tumble.registry.store import add
+from tumble.registry.type_launches import device_launches
+from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import HandHeld, Scenario, scenario_of
 from tumble.simulation.session import simulate_session
@@ -203,7 +209,7 @@ def test_a_session_is_checked_and_the_calibration_updated(folder: Path) -> None:
     out = folder / "updated.json"
     done = runner.invoke(main, ["check", str(folder / "calibration.json"), str(folder / "again"), "-o", str(out)])
     assert done.exit_code == 0, done.stderr
-    assert "still valid" in done.stdout
+    assert "no change is shown, and none larger than\naccel.bias " in done.stdout
     assert "4 rests and 3 turns" in done.stdout
     updated = read_calibration(out)
     assert updated.notes[0].startswith("no calibration of its own")
@@ -327,7 +333,7 @@ def test_a_calibration_of_few_degrees_of_freedom_is_believed_less() -> None:
 
 def test_deviations_of_few_launches_are_believed_less() -> None:
     _, calibration = device()
-    launch = Launch(session="a", parameters=(), covariance=None, log_sha256="")
+    launch = Launch(session="a", parameters=calibration.parameters, covariance=None, log_sha256="")
     launched = replace(
         calibration,
         launches=(launch,) * 3,
@@ -339,6 +345,67 @@ def test_deviations_of_few_launches_are_believed_less() -> None:
     alike = replace(launched, parameters=tuple(replace(p, run_to_run=0.0) for p in calibration.parameters))
     usual = (0.02 * DEGREE) ** 2 * 4.0 / 6.0
     assert known_before(alike, seen(3), "mems", {}).doubt[1 + i, 1 + i] == pytest.approx(usual / np.sqrt(6.0))
+
+
+def of_bias(degrees: int, size: float, *logs: str) -> KnownLaunches:
+    """Launches whose standard deviation of the X bias is this, m/s²."""
+    return KnownLaunches(serial="x", logs=frozenset(logs), degrees=degrees, variances={"accel.bias.x": (size**2, 0.0)})
+
+
+def test_launches_of_other_calibrations_of_the_device_count_and_those_of_this_one_once() -> None:
+    """s² = (4 s_g² + ν s_L²)/(4 + ν), twice of a single launch, by all launches that are known."""
+    _, calibration = device()
+    i = 1 + known_before(calibration, seen(3), "mems", {}).instrument.names.index("accel.bias.x")
+    u2 = next(p.u or 0.0 for p in calibration.parameters if p.name == "accel.bias.x") ** 2
+    usual = spread_of(TURN_ON["mems"], "accel.bias.x") ** 2
+    several = replace(
+        calibration,
+        launches=tuple(
+            Launch(session=log, parameters=calibration.parameters, covariance=None, log_sha256=log) for log in "ab"
+        ),
+        parameters=tuple(replace(p, run_to_run=3e-5) for p in calibration.parameters),
+    )
+    others = (of_bias(3, 1e-5, "a"), of_bias(4, 2e-5, "c"), of_bias(4, 2e-5, "d"))
+    for made, factor, pooled in (
+        (calibration, 2.0, (4.0 * usual + 3 * 1e-5**2 + 8 * 2e-5**2) / 15.0),
+        (several, 1.0, (4.0 * usual + 1 * 3e-5**2 + 8 * 2e-5**2) / 13.0),
+    ):
+        known = known_before(made, seen(3), "mems", {}, others)
+        assert known.covariance[i, i] == pytest.approx(factor * pooled + u2, rel=1e-6)
+
+
+def test_what_the_registry_knows_of_the_device_makes_a_smaller_change_a_change(folder: Path) -> None:
+    """The bias of the calibration is 1.5 mg off: nothing beside what MEMS devices usually do, much for this one."""
+    before = read_calibration(folder / "calibration.json")
+    names = [p.name for p in before.parameters]
+    off = tuple(replace(p, value=p.value + 2.5 * MG) if p.name == "accel.bias.x" else p for p in before.parameters)
+    calm = {p.name: p.value for p in before.parameters}
+    whole = replace(before, parameters=off).content()
+    with open_registry(str(folder / "r.sqlite"), create=True) as registry:
+        for k in range(3):
+            launches = [
+                {
+                    "session": f"{k}-{i}",
+                    "parameters": [p | {"value": calm[p["name"]]} for p in whole["parameters"]],
+                    "covariance": whole["covariance"],
+                    "log_sha256": f"{k}{i}" * 32,
+                }
+                for i in range(4)
+            ]
+            parameters = [p | {"run_to_run": 0.02 * (p["u"] or 0.0)} for p in whole["parameters"]]
+            text = json.dumps(whole | {"parameters": parameters, "launches": launches, "notes": [str(k)]})
+            add(registry, submission(text, "file", Particulars()))
+        known = device_launches(registry, before.serial)
+    assert [each.degrees for each in known] == [3, 3, 3]
+    assert set(known[0].variances) == set(names)
+    replace(before, parameters=off).write(folder / "slightly.json")
+    words = ["check", str(folder / "slightly.json"), str(folder / "again")]
+    alone = CliRunner().invoke(main, words)
+    assert alone.exit_code == 0, alone.stderr
+    done = CliRunner().invoke(main, [*words, "--registry", str(folder / "r.sqlite")])
+    assert done.exit_code == 1
+    assert "or as from launch to launch of 12 launches of the device" in done.stderr
+    assert "changed: accel.bias.x has changed by -" in done.stderr
 
 
 def test_one_launch_is_as_far_from_the_mean_as_the_one_that_is_checked() -> None:
