@@ -32,7 +32,7 @@ from matplotlib.figure import Figure
 
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import read_calibration
-from tumble.calibration.further import predicted
+from tumble.calibration.further import described, predicted
 from tumble.calibration.results import coverage_factor
 from tumble.cli import main
 from tumble.errors import MissingExtraError
@@ -47,7 +47,6 @@ from tumble.report.figures import drawn
 from tumble.report.numbers import fixed, significant
 from tumble.report.page import page as to_page
 from tumble.report.pdf import pdf as to_pdf
-from tumble.report.result import described
 from tumble.report.write import write_report
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import FURTHER

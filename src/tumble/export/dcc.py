@@ -18,20 +18,19 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import date
-from pathlib import Path
 
 import numpy as np
 from scipy.special import chdtri, fdtri
 
-from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.coverage import PROBABILITY, degrees_of_freedom
 from tumble.calibration.results import FEWEST_DEGREES, stated_factor
 from tumble.errors import InputError
-from tumble.export.certificate import RELATES, STATES, Certificate, Party
+from tumble.export.certificate import RELATES, STATES, Certificate, Party, check_certificate, judged_by
 from tumble.export.exported import Exported, example, models, one_line, origin, shown
 from tumble.export.larger_model import NOT_IN_MATRIX, not_held
 from tumble.registry.conformity import verdicts
-from tumble.registry.limits import RULE, LimitJudgement, Verdict, limits_of
+from tumble.registry.limits import RULE, LimitJudgement, Verdict
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import sensor_kind
 from tumble.units import Array
@@ -96,7 +95,11 @@ def d_si(*units: str) -> str:
 def dcc(calibration: Calibration, certificate: Certificate) -> Exported:
     """The XML file of a calibration with the administrative data of its certificate."""
     known = models(calibration)
-    judged = () if certificate.limits is None else tuple(verdicts(calibration, limits_of(Path(certificate.limits))))
+    check_certificate(
+        certificate, calibration, None if certificate.as_found is None else read_calibration(certificate.as_found)
+    )
+    limits = judged_by(certificate)
+    judged = () if limits is None else tuple(verdicts(calibration, limits))
     losses = (*LOSSES, *not_held(calibration, said=NOT_IN_MATRIX))
     inertial = [i for i, p in enumerate(calibration.parameters) if sensor_kind(p.name) != "mag"]
     calibration = replace(
@@ -136,7 +139,7 @@ def _administrative(parent: ET.Element, calibration: Calibration, certificate: C
     software = _child(_child(parent, "dccSoftware"), "software")
     _named(software, "name", name)
     _child(software, "release", release or "unknown")
-    _core(_child(parent, "coreData"), certificate, certificate.days(calibration.circumstances))
+    _core(_child(parent, "coreData"), certificate, certificate.days(calibration))
     _item(_child(_child(parent, "items"), "item"), calibration, certificate)
     laboratory = _child(parent, "calibrationLaboratory")
     if certificate.laboratory.code is not None:

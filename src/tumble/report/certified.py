@@ -44,7 +44,7 @@ def letterhead(laboratory: Party) -> Letterhead:
 
 def facts(certificate: Certificate, calibration: Calibration) -> tuple[tuple[str, str], ...]:
     """Customer, number, dates, place, state and procedure. Raises InputError without a day of the calibration."""
-    first, last = certificate.days(calibration.circumstances)
+    first, last = certificate.days(calibration)
     optional = (
         ("replaces certificate", certificate.replaces),
         ("received", None if certificate.received is None else certificate.received.isoformat()),

@@ -10,7 +10,7 @@ from tumble.calibration.coverage import remarks
 from tumble.registry.conformity import verdicts
 from tumble.registry.limits import RULE, LimitJudgement, Limits, Result
 from tumble.report.blocks import Block, Items, ReportTable, Section, Text, Tone
-from tumble.report.numbers import NONE, minus
+from tumble.report.numbers import NONE, limit_of, minus
 from tumble.terminal.text import shown_units
 from tumble.units import engineering, rounded
 
@@ -28,13 +28,13 @@ TONES: Mapping[Result, Tone] = {
 _CHECKS = {"incoming": "Incoming inspection", "periodic": "Periodic check"}
 
 
-def section(calibration: Calibration, limits: Limits | None, agreed: str | None = None) -> Section:
-    """Limits, verdict and decision rule, and of a certificate how this was `agreed`."""
+def section(calibration: Calibration, limits: Limits | None) -> Section:
+    """Limits, verdict and decision rule."""
     if limits is None:
         said = "No acceptance limits were given: this report states values and uncertainties, not conformity."
         return Section(title="Limits and verdict", blocks=(Text(text=said),))
     rule = f"{RULE[0].upper()}{RULE[1:]}. Limits hold in the frame “{limits.frame}”."
-    blocks: list[Block] = [Text(text=f"{rule} Agreed beforehand: {agreed}." if agreed else rule)]
+    blocks: list[Block] = [Text(text=rule)]
     if found := remarks(calibration):
         blocks.append(Items(items=found))
     units = shown_units(calibration.parameters)
@@ -61,12 +61,8 @@ def _row(judgement: LimitJudgement, units: Mapping[str, tuple[float, str]]) -> t
         value, expanded = rounded(judgement.value / size, judgement.expanded / size)
     elif judgement.value is not None:
         value = f"{judgement.value / size:.6g}"
-    low, high = (_limit(v, size) for v in (judgement.low, judgement.high))
+    low, high = (limit_of(v, size) for v in (judgement.low, judgement.high))
     return judgement.name, low, minus(value), expanded, high, unit, judgement.result
-
-
-def _limit(value: float, size: float) -> str:
-    return minus(f"{value / size:.6g}") if math.isfinite(value) else NONE
 
 
 def _at(judgement: LimitJudgement) -> str:

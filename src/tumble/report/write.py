@@ -42,13 +42,13 @@ def write_report(
         from tumble.report.content import Source, document, not_accepted
         from tumble.report.page import page
         from tumble.report.pdf import pdf
-    from tumble.export.certificate import read_certificate
+    from tumble.export.certificate import judged_by, read_certificate
     from tumble.registry.limits import limits_of
 
     stated = None if certificate is None else read_certificate(Path(certificate))
-    if limits is None and stated is not None:
-        limits = stated.limits
-    acceptance = None if limits is None else limits_of(Path(limits))
+    acceptance = None if stated is None else judged_by(stated)
+    if limits is not None:
+        acceptance = limits_of(Path(limits))
     as_found = None if stated is None or stated.as_found is None else read_calibration(stated.as_found)
     sources = [
         Source(file=path.name, sha256=_sha256(path), calibration=read_calibration(path)) for path in map(Path, files)
