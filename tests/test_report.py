@@ -79,7 +79,6 @@ SECTIONS = (
     "Convergence",
     "Noise and drift of the rests",
     "Provenance",
-    "Covariance matrix",
 )
 
 
@@ -330,23 +329,6 @@ def test_the_strongest_correlations_are_those_of_the_covariance(page: Page, cont
     np.testing.assert_allclose(shown, others[: len(shown)], atol=0.00051)
 
 
-def test_the_covariance_matrix_stands_whole(page: Page, content: Any) -> None:
-    """Three tables: accelerometers, gyros with accelerometers, gyros."""
-    names = [p["name"] for p in content["parameters"]]
-    found = np.full((len(names), len(names)), np.nan)
-    for first in ("accel", "gyro"):
-        for table in (t for t in page.tables if t and t[0][0] == first):
-            for row in table[1:]:
-                for column, cell in zip(table[0][1:], row[1:], strict=True):
-                    kinds = [k for k in ("accel", "gyro") if f"{k}.{column}" in names]
-                    kind = first if len(table[0]) - 1 == len(table) - 1 else "accel"
-                    assert kind in kinds
-                    if cell:
-                        found[names.index(row[0]), names.index(f"{kind}.{column}")] = number(cell)
-    lower = np.tril_indices(len(names))
-    np.testing.assert_allclose(found[lower], np.array(content["covariance"])[lower], rtol=0.0051)
-
-
 def test_the_test_vectors_follow_from_the_printed_numbers(page: Page, content: Any) -> None:
     """With printed matrices and biases, and with those of the file; a reader without the file can check a program."""
     matrices = [np.array(m) for m in page.matrices()]
@@ -377,14 +359,6 @@ def test_increments_of_the_iterations_are_those_of_the_file(page: Page, content:
             assert power is not None
             exponent = int((power[2] or "0").translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")))
             assert float(power[1]) * 10.0**exponent * SIZES[shown[1]] == pytest.approx(rms, rel=0.0051)
-
-
-def test_the_covariances_are_on_one_page(pdf: Path) -> None:
-    with opened(pdf) as document:
-        with_any = [text for page in document if "accel with accel" in (text := page.get_text())]
-    assert len(with_any) == 1
-    assert "gyro with accel" in with_any[0]
-    assert "gyro with gyro" in with_any[0]
 
 
 def test_html_and_pdf_say_the_same(page: Page, pdf: Path) -> None:
