@@ -18,7 +18,7 @@ from tumble.registry.connect import open_registry
 from tumble.registry.limits import Limits, parse_limits
 from tumble.registry.records import Particulars, submission
 from tumble.registry.series import verdict_of
-from tumble.registry.store import add, limits_records, parameters_of, record, set_limits
+from tumble.registry.store import add, limits_records, record, set_limits
 from tumble.report.limits import section
 from tumble.units import G_STANDARD
 
@@ -104,6 +104,6 @@ def test_the_registry_judges_a_record_over_temperature(tmp_path: Path) -> None:
         set_limits(registry, "test", text, None)
         number = add(registry, submission(json.dumps(MADE.content()), "file", Particulars())).record.number
         known = {own.number: own for own in limits_records(registry)}
-        verdict = verdict_of(registry, record(registry, number), parameters_of(registry, [number])[number], known)
+        verdict = verdict_of(registry, record(registry, number), known)
         assert verdict is not None
         assert verdict.over == "within limits from −18 to 57 °C"

@@ -24,6 +24,7 @@ from sqlalchemy import text
 from tumble.errors import InputError, MissingExtraError
 from tumble.registry import connect
 from tumble.registry.connect import Registry, open_registry
+from tumble.registry.due import due
 from tumble.registry.exchange import Imported, export_lines, import_file
 from tumble.registry.records import LaunchRow, Particulars, Submission, read_submission, submission
 from tumble.registry.schema import METADATA, VERSION, VERSION_TABLE
@@ -451,6 +452,35 @@ def test_an_older_program_says_that_the_registry_is_newer(registry: Registry, pl
     said = "expected a registry of schema v0001 or older, found v0999, written by a newer tumble than this one"
     with pytest.raises(InputError, match=said), open_registry(place):
         pass
+
+
+def test_a_damaged_column_is_said_in_one_line(tmp_path: Path) -> None:
+    place = str(tmp_path / "r.sqlite")
+    with open_registry(place, create=True) as registry:
+        added(registry)
+    with sqlite3.connect(place) as raw:
+        raw.execute("DROP TRIGGER calibration_no_update")
+        raw.execute("UPDATE calibration SET performed = 'the day before'")
+    with open_registry(place) as registry:
+        for look in (lambda: records(registry), lambda: records(registry, "A-0007"), lambda: due(registry)):
+            with pytest.raises(InputError, match="expected what was written into it, found a damaged value") as refused:
+                look()
+            assert "\n" not in str(refused.value)
+
+
+def test_a_registry_on_a_medium_that_nobody_can_write_to_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = tmp_path / "a #%? name" / "r.sqlite"
+    place.parent.mkdir()
+    with open_registry(str(place), create=True) as registry:
+        added(registry)
+    monkeypatch.setattr(connect.os, "access", lambda *_: False)
+    with open_registry(str(place)) as registry:
+        assert [record.serial for record in records(registry)] == ["A-0007"]
+        assert [path.name for path in place.parent.iterdir()] == ["r.sqlite"]  # none beside it
+        with pytest.raises(InputError, match="the registry cannot be used: attempt to write a readonly database"):
+            added(registry, log="b")
 
 
 def test_an_open_registry_needs_no_alembic(tmp_path: Path) -> None:

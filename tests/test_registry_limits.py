@@ -23,7 +23,7 @@ from tumble.registry.limits import Limits, judge, judge_value, months_later, par
 from tumble.registry.monitor import monitored
 from tumble.registry.records import ParameterRow, Particulars, submission, utc
 from tumble.registry.series import verdict_of
-from tumble.registry.store import add, limits_records, parameters_of, record, set_limits
+from tumble.registry.store import add, limits_records, record, set_limits
 from tumble.terminal.registry import due_table
 from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD
 
@@ -199,10 +199,11 @@ def added(registry: Any, particulars: Particulars | None = None, **what: Any) ->
 
 
 def result(registry: Any, number: int) -> str | None:
-    rows = parameters_of(registry, [number])[number]
     known = {own.number: own for own in limits_records(registry)}
-    verdict = verdict_of(registry, record(registry, number), rows, known)
-    return None if verdict is None else verdict.result
+    verdict = verdict_of(registry, record(registry, number), known)
+    said = None if verdict is None else verdict.result
+    assert record(registry, number).verdict == said  # as it was when it was added
+    return said
 
 
 def test_a_verdict_stands_when_limits_are_replaced(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.temperature_curves import Range, changing, curve, measured_range
 from tumble.registry.limits import LimitJudgement, Limits, Result, Verdict, judge, result_inside
-from tumble.registry.records import OCCASIONS, parameter_rows
+from tumble.registry.records import OCCASIONS, Occasion, parameter_rows
 from tumble.sensors.parameters import FURTHER, group_name
 from tumble.units import Array
 
@@ -31,11 +31,15 @@ def verdicts(calibration: Calibration, limits: Limits) -> list[Verdict]:
     """What the limits say of a calibration, for each check that they are for.
 
     Raises CalibrationError where it cannot be taken to the frame of the limits."""
-    if calibration.frame != limits.frame:
-        calibration = calibration.in_frame(limits.frame)
-    rows, unseen = list(parameter_rows(calibration.parameters)), calibration.outcome.unobservable
-    found = [judge(limits, occasion, rows, unseen) for occasion in OCCASIONS]
-    return [over_temperature(verdict, calibration, limits) for verdict in found if verdict is not None]
+    found = [verdict_at(calibration, limits, occasion) for occasion in OCCASIONS if limits.checks.get(occasion)]
+    return [verdict for verdict in found if verdict is not None]
+
+
+def verdict_at(calibration: Calibration, limits: Limits, occasion: Occasion) -> Verdict | None:
+    """What the limits say of a calibration at a check; None where they have none for it. Raises as `verdicts`."""
+    calibration = calibration.in_frame(limits.frame)
+    verdict = judge(limits, occasion, parameter_rows(calibration.parameters), calibration.outcome.unobservable)
+    return None if verdict is None else over_temperature(verdict, calibration, limits)
 
 
 def over_temperature(verdict: Verdict, calibration: Calibration, limits: Limits) -> Verdict:

@@ -24,6 +24,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import date
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -248,6 +249,7 @@ def _text(path: Path) -> str:
         raise InputError(f"{path}: expected UTF-8 text, found {error}") from error
 
 
+@lru_cache(maxsize=64)
 def parse_limits(text: str, systematic: str | None, name: str) -> Limits:
     """The limits of the text of a file and of the calibration it names. Raises InputError, one line."""
     content = _content(text, name)

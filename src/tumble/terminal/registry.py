@@ -13,7 +13,6 @@ from rich.text import Text
 from tumble.calibration.compare import Comparison
 from tumble.calibration.coverage import expanded_of as expanded_uncertainty
 from tumble.calibration.results import Parameter
-from tumble.registry.due import Due
 from tumble.registry.forecast import Forecast
 from tumble.registry.limits import RULE, LimitJudgement, Verdict
 from tumble.registry.monitor import Monitored
@@ -29,41 +28,6 @@ from tumble.units import rounded, two_digits
 
 _BARS = "▁▂▃▄▅▆▇█"
 _LONG = 24  # points of a sparkline
-
-
-def devices_table(latest: Iterable[Due], counts: Mapping[str, int], verdicts: Mapping[int, str]) -> Table:
-    """Every device with its latest record."""
-    table = _table("device", "type", "calibrations", "latest", "record", "check", "verdict", "due")
-    for item in latest:
-        record = item.record
-        table.add_row(
-            Text(record.serial),
-            Text(record.model or ""),
-            str(counts[record.serial]),
-            _day(record.performed),
-            str(record.number),
-            record.occasion,
-            verdicts[record.number],
-            str(item.day or ""),
-        )
-    return table
-
-
-def records_table(records: Iterable[Record], verdicts: Mapping[int, str]) -> Table:
-    """The records of a device."""
-    table = _table("record", "performed", "check", "state", "method", "frame", "verdict", "")
-    for record in records:
-        table.add_row(
-            str(record.number),
-            _day(record.performed),
-            record.occasion,
-            record.state,
-            Text(record.method),
-            Text(record.frame),
-            verdicts[record.number],
-            f"superseded by {record.superseded_by}" if record.superseded_by else "",
-        )
-    return table
 
 
 def record_report(
@@ -152,25 +116,6 @@ def limits_table(found: Iterable[LimitsRecord], in_force: Mapping[str, LimitsRec
     for own in found:
         said = "in force" if in_force[own.model] == own else "replaced"
         table.add_row(str(own.number), Text(own.model), _day(own.added), said)
-    return table
-
-
-def due_table(found: Iterable[Due], today: date) -> Table:
-    """What is due when."""
-    table = _table("device", "type", "latest", "record", "every", "due", "")
-    for item in found:
-        left = None if item.day is None else (item.day - today).days
-        said = "no interval" if left is None else f"in {left} d" if left >= 0 else f"overdue by {-left} d"
-        said += f", by the drift of {item.by_drift.name}" if item.drifts and item.by_drift is not None else ""
-        table.add_row(
-            Text(item.record.serial),
-            Text(item.record.model or ""),
-            _day(item.record.performed),
-            str(item.record.number),
-            "" if item.months is None else f"{item.months} months",
-            str(item.day or ""),
-            Text(said),
-        )
     return table
 
 
