@@ -142,7 +142,9 @@ class Recording:
         if self.temperature is not None:
             tables["log.temperature"] = 'columns = ["T"]\nunit = "degC"'
         for name, lines in self.spec.stated.items():
-            tables[name] = f"{tables[name]}\n{lines}" if name in tables and not lines.startswith("=") else lines.lstrip("=")
+            tables[name] = (
+                f"{tables[name]}\n{lines}" if name in tables and not lines.startswith("=") else lines.lstrip("=")
+            )
         text = "format = 1\n\n" + "\n\n".join(f"[{name}]\n{lines}" for name, lines in tables.items() if lines)
         (folder / "session.toml").write_text(text + "\n", encoding="utf-8")
         return folder
@@ -301,7 +303,10 @@ def record(spec: Spec, seed: int) -> Recording:
     t = dt * np.arange(1, int(motion.duration * spec.rate) + 1)
     nodes = (0.0,) if spec.instantaneous else NODES
     shares = (1.0,) if spec.instantaneous else SHARES
-    of = {kind: _axes({n.split(".")[2]: v for n, v in truth.items() if n.startswith(f"{kind}.axis")}) for kind in ("accel", "gyro")}
+    of = {
+        kind: _axes({n.split(".")[2]: v for n, v in truth.items() if n.startswith(f"{kind}.axis")})
+        for kind in ("accel", "gyro")
+    }
     matrix = {kind: np.diag([1.0 + truth[f"{kind}.scale.{s}"] for s in "xyz"]) @ of[kind] for kind in of}
     accel, gyro = np.zeros((len(t), 3)), np.zeros((len(t), 3))
     for node, share in zip(nodes, shares, strict=True):
@@ -312,7 +317,10 @@ def record(spec: Spec, seed: int) -> Recording:
         accel += share * read
         gyro += share * (w @ matrix["gyro"].T + f[:, 2] @ sensitive.T + uneven[1] * np.abs(w))
     biases = {kind: np.array([truth[f"{kind}.bias.{s}"] for s in "xyz"]) for kind in ("accel", "gyro")}
-    drift = {"accel": _process(spec, grade.in_run[0], t, motion, rng), "gyro": _process(spec, grade.in_run[1], t, motion, rng)}
+    drift = {
+        "accel": _process(spec, grade.in_run[0], t, motion, rng),
+        "gyro": _process(spec, grade.in_run[1], t, motion, rng),
+    }
     if spec.scatter_of_one:
         k = np.clip(np.searchsorted(motion.rests[:, 0] - motion.turn, t, side="right") - 1, 0, None)
         drift["accel"][:, 0] += spec.scatter_of_one * rng.normal(size=len(motion.rests))[k]
@@ -334,7 +342,9 @@ def record(spec: Spec, seed: int) -> Recording:
     for a, b in motion.rests:
         resting |= (t > a) & (t <= b)
     if not warm:  # what a bias was over the rests is what a session can know
-        means = {k: np.mean([drift[k][(t > a) & (t <= b)].mean(axis=0) for a, b in motion.rests], axis=0) for k in drift}
+        means = {
+            k: np.mean([drift[k][(t > a) & (t <= b)].mean(axis=0) for a, b in motion.rests], axis=0) for k in drift
+        }
         for kind, mean in means.items():
             for s, value in zip("xyz", mean, strict=True):
                 truth[f"{kind}.bias.{s}"] += float(value)

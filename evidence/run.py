@@ -69,7 +69,11 @@ def tried(job: tuple[str, int]) -> dict[str, object]:
     with tempfile.TemporaryDirectory() as scratch:
         made = record(KINDS[kind], seed)
         found = tumble.calibrate(made.write(Path(scratch) / "session"))
-    z = {name: (found[name].value - made.truth[name]) / found[name].u for name in NAMES if name in found and found[name].u}
+    z = {
+        name: (found[name].value - made.truth[name]) / found[name].u
+        for name in NAMES
+        if name in found and found[name].u
+    }
     covered = {name: abs(value) <= 1.95996 * (found[name].k or 2.0) / 2.0 for name, value in z.items()}
     said = [*found.outcome.reasons, *found.outcome.remarks]
     return {

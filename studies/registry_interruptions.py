@@ -30,7 +30,7 @@ from sqlalchemy import func, select, text
 
 from tumble.registry.connect import open_registry
 from tumble.registry.records import LaunchRow, ParameterRow, Particulars, Submission, content_sha256
-from tumble.registry.schema import CALIBRATION, LAUNCH, PARAMETER
+from tumble.registry.schema import CALIBRATION, CONTENT, LAUNCH
 from tumble.registry.store import add
 
 PARAMETERS = 21
@@ -108,13 +108,13 @@ def look(place: str, contents: bool) -> Found:
             said = connection.execute(text("PRAGMA integrity_check")).scalars().all()
             faults += [line for line in said if line != "ok"]
         records = {r.number: r.sha256 for r in connection.execute(select(CALIBRATION.c.number, CALIBRATION.c.sha256))}
-        for table, expected in ((PARAMETER, PARAMETERS), (LAUNCH, 1)):
+        for table, expected in ((CONTENT, 1), (LAUNCH, 1)):
             counts = select(table.c.calibration, func.count().label("rows")).group_by(table.c.calibration)
             found = {row.calibration: row.rows for row in connection.execute(counts)}
             faults += [
                 f"record {n} has {found.get(n)} rows in {table.name}" for n in records if found.get(n) != expected
             ]
-        for row in connection.execute(select(CALIBRATION.c.sha256, CALIBRATION.c.file)) if contents else ():
+        for row in connection.execute(select(CALIBRATION.c.sha256, CONTENT.c.file).join(CONTENT)) if contents else ():
             if content_sha256(row.file) != row.sha256:
                 faults.append(f"another content than {row.sha256}")
     return Found(records=set(records.values()), faults=faults)

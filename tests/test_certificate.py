@@ -17,15 +17,21 @@ from calibrated import calibration
 from click.testing import CliRunner
 from test_report import Page, opened, pdf_text
 
+from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import read_calibration
 from tumble.calibration.coverage import expanded
+from tumble.calibration.further import left_by_matrix, left_said
 from tumble.calibration.observed import inspect_session
+from tumble.calibration.results import Launch, Parameter
 from tumble.cli import main
 from tumble.errors import InputError
+from tumble.estimation.estimate import Outcome
+from tumble.export import export_calibration
+from tumble.export.certificate import read_certificate
 from tumble.planning.setup import Setup
 from tumble.recording.circumstances import AirConditions, Circumstances
 from tumble.recording.session_file import session_of
-from tumble.registry.limits import LimitJudgement, judge_value
+from tumble.registry.limits import judge_value
 from tumble.registry.records import Particulars, read_submission
 from tumble.report.write import write_report
 from tumble.simulation.session import simulate_session
@@ -47,7 +53,8 @@ CERTIFICATE = """
 number = "2026-0042"
 country = "DE"
 laboratory = "lab/laboratory.toml"
-received = 2026-05-01
+received = 2025-03-01
+issued = 2025-03-07
 state = "as-left"
 as_found = "before.json"
 procedure = "IMU-7"
@@ -73,7 +80,12 @@ def files(folder: Path, *, at: float = 0.5, certificate: str = CERTIFICATE) -> P
     made = replace(calibration(), circumstances=RECORDED)
     made.write(folder / "c.json")
     first = made.parameters[0]
-    before = replace(made, parameters=(replace(first, value=first.value + 0.01), *made.parameters[1:]))
+    before = replace(
+        made,
+        parameters=(replace(first, value=first.value + 0.01), *made.parameters[1:]),
+        circumstances=replace(RECORDED, date="2025-03-02"),
+        provenance={**made.provenance, "log_sha256": "b" * 64},
+    )
     before.write(folder / "before.json")
     U = expanded(first)
     assert U is not None
@@ -113,7 +125,7 @@ def test_a_certificate_says_what_it_is_asked_for(made: Path, ending: str) -> Non
         "A customer, Perm, RU",
         "2026-0042",
         "2025-03-04",
-        "2026-05-01",
+        "2025-03-01",
         "as left: calibrated after adjustment",
         "22.5 °C, U = 1 °C (k = 2)",
         "40 %",
@@ -166,15 +178,12 @@ def test_the_badge_is_one_of_the_four_outcomes(tmp_path: Path, at: float, outcom
 
 
 def test_outcomes_without_a_value_or_u_are_undecided() -> None:
-    def judged(value: float | None, expanded: float | None, low: float = -1.0) -> str:
+    def judged(value: float, expanded: float | None, low: float = -1.0) -> str:
         u = None if expanded is None else 0.5 * expanded
-        result = "undecided" if value is None else judge_value(value, u, low, 1.0)
-        return LimitJudgement(
-            name="a", unit="1", value=value, expanded=expanded, low=low, high=1.0, result=result
-        ).statement
+        return judge_value(value, u, low, 1.0)
 
     assert [judged(v, 0.2) for v in (0.0, 0.9, 1.1, 1.3)] == ["pass", "conditional pass", "conditional fail", "fail"]
-    assert [judged(None, None), judged(0.0, None), judged(0.0, 0.2, np.nan)] == ["undecided"] * 3
+    assert [judged(0.0, None), judged(0.0, 0.2, np.nan)] == ["undecided"] * 2
 
 
 def test_the_logo_is_in_the_page_and_the_page_loads_nothing(made: Path) -> None:
@@ -196,12 +205,180 @@ def test_a_number_cannot_leave_its_place_in_the_style_of_the_page(tmp_path: Path
         (('number = "2026-0042"', ""), "number: expected this key, found none; see docs/certificate.md"),
         (('"limits.toml"', '"none.toml"'), "none.toml: cannot be read"),
         (('"before.json"', '"none.json"'), "none.json: cannot be read"),
+        (
+            ("received = 2025-03-01", "received = 2025-03-05"),
+            "begin: expected a day not before received, 2025-03-05, f",
+        ),
+        (("issued = 2025-03-07", "issued = 2025-03-03"), "issued: expected a day not before end, 2025-03-04, found"),
+        (('state = "as', 'begin = 2025-03-05\nstate = "as'), "end: expected a day not before begin, 2025-03-05, found"),
+        (
+            ('state = "as', 'begin = 2025-03-05\nend = 2025-03-06\nstate = "as'),
+            "begin, end: expected days that hold every recording, found 2025-03-05 to 2025-03-06 and a record",
+        ),
+        (('procedure = "IMU-7"\n', ""), "procedure: expected this key under an accreditation number (laboratory.code)"),
+        (('traceability = ["gravity: point 1234"]\n', ""), "found none of traceability"),
+        (("issued = 2025-03-07\n", ""), "found none of issued"),
+        (('agreed = "order 4711"\n', ""), "found none of agreed"),
+        (
+            ("before.json", "c.json"),
+            "as_found: expected a calibration from before the adjustment, found one of the same",
+        ),
+        (
+            ('state = "as', 'replaces = "2026-0042"\nstate = "as'),
+            "replaces: expected the number of another certificate",
+        ),
+        (('state = "as', 'check = "incoming"\nstate = "as'), "check: expected 'periodic', whose limits"),
     ],
 )
 def test_what_a_certificate_lacks_is_said_in_one_line(tmp_path: Path, change: tuple[str, str], said: str) -> None:
     with pytest.raises(InputError, match=re.escape(said)) as refused:
         certificate(tmp_path, "html", certificate=CERTIFICATE.replace(*change))
     assert "\n" not in str(refused.value)
+
+
+def test_nothing_is_written_of_a_certificate_that_does_not_hold(tmp_path: Path) -> None:
+    faulty = CERTIFICATE.replace("issued = 2025-03-07", "issued = 2025-03-03")
+    with pytest.raises(InputError, match="issued: expected a day not before end"):
+        certificate(tmp_path, "pdf", certificate=faulty)
+    assert not (tmp_path / "c.pdf").exists()
+    with pytest.raises(InputError, match="issued: expected a day not before end"):
+        export_calibration(
+            read_calibration(tmp_path / "c.json"), "dcc", certificate=read_certificate(tmp_path / "certificate.toml")
+        )
+
+
+def test_an_adjustment_lies_between_as_found_and_as_left(tmp_path: Path) -> None:
+    path = files(tmp_path)
+    later = replace(read_calibration(tmp_path / "before.json"), circumstances=Circumstances(date="2025-03-06"))
+    later.write(tmp_path / "before.json", force=True)
+    with pytest.raises(InputError, match="as_found: expected a recording from before that of the result"):
+        write_report(path, tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
+
+
+def test_a_statement_of_conformity_is_about_one_check(tmp_path: Path) -> None:
+    path = files(tmp_path)
+    limits = (tmp_path / "limits.toml").read_text("utf-8")
+    (tmp_path / "limits.toml").write_text(limits + '[incoming]\n"accel.bias" = "9 g"\n', "utf-8")
+    with pytest.raises(InputError, match=r"check: expected 'incoming' or 'periodic', for .* has limits of both"):
+        write_report(path, tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
+    (tmp_path / "certificate.toml").write_text(CERTIFICATE.replace("agreed", 'check = "incoming"\nagreed'), "utf-8")
+    assert write_report(path, tmp_path / "r.html", certificate=tmp_path / "certificate.toml") == []
+    page = Page.of(tmp_path / "r.html")
+    rows = page.table("parameter", "lowest", "highest", "verdict", "k", "ν")
+    assert (rows[0]["lowest"], rows[0]["highest"], rows[0]["verdict"], rows[0]["ν"]) == ("−9000", "9000", "pass", "∞")
+    assert "periodic" not in page.whole
+
+
+def test_every_recording_is_dated_on_the_first_page(tmp_path: Path) -> None:
+    path = files(tmp_path, certificate=CERTIFICATE.replace("issued = 2025-03-07", "issued = 2025-03-09"))
+    made = read_calibration(path)
+    launches = tuple(
+        Launch(
+            session=f"run-{day}",
+            parameters=made.parameters,
+            covariance=made.covariance,
+            log_sha256=str(day) * 64,
+            circumstances=replace(RECORDED, date=f"2025-03-0{day}T09:30:00"),
+        )
+        for day in (3, 4, 5)
+    )
+    replace(made, launches=launches, circumstances=replace(RECORDED, date="2025-03-05T09:30:00")).write(
+        path, force=True
+    )
+    write_report(path, tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
+    said = Page.of(tmp_path / "r.html").whole
+    assert "recorded2025-03-03 09:30:00, 2025-03-04 09:30:00, 2025-03-05 09:30:00" in said
+    assert "calibrated2025-03-03 to 2025-03-05" in said
+    assert "It is of the mean of 3 power-ons; a single later one lies about the mean" in said
+
+
+REMARKS = (
+    "residuals larger than the noise; probable cause: the switch on was earlier; state gyro_cubic in [device.prior]",
+)
+
+
+def test_a_customer_reads_no_opinions_and_no_advice_and_signs_beside_the_result(tmp_path: Path) -> None:
+    many = ", ".join(f'"remark {i}: {"words " * 20}"'.replace(' "', '"') for i in range(9))
+    text = CERTIFICATE.replace("[customer]", f"remarks = [{many}]\n[customer]", 1)
+    path = files(tmp_path, certificate=text)
+    made = read_calibration(path)
+    outcome = Outcome(remarks=REMARKS, of_gyro=REMARKS)
+    notes = ("all turns have about 50 °/s: scale factors hold at this rate; state gyro_cubic in [device.prior]",)
+    replace(made, outcome=outcome, notes=notes).write(path, force=True)
+    for ending in ("html", "pdf"):
+        write_report(path, tmp_path / f"r.{ending}", certificate=tmp_path / "certificate.toml")
+    page = Page.of(tmp_path / "r.html").whole
+    assert "probable cause" not in page
+    assert "device.prior" not in page
+    assert "Accepted with scatter" in page
+    assert "scale factors hold at this rate" in page
+    with opened(tmp_path / "r.pdf") as document:
+        pages = [" ".join(each.get_text().split()) for each in document]
+    assert "head of the laboratory" in pages[0]
+    assert pages[1].startswith("Annexes")
+    write_report(path, tmp_path / "laboratory.html")  # a report for those who run the program has all of it
+    assert "probable cause" in Page.of(tmp_path / "laboratory.html").whole
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The certificate, as HTML and PDF, of a simulated MEMS device with all groups of parameters."""
+    folder = tmp_path_factory.mktemp("real")
+    session = simulate_session(folder / "session", Setup.of(grade="mems", positions=14), seed=3)
+    files(folder, certificate=CERTIFICATE.replace('state = "as-left"\nas_found = "before.json"\n', ""))
+    replace(calibrate(session), circumstances=RECORDED).write(folder / "real.json")
+    for ending in ("html", "pdf"):
+        write_report(folder / "real.json", folder / f"c.{ending}", certificate=folder / "certificate.toml")
+    return folder
+
+
+def test_a_certificate_of_all_groups_has_nine_pages_at_most_and_no_large_file(real: Path) -> None:
+    with opened(real / "c.pdf") as document:
+        pages = [" ".join(page.get_text().split()) for page in document]
+    assert len(pages) <= 9
+    assert all(len(text) > 300 for text in pages)  # no line that has spilt over
+    assert (real / "c.html").stat().st_size < 300_000
+    assert (real / "c.pdf").stat().st_size < 300_000
+
+
+def test_the_whole_correction_is_printed_and_its_test_vector_follows_from_what_is_printed(real: Path) -> None:
+    """The reading by the printed formula at the printed true values, written out here, is the printed reading."""
+    page = Page.of(real / "c.html")
+    table = page.table("parameter", "value, SI", "unit")
+    value = {row["parameter"]: printed(row["value, SI"]) for row in table}
+    matrices = [np.array(matrix) for matrix in page.matrices()]
+    (A, a0), (G, g0) = matrices[:2], matrices[5:7]
+    reading, f, turning, w = (matrix[:, 0] for matrix in matrices[10:])
+    accel, gyro = A @ f + a0[:, 0], G @ w + g0[:, 0]
+    for i, axis in enumerate("xyz"):
+        accel[i] += value[f"accel.quadratic.{axis}"] * f[i] ** 2 + value[f"accel.cubic.{axis}"] * f[i] ** 3
+        accel[i] += value[f"accel.asymmetry.{axis}"] * abs(f[i])
+        gyro[i] += value[f"gyro.asymmetry.{axis}"] * abs(w[i])
+        gyro[i] += sum(value[f"gyro.g_sensitivity.{axis}{by}"] * f[j] for j, by in enumerate("xyz"))
+    np.testing.assert_allclose(accel, reading, rtol=0.0, atol=2e-8)
+    np.testing.assert_allclose(gyro, turning, rtol=0.0, atol=2e-8)
+    assert not np.allclose(A @ f + a0[:, 0], reading, rtol=0.0, atol=1e-5)
+    left = left_by_matrix(read_calibration(real / "real.json"))
+    assert left is not None
+    assert left_said(left) in page.whole
+
+
+def printed(text: str) -> float:
+    """A number with a power of ten as a report writes it."""
+    mantissa, _, power = text.replace("−", "-").partition("·10")
+    return float(mantissa) * 10.0 ** int(power.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")) or "0")
+
+
+def test_what_matrix_and_bias_leave_is_the_size_of_what_they_have_not() -> None:
+    """One K₂ alone: K₂ f² of a reading at 1 g, in every axis."""
+    made = calibration()
+    more = Parameter(name="accel.quadratic.x", value=50e-6 / 9.80665, u=1e-7, unit="s^2/m")
+    bent = replace(made, parameters=(*made.parameters, more), covariance=None)
+    left = left_by_matrix(bent)
+    assert left is not None
+    assert left.force == pytest.approx(50e-6 * 9.80665, rel=0.02)
+    assert left.rate is None
+    assert left_by_matrix(made) is None
 
 
 def test_a_logo_that_is_none_and_another_device_as_found_are_refused(tmp_path: Path) -> None:

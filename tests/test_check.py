@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,8 @@ from scipy import stats
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.check import FieldCheck, check_calibration, known_before
-from tumble.calibration.results import Launch, Parameter
+from tumble.calibration.results import Launch, Member, Parameter
+from tumble.calibration.type_spread import KnownLaunches
 from tumble.cli import main
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Outcome
@@ -26,7 +28,14 @@ from tumble.estimation.likelihood import Point, Prior, Problem
 from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.method import joint
 from tumble.planning.setup import Setup
+from tumble.recording.circumstances import Circumstances
+from tumble.recording.session_file import read_session
 from tumble.reduction.observations import Observations
+from tumble.registry.connect import open_registry
+from tumble.registry.records import Particulars, submission
+from tumble.registry.store import add
+from tumble.registry.type_launches import device_launches
+from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import HandHeld, Scenario, scenario_of
 from tumble.simulation.session import simulate_session
@@ -200,7 +209,7 @@ def test_a_session_is_checked_and_the_calibration_updated(folder: Path) -> None:
     out = folder / "updated.json"
     done = runner.invoke(main, ["check", str(folder / "calibration.json"), str(folder / "again"), "-o", str(out)])
     assert done.exit_code == 0, done.stderr
-    assert "still valid" in done.stdout
+    assert "no change is shown, and none larger than\naccel.bias " in done.stdout
     assert "4 rests and 3 turns" in done.stdout
     updated = read_calibration(out)
     assert updated.notes[0].startswith("no calibration of its own")
@@ -210,6 +219,39 @@ def test_a_session_is_checked_and_the_calibration_updated(folder: Path) -> None:
     )
     assert refused.exit_code == 2
     assert "another log" in refused.stderr
+
+
+OF_THE_DEVICE = {"serial", "model", "axes", "readings", "thermometers", "imu", "frame"}
+OF_THE_CALIBRATION = {"method", "outcome", "fits", "mag", "measured_between", "groups"}
+"""On which the updated uncertainties still rest."""
+OF_THE_CHECK = {
+    "parameters", "covariance", "accel", "gyro", "prediction", "reference_temperature", "references", "site",
+    "circumstances", "sample_rate", "notes", "provenance",
+}  # fmt: skip
+OF_SESSIONS_THAT_ARE_NOT_THERE = {"iterations", "rests", "turns", "programme", "launches", "clock_u", "together"}
+
+
+def test_every_field_of_an_updated_calibration_is_carried_along_or_made_on_purpose(folder: Path) -> None:
+    """A new field of a calibration belongs into one of the sets, and into `_updated` accordingly."""
+    sets = OF_THE_DEVICE, OF_THE_CALIBRATION, OF_THE_CHECK, OF_SESSIONS_THAT_ARE_NOT_THERE
+    assert sorted(field.name for field in fields(Calibration)) == sorted(chain(*sets))
+    before = replace(
+        read_calibration(folder / "calibration.json"),
+        circumstances=Circumstances(date="2020-02-02", operator="B. Before", equipment=("old table",)),
+        programme="cube-14",
+        clock_u=1e-5,
+        together=(Member(session="s", log_sha256="", rests=4, turns=3, temperatures=(20.0, 30.0)),),
+    )
+    now = Circumstances(date="2026-03-04", operator="A. After")
+    session = replace(read_session(folder / "again"), circumstances=now)
+    updated = check_calibration(before, session).updated()
+    assert updated.circumstances == now
+    for name in (*OF_THE_DEVICE, *OF_THE_CALIBRATION - {"measured_between", "groups"}):
+        assert getattr(updated, name) == getattr(before, name), name
+    for name in OF_SESSIONS_THAT_ARE_NOT_THERE:
+        assert not getattr(updated, name), name
+    elsewhere = replace(session, site=replace(session.site, gravity=session.site.gravity + 1e-5))
+    assert check_calibration(before, elsewhere).updated().site is None  # scale factors know of both
 
 
 def test_a_check_is_printed_as_data(folder: Path) -> None:
@@ -291,7 +333,7 @@ def test_a_calibration_of_few_degrees_of_freedom_is_believed_less() -> None:
 
 def test_deviations_of_few_launches_are_believed_less() -> None:
     _, calibration = device()
-    launch = Launch(session="a", parameters=(), covariance=None, log_sha256="")
+    launch = Launch(session="a", parameters=calibration.parameters, covariance=None, log_sha256="")
     launched = replace(
         calibration,
         launches=(launch,) * 3,
@@ -303,6 +345,67 @@ def test_deviations_of_few_launches_are_believed_less() -> None:
     alike = replace(launched, parameters=tuple(replace(p, run_to_run=0.0) for p in calibration.parameters))
     usual = (0.02 * DEGREE) ** 2 * 4.0 / 6.0
     assert known_before(alike, seen(3), "mems", {}).doubt[1 + i, 1 + i] == pytest.approx(usual / np.sqrt(6.0))
+
+
+def of_bias(degrees: int, size: float, *logs: str) -> KnownLaunches:
+    """Launches whose standard deviation of the X bias is this, m/s²."""
+    return KnownLaunches(serial="x", logs=frozenset(logs), degrees=degrees, variances={"accel.bias.x": (size**2, 0.0)})
+
+
+def test_launches_of_other_calibrations_of_the_device_count_and_those_of_this_one_once() -> None:
+    """s² = (4 s_g² + ν s_L²)/(4 + ν), twice of a single launch, by all launches that are known."""
+    _, calibration = device()
+    i = 1 + known_before(calibration, seen(3), "mems", {}).instrument.names.index("accel.bias.x")
+    u2 = next(p.u or 0.0 for p in calibration.parameters if p.name == "accel.bias.x") ** 2
+    usual = spread_of(TURN_ON["mems"], "accel.bias.x") ** 2
+    several = replace(
+        calibration,
+        launches=tuple(
+            Launch(session=log, parameters=calibration.parameters, covariance=None, log_sha256=log) for log in "ab"
+        ),
+        parameters=tuple(replace(p, run_to_run=3e-5) for p in calibration.parameters),
+    )
+    others = (of_bias(3, 1e-5, "a"), of_bias(4, 2e-5, "c"), of_bias(4, 2e-5, "d"))
+    for made, factor, pooled in (
+        (calibration, 2.0, (4.0 * usual + 3 * 1e-5**2 + 8 * 2e-5**2) / 15.0),
+        (several, 1.0, (4.0 * usual + 1 * 3e-5**2 + 8 * 2e-5**2) / 13.0),
+    ):
+        known = known_before(made, seen(3), "mems", {}, others)
+        assert known.covariance[i, i] == pytest.approx(factor * pooled + u2, rel=1e-6)
+
+
+def test_what_the_registry_knows_of_the_device_makes_a_smaller_change_a_change(folder: Path) -> None:
+    """The bias of the calibration is 1.5 mg off: nothing beside what MEMS devices usually do, much for this one."""
+    before = read_calibration(folder / "calibration.json")
+    names = [p.name for p in before.parameters]
+    off = tuple(replace(p, value=p.value + 2.5 * MG) if p.name == "accel.bias.x" else p for p in before.parameters)
+    calm = {p.name: p.value for p in before.parameters}
+    whole = replace(before, parameters=off).content()
+    with open_registry(str(folder / "r.sqlite"), create=True) as registry:
+        for k in range(3):
+            launches = [
+                {
+                    "session": f"{k}-{i}",
+                    "parameters": [p | {"value": calm[p["name"]]} for p in whole["parameters"]],
+                    "covariance": whole["covariance"],
+                    "log_sha256": f"{k}{i}" * 32,
+                }
+                for i in range(4)
+            ]
+            parameters = [p | {"run_to_run": 0.02 * (p["u"] or 0.0)} for p in whole["parameters"]]
+            text = json.dumps(whole | {"parameters": parameters, "launches": launches, "notes": [str(k)]})
+            add(registry, submission(text, "file", Particulars()))
+        known = device_launches(registry, before.serial)
+    assert [each.degrees for each in known] == [3, 3, 3]
+    assert set(known[0].variances) == set(names)
+    replace(before, parameters=off).write(folder / "slightly.json")
+    words = ["check", str(folder / "slightly.json"), str(folder / "again")]
+    alone = CliRunner().invoke(main, words)
+    assert alone.exit_code == 0, alone.stderr
+    done = CliRunner().invoke(main, [*words, "--registry", str(folder / "r.sqlite")])
+    assert done.exit_code == 1
+    assert "or as from launch to launch of 12 launches of the device" in done.stderr
+    assert "changed: accel.bias.x has changed by -" in done.stderr
 
 
 def test_one_launch_is_as_far_from_the_mean_as_the_one_that_is_checked() -> None:

@@ -26,6 +26,7 @@ from tumble.registry.connect import open_registry
 from tumble.registry.monitor import monitored
 from tumble.registry.records import Particulars, read_submission
 from tumble.registry.store import add
+from tumble.report.control_chart import write_chart
 from tumble.sensors.frames import Frame
 from tumble.sensors.model import Block
 from tumble.simulation.session import simulate_session
@@ -51,7 +52,7 @@ def test_e_n_is_the_difference_over_the_expanded_uncertainty_of_both() -> None:
     )
     found = compare_calibrations(one, other)
     (d,) = found.differences
-    assert (d.value, d.u, d.e_n) == pytest.approx((20.0, 5.0, 2.0))
+    assert (d.value, d.u, d.e_n) == pytest.approx((-20.0, 5.0, -2.0))
     assert found.chi_square == pytest.approx(16.0)
     assert found.degrees == 1
     assert found.probability == pytest.approx(6.334e-5, rel=1e-3)  # of ±4 σ
@@ -94,7 +95,7 @@ def test_one_parameter_beyond_is_found() -> None:
     beyond = [d.name for d in found.differences if abs(d.e_n or 0.0) > 1.0]
     assert beyond == ["gyro.scale.y"]
     # u(d) = √2 u: 4 u are E_n = 4 / (2 √2)
-    assert next(d.e_n for d in found.differences if d.name in beyond) == pytest.approx(-np.sqrt(2.0))
+    assert next(d.e_n for d in found.differences if d.name in beyond) == pytest.approx(np.sqrt(2.0))
 
 
 @pytest.mark.parametrize("frame", [f for f in FRAMES if f != "accelerometer"])
@@ -163,7 +164,7 @@ def test_one_value_of_many_beyond_one_is_no_disagreement() -> None:
             for p in made.parameters
         )
         found = compare_calibrations(made, replace(made, parameters=parameters))
-        assert found.differences[0].e_n == pytest.approx(-0.5 * sigmas)
+        assert found.differences[0].e_n == pytest.approx(0.5 * sigmas)
         assert found.largest_by_chance == pytest.approx(21 * 2.0 * ndtr(-sigmas))
         assert found.agree == agree
 
@@ -235,7 +236,7 @@ def test_a_common_error_of_gravity_hides_no_step_of_a_scale_factor() -> None:
     found = compare_calibrations(first, second)
     moved = next(d for d in found.differences if d.name == "accel.scale.x")
     assert moved.u == pytest.approx(1.2e-6 * np.sqrt(2.0), rel=0.01)
-    assert moved.e_n == pytest.approx(-40e-6 / (2.0 * 1.2e-6 * np.sqrt(2.0)), rel=0.01)
+    assert moved.e_n == pytest.approx(40e-6 / (2.0 * 1.2e-6 * np.sqrt(2.0)), rel=0.01)
     assert not found.agree
     assert found.probability is not None
     assert found.probability < 1e-100
@@ -283,6 +284,32 @@ def test_a_step_of_40_ppm_under_a_common_error_of_20_ppm_ends_compare_and_trend_
         name = "accel.scale.x" if pair is of_common_gravity else "gyro.scale.y"
         said = f"changed: {name}\n" if status else ""
         assert trend.stderr == said
+
+
+@pytest.mark.parametrize("sigmas", [0.0, 2.5, 3.6, 5.0, -3.6])
+def test_compare_and_the_registry_give_a_change_one_sign_one_number_and_one_verdict(
+    sigmas: float, tmp_path: Path
+) -> None:
+    first = replace(calibration(), site=None)
+    second = moved(first, {"accel.bias.x": sigmas * np.sqrt(2.0)})
+    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
+        for i, made in enumerate((first, second)):
+            made.write(tmp_path / f"{i}.json")
+            particulars = Particulars(performed=datetime(2024 + i, 3, 1, tzinfo=UTC))
+            add(registry, read_submission(tmp_path / f"{i}.json", particulars))
+        found, one = (monitored(registry, "A-0007", name) for name in (None, "accel.bias.x"))
+    said = compare_calibrations(first, second)
+    changes = {trend.series.name: trend.last_change for trend in found.trends}
+    for difference in said.differences:
+        change = changes[difference.name]
+        assert change is not None
+        assert (change.value, change.e_n) == pytest.approx((difference.value, difference.e_n))
+    assert said.differences[0].e_n == pytest.approx(sigmas / 2.0)
+    assert said.agree == (not found.changed()) == (not one.changed())
+    write_chart(tmp_path / "chart.html", found)
+    page = (tmp_path / "chart.html").read_text(encoding="utf-8")
+    assert f"the latest against the one before: {int(abs(sigmas) > 2)} of 21 |E_n| beyond 1, one as large" in page
+    assert "no change since" not in page
 
 
 def test_the_registry_finds_what_only_all_parameters_together_show(tmp_path: Path) -> None:

@@ -31,6 +31,9 @@ number = "2026-0042"
 country = "DE"
 begin = 2026-05-04
 end = 2026-05-05
+issued = 2026-05-07
+procedure = "IMU-7, issue 3"
+traceability = ["gravity: point 1234"]
 
 [laboratory]
 name = "Inertial laboratory"
@@ -143,9 +146,10 @@ def test_pydcc_reads_every_parameter_back(reader: Any) -> None:
     for p in made.parameters:
         real = results[p.name]["real"]
         expanded = real["measurementUncertaintyUnivariate"]["expandedMU"]
-        assert float(real["value"]) == p.value
         assert p.u is not None
-        assert float(expanded["valueExpandedMU"]) == 2.0 * p.u
+        assert float(real["value"]) == pytest.approx(p.value, abs=0.005 * p.u)
+        assert float(expanded["valueExpandedMU"]) == pytest.approx(2.0 * p.u, rel=0.005)
+        assert len(expanded["valueExpandedMU"].partition("e")[0].strip("0.").replace(".", "")) <= 3
         assert (expanded["coverageFactor"], expanded["coverageProbability"]) == ("2", "0.9545")
 
 
@@ -174,6 +178,21 @@ def test_pydcc_reads_models_that_give_the_true_vectors(reader: Any) -> None:
 # -------------------- units, covariance, gravity --------------------
 
 
+def test_a_parameter_has_words_degrees_of_freedom_and_limits_in_its_unit(tmp_path: Path) -> None:
+    made = calibration()
+    made = replace(made, parameters=tuple(replace(p, dof=7.25) for p in made.parameters))
+    (tmp_path / "limits.toml").write_text('format = 1\n[periodic]\n"accel.scale" = "65 ppm"\n', "utf-8")
+    path = certificate_file(tmp_path, 'limits = "limits.toml"\nagreed = "order 4711"\n' + TOML)
+    text = export_calibration(made, "dcc", certificate=read_certificate(path)).content.decode()
+    assert "X accelerometer, scale-factor error; u was estimated with 7.25 degrees of freedom" in text
+    assert "limits -65 to 65 ppm" in text
+    root = ET.fromstring(text)
+    factors = {e.text for e in root.findall(".//dcc:quantity/si:real//si:coverageFactor", NAMESPACES)}
+    assert factors == {"2.41"}  # of Student's t
+    for value in root.findall(".//si:real/si:value", NAMESPACES):
+        assert len((value.text or "").partition("e")[0].lstrip("-0.").replace(".", "")) <= 12
+
+
 def test_units_are_those_of_d_si() -> None:
     assert d_si("m/s^2") == r"\metre\second\tothe{-2}"
     assert d_si("rad/s") == r"\radian\second\tothe{-1}"
@@ -189,7 +208,7 @@ def test_the_covariance_is_there_column_by_column_in_the_units_of_its_entries() 
     root = ET.fromstring(content(made))
     columns = root.findall(".//si:columnXMLList/si:covarianceXMLList", NAMESPACES)
     values = [[float(word) for word in (c.findtext("si:valueXMLList", "", NAMESPACES)).split()] for c in columns]
-    np.testing.assert_array_equal(np.array(values).T, made.covariance)
+    np.testing.assert_allclose(np.array(values).T, made.covariance, rtol=1e-9)
     units = [(c.findtext("si:unitXMLList", "", NAMESPACES)).split() for c in columns]
     assert units[0][0] == r"\metre\tothe{2}\second\tothe{-4}"
     assert units[3][0] == r"\metre\second\tothe{-2}"  # scale with bias

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -363,3 +364,16 @@ def test_truth_is_shown_in_its_own_frame_only(folder: Path, tmp_path: Path) -> N
     assert result.exit_code == 2
     assert "--truth: expected the frame 'accelerometer'" in result.output
     assert json.loads((folder / "truth.json").read_text())
+
+
+WITH_THE_FRAME = {"frame", "parameters", "covariance", "accel", "gyro", "iterations", "launches"}
+WHATEVER_THE_FRAME = {
+    "serial", "model", "method", "outcome", "mag", "rests", "turns", "fits", "site", "programme", "readings", "notes",
+    "provenance", "groups", "prediction", "axes", "reference_temperature", "references", "thermometers",
+    "measured_between", "circumstances", "imu", "sample_rate", "clock_u", "together",
+}  # fmt: skip
+
+
+def test_every_field_of_a_calibration_changes_with_the_frame_or_has_nothing_to_do_with_it() -> None:
+    """`reframed` carries along what it does not name: a new field belongs into one of the sets on purpose."""
+    assert sorted(field.name for field in fields(Calibration)) == sorted(WITH_THE_FRAME | WHATEVER_THE_FRAME)

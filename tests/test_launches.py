@@ -174,3 +174,18 @@ def test_launches_of_the_type_are_for_several_launches(folders: list[Path]) -> N
         result = CliRunner().invoke(main, ["calibrate", *map(str, words), "--registry", "r.sqlite"])
         assert result.exit_code == 2
         assert "--registry: expected several launches" in result.stderr
+
+
+def test_what_launches_do_not_share_is_not_that_of_the_first(runs: list[Run]) -> None:
+    first, second = runs[0], runs[1]
+    other = replace(
+        second.calibration,
+        readings={kind: replace(each, columns=("a", "b", "c")) for kind, each in second.calibration.readings.items()},
+        programme="nine",
+        measured_between=(1.0, 2.0),
+        sample_rate=2.0 * (first.calibration.sample_rate or 0.0),
+    )
+    mean = mean_of_launches([replace(first), replace(second, calibration=other)])
+    assert (mean.readings, mean.programme, mean.measured_between) == ({}, None, None)
+    assert mean.sample_rate == pytest.approx(1.5 * (first.calibration.sample_rate or 0.0))
+    assert mean_of_launches(runs).readings == first.calibration.readings

@@ -9,7 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, cast
 
@@ -24,10 +24,21 @@ from sqlalchemy import text
 from tumble.errors import InputError, MissingExtraError
 from tumble.registry import connect
 from tumble.registry.connect import Registry, open_registry
+from tumble.registry.due import due
 from tumble.registry.exchange import Imported, export_lines, import_file
 from tumble.registry.records import LaunchRow, Particulars, Submission, read_submission, submission
 from tumble.registry.schema import METADATA, VERSION, VERSION_TABLE
-from tumble.registry.store import Added, add, file_of, limits_in_force, parameters_of, record, records, set_limits
+from tumble.registry.store import (
+    Added,
+    add,
+    file_of,
+    limits_in_force,
+    limits_records,
+    parameters_of,
+    record,
+    records,
+    set_limits,
+)
 
 ROOT = Path(__file__).parents[1]
 LIMITS = 'format = 1\n[periodic]\n"accel.bias" = "5 mg"\n'
@@ -334,6 +345,51 @@ def test_an_export_is_imported_whole_and_only_once(
     assert exported(file_registry, tmp_path / "again.jsonl").read_text() == file.read_text()
 
 
+def limits_of(size: int) -> str:
+    return f'format = 1\n[periodic]\n"accel.bias" = "{size} mg"\n'
+
+
+def export_with(limits: tuple[str, str], path: Path) -> Path:
+    """An export of the limits (file, time) of a type, and of a calibration that was judged by them."""
+    file, moment = limits
+    sha = digest(file + moment)
+    lines = [
+        {"kind": "tumble registry", "format": 1, "limits": 1, "calibrations": 1},
+        {"kind": "limits", "sha256": sha, "model": "BCHE-501", "added": moment, "file": file, "systematic": None},
+        {
+            "kind": "calibration", "performed": "2019-03-01", "occasion": "periodic", "state": "unchanged",
+            "limits": sha, "supersedes": None, "reason": None, "added": moment,
+            "file": json.dumps(content(log=f"of {moment}", created="2019-03-01")),
+        },
+    ]  # fmt: skip
+    path.write_text("".join(f"{json.dumps(line)}\n" for line in lines), encoding="utf-8")
+    return path
+
+
+def test_limits_of_an_older_export_are_kept_but_not_put_in_force(registry: Registry, tmp_path: Path) -> None:
+    set_limits(registry, "BCHE-501", limits_of(1), None)
+    old = export_with((limits_of(500), "2019-03-01T12:00:00+00:00"), tmp_path / "old.jsonl")
+    assert import_file(registry, old) == Imported(added=1, known=0)
+    assert limits_in_force(registry)["BCHE-501"].file == limits_of(1)
+    by = {own.number: own.file for own in limits_records(registry)}
+    assert by[records(registry)[0].limits or 0] == limits_of(500)  # by which it was judged then
+    now = added(registry, Particulars(occasion="periodic"), log="now")
+    assert by[now.record.limits or 0] == limits_of(1)
+    assert not set_limits(registry, "BCHE-501", limits_of(1), None)[1]
+
+
+def test_limits_of_a_newer_export_come_in_force_and_others_after_them(file_registry: Registry, tmp_path: Path) -> None:
+    set_limits(file_registry, "BCHE-501", limits_of(1), None)
+    ahead = (datetime.now(UTC) + timedelta(hours=12)).isoformat()  # the other registry's clock
+    import_file(file_registry, export_with((limits_of(2), ahead), tmp_path / "new.jsonl"))
+    assert limits_in_force(file_registry)["BCHE-501"].file == limits_of(2)
+    assert set_limits(file_registry, "BCHE-501", limits_of(3), None)[1]
+    assert limits_in_force(file_registry)["BCHE-501"].file == limits_of(3)
+    beyond = export_with((limits_of(4), "2199-01-01T00:00:00+00:00"), tmp_path / "beyond.jsonl")
+    with pytest.raises(InputError, match="line 2: added: expected a date that is past"):
+        import_file(file_registry, beyond)
+
+
 def last(edit: Callable[[str], str]) -> Callable[[list[str]], list[str]]:
     """Changes the last line."""
     return lambda lines: [*lines[:-1], edit(lines[-1])]
@@ -396,6 +452,35 @@ def test_an_older_program_says_that_the_registry_is_newer(registry: Registry, pl
     said = "expected a registry of schema v0001 or older, found v0999, written by a newer tumble than this one"
     with pytest.raises(InputError, match=said), open_registry(place):
         pass
+
+
+def test_a_damaged_column_is_said_in_one_line(tmp_path: Path) -> None:
+    place = str(tmp_path / "r.sqlite")
+    with open_registry(place, create=True) as registry:
+        added(registry)
+    with sqlite3.connect(place) as raw:
+        raw.execute("DROP TRIGGER calibration_no_update")
+        raw.execute("UPDATE calibration SET performed = 'the day before'")
+    with open_registry(place) as registry:
+        for look in (lambda: records(registry), lambda: records(registry, "A-0007"), lambda: due(registry)):
+            with pytest.raises(InputError, match="expected what was written into it, found a damaged value") as refused:
+                look()
+            assert "\n" not in str(refused.value)
+
+
+def test_a_registry_on_a_medium_that_nobody_can_write_to_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = tmp_path / "a #%? name" / "r.sqlite"
+    place.parent.mkdir()
+    with open_registry(str(place), create=True) as registry:
+        added(registry)
+    monkeypatch.setattr(connect.os, "access", lambda *_: False)
+    with open_registry(str(place)) as registry:
+        assert [record.serial for record in records(registry)] == ["A-0007"]
+        assert [path.name for path in place.parent.iterdir()] == ["r.sqlite"]  # none beside it
+        with pytest.raises(InputError, match="the registry cannot be used: attempt to write a readonly database"):
+            added(registry, log="b")
 
 
 def test_an_open_registry_needs_no_alembic(tmp_path: Path) -> None:

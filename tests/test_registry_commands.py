@@ -73,11 +73,11 @@ def test_a_calibration_is_judged_when_it_is_added() -> None:
     assert again.exit_code == 0
     assert again.stderr == "the same calibration is there already: record 1 in r.sqlite\n"
     assert "verdict: pass" in again.stdout
-    for name, number, said in (("worn", 3, "outside its limits"), ("edge", 4, "within the guard band")):
+    for name, number, said in (("worn", 3, "fail"), ("edge", 4, "conditional pass")):
         result = run("add", f"{name}.json", "--date", "2026-03-01")
         assert result.exit_code == 1
-        assert f"added as record {number} in r.sqlite\nnot accepted: {said}: accel.bias.x\n" == result.stderr
-        assert "decision rule: pass where the value is inside the limits by at least U (95.45 %)" in result.stdout
+        assert f"added as record {number} in r.sqlite\nperiodic check: {said}: accel.bias.x\n" == result.stderr
+        assert "decision rule: pass where the value is inside its limits by at least U (95.45 %)" in result.stdout
         assert run("show", number).exit_code == 1
     assert len(run("list", "A-0007").stdout.splitlines()) == 1 + 4
 

@@ -75,7 +75,7 @@ def test_a_parameter_of_which_no_more_than_its_prior_is_known_has_no_drift() -> 
     points = [replace(point(t, 0.0, u=10.0), by_priors={"accel.quadratic.x": 10.0}) for t in range(4)]
     found = trend(*points)
     assert (found.drift, found.instability) == (None, None)
-    assert [change.probability for change in found.changes] == [None] * 3
+    assert [change.e_n for change in found.changes] == [None] * 3
 
 
 def test_the_drift_of_a_scattered_series_is_that_of_ordinary_regression() -> None:

@@ -32,7 +32,7 @@ from matplotlib.figure import Figure
 
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import read_calibration
-from tumble.calibration.further import predicted
+from tumble.calibration.further import described, predicted
 from tumble.calibration.results import coverage_factor
 from tumble.cli import main
 from tumble.errors import MissingExtraError
@@ -47,7 +47,6 @@ from tumble.report.figures import drawn
 from tumble.report.numbers import fixed, significant
 from tumble.report.page import page as to_page
 from tumble.report.pdf import pdf as to_pdf
-from tumble.report.result import described
 from tumble.report.write import write_report
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import FURTHER
@@ -80,7 +79,6 @@ SECTIONS = (
     "Convergence",
     "Noise and drift of the rests",
     "Provenance",
-    "Covariance matrix",
 )
 
 
@@ -331,23 +329,6 @@ def test_the_strongest_correlations_are_those_of_the_covariance(page: Page, cont
     np.testing.assert_allclose(shown, others[: len(shown)], atol=0.00051)
 
 
-def test_the_covariance_matrix_stands_whole(page: Page, content: Any) -> None:
-    """Three tables: accelerometers, gyros with accelerometers, gyros."""
-    names = [p["name"] for p in content["parameters"]]
-    found = np.full((len(names), len(names)), np.nan)
-    for first in ("accel", "gyro"):
-        for table in (t for t in page.tables if t and t[0][0] == first):
-            for row in table[1:]:
-                for column, cell in zip(table[0][1:], row[1:], strict=True):
-                    kinds = [k for k in ("accel", "gyro") if f"{k}.{column}" in names]
-                    kind = first if len(table[0]) - 1 == len(table) - 1 else "accel"
-                    assert kind in kinds
-                    if cell:
-                        found[names.index(row[0]), names.index(f"{kind}.{column}")] = number(cell)
-    lower = np.tril_indices(len(names))
-    np.testing.assert_allclose(found[lower], np.array(content["covariance"])[lower], rtol=0.0051)
-
-
 def test_the_test_vectors_follow_from_the_printed_numbers(page: Page, content: Any) -> None:
     """With printed matrices and biases, and with those of the file; a reader without the file can check a program."""
     matrices = [np.array(m) for m in page.matrices()]
@@ -378,14 +359,6 @@ def test_increments_of_the_iterations_are_those_of_the_file(page: Page, content:
             assert power is not None
             exponent = int((power[2] or "0").translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")))
             assert float(power[1]) * 10.0**exponent * SIZES[shown[1]] == pytest.approx(rms, rel=0.0051)
-
-
-def test_the_covariances_are_on_one_page(pdf: Path) -> None:
-    with opened(pdf) as document:
-        with_any = [text for page in document if "accel with accel" in (text := page.get_text())]
-    assert len(with_any) == 1
-    assert "gyro with accel" in with_any[0]
-    assert "gyro with gyro" in with_any[0]
 
 
 def test_html_and_pdf_say_the_same(page: Page, pdf: Path) -> None:
@@ -807,16 +780,16 @@ def test_parameters_are_judged_by_limits(file: Path, content: Any, tmp_path: Pat
     (tmp_path / "limits.toml").write_text(limits_about(content), encoding="utf-8")
     result = command(file, "-o", tmp_path / "report.html", "--limits", tmp_path / "limits.toml")
     assert result.exit_code == 1
-    assert "outside its limits: accel.bias.y; within the guard band: accel.bias.z" in result.stderr
+    assert "fail: accel.bias.y; conditional pass: accel.bias.z" in result.stderr
     page = Page.of(tmp_path / "report.html")
     rows = page.table("parameter", "low", "value", "U", "high", "verdict")
     assert [(row["parameter"], row["verdict"]) for row in rows] == [
         ("accel.bias.x", "pass"),
         ("accel.bias.y", "fail"),
-        ("accel.bias.z", "undecided"),
+        ("accel.bias.z", "conditional pass"),
     ]
     assert "accepted, incoming: fail, periodic: pass" in page.whole
-    assert "Decision rule: pass where the value is inside the limits by at least U (95.45 %)" in page.whole
+    assert "Decision rule: pass where the value is inside its limits by at least U (95.45 %)" in page.whole
 
 
 def test_limits_that_are_met_are_accepted(tmp_path: Path) -> None:

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from tumble.calibration.results import RestResult as RestResult
     from tumble.calibration.results import TurnResult as TurnResult
     from tumble.calibration.together import calibrate_together as calibrate_together
+    from tumble.calibration.type_spread import KnownLaunches as KnownLaunches
     from tumble.calibration.type_spread import TypeSpread as TypeSpread
     from tumble.calibration.verify import Positions as Positions
     from tumble.calibration.verify import Verification as Verification
@@ -108,6 +109,7 @@ if TYPE_CHECKING:
     from tumble.registry.records import Record as Record
     from tumble.registry.store import add_calibration as add_calibration
     from tumble.registry.store import records as records
+    from tumble.registry.type_launches import device_launches as device_launches
     from tumble.registry.type_launches import type_spread as type_spread
     from tumble.report.sheet import write_sheet as write_sheet
     from tumble.report.write import write_report as write_report
@@ -178,7 +180,9 @@ _PUBLIC = {
     "monitored": "registry.monitor",
     "Monitored": "registry.monitor",
     "Record": "registry.records",
+    "KnownLaunches": "calibration.type_spread",
     "TypeSpread": "calibration.type_spread",
+    "device_launches": "registry.type_launches",
     "type_spread": "registry.type_launches",
     "simulate_session": "simulation.session",
     "Setup": "planning.setup",

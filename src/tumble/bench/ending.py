@@ -136,15 +136,12 @@ def registered(folder: Path, place: str | None) -> str:
     with extra_named():
         from tumble.registry.connect import open_registry
         from tumble.registry.records import Particulars, read_submission
-        from tumble.registry.series import verdict_of
-        from tumble.registry.store import add, limits_records, parameters_of
+        from tumble.registry.store import add
 
         submission = read_submission(folder / CALIBRATION_FILE, Particulars())
         with open_registry(place, create=True) as opened:
             added = add(opened, submission)
-            rows = parameters_of(opened, [added.record.number])[added.record.number]
-            limits = {own.number: own for own in limits_records(opened)}
-            verdict = verdict_of(opened, added.record, rows, limits)
+    verdict = added.record.verdict
     said = "registered as" if added.new else "registered before: it is"
-    judged = "no limits are set for it" if verdict is None else f"its limits say: {verdict.result}"
+    judged = "no limits are set for it" if verdict is None else f"its limits say: {verdict}"
     return f"{said} record {added.record.number}; {judged}"

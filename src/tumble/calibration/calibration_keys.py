@@ -332,6 +332,7 @@ class _MemberKeys(_Keys):
     turns: Count
     temperatures: Pair
     parameters: list[_ParameterKeys] = Field(max_length=MOST_PARAMETERS)
+    date: Date | None = None
 
 
 class _FormatKeys(_Keys):

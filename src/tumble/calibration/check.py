@@ -6,31 +6,31 @@ What is known of the parameters at the check is the calibration, with
 
 Σ its covariance, estimated with ν degrees of freedom for each parameter, and s what turning on again changes. That is
 √2 times what is usual of the grade, s_g (`tumble.sensors.grades`), where 1/ν_s = 0: a single launch is as far from the
-mean of all as the one that is checked. Of L launches the mean has its part in Σ, and by their standard deviation s_L
+mean of all as the one that is checked. Where launches of the device are known, those behind the calibration and those
+behind its other ones in a registry, with the pooled standard deviation s_L of ν_L degrees of freedom, s_g becomes
 
-    s² = max(s_L², [4 s_g² + (L − 1) s_L²]/(L + 3)),   ν_s = L − 1 or L + 3                                       (2)
+    s² = max(s_L², [4 s_g² + ν_L s_L²]/(ν_L + 4)),   ν_s = ν_L or ν_L + 4                                         (2)
 
-for two launches that happen to agree do not say that the third will: s_g counts as if it were known by four degrees. D
-says how well P itself is known, and with it by how much more than normal numbers the tests exceed a limit. Groups of
-parameters that the calibration does not have, and drifts, which belong to a session, are zero with the usual size of
-the grade. Where the calibration and the session have temperatures, parameters are taken to that of the session by their
-slopes and curvatures, with the usual size of those that are not known. Where both use the same stated gravity, its
-error is in the scale factors too, with the opposite sign.
+for two launches that happen to agree do not say that the third will: s_g counts as if it were known by four degrees.
+The mean of several launches has its part in Σ, so that it is without the factor √2. D says how well P itself is known,
+and with it by how much more than normal numbers the tests exceed a limit. Groups of parameters that the calibration
+does not have, and drifts, which belong to a session, are zero with the usual size of the grade. Where the calibration
+and the session have temperatures, parameters are taken to that of the session by their slopes and curvatures, with the
+usual size of those that are not known. Where both use the same stated gravity, its error is in the scale factors too,
+with the opposite sign.
 
 Rests scatter as they did in the calibration, at least by the in-run instability of the grade.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 
 import numpy as np
 
-from tumble import __version__
 from tumble.brief import Brief
-from tumble.calibration.calibrate import grade_of
+from tumble.calibration.calibrate import grade_of, provenance_of
 from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.coverage import by_gravity, shared_gravity
 from tumble.calibration.from_estimate import readings_of_session, reference_of, references_of
@@ -38,6 +38,7 @@ from tumble.calibration.half import accepted_accelerometers
 from tumble.calibration.observed import inspect_session, observations_for_calibration
 from tumble.calibration.results import Parameter
 from tumble.calibration.thermometers import check_thermometers
+from tumble.calibration.type_spread import KnownLaunches, known_launches
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.components import Scatter
 from tumble.estimation.estimate import Outcome
@@ -45,7 +46,8 @@ from tumble.estimation.field_check import ChangedParameter, CheckResult, KnownBe
 from tumble.estimation.prediction import prediction
 from tumble.estimation.variables import variables_of
 from tumble.files import FilePath
-from tumble.recording.session import Session
+from tumble.recording.circumstances import Circumstances
+from tumble.recording.session import Session, Site
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
@@ -63,7 +65,8 @@ USUAL_DEGREES = 4.0
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class FieldCheck(Brief):
     """What a session of `rests` rests and `turns` turns says of a calibration: the `result`, in SI, what was supposed,
-    in sentences, and the calibration in the frame `accelerometer` with the instrument it was taken for."""
+    in sentences, the calibration in the frame `accelerometer` with the instrument it was taken for, and where, when,
+    how and with which sample rate (Hz) the session was recorded."""
 
     calibration: Calibration
     session: str
@@ -76,6 +79,9 @@ class FieldCheck(Brief):
     instrument: Instrument
     temperature: float | None
     references: Mapping[str, tuple[float, ...]]
+    site: Site
+    circumstances: Circumstances
+    sample_rate: float
     rests_agree: bool = False
     """Whether the rests alone find nothing changed, where the session as a whole is not explained."""
 
@@ -116,9 +122,12 @@ def _said(change: ChangedParameter) -> str:
     return said
 
 
-def check_calibration(calibration: Calibration | FilePath, session: Session | FilePath) -> FieldCheck:
+def check_calibration(
+    calibration: Calibration | FilePath, session: Session | FilePath, *, launches: Sequence[KnownLaunches] = ()
+) -> FieldCheck:
     """Whether a calibration, or that of a file, still holds for its device, by three to five rests in any attitude and
-    the turns between them: a `Session` or its folder.
+    the turns between them: a `Session` or its folder. With `launches`, as `tumble.device_launches` has them, it is
+    judged by how much the device has changed from power-on to power-on in all its calibrations.
 
     Raises CalibrationError for a calibration that was not accepted, has no uncertainties or is in the frame of the
     case, and InputError for a session of another device or without rests.
@@ -141,12 +150,13 @@ def check_calibration(calibration: Calibration | FilePath, session: Session | Fi
         raise InputError(f"{session.name}: expected rests to check with, found {'; '.join(observations.reasons)}")
     observations = _seen_by(own, observations)
     grade, guessed_from = grade_of(session, observations)
-    known = known_before(own, observations, grade, session.device.prior)
+    known = known_before(own, observations, grade, session.device.prior, launches)
     result = field_check(observations, known)
     rests_agree = False
     if not result.explained and observations.gyro_block is not None:
         at_rest = observations.of_accelerometers()
-        rests_agree = field_check(at_rest, known_before(own, at_rest, grade, session.device.prior)).valid
+        known_at_rest = known_before(own, at_rest, grade, session.device.prior, launches)
+        rests_agree = field_check(at_rest, known_at_rest).valid
     return FieldCheck(
         calibration=own,
         session=session.name,
@@ -155,11 +165,14 @@ def check_calibration(calibration: Calibration | FilePath, session: Session | Fi
         turns=0 if observations.turns is None else len(observations.turns),
         result=result,
         rests_agree=rests_agree,
-        notes=_notes(own, observations, grade, guessed_from),
+        notes=_notes(own, observations, (grade, guessed_from), _launches(own, launches)),
         frame=given.frame,
         instrument=known.instrument,
         temperature=reference_of(observations),
         references=references_of(observations),
+        site=session.site,
+        circumstances=observed.circumstances,
+        sample_rate=observed.rate,
     )
 
 
@@ -197,11 +210,27 @@ def _seen_by(calibration: Calibration, observations: Observations) -> Observatio
     return observations if with_gyros else observations.of_accelerometers()
 
 
-def _notes(calibration: Calibration, observations: Observations, grade: str, guessed_from: str) -> tuple[str, ...]:
+def _launches(calibration: Calibration, others: Sequence[KnownLaunches]) -> tuple[KnownLaunches, ...]:
+    """The launches behind a calibration and those of other ones of its device, each once."""
+    own = known_launches(calibration)
+    if own is None:
+        return tuple(others)
+    return (own, *(each for each in others if not each.logs & own.logs))
+
+
+def _notes(
+    calibration: Calibration, observations: Observations, grade: tuple[str, str], launches: Sequence[KnownLaunches]
+) -> tuple[str, ...]:
     """What was supposed."""
+    name, guessed_from = grade
     origin = f", guessed from {guessed_from}; [device] grade says another" if guessed_from else ""
-    launches = ", or as from launch to launch of the calibration" if calibration.launches else ""
-    notes = [*calibration.absent, f"what turning on again changes: as usual of the grade {grade}{launches}{origin}"]
+    count = sum(each.degrees + 1 for each in launches)
+    known = f", or as from launch to launch of {count} launches of the device" if launches else ""
+    notes = [
+        *calibration.absent,
+        f"what turning on again changes: as usual of the grade {name}{known}{origin}; it is allowed for, and "
+        "`tumble verify` judges the same session without",
+    ]
     then, now = calibration.reference_temperature, reference_of(observations)
     if then is None or now is None:
         notes.append("the temperatures of calibration and check are not both known: no difference is allowed for")
@@ -214,9 +243,14 @@ def _notes(calibration: Calibration, observations: Observations, grade: str, gue
 
 
 def known_before(
-    calibration: Calibration, observations: Observations, grade: str, data_sheet: Mapping[str, float]
+    calibration: Calibration,
+    observations: Observations,
+    grade: str,
+    data_sheet: Mapping[str, float],
+    launches: Sequence[KnownLaunches] = (),
 ) -> KnownBefore:
-    """Parameters and covariance at the check by the calibration, in the frame `accelerometer`, Eq. (1)."""
+    """Parameters and covariance at the check by the calibration, in the frame `accelerometer`, Eq. (1), of a device of
+    which `launches` of other calibrations are known."""
     usual = usual_sizes(grade, data_sheet)
     blocks = observations.accel_block, observations.gyro_block
     instrument = Instrument.of(*blocks, set(usual), variables_of(observations))
@@ -225,7 +259,7 @@ def known_before(
     whole = np.zeros((len(values) + 1,) * 2)
     whole[0, 0], whole[1:, 1:] = gravity**2, own
     root = np.array([0.0, *_inverse_degrees(calibration, instrument)]) ** 0.25
-    turned_on, inverse_degrees = _turned_on(calibration, instrument, grade)
+    turned_on, inverse_degrees = _turned_on(calibration, instrument, grade, _launches(calibration, launches))
     if shared_gravity(calibration.site, observations.site):
         change = by_gravity(calibration.parameters, calibration.covariance, calibration.site)
         by_name = {p.name: c for p, c in zip(calibration.parameters, change.tolist(), strict=True)}
@@ -278,20 +312,23 @@ def _to_temperature(calibration: Calibration, observations: Observations, instru
     return to_temperature(instrument.names, np.array(warmer))
 
 
-def _turned_on(calibration: Calibration, instrument: Instrument, grade: str) -> tuple[Array, Array]:
+def _turned_on(
+    calibration: Calibration, instrument: Instrument, grade: str, launches: Sequence[KnownLaunches]
+) -> tuple[Array, Array]:
     """Variances (m,) by which parameters change from the calibration to another power-on, and 1/ν of each, Eq. (2)."""
     names = instrument.names[: instrument.linear_count]
-    usual = np.array([spread_of(TURN_ON[grade], name) for name in names]) ** 2
+    # the values of a single launch are as far from the mean; u of several together has what they change by
+    single = len(calibration.launches) < 2 and not calibration.together
     variance, inverse_degrees = np.zeros((2, len(instrument.names)))
-    if len(calibration.launches) < 2:
-        # the values are those of one power-on, or u has what several together change by
-        variance[: len(names)] = usual if calibration.together else 2.0 * usual
-        return variance, inverse_degrees
-    launched, degrees = {p.name: p.run_to_run for p in calibration.parameters}, len(calibration.launches) - 1.0
-    own = np.array([launched.get(name) or 0.0 for name in names]) ** 2
-    pooled = (USUAL_DEGREES * usual + degrees * own) / (USUAL_DEGREES + degrees)
-    variance[: len(names)] = np.maximum(own, pooled)
-    inverse_degrees[: len(names)] = np.where(own > pooled, 1.0 / degrees, 1.0 / (USUAL_DEGREES + degrees))
+    for i, name in enumerate(names):
+        usual = spread_of(TURN_ON[grade], name) ** 2
+        known = [(each.degrees, each.variances[name][0]) for each in launches if name in each.variances]
+        degrees = sum(count for count, _ in known)
+        own = sum(count * between for count, between in known) / max(degrees, 1)
+        pooled = (USUAL_DEGREES * usual + degrees * own) / (USUAL_DEGREES + degrees)
+        variance[i] = max(own, pooled) * (2.0 if single else 1.0)
+        if degrees:
+            inverse_degrees[i] = 1.0 / degrees if own > pooled else 1.0 / (USUAL_DEGREES + degrees)
     return variance, inverse_degrees
 
 
@@ -320,31 +357,40 @@ def _updated(check: FieldCheck) -> Calibration:
     )
     rate = None if before.prediction is None else before.prediction.at_rate
     gyro = instrument.gyro
-    return replace(
-        before,
+    known = before.reference_temperature is not None
+    return Calibration(
+        # the device and its sensors
+        serial=before.serial,
+        model=before.model,
+        axes=before.axes,
+        readings=before.readings,
+        thermometers=before.thermometers,
+        imu=before.imu,
+        frame=before.frame,
+        # what still rests on the calibration
+        method=before.method,
+        outcome=before.outcome,
+        fits=before.fits,
+        groups=tuple(group for group in before.groups if variable_of(group.name) != "time"),
+        mag=before.mag,
+        measured_between=before.temperature_range,
+        # what the check says
         parameters=(*parameters, *others),
         covariance=_with_others(before, others, result.covariance[np.ix_(at, at)]),
         accel=instrument.model(instrument.accel, result.values),
         gyro=None if gyro is None else instrument.model(gyro, result.values),
-        iterations=(),
-        rests=(),
-        turns=(),
-        launches=(),
-        clock_u=0.0,
-        groups=tuple(group for group in before.groups if variable_of(group.name) != "time"),
         prediction=None
         if before.site is None
         else prediction(instrument, result.values, result.covariance, gravity=before.site.gravity, rate=rate),
-        reference_temperature=check.temperature if before.reference_temperature is not None else None,
-        references=check.references if before.reference_temperature is not None else {},
-        measured_between=before.temperature_range,
+        reference_temperature=check.temperature if known else None,
+        references=check.references if known else {},
+        site=before.site if before.site == check.site else None,
+        circumstances=check.circumstances,
+        sample_rate=check.sample_rate,
         notes=(_how(check), *before.notes),
         provenance={
-            **before.provenance,
-            "log_sha256": check.sha256,
+            **provenance_of(check.sha256),
             "calibrated_log_sha256": before.provenance.get("log_sha256", "unknown"),
-            "software": f"tumble {__version__}",
-            "created": datetime.now(UTC).isoformat(timespec="seconds"),
         },
     )
 

@@ -1,6 +1,6 @@
 """Two calibrations compared: differences in units of their combined uncertainty, in one frame.
 
-With d = first − second,
+With d = second − first, how the second differs from the first or what has changed since,
 
     u(d)² = u₁² + u₂² − 2 Σ g₁ g₂,    U(d) = t₉₅.₄₅(ν) u(d),    E_n = d / U(d)
 
@@ -43,9 +43,9 @@ LEAST_PROBABILITY = 1e-3
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Difference:
-    """A parameter of both calibrations, SI; `u` is the standard uncertainty of first − second without what both share,
-    None where one of them has none, 0 where both know no more than their prior; `dof` its degrees of freedom, None
-    where it is known."""
+    """A parameter of both calibrations, SI; `u` is the standard uncertainty of their difference without what both
+    share, None where one of them has none, 0 where both know no more than their prior; `dof` its degrees of freedom,
+    None where it is known."""
 
     name: str
     unit: str
@@ -56,8 +56,8 @@ class Difference:
 
     @property
     def value(self) -> float:
-        """first − second."""
-        return self.first - self.second
+        """second − first."""
+        return self.second - self.first
 
     @property
     def e_n(self) -> float | None:
@@ -91,13 +91,19 @@ class Comparison(Brief):
     @property
     def agree(self) -> bool:
         """Whether there are E_n numbers, and neither the largest of them nor χ² is beyond chance."""
-        return self.largest_by_chance is not None and self.largest_by_chance >= CHANCE and not self.contradicts
+        return self.largest_by_chance is not None and not self.changed and not self.contradicts
 
     @property
     def largest_by_chance(self) -> float | None:
         """How probable chance alone makes one of so many differences as large as the largest; None without any."""
         judged = [d.by_chance for d in self.differences if d.by_chance is not None]
         return min(1.0, len(judged) * min(judged)) if judged else None
+
+    @property
+    def changed(self) -> list[str]:
+        """The parameters whose difference by itself is beyond chance."""
+        judged = [d for d in self.differences if d.by_chance is not None]
+        return [d.name for d in judged if len(judged) * (d.by_chance or 0.0) < CHANCE]
 
     @property
     def contradicts(self) -> bool:

@@ -4,14 +4,17 @@ known to, where a prior decides an uncertainty, and the verdicts. Words and numb
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from tumble.calibration.results import Parameter
-from tumble.estimation.prediction import Prediction
+from tumble.estimation.prediction import Prediction, directions
 from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind, shown_in
-from tumble.units import engineering, two_digits
+from tumble.units import G_STANDARD, engineering, two_digits
 
 if TYPE_CHECKING:
     from tumble.calibration.calibration_file import Calibration
@@ -24,6 +27,11 @@ OPEN = 2.0
 """The u of single biases over that of the corrected specific force from which on they are open singly."""
 OTHER_THAN_TWO = 0.05
 """Coverage factors this far from 2 are shown."""
+SENSORS = {"accel": "accelerometer", "gyro": "gyro", "mag": "magnetometer"}
+_NAME = re.compile(
+    r"(?P<kind>accel|gyro|mag)\.(?:axis\.(?P<pair>[xyz]{2})|(?P<what>bias|scale|axis)\."
+    r"(?:(?P<letter>[xyz])|(?P<number>\d+))(?:\.(?P<angle>[12]))?)"
+)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -55,6 +63,19 @@ class GroupLine:
             return ""
         low, high = (f"{100.0 * fraction:.0f}" for fraction in self.learned)
         return f"{low} %" if low == high else f"{low}–{high} %"
+
+
+def described(name: str) -> str:
+    """A parameter in words: "X accelerometer, bias", "angle of the Y accelerometer towards X"."""
+    found = _NAME.fullmatch(name)
+    if found is None:
+        return ""
+    block = SENSORS[found["kind"]]
+    if found["pair"]:
+        return f"{found['pair'][0].upper()} {block}, axis towards {found['pair'][1].upper()}"
+    sensor = f"{block} {found['number']}" if found["number"] else f"{found['letter'].upper()} {block}"
+    said = {"bias": "bias", "scale": "scale-factor error", "axis": f"axis angle {found['angle']}"}
+    return f"{sensor}, {said[found['what']]}"
 
 
 def linear_parameters(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
@@ -150,3 +171,54 @@ def verdicts(calibration: Calibration) -> tuple[str, ...]:
 def other_factors(parameters: Sequence[Parameter]) -> bool:
     """Whether the coverage factor of any parameter is another than 2."""
     return any(p.k is None or abs(p.k - 2.0) > OTHER_THAN_TWO for p in parameters if p.u)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LeftByMatrix:
+    """What matrix and bias alone leave of a vector that the whole model corrects, over all attitudes: root mean square
+    and largest, of the specific force at 1 g, m/s², and of the rate, rad/s, at `at_rate` about all axes in 1 g; of the
+    rate None without gyros. Lever arms, delays and temperatures are not in it: they need a motion or a warming."""
+
+    force_rms: float
+    force: float
+    rate_rms: float | None
+    rate: float | None
+    at_rate: float | None
+
+
+def left_by_matrix(calibration: Calibration) -> LeftByMatrix | None:
+    """What matrix and bias alone leave; None where they are the whole model, or there are no accelerometers."""
+    if calibration.accel is None or calibration.compensator.linear:
+        return None
+    compensator, at_rate = calibration.compensator, None
+    up = np.concatenate([np.eye(3), -np.eye(3), directions()])
+    true = G_STANDARD * up
+    force = np.linalg.norm(compensator.force(compensator.model("accel").predict(true)) - true, axis=1)
+    rate = None
+    if compensator.gyro is not None and calibration.prediction is not None:
+        at_rate = calibration.prediction.at_rate
+    if at_rate is not None:
+        turning = at_rate * up[:, [1, 2, 0]]
+        rate = np.linalg.norm(compensator.rate(compensator.model("gyro").predict(turning), true) - turning, axis=1)
+    return LeftByMatrix(
+        force_rms=float(np.sqrt(np.mean(force**2))),
+        force=float(force.max()),
+        rate_rms=None if rate is None else float(np.sqrt(np.mean(rate**2))),
+        rate=None if rate is None else float(rate.max()),
+        at_rate=at_rate,
+    )
+
+
+def left_said(left: LeftByMatrix) -> str:
+    """What matrix and bias alone leave, in a line."""
+
+    def shown(unit: str, largest: float, rms: float) -> str:
+        size, per = engineering(unit, largest)
+        return f"up to {two_digits(largest / size)} {per} (rms {two_digits(rms / size)} {per})"
+
+    said = f"with matrix and bias alone: off by {shown('m/s^2', left.force, left.force_rms)} at 1 g"
+    if left.rate is None or left.rate_rms is None or left.at_rate is None:
+        return said
+    turned, per = engineering("rad/s", left.at_rate)
+    rate = two_digits(left.at_rate / turned)
+    return f"{said}, and by {shown('rad/s', left.rate, left.rate_rms)} at {rate} {per} in 1 g"

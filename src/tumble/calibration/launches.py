@@ -17,7 +17,7 @@ from typing import TypeVar, get_args
 
 import numpy as np
 
-from tumble.calibration.calibrate import DEFAULT_METHOD, Method, Terms, calibrate
+from tumble.calibration.calibrate import DEFAULT_METHOD, Method, Terms, calibrate, provenance_of
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import by_gravity, degrees_of_mean, shared_gravity
 from tumble.calibration.observed import Progress
@@ -116,7 +116,7 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
     first = runs[0].calibration
     _check_alike(runs)
     common = [p.name for p in first.parameters if all(p.name in _named(run) for run in runs)]
-    reference = _mean_reference(runs)
+    reference = _mean_where_known([run.calibration.reference_temperature for run in runs])
     references = _mean_references(runs)
     moves = [_to_temperature(run, common, reference, references) for run in runs]
     values = np.array(
@@ -128,8 +128,11 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
     mean, u = values.mean(axis=0), np.sqrt(np.diag(covariance))
     parameters = tuple(_mean_parameter(runs, *each) for each in zip(common, mean, u, spread, degrees, strict=True))
     means = dict(zip(common, mean.tolist(), strict=True))
-    return replace(
-        first,
+    return Calibration(
+        serial=first.serial,
+        model=first.model,
+        method=first.method,
+        frame=first.frame,
         parameters=parameters,
         covariance=covariance,
         accel=_mean_model(first.frame, runs[0].session.accel_block, means),
@@ -137,24 +140,26 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
         mag=_mean_magnetometer(means),
         outcome=_outcome(runs),
         iterations=_mean_increments(runs, common),
-        rests=(),
-        turns=(),
-        fits={},
         site=_common([run.calibration.site for run in runs]),
-        circumstances=circumstances_of_all([run.calibration.circumstances for run in runs]),
         programme=_common([run.calibration.programme for run in runs]),
+        readings=_common_items([run.calibration.readings for run in runs]),
         notes=(
             *_notes(runs),
             *_left_out(runs, common),
             *_pooled_with(common, instability, alike),
         ),
         launches=tuple(map(_launch, runs)),
+        provenance=provenance_of(_digest_of_all(runs)),
         groups=_groups(runs, parameters),
         prediction=_prediction(runs, common, mean, covariance),
+        axes=_common_items([run.calibration.axes for run in runs]),
         reference_temperature=reference,
         references=references,
+        thermometers=_common_items([run.calibration.thermometers for run in runs]),
+        circumstances=circumstances_of_all([run.calibration.circumstances for run in runs]),
+        imu=_common_items([run.calibration.imu for run in runs]),
+        sample_rate=_mean_where_known([run.calibration.sample_rate for run in runs]),
         clock_u=_clock_u(runs),
-        provenance=dict(first.provenance) | {"log_sha256": _digest_of_all(runs)},
     )
 
 
@@ -210,6 +215,11 @@ def circumstances_of_all(each: Sequence[Circumstances]) -> Circumstances:
 def _common(values: Sequence[_Any]) -> _Any | None:
     """What all launches share; None where they differ."""
     return values[0] if all(value == values[0] for value in values) else None
+
+
+def _common_items(values: Sequence[Mapping[str, _Any]]) -> dict[str, _Any]:
+    """The entries that all launches share."""
+    return {key: own for key, own in values[0].items() if all(each.get(key) == own for each in values)}
 
 
 def _name(run: Run) -> str:
@@ -410,10 +420,10 @@ def _prediction(runs: Sequence[Run], names: list[str], values: Array, covariance
     )
 
 
-def _mean_reference(runs: Sequence[Run]) -> float | None:
-    """The mean of the reference temperatures of the launches, °C; None where one has none."""
-    found = [t for run in runs if (t := run.calibration.reference_temperature) is not None]
-    return float(np.mean(found)) if len(found) == len(runs) else None
+def _mean_where_known(values: Sequence[float | None]) -> float | None:
+    """The mean over the launches; None where one has none."""
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if len(known) == len(values) else None
 
 
 def _mean_references(runs: Sequence[Run]) -> dict[str, tuple[float, ...]]:

@@ -150,6 +150,8 @@ class Member:
     turns: int
     temperatures: tuple[float, float]
     parameters: tuple[Parameter, ...] = ()
+    date: str | None = None
+    """When it was recorded, ISO 8601."""
 
 
 def member_content(member: Member) -> dict[str, Any]:
@@ -161,6 +163,7 @@ def member_content(member: Member) -> dict[str, Any]:
         "turns": member.turns,
         "temperatures": list(member.temperatures),
         "parameters": [parameter_content(p) for p in member.parameters],
+        "date": member.date,
     }
 
 
@@ -174,6 +177,7 @@ def member_from(content: Mapping[str, Any]) -> Member:
         turns=int(content["turns"]),
         temperatures=(low, high),
         parameters=tuple(map(parameter_from, content["parameters"])),
+        date=content.get("date"),
     )
 
 

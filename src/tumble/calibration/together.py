@@ -43,13 +43,14 @@ SELDOM = 1e-3
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _ReducedSession:
-    """A session, the SHA-256 of its log, its gaps and what is left of it."""
+    """A session, the SHA-256 of its log, its gaps, what is left of it, and when it was recorded."""
 
     session: Session
     sha256: str
     gaps: tuple[Gap, ...]
     observations: Observations
     numbers: IntArray
+    date: str | None
 
     @property
     def name(self) -> str:
@@ -94,7 +95,12 @@ def calibrate_together(
         observations, numbers = found
         reduced.append(
             _ReducedSession(
-                session=session, sha256=seen.sha256, gaps=seen.gaps, observations=observations, numbers=numbers
+                session=session,
+                sha256=seen.sha256,
+                gaps=seen.gaps,
+                observations=observations,
+                numbers=numbers,
+                date=seen.circumstances.date,
             )
         )
     provenance = provenance_of(_digest(reduced))
@@ -215,6 +221,7 @@ def _members(reduced: Sequence[_ReducedSession], own: OwnEstimate | None) -> Ite
                 )
                 for name, unit, value, u, prior in parameters
             ),
+            date=each.date,
         )
 
 

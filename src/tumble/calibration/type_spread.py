@@ -19,8 +19,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from scipy.special import fdtrc
+
+if TYPE_CHECKING:
+    from tumble.calibration.calibration_file import Calibration
 
 UNLIKE = 1e-3
 """A device is not like its type where chance makes it as unstable less often."""
@@ -35,6 +39,24 @@ class KnownLaunches:
     logs: frozenset[str]
     degrees: int
     variances: Mapping[str, tuple[float, float]]
+
+
+def known_launches(calibration: Calibration) -> KnownLaunches | None:
+    """The launches behind a calibration; None where there are not several."""
+    count = len(calibration.launches)
+    if count < 2:
+        return None
+    own = [{p.name: (p.u or 0.0) ** 2 for p in launch.parameters} for launch in calibration.launches]
+    return KnownLaunches(
+        serial=calibration.serial,
+        logs=frozenset(launch.log_sha256 for launch in calibration.launches),
+        degrees=count - 1,
+        variances={
+            p.name: (p.run_to_run**2, sum(each[p.name] for each in own) / count)
+            for p in calibration.parameters
+            if p.run_to_run is not None and all(p.name in each for each in own)
+        },
+    )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -16,7 +16,7 @@ from tumble.commands.arguments import FILE, JSON, say, warn
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
-    from tumble.registry.records import ParameterRow, Record
+    from tumble.registry.records import Record
 
 
 _DAY = click.DateTime(["%Y-%m-%d"])
@@ -90,7 +90,6 @@ def add(
     from tumble.registry.connect import open_registry
     from tumble.registry.records import Particulars, read_submission
     from tumble.registry.store import add as add_to
-    from tumble.registry.store import parameters_of
 
     particulars = Particulars(
         performed=None if day is None else day.replace(tzinfo=UTC),
@@ -102,34 +101,33 @@ def add(
     submission = read_submission(calibration, particulars)
     with open_registry(place, create=True) as opened:
         added = add_to(opened, submission)
-        number = added.record.number
         said = "added as" if added.new else "the same calibration is there already:"
-        say(f"{said} record {number} in {opened.name}")
-        passed = _print_record(opened, added.record, parameters_of(opened, [number])[number], as_json, every)
+        say(f"{said} record {added.record.number} in {opened.name}")
+        passed = _print_record(opened, added.record, as_json, every)
     sys.exit(0 if passed else 1)
 
 
-def _print_record(opened: Any, record: Record, rows: list[ParameterRow], as_json: bool, every: bool) -> bool:
+def _print_record(opened: Any, record: Record, as_json: bool, every: bool) -> bool:
     """Print a record with the verdict on it, and whether it passes."""
-    from tumble.registry.series import rows_in_frame, verdict_of
-    from tumble.registry.store import launches_of, limits_records
+    from tumble.registry.series import verdict_of
+    from tumble.registry.store import launches_of, limits_records, parameters_of
     from tumble.terminal.data import print_data
     from tumble.terminal.registry import record_report
     from tumble.terminal.registry_data import record_data
     from tumble.terminal.text import print_report
 
-    verdict = verdict_of(opened, record, rows, {own.number: own for own in limits_records(opened)})
+    verdict = verdict_of(opened, record, {own.number: own for own in limits_records(opened)})
+    rows = parameters_of(opened, [record.number])[record.number]
     with opened.reading() as connection:
         launches = launches_of(connection, record.number)
-    shown = rows_in_frame(opened, record, rows, record.frame)
     if as_json:
-        print_data(record_data(record, launches, shown, verdict))
+        print_data(record_data(record, launches, rows, verdict))
     else:
-        print_report(record_report(record, launches, shown, verdict, every=every))
+        print_report(record_report(record, launches, rows, verdict, every=every))
     if verdict is None or verdict.result == "pass":
         return True
     for reason in verdict.reasons():
-        warn(f"not accepted: {reason}")
+        warn(f"{verdict.occasion} check: {reason}")
     return False
 
 
@@ -139,51 +137,30 @@ def _print_record(opened: Any, record: Record, rows: list[ParameterRow], as_json
 @_place
 def list_(serial: str | None, as_json: bool, place: str | None) -> None:
     """All devices with their latest record, or the records of the device SERIAL."""
-    from collections import Counter
-
     from tumble.registry.connect import open_registry
     from tumble.registry.due import due as due_of
     from tumble.registry.store import records
-    from tumble.terminal.data import print_data
-    from tumble.terminal.registry import devices_table, records_table
-    from tumble.terminal.registry_data import devices_data, records_data
-    from tumble.terminal.text import print_report
+    from tumble.terminal.registry_lists import devices_lines, print_lines, records_lines
 
     with open_registry(place) as opened:
-        found = records(opened, serial)
         if serial is not None:
-            said = _verdicts(opened, found)
+            found = records(opened, serial)
             if as_json:
-                print_data(records_data(found, said))
+                from tumble.terminal.data import print_data
+                from tumble.terminal.registry_data import records_data
+
+                print_data(records_data(found))
             else:
-                print_report(records_table(found, said))
+                print_lines(records_lines(found))
             return
-        counts = Counter(record.serial for record in found if record.superseded_by is None)
         latest = sorted(due_of(opened), key=lambda item: item.record.serial)
-        said = _verdicts(opened, [item.record for item in latest])
         if as_json:
-            print_data(devices_data(latest, counts, said))
+            from tumble.terminal.data import print_data
+            from tumble.terminal.registry_data import devices_data
+
+            print_data(devices_data(latest))
         else:
-            print_report(devices_table(latest, counts, said))
-
-
-def _verdicts(opened: Any, found: list[Record]) -> dict[int, str]:
-    """The verdict on every record, in a word."""
-    from tumble.registry.series import verdict_of
-    from tumble.registry.store import limits_records, parameters_of
-
-    limits = {own.number: own for own in limits_records(opened)}
-    judged = [record for record in found if record.limits is not None]
-    rows = parameters_of(opened, [record.number for record in judged])
-    said = dict.fromkeys((record.number for record in found), "")
-    for record in judged:
-        try:
-            verdict = verdict_of(opened, record, rows[record.number], limits)
-        except InputError:
-            said[record.number] = "other frame"
-        else:
-            said[record.number] = verdict.result if verdict else ""
-    return said
+            print_lines(devices_lines(latest))
 
 
 @registry.command()
@@ -196,7 +173,7 @@ def show(number: int, out: Path | None, as_json: bool, every: bool, place: str |
     """The record NUMBER with the verdict on each parameter. Exit status 1 if it does not pass."""
     from tumble.files import whole_file
     from tumble.registry.connect import open_registry
-    from tumble.registry.store import file_of, parameters_of, record
+    from tumble.registry.store import file_of, record
 
     with open_registry(place) as opened:
         found = record(opened, number)
@@ -206,7 +183,7 @@ def show(number: int, out: Path | None, as_json: bool, every: bool, place: str |
             with whole_file(out) as temporary:
                 temporary.write_text(file_of(opened, number), encoding="utf-8")
             say(f"written to {out}")
-        passed = _print_record(opened, found, parameters_of(opened, [number])[number], as_json, every)
+        passed = _print_record(opened, found, as_json, every)
     sys.exit(0 if passed else 1)
 
 
@@ -220,8 +197,8 @@ def show(number: int, out: Path | None, as_json: bool, every: bool, place: str |
 def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, every: bool, place: str | None) -> None:
     """Every parameter of the device SERIAL over its calibrations, or one PARAMETER in every calibration.
 
-    Exit status 1 if the device has changed since the calibration before by more than chance makes (0.001), in a
-    parameter or in all together.
+    Exit status 1 if the device has changed since the calibration before by more than chance makes, in a parameter or
+    in all together, as `tumble compare` says it of both.
     """
     from tumble.registry.connect import open_registry
     from tumble.registry.monitor import monitored
@@ -293,18 +270,18 @@ def due(day: datetime | None, as_json: bool, place: str | None) -> None:
     """
     from tumble.registry.connect import open_registry
     from tumble.registry.due import due as due_of
-    from tumble.terminal.data import print_data
-    from tumble.terminal.registry import due_table
-    from tumble.terminal.registry_data import due_data
-    from tumble.terminal.text import print_report
+    from tumble.terminal.registry_lists import due_lines, print_lines
 
     today = datetime.now(UTC).date() if day is None else day.date()
     with open_registry(place) as opened:
         found = due_of(opened)
     if as_json:
+        from tumble.terminal.data import print_data
+        from tumble.terminal.registry_data import due_data
+
         print_data(due_data(found, today))
     else:
-        print_report(due_table(found, today))
+        print_lines(due_lines(found, today))
     overdue = [item.record.serial for item in found if (item.day or date.max) < today]
     if overdue:
         warn(f"overdue: {', '.join(overdue)}")
@@ -334,11 +311,10 @@ def export(out: Path | None, place: str | None) -> None:
 @click.argument("file", type=FILE)
 @_place
 def import_(file: Path, place: str | None) -> None:
-    """Add what FILE, an export, holds and the registry does not: all of it or, after an error, nothing."""
+    """Add what FILE, an export, holds and the registry does not; nothing of a file that is no whole export."""
     from tumble.registry.connect import open_registry
-    from tumble.registry.exchange import check_export, import_file
+    from tumble.registry.exchange import import_file
 
-    check_export(file)
     with open_registry(place, create=True) as opened:
         done = import_file(opened, file)
         say(f"{done.added} calibrations added to {opened.name}, {done.known} were there already")

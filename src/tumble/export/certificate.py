@@ -15,16 +15,22 @@ country = "RU"
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import date
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from tumble.documents import text_of_document, toml_of
 from tumble.errors import InputError, did_you_mean
-from tumble.recording.circumstances import Circumstances
+from tumble.registry.limits import Limits, limits_of
+from tumble.registry.records import Occasion
+
+if TYPE_CHECKING:
+    from tumble.calibration.calibration_file import Calibration
 
 RELATES = (
     "This certificate relates only to the item described in it, in the state in which it was calibrated; it may be "
@@ -40,6 +46,9 @@ STATES: Mapping[str, str] = {
 _Text = Field(pattern=r"^\S+(\s+\S+)*$")
 _Country = Field(pattern="^[A-Z]{2}$")
 
+
+_ACCREDITED = ("procedure", "traceability", "issued")
+"""Without these a certificate is not one of ISO/IEC 17025, 7.8."""
 
 _Optional = Field(default=None, pattern=r"^\S+(\s+\S+)*$")
 
@@ -77,8 +86,9 @@ class Person(_CertificateTable):
 class Certificate(_CertificateTable):
     """The administrative part of a calibration certificate. Without `begin` and `end` the date is that of the
     recording. `state` is that of the item when it was calibrated: before an adjustment, after it, or without one;
-    `as_found` the calibration file from before. `limits` is the file of acceptance limits, `agreed` how they and the
-    decision rule were agreed with the customer, `traceability` how gravity, time and table are traced, `replaces` the
+    `as_found` the calibration file from before. `limits` is the file of acceptance limits, `check` which of its checks
+    the statement of conformity is about, `agreed` how they and the decision rule were agreed with the customer,
+    `traceability` how gravity, time and table are traced, `replaces` the
     number of a certificate that this one takes the place of."""
 
     number: str = _Text
@@ -92,6 +102,7 @@ class Certificate(_CertificateTable):
     as_found: str | None = Field(default=None, min_length=1)
     procedure: str | None = _Optional
     limits: str | None = Field(default=None, min_length=1)
+    check: Occasion | None = None
     agreed: str | None = _Optional
     traceability: tuple[str, ...] = Field(default=(), strict=False)
     remarks: tuple[str, ...] = Field(default=(), strict=False)
@@ -106,18 +117,88 @@ class Certificate(_CertificateTable):
             raise ValueError(f"end: expected a day not before the begin, {self.begin}, found {self.end}")
         if self.as_found is not None and self.state != "as-left":
             raise ValueError(f'as_found: expected only with state = "as-left", found {self.state!r}')
+        if self.replaces == self.number:
+            raise ValueError(f"replaces: expected the number of another certificate, found its own, {self.number!r}")
+        missing = [name for name in _ACCREDITED if not getattr(self, name)] if self.laboratory.code else []
+        missing += ["agreed"] if self.laboratory.code and self.limits is not None and self.agreed is None else []
+        if missing:
+            raise ValueError(
+                f"{missing[0]}: expected this key under an accreditation number (laboratory.code), found none of "
+                f"{', '.join(missing)}"
+            )
         return self
 
-    def days(self, circumstances: Circumstances) -> tuple[date, date]:
-        """First and last day of the calibration: as stated, or that of the recording. Raises InputError without."""
-        recorded = circumstances.day
-        begin, end = self.begin or self.end or recorded, self.end or self.begin or recorded
+    def days(self, calibration: Calibration) -> tuple[date, date]:
+        """First and last day of the calibration: as stated, or those of the recordings. Raises InputError without."""
+        recorded = [date.fromisoformat(moment[:10]) for moment in recorded_on(calibration)]
+        begin = self.begin or (min(recorded) if recorded else self.end)
+        end = self.end or (max(recorded) if recorded else self.begin)
         if begin is None or end is None:
             raise InputError(
                 "certificate: begin: expected the day of the calibration, found none, and none in the recording; state "
                 "begin and end, or date in [session]"
             )
         return begin, end
+
+
+def check_certificate(certificate: Certificate, calibration: Calibration, as_found: Calibration | None) -> None:
+    """Check that a certificate fits the calibration it is of, and the one from before an adjustment: received before
+    calibrated before issued, every recording within the days of the calibration, and two recordings for as found and
+    as left. Raises InputError, one line."""
+    begin, end = certificate.days(calibration)
+    order = (("received", certificate.received), ("begin", begin), ("end", end), ("issued", certificate.issued))
+    stated = [(name, day) for name, day in order if day is not None]
+    for (earlier, first), (later, second) in pairwise(stated):
+        if second < first:
+            raise InputError(f"certificate: {later}: expected a day not before {earlier}, {first}, found {second}")
+    for recorded in recorded_on(calibration):
+        day = date.fromisoformat(recorded[:10])
+        if not begin <= day <= end:
+            raise InputError(
+                f"certificate: begin, end: expected days that hold every recording, found {begin} to {end} and a "
+                f"recording of {day}"
+            )
+    if as_found is None:
+        return
+    before, after = (made.provenance.get("log_sha256") for made in (as_found, calibration))
+    if before == after and before is not None:
+        raise InputError(
+            "certificate: as_found: expected a calibration from before the adjustment, found one of the same recording"
+        )
+    if max(recorded_on(as_found), default="") > min(recorded_on(calibration), default="9"):
+        raise InputError(
+            f"certificate: as_found: expected a recording from before that of the result, {recorded_on(calibration)[0]}"
+            f", found {recorded_on(as_found)[-1]}"
+        )
+
+
+def recorded_on(calibration: Calibration) -> list[str]:
+    """When the recordings behind a calibration were made, ISO 8601, each once and in their order; what is not known is
+    left out."""
+    sessions = [launch.circumstances.date for launch in calibration.launches]
+    every = [*sessions, *(member.date for member in calibration.together), calibration.circumstances.date]
+    return sorted({moment for moment in every if moment is not None})
+
+
+def judged_by(certificate: Certificate) -> Limits | None:
+    """The acceptance limits of the check that a certificate states conformity with; None without limits. Raises
+    InputError where its file has limits of both checks and the certificate does not say which."""
+    if certificate.limits is None:
+        return None
+    limits = limits_of(Path(certificate.limits))
+    checks = [occasion for occasion in limits.checks if limits.checks[occasion]]
+    if certificate.check is None and len(checks) > 1:
+        raise InputError(
+            f"certificate: check: expected 'incoming' or 'periodic', for {certificate.limits} has limits of both, "
+            "found none"
+        )
+    if certificate.check is not None and certificate.check not in checks:
+        raise InputError(
+            f"certificate: check: expected {checks[0]!r}, whose limits {certificate.limits} has, found "
+            f"{certificate.check!r}"
+        )
+    kept = certificate.check or checks[0]
+    return replace(limits, checks={kept: limits.checks[kept]})
 
 
 def read_certificate(path: Path) -> Certificate:

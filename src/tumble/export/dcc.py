@@ -18,22 +18,23 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import date
-from pathlib import Path
+from math import floor, log10
 
 import numpy as np
 from scipy.special import chdtri, fdtri
 
-from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.coverage import PROBABILITY, degrees_of_freedom
-from tumble.calibration.results import FEWEST_DEGREES, stated_factor
+from tumble.calibration.further import described
+from tumble.calibration.results import FEWEST_DEGREES, Parameter, stated_factor
 from tumble.errors import InputError
-from tumble.export.certificate import RELATES, STATES, Certificate, Party
+from tumble.export.certificate import RELATES, STATES, Certificate, Party, check_certificate, judged_by
 from tumble.export.exported import Exported, example, models, one_line, origin, shown
 from tumble.export.larger_model import NOT_IN_MATRIX, not_held
 from tumble.registry.conformity import verdicts
-from tumble.registry.limits import AGREED_RULE, LimitJudgement, Verdict, limits_of
+from tumble.registry.limits import RULE, LimitJudgement, Verdict
 from tumble.sensors.model import SensorModel
-from tumble.sensors.parameters import sensor_kind
+from tumble.sensors.parameters import sensor_kind, shown_in
 from tumble.units import Array
 
 VERSION = "3.3.0"
@@ -78,6 +79,11 @@ _CONFORMITY: Mapping[str, str] = {
 }
 """Outcomes as the schema has them; it has none for what is undecided."""
 
+U_DIGITS = 3
+"""Digits of u and U: two that matter, and one so that rounding adds nothing."""
+_COVARIANCE_DIGITS = 10
+"""Of covariances, so that a matrix of strong correlations stays positive."""
+
 _BIAS_UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
 _TITLES = {"accel": "accelerometers", "gyro": "gyros"}
 
@@ -96,7 +102,11 @@ def d_si(*units: str) -> str:
 def dcc(calibration: Calibration, certificate: Certificate) -> Exported:
     """The XML file of a calibration with the administrative data of its certificate."""
     known = models(calibration)
-    judged = () if certificate.limits is None else tuple(verdicts(calibration, limits_of(Path(certificate.limits))))
+    check_certificate(
+        certificate, calibration, None if certificate.as_found is None else read_calibration(certificate.as_found)
+    )
+    limits = judged_by(certificate)
+    judged = () if limits is None else tuple(verdicts(calibration, limits))
     losses = (*LOSSES, *not_held(calibration, said=NOT_IN_MATRIX))
     inertial = [i for i, p in enumerate(calibration.parameters) if sensor_kind(p.name) != "mag"]
     calibration = replace(
@@ -136,7 +146,7 @@ def _administrative(parent: ET.Element, calibration: Calibration, certificate: C
     software = _child(_child(parent, "dccSoftware"), "software")
     _named(software, "name", name)
     _child(software, "release", release or "unknown")
-    _core(_child(parent, "coreData"), certificate, certificate.days(calibration.circumstances))
+    _core(_child(parent, "coreData"), certificate, certificate.days(calibration))
     _item(_child(_child(parent, "items"), "item"), calibration, certificate)
     laboratory = _child(parent, "calibrationLaboratory")
     if certificate.laboratory.code is not None:
@@ -269,9 +279,9 @@ def _conformity(parent: ET.Element, certificate: Certificate, judged: Sequence[V
         if certificate.agreed is not None:
             _named(statement, "description", f"limits and decision rule as agreed: {certificate.agreed}")
         _child(statement, "norm", "ILAC-G8:09/2019")
-        _named(statement, "declaration", AGREED_RULE)
-        if verdict.statement in _CONFORMITY:
-            _child(statement, "conformity", _CONFORMITY[verdict.statement])
+        _named(statement, "declaration", RULE)
+        if verdict.result in _CONFORMITY:
+            _child(statement, "conformity", _CONFORMITY[verdict.result])
 
 
 def _typed(element: ET.Element, kind: str | None) -> ET.Element:
@@ -288,6 +298,23 @@ def _result(parent: ET.Element, name: str) -> ET.Element:
     return _child(result, "data")
 
 
+def _behind(parameter: Parameter) -> str:
+    """What stands behind u, in words."""
+    if parameter.u is None:
+        return "no uncertainty is stated"
+    if parameter.dof is None:
+        return "u is known (infinite degrees of freedom)"
+    return f"u was estimated with {parameter.dof:.3g} degrees of freedom"
+
+
+def _limits(judgement: LimitJudgement) -> str:
+    """The limits of a parameter in its usual unit."""
+    finite = [limit for limit in (judgement.low, judgement.high) if np.isfinite(limit)]
+    size, unit = shown_in(judgement.name, judgement.unit, max(map(abs, finite), default=0.0))
+    low, high = (f"{limit / size:.6g}" for limit in (judgement.low, judgement.high))
+    return f"{low} to {high} {unit}"
+
+
 def _over(judgement: LimitJudgement) -> str:
     """At which temperature a parameter over temperature was judged."""
     return "" if judgement.at is None else f", worst at {judgement.at:.1f} degC: {judgement.value:g}"
@@ -298,9 +325,12 @@ def _parameters(data: ET.Element, calibration: Calibration, judged: Sequence[Ver
         quantity = _typed(_child(data, "quantity"), "basic_measuredValue")
         quantity.set("id", parameter.name)
         _named(quantity, "name", parameter.name)
+        _named(
+            quantity, "description", "; ".join(each for each in (described(parameter.name), _behind(parameter)) if each)
+        )
         _real(quantity, parameter.value, parameter.u, parameter.unit, degrees_of_freedom(parameter))
         found = [(v.occasion, j) for v in judged for j in v.judgements if j.name == parameter.name]
-        told = [(occasion, j) for occasion, j in found if j.statement in _CONFORMITY]
+        told = [(occasion, j) for occasion, j in found if j.result in _CONFORMITY]
         every = _child(quantity, "measurementMetaData") if told else quantity
         for occasion, judgement in told:
             statement = _typed(_child(every, "metaData"), "basic_conformity")
@@ -308,29 +338,37 @@ def _parameters(data: ET.Element, calibration: Calibration, judged: Sequence[Ver
             _named(
                 statement,
                 "declaration",
-                f"limits {judgement.low:g} to {judgement.high:g} {judgement.unit}{_over(judgement)}",
+                f"limits {_limits(judgement)}{_over(judgement)}",
             )
-            _child(statement, "conformity", _CONFORMITY[judgement.statement])
+            _child(statement, "conformity", _CONFORMITY[judgement.result])
 
 
 def _real(quantity: ET.Element, value: float, u: float | None, unit: str, degrees: float) -> None:
     """A value with its expanded uncertainty, where it has one, of a u with so many degrees of freedom; with u where
     these are too few."""
     real = _child(quantity, "real", namespace=_SI)
-    _child(real, "value", repr(float(value)), _SI)
+    _child(real, "value", to_digits(value, u), _SI)
     _child(real, "unit", d_si(unit), _SI)
     if u is None:
         return
     univariate, k = _child(real, "measurementUncertaintyUnivariate", namespace=_SI), stated_factor(degrees)
     if k is None:
         standard = _child(univariate, "standardMU", namespace=_SI)
-        _child(standard, "valueStandardMU", repr(float(u)), _SI)
+        _child(standard, "valueStandardMU", f"{u:.{U_DIGITS}g}", _SI)
     else:
         expanded = _child(univariate, "expandedMU", namespace=_SI)
-        _child(expanded, "valueExpandedMU", repr(float(k * u)), _SI)
-        _child(expanded, "coverageFactor", f"{k:.4g}", _SI)
+        _child(expanded, "valueExpandedMU", f"{k * u:.{U_DIGITS}g}", _SI)
+        _child(expanded, "coverageFactor", f"{k:.{U_DIGITS}g}", _SI)
         _child(expanded, "coverageProbability", f"{PROBABILITY:g}", _SI)
         _child(expanded, "distribution", "normal" if np.isinf(degrees) else "Student's t", _SI)
+
+
+def to_digits(value: float, u: float | None) -> str:
+    """A value to the last of the digits of its u that are given."""
+    if not u or value == 0.0:
+        return f"{value:.12g}"
+    digits = U_DIGITS + floor(log10(abs(value))) - floor(log10(u))
+    return f"{value:.{min(max(digits, 1), 12)}g}"
 
 
 def _covariance(data: ET.Element, calibration: Calibration, covariance: Array) -> None:
@@ -343,13 +381,20 @@ def _covariance(data: ET.Element, calibration: Calibration, covariance: Array) -
     quantity = _child(data, "quantity")
     _named(quantity, "name", "all parameters")
     units = [p.unit for p in parameters]
-    entries = _list(quantity, [p.name for p in parameters], np.array([p.value for p in parameters]), units)
+    entries = _list(
+        quantity, [p.name for p in parameters], " ".join(to_digits(p.value, p.u) for p in parameters), units
+    )
     several = _child(entries, "measurementUncertaintyMultivariateXMLList", namespace=_SI)
     region = _child(several, "ellipsoidalRegionMUXMLList", namespace=_SI)
     matrix = _child(region, "covarianceMatrixXMLList", namespace=_SI)
     for j, unit in enumerate(units):
         column = _child(_child(matrix, "columnXMLList", namespace=_SI), "covarianceXMLList", namespace=_SI)
-        _child(column, "valueXMLList", shown(covariance[:, j]), _SI)
+        _child(
+            column,
+            "valueXMLList",
+            " ".join(f"{each:.{_COVARIANCE_DIGITS}g}" for each in covariance[:, j].tolist()),
+            _SI,
+        )
         _child(column, "unitXMLList", " ".join(d_si(other, unit) for other in units), _SI)
     _child(region, "coverageFactorXMLList", f"{_region_factor(len(units), fewest):.6f}", _SI)
     _child(region, "coverageProbabilityXMLList", str(REGION_PROBABILITY), _SI)
@@ -377,13 +422,13 @@ def _model(data: ET.Element, kind: str, model: SensorModel) -> None:
     ):
         quantity = _child(data, "quantity")
         _named(quantity, "name", f"{_TITLES[kind]}: {name}")
-        _list(quantity, labels, np.ravel(values), [of] * len(labels))
+        _list(quantity, labels, shown(values), [of] * len(labels))
 
 
-def _list(quantity: ET.Element, labels: Sequence[str], values: Array, units: Sequence[str]) -> ET.Element:
-    """Values with a label and a unit each."""
+def _list(quantity: ET.Element, labels: Sequence[str], values: str, units: Sequence[str]) -> ET.Element:
+    """Values, as words, with a label and a unit each."""
     entries = _child(quantity, "realListXMLList", namespace=_SI)
     _child(entries, "labelXMLList", " ".join(labels), _SI)
-    _child(entries, "valueXMLList", shown(values), _SI)
+    _child(entries, "valueXMLList", values, _SI)
     _child(entries, "unitXMLList", " ".join(map(d_si, units)), _SI)
     return entries

@@ -15,8 +15,8 @@ import numpy as np
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.half import accepted_kinds, accepted_part
 from tumble.calibration.temperature_curves import Range, changing, curve, measured_range
-from tumble.registry.limits import LimitJudgement, Limits, Result, Verdict, judge
-from tumble.registry.records import OCCASIONS, parameter_rows
+from tumble.registry.limits import LimitJudgement, Limits, Result, Verdict, judge, result_inside
+from tumble.registry.records import OCCASIONS, Occasion, parameter_rows
 from tumble.sensors.parameters import FURTHER, group_name
 from tumble.units import Array
 
@@ -33,13 +33,18 @@ def verdicts(calibration: Calibration, limits: Limits) -> list[Verdict]:
     alone are accepted, the others are not determined.
 
     Raises CalibrationError where it cannot be taken to the frame of the limits."""
+    found = [verdict_at(calibration, limits, occasion) for occasion in OCCASIONS if limits.checks.get(occasion)]
+    return [verdict for verdict in found if verdict is not None]
+
+
+def verdict_at(calibration: Calibration, limits: Limits, occasion: Occasion) -> Verdict | None:
+    """What the limits say of a calibration at a check; None where they have none for it. Raises as `verdicts`."""
     if len(accepted_kinds(calibration)) == 1:
         calibration = accepted_part(calibration)
     if calibration.frame != limits.frame:
         calibration = calibration.in_frame(limits.frame)
-    rows, unseen = list(parameter_rows(calibration.parameters)), calibration.outcome.unobservable
-    found = [judge(limits, occasion, rows, unseen) for occasion in OCCASIONS]
-    return [over_temperature(verdict, calibration, limits) for verdict in found if verdict is not None]
+    verdict = judge(limits, occasion, list(parameter_rows(calibration.parameters)), calibration.outcome.unobservable)
+    return None if verdict is None else over_temperature(verdict, calibration, limits)
 
 
 def over_temperature(verdict: Verdict, calibration: Calibration, limits: Limits) -> Verdict:
@@ -70,12 +75,12 @@ def _unmeasured(wanted: tuple[float, float], measured: Range | None) -> str:
 def _worst(
     one: LimitJudgement, calibration: Calibration, wanted: tuple[float, float], measured: Range | None, *, known: bool
 ) -> LimitJudgement:
-    """A parameter judged where it is worst; undecided where it would pass and not all was measured."""
+    """A parameter judged where it is worst; undecided where it would not fail and not all was measured."""
     beyond = not known or bool(_unmeasured(wanted, measured))
     if known and measured is not None and max(wanted[0], measured.low) < min(wanted[1], measured.high):
         at = _temperatures(max(wanted[0], measured.low), min(wanted[1], measured.high))
         one = _judged(one, at, *_values(calibration, one.name, at))
-    if one.result == "pass" and beyond:
+    if beyond and one.result in ("pass", "conditional pass"):
         return replace(one, result="undecided", beyond=True)
     return one
 
@@ -89,9 +94,9 @@ def _judged(one: LimitJudgement, at: Array, value: Array, expanded: Array | None
     """The judgement at the worst of temperatures (N,) with values (N,) and U (N,)."""
     U = np.zeros(len(at)) if expanded is None else expanded
     inside = np.minimum(value - one.low, one.high - value)
-    fails = inside < -U
-    i = int(np.argmin(np.where(fails, inside + U, np.inf) if fails.any() else inside - U))
-    result: Result = "undecided" if expanded is None else _result(float(inside[i]), float(U[i]))
+    outside = inside + U if np.any(inside < -U) else inside if np.any(inside < 0.0) else inside - U
+    i = int(np.argmin(outside))
+    result: Result = "undecided" if expanded is None else result_inside(float(inside[i]), float(U[i]))
     return replace(
         one,
         value=float(value[i]),
@@ -99,11 +104,6 @@ def _judged(one: LimitJudgement, at: Array, value: Array, expanded: Array | None
         result=result,
         at=float(at[i]),
     )
-
-
-def _result(inside: float, expanded: float) -> Result:
-    """The verdict on a value that is so far inside its limits."""
-    return "pass" if inside >= expanded else "fail" if inside < -expanded else "undecided"
 
 
 def _temperatures(low: float, high: float) -> Array:

@@ -13,6 +13,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 from tumble.errors import InputError, needs_extra
 from tumble.files import FilePath
@@ -45,7 +46,13 @@ class Registry:
         with self._transaction(
             {} if _is_file(self.engine.url) else {"isolation_level": "REPEATABLE READ"}
         ) as connection:
-            yield connection
+            try:
+                yield connection
+            except (ValueError, TypeError) as error:  # of a column that is not what it was written as
+                raise InputError(
+                    f"{self.name}: the registry cannot be used: expected what was written into it, found a damaged "
+                    f"value: {' '.join(str(error).split())}"
+                ) from error
 
     @contextmanager
     def writing(self) -> Iterator[Connection]:
@@ -93,6 +100,8 @@ def _connected(place: str | None, create: bool) -> Registry:
     name = str(file) if file else url.render_as_string(hide_password=True)
     if file is not None:
         _prepare(file, create, default=place is None)
+    if file is not None and not create and _never_written(file):
+        url = url.set(database=f"file:{quote(str(file.resolve()))}", query={"immutable": "1", "uri": "true"})
     registry = Registry(name=name, engine=_engine(url, name))
     try:
         with in_one_line(name):
@@ -137,6 +146,13 @@ def default_file() -> Path:
     from platformdirs import user_data_path
 
     return user_data_path("tumble", appauthor=False) / FILE_NAME
+
+
+def _never_written(file: Path) -> bool:
+    """Whether a file is on a medium where nothing can be written, so that nobody does while it is read; SQLite would
+    make files beside it."""
+    beside = (file.with_name(file.name + ending) for ending in ("-wal", "-journal"))
+    return not os.access(file.parent, os.W_OK) and not any(each.exists() for each in beside)
 
 
 def _is_file(url: URL) -> bool:

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import date
+from typing import TYPE_CHECKING
 
 from tumble.errors import InputError
 from tumble.registry.connect import Registry
-from tumble.registry.forecast import Forecast
-from tumble.registry.limits import Limits, parse_limits
-from tumble.registry.monitor import monitored
 from tumble.registry.records import Record
-from tumble.registry.store import limits_in_force, records
+from tumble.registry.store import LimitsRecord, latest_records, limits_in_force
+
+if TYPE_CHECKING:
+    from tumble.registry.forecast import Forecast
+    from tumble.registry.limits import Limits
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Due:
-    """The latest record of a device in force, months between calibrations, the day the next one is due by the calendar,
-    and the parameter that may meet its limit first; each None where it is not known."""
+    """The latest record of a device in force, how many are, months between calibrations, the day the next one is due by
+    the calendar, and the parameter that may meet its limit first; each None where it is not known."""
 
     record: Record
+    calibrations: int
     months: int | None
     by_calendar: date | None
     by_drift: Forecast | None
@@ -48,28 +51,30 @@ def due(registry: Registry) -> list[Due]:
     >>> [item.record.serial for item in found]
     ['mems-1']
     """
-    in_force = limits_in_force(registry)
-    parsed = {m: parse_limits(x.file, x.systematic, f"limits {x.number}") for m, x in in_force.items()}
+    parsed = {model: _parsed(own) for model, own in limits_in_force(registry).items()}
     found = []
-    for record in latest_records(records(registry)):
+    for record, count in latest_records(registry):
         limits = None if record.model is None else parsed.get(record.model)
         months = None if limits is None else limits.interval(record.serial)
         day = None if limits is None else limits.due(record.serial, record.performed.date())
-        found.append(Due(record=record, months=months, by_calendar=day, by_drift=_by_drift(registry, record, limits)))
+        drifting = _by_drift(registry, record, limits)
+        found.append(Due(record=record, calibrations=count, months=months, by_calendar=day, by_drift=drifting))
     return sorted(found, key=lambda item: (item.day or date.max, item.record.serial))
+
+
+def _parsed(limits: LimitsRecord) -> Limits:
+    from tumble.registry.limits import parse_limits  # slow to import, as all that looks into calibrations
+
+    return parse_limits(limits.file, limits.systematic, f"limits {limits.number}")
 
 
 def _by_drift(registry: Registry, record: Record, limits: Limits | None) -> Forecast | None:
     """The parameter of a device that may meet its limit first."""
     if limits is None or not limits.checks.get("periodic"):
         return None
+    from tumble.registry.monitor import monitored
+
     try:
         return next(iter(monitored(registry, record.serial, None).forecasts()), None)
     except InputError:  # a record that cannot be taken to the frame of the limits
         return None
-
-
-def latest_records(found: list[Record]) -> list[Record]:
-    """Of records in the order in which they were performed, the latest in force of each device."""
-    latest = {record.serial: record for record in found if record.superseded_by is None}
-    return [latest[serial] for serial in sorted(latest)]

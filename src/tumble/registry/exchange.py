@@ -2,34 +2,46 @@
 
 The first line says how many records follow; then come all limits and all calibrations, superseded ones too, each on a
 line, in the order in which they were added. Records refer to each other by the SHA-256 of their content, since numbers
-belong to one registry. Importing adds what is not there yet: all of it, or nothing.
+belong to one registry. Importing adds what is not there yet.
 """
 
 from __future__ import annotations
 
 import json
+import pickle
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import datetime
+from itertools import islice
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, cast
+from tempfile import TemporaryFile
+from typing import IO, Any, cast
 
 from sqlalchemy import select
 
 from tumble.documents import json_of, shown
 from tumble.errors import InputError
 from tumble.files import FilePath
-from tumble.registry.connect import Registry, open_registry
+from tumble.registry.connect import Registry
 from tumble.registry.limits import parse_limits
-from tumble.registry.records import OCCASIONS, STATES, Particulars, submission, utc
+from tumble.registry.records import OCCASIONS, STATES, Particulars, Submission, past, submission, utc
 from tumble.registry.schema import CALIBRATION
-from tumble.registry.store import add_limits_within, add_within, every_limits, every_record
-
-if TYPE_CHECKING:
-    from sqlalchemy import Connection
+from tumble.registry.store import (
+    LimitsRecord,
+    add_limits_within,
+    add_within,
+    every_limits,
+    every_record,
+    file_within,
+    limits_within,
+    number_of,
+)
 
 FORMAT = 1
 KIND = "tumble registry"
+BATCH = 200
+"""Records of an import in a transaction: other writers wait for less than a second."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -51,7 +63,6 @@ def export_lines(registry: Registry) -> Iterator[str]:
         limits_sha = {own.number: own.sha256 for own in limits}
         record_sha = {record.number: record.sha256 for record in records}
         for record in records:
-            file = connection.execute(select(CALIBRATION.c.file).where(CALIBRATION.c.number == record.number))
             content = {
                 "sha256": record.sha256,
                 "performed": record.performed.isoformat(),
@@ -61,7 +72,7 @@ def export_lines(registry: Registry) -> Iterator[str]:
                 "supersedes": None if record.supersedes is None else record_sha[record.supersedes],
                 "reason": record.reason,
                 "added": record.added.isoformat(),
-                "file": file.scalar_one(),
+                "file": file_within(connection, record.number),
             }
             yield _line({"kind": "calibration", **content})
 
@@ -71,93 +82,138 @@ def _line(content: Mapping[str, Any]) -> str:
 
 
 def import_file(registry: Registry, file: FilePath) -> Imported:
-    """Add what an export holds. Raises InputError, one line, and adds nothing, where a line cannot be added."""
+    """Add what an export holds and the registry does not. Every line is looked at before anything is added, without
+    keeping other writers out; then records are added BATCH at a time.
+
+    Raises InputError, one line, and adds nothing, where the file is no whole export; where what a record says is at
+    odds with the registry, those before it have been added, and another import goes on from there."""
     path = Path(file)
     try:
-        with path.open(encoding="utf-8") as opened, registry.writing() as connection:
-            return _Import(connection, str(path)).run(opened)
+        with TemporaryFile(prefix="tumble-") as staged, path.open(encoding="utf-8") as opened:
+            _stage(registry, opened, str(path), staged)
+            staged.seek(0)
+            return _add_staged(registry, staged)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: expected UTF-8 text, found {error.reason}") from error
 
 
-def check_export(file: FilePath) -> None:
-    """Check that an export can be added, without a registry of the user's: so an import that is refused makes none.
-    Raises InputError as `import_file`."""
-    with (
-        TemporaryDirectory(prefix="tumble-") as folder,
-        open_registry(Path(folder) / "registry.sqlite", create=True) as registry,
-    ):
-        import_file(registry, file)
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _StagedLimits:
+    """Limits of an export, checked; `sha256` is how its calibrations refer to them."""
+
+    sha256: str
+    model: str
+    file: str
+    systematic: str | None
+    added: datetime
 
 
-class _Import:
-    """An import on its way: the numbers that limits and calibrations have here, by their SHA-256."""
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _StagedCalibration:
+    """A calibration of an export, checked, with the SHA-256 of its limits and of the record that it corrects."""
 
-    def __init__(self, connection: Connection, path: str) -> None:
-        self.connection, self.path = connection, path
-        self.limits: dict[str, int] = {}
-        self.records = {record.sha256: record.number for record in every_record(connection)}
-        self.counts = {"limits": 0, "calibration": 0}
-        self.added = 0
+    submission: Submission
+    added: datetime
+    limits: str | None
+    supersedes: str | None
 
-    def run(self, lines: Iterator[str]) -> Imported:
-        """Add every line."""
-        expected = self._header(next(lines, ""))
-        for number, line in enumerate(lines, 2):
-            where = f"{self.path}: line {number}"
-            content = _parsed(line, where)
-            kind = content.get("kind")
-            if kind not in tuple(self.counts):
-                raise InputError(f"{where}: kind: expected limits or calibration, found {shown(kind)}")
-            _check_texts(content, kind, where)
-            try:
-                (self._limits if kind == "limits" else self._calibration)(content, where)
-            except KeyError as error:
-                raise InputError(f"{where}: expected a line of an export, found one without {error}") from error
-            self.counts[kind] += 1
-        if self.counts != expected:
-            raise InputError(
-                f"{self.path}: expected the numbers of records that line 1 says, {_counts(expected)}, found "
-                f"{_counts(self.counts)}; export it again"
-            )
-        return Imported(added=self.added, known=self.counts["calibration"] - self.added)
 
-    def _header(self, line: str) -> dict[str, int]:
-        where = f"{self.path}: line 1"
+def _stage(registry: Registry, lines: Iterator[str], path: str, staged: IO[bytes]) -> None:
+    """Check every line of an export, and keep what is in it."""
+    header = _header(next(lines, ""), f"{path}: line 1")
+    with registry.reading() as connection:
+        known = set(connection.execute(select(CALIBRATION.c.sha256)).scalars())
+    limits: set[str] = set()
+    counts = {"limits": 0, "calibration": 0}
+    for number, line in enumerate(lines, 2):
+        where = f"{path}: line {number}"
         content = _parsed(line, where)
-        if content.get("kind") != KIND or content.get("format") != FORMAT:
-            raise InputError(f"{where}: expected an export of a tumble registry of format {FORMAT}, found another file")
-        return {"limits": content.get("limits", 0), "calibration": content.get("calibrations", 0)}
-
-    def _limits(self, content: Mapping[str, Any], where: str) -> None:
-        file, systematic = content["file"], content["systematic"]
-        parse_limits(file, systematic, where)
-        added = utc(content["added"], f"{where}: added")
-        number = add_limits_within(self.connection, content["model"], file, systematic, added)
-        self.limits[content["sha256"]] = number
-
-    def _calibration(self, content: Mapping[str, Any], where: str) -> None:
-        for key, allowed in (("occasion", OCCASIONS), ("state", STATES)):
-            if content[key] not in cast(tuple[str, ...], allowed):
-                raise InputError(f"{where}: {key}: expected one of {', '.join(allowed)}, found {shown(content[key])}")
-        particulars = Particulars(
-            performed=utc(content["performed"], f"{where}: performed"),
-            occasion=content["occasion"],
-            state=content["state"],
-            supersedes=None if content["supersedes"] is None else self.records[content["supersedes"]],
-            reason=content["reason"],
+        kind = content.get("kind")
+        if kind not in tuple(counts):
+            raise InputError(f"{where}: kind: expected limits or calibration, found {shown(kind)}")
+        _check_texts(content, kind, where)
+        counts[kind] += 1
+        if kind == "limits":
+            limits.add(content["sha256"])
+            pickle.dump(_limits(content, where), staged)
+            continue
+        calibration = _calibration(content, where)
+        for key, there in (("limits", limits), ("supersedes", known)):
+            if content[key] is not None and content[key] not in there:
+                raise InputError(
+                    f"{where}: expected a line of an export, found one without the {key} {content[key][:12]}… it names"
+                )
+        known.add(calibration.submission.sha256)
+        pickle.dump(calibration, staged)
+    if counts != header:
+        raise InputError(
+            f"{path}: expected the numbers of records that line 1 says, {_counts(header)}, found {_counts(counts)}; "
+            "export it again"
         )
-        limits = None if content["limits"] is None else self.limits[content["limits"]]
-        done = add_within(
-            self.connection,
-            submission(content["file"], where, particulars),
-            utc(content["added"], f"{where}: added"),
-            lambda _: limits,
-        )
-        self.records[done.record.sha256] = done.record.number
-        self.added += done.new
+
+
+def _add_staged(registry: Registry, staged: IO[bytes]) -> Imported:
+    """Add what was staged, BATCH records in a transaction."""
+    limits: dict[str, LimitsRecord] = {}
+    seen = added = 0
+    while batch := list(islice(_unpickled(staged), BATCH)):
+        with registry.writing() as connection:
+            for each in batch:
+                if isinstance(each, _StagedLimits):
+                    number = add_limits_within(connection, each.model, each.file, each.systematic, each.added)
+                    limits[each.sha256] = limits_within(connection, number)
+                    continue
+                submission, own = each.submission, None if each.limits is None else limits[each.limits]
+                if each.supersedes is not None:
+                    corrected = number_of(connection, each.supersedes)
+                    particulars = replace(submission.particulars, supersedes=corrected)
+                    submission = replace(submission, particulars=particulars)
+                added += add_within(connection, submission, each.added, lambda _, own=own: own)[1]  # type: ignore[misc]
+                seen += 1
+    return Imported(added=added, known=seen - added)
+
+
+def _unpickled(staged: IO[bytes]) -> Iterator[_StagedLimits | _StagedCalibration]:
+    """What this program wrote into a file of its own."""
+    with suppress(EOFError):
+        while True:
+            yield pickle.load(staged)
+
+
+def _header(line: str, where: str) -> dict[str, int]:
+    content = _parsed(line, where)
+    if content.get("kind") != KIND or content.get("format") != FORMAT:
+        raise InputError(f"{where}: expected an export of a tumble registry of format {FORMAT}, found another file")
+    return {"limits": content.get("limits", 0), "calibration": content.get("calibrations", 0)}
+
+
+def _limits(content: Mapping[str, Any], where: str) -> _StagedLimits:
+    file, systematic = content["file"], content["systematic"]
+    parse_limits(file, systematic, where)
+    moment = past(content["added"], f"{where}: added")
+    return _StagedLimits(
+        sha256=content["sha256"], model=content["model"], file=file, systematic=systematic, added=moment
+    )
+
+
+def _calibration(content: Mapping[str, Any], where: str) -> _StagedCalibration:
+    for key, allowed in (("occasion", OCCASIONS), ("state", STATES)):
+        if content[key] not in cast(tuple[str, ...], allowed):
+            raise InputError(f"{where}: {key}: expected one of {', '.join(allowed)}, found {shown(content[key])}")
+    particulars = Particulars(
+        performed=utc(content["performed"], f"{where}: performed"),
+        occasion=content["occasion"],
+        state=content["state"],
+        reason=content["reason"],
+    )
+    return _StagedCalibration(
+        submission=submission(content["file"], where, particulars),
+        added=past(content["added"], f"{where}: added"),
+        limits=content["limits"],
+        supersedes=content["supersedes"],
+    )
 
 
 def _counts(counts: Mapping[str, int]) -> str:

@@ -39,7 +39,7 @@ def forecast(trend: Trend, limits: tuple[float, float]) -> Forecast | None:
     """When the last stretch of a trend meets the limit (SI) towards which it drifts; None without a drift beyond its U,
     without a limit on that side, where the limit is met already, and beyond HORIZON."""
     drift, points = trend.drift, trend.series.points
-    if drift is None or drift.expanded is None or abs(drift.per_year) <= drift.expanded:
+    if drift is None or not drift.beyond_u:
         return None
     limit = limits[1] if drift.per_year > 0.0 else limits[0]
     now = (points[-1].performed - points[0].performed) / YEAR

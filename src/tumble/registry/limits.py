@@ -9,11 +9,12 @@ it is worst (`tumble.registry.conformity`).
 
 The decision rule is RULE. With the limits low, high and the expanded uncertainty U = t₉₅.₄₅(ν) u:
 
-    pass         low + U ≤ value ≤ high − U
-    fail         value < low − U  or  value > high + U
-    undecided    in between: in the guard band
+    pass                inside the limits by at least U: low + U ≤ value ≤ high − U
+    conditional pass    inside by less
+    conditional fail    outside by no more than U
+    fail                outside by more
 
-Source: ISO 14253-1 and JCGM 106:2012, 8.3 (guard band w = U on either side of a limit).
+Source: ILAC-G8:09/2019, 4.2.3 (guard band w = U on either side of a limit, JCGM 106:2012, 8.3).
 """
 
 from __future__ import annotations
@@ -23,8 +24,9 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import date
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from tumble.calibration.coverage import expanded_of
 from tumble.documents import text_of_document, toml_of
@@ -37,21 +39,16 @@ from tumble.sensors.typed_quantities import quantity_of
 FORMAT = 1
 
 RULE = (
-    "decision rule: pass where the value is inside the limits by at least U (95.45 %), fail where it is outside by "
-    "more than U, otherwise undecided (guard band w = U: ISO 14253-1, JCGM 106)"
-)
-
-AGREED_RULE = (
     "decision rule: pass where the value is inside its limits by at least U (95.45 %), conditional pass where it is "
     "inside by less, conditional fail where it is outside by no more than U, fail where it is outside by more (guard "
     "band w = U: ILAC-G8:09/2019, 4.2.3)"
 )
-"""RULE with the four outcomes of a statement of conformity."""
 
-Result = Literal["pass", "fail", "undecided"]
-Statement = Literal["pass", "conditional pass", "conditional fail", "fail", "undecided"]
-STATEMENTS: tuple[Statement, ...] = ("fail", "undecided", "conditional fail", "conditional pass", "pass")
-"""The worst first; undecided is what has no value or no U."""
+Result = Literal["fail", "undecided", "conditional fail", "conditional pass", "pass"]
+RESULTS: tuple[Result, ...] = get_args(Result)
+"""The worst first; undecided is what has no value or no U, or was not measured at all temperatures."""
+
+_OF_A_VALUE: tuple[Result, ...] = ("fail", "conditional fail", "conditional pass")
 
 _KEYS = ("format", "frame", "systematic", "interval_months", "device_interval_months", "temperature_degC", *OCCASIONS)
 _FORMS = 'a text such as "5 mg", or a table with min and max, or one with deviation'
@@ -120,14 +117,6 @@ class LimitJudgement:
         """The parameter, with the temperature at which it is worst."""
         return self.name if self.at is None else f"{self.name} at {self.at:.1f} °C".replace("at -", "at −")
 
-    @property
-    def statement(self) -> Statement:
-        """The result as one of the four outcomes (ILAC-G8); undecided without a value or without U."""
-        unknown = self.value is None or self.expanded is None or math.isnan(self.low) or math.isnan(self.high)
-        if self.result != "undecided" or self.value is None or unknown or self.beyond:
-            return self.result
-        return "conditional pass" if self.low <= self.value <= self.high else "conditional fail"
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Verdict:
@@ -152,32 +141,20 @@ class Verdict:
 
     @property
     def result(self) -> Result:
-        """Fail if one fails, else undecided if one is, else pass."""
-        results = [j.result for j in self.judgements]
-        return "fail" if "fail" in results else "undecided" if "undecided" in results else "pass"
-
-    @property
-    def statement(self) -> Statement:
-        """The worst of the outcomes."""
-        return min((j.statement for j in self.judgements), key=STATEMENTS.index)
+        """The worst of the results."""
+        return min((j.result for j in self.judgements), key=RESULTS.index)
 
     def reasons(self) -> list[str]:
         """Which parameters do not pass, and why, in words."""
         unmeasured = f"not measured {self.unmeasured}" if self.unmeasured else "not known over temperature"
+        undecided = [j for j in self.judgements if j.result == "undecided"]
         groups = {
-            "outside its limits": [j for j in self.judgements if j.result == "fail"],
-            "within the guard band": [
-                j for j in self.judgements if j.result == "undecided" and j.expanded is not None and not j.beyond
-            ],
-            unmeasured: [j for j in self.judgements if j.result == "undecided" and j.beyond],
-            "without U": [
-                j
-                for j in self.judgements
-                if j.result == "undecided" and j.expanded is None and j.value is not None and not j.beyond
-            ],
-            "not determined": [j for j in self.judgements if j.value is None],
+            **{each: [j for j in self.judgements if j.result == each] for each in _OF_A_VALUE},
+            unmeasured: [j for j in undecided if j.beyond],
+            "without U": [j for j in undecided if j.expanded is None and j.value is not None and not j.beyond],
+            "not determined": [j for j in undecided if j.value is None],
         }
-        return [f"{what}: {', '.join(j.named for j in found)}" for what, found in groups.items() if found]
+        return [f"{what}: {', '.join(j.named for j in judged)}" for what, judged in groups.items() if judged]
 
 
 def months_later(day: date, months: int) -> date:
@@ -230,9 +207,14 @@ def judge_value(value: float, u: float | None, low: float, high: float, dof: flo
     expanded = None if u is None else expanded_of(u, dof)
     if expanded is None or math.isnan(low) or math.isnan(high):
         return "undecided"
-    if low + expanded <= value <= high - expanded:
-        return "pass"
-    return "fail" if value < low - expanded or value > high + expanded else "undecided"
+    return result_inside(min(value - low, high - value), expanded)
+
+
+def result_inside(inside: float, expanded: float) -> Result:
+    """The verdict on a value that is so far `inside` its limits, with U."""
+    if inside >= 0.0:
+        return "pass" if inside >= expanded else "conditional pass"
+    return "conditional fail" if inside >= -expanded else "fail"
 
 
 # -------------------- the file --------------------
@@ -267,6 +249,7 @@ def _text(path: Path) -> str:
         raise InputError(f"{path}: expected UTF-8 text, found {error}") from error
 
 
+@lru_cache(maxsize=64)
 def parse_limits(text: str, systematic: str | None, name: str) -> Limits:
     """The limits of the text of a file and of the calibration it names. Raises InputError, one line."""
     content = _content(text, name)

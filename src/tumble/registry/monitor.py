@@ -18,14 +18,13 @@ from tumble.registry.limits import Limits, judge_value, parse_limits
 from tumble.registry.records import Record
 from tumble.registry.series import latest_comparison, series_of
 from tumble.registry.store import latest_record, limits_in_force
-from tumble.registry.trend import Trend, beyond_chance, trend_of
+from tumble.registry.trend import Trend, trend_of
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Monitored:
     """The latest record of a device, its trends in a `frame`, and the limits (SI) that are in force, by name;
-    `comparison` is that of all parameters in the latest calibration with the one before (`latest_comparison`), None
-    for a single parameter."""
+    `comparison` is that of all parameters in the latest calibration with the one before (`latest_comparison`)."""
 
     latest: Record
     frame: str
@@ -56,9 +55,15 @@ class Monitored:
     def changed(self) -> list[str]:
         """The parameters that have changed by more than chance makes since the calibration before, or where none does
         by itself, that they have together."""
-        names = [trend.series.name for trend in beyond_chance(self.trends)]
-        together = self.comparison is not None and self.comparison.contradicts
-        return names or (["all parameters together"] if together else [])
+        if self.comparison is None:
+            return []
+        shown = {trend.series.name for trend in self.trends}
+        together = len(shown) > 1 and self.comparison.contradicts
+        return [name for name in self.comparison.changed if name in shown] or ["all parameters together"] * together
+
+    def drifting(self) -> list[Trend]:
+        """The parameters whose drift is beyond its U."""
+        return [trend for trend in self.trends if trend.drift is not None and trend.drift.beyond_u]
 
     def _verdict(self, trend: Trend, i: int) -> str:
         point = trend.series.points[i]
@@ -94,7 +99,7 @@ def monitored(registry: Registry, serial: str, parameter: str | None) -> Monitor
         frame=frame,
         trends=[trend_of(own) for own in chosen],
         limits={name: own for name, own in known_limits.items() if own is not None},
-        comparison=latest_comparison(registry, serial, frame) if parameter is None else None,
+        comparison=latest_comparison(registry, serial, frame),
         by_calendar=None if limits is None else limits.due(serial, latest.performed.date()),
     )
 

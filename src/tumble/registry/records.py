@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 from tumble.errors import InputError
 from tumble.files import FilePath
-from tumble.recording.session_keys.device import LONGEST_NAME
 
 if TYPE_CHECKING:
     from tumble.calibration.calibration_file import Calibration
@@ -31,7 +30,7 @@ STATES: tuple[State, ...] = get_args(State)
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ParameterRow:
     """A parameter of the result (`launch` 0) or of a launch (from 1): value and standard uncertainty, SI, and the
-    degrees of freedom of the latter, as the file has them; None where it is known, and in tables of the registry."""
+    degrees of freedom of the latter; None where it is known."""
 
     launch: int
     name: str
@@ -65,7 +64,8 @@ class Particulars:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Submission:
-    """A calibration to add. `name` is what messages call it, `file` the whole text of its file."""
+    """A calibration to add. `name` is what messages call it, `file` the whole text of its file, and `calibration` what
+    is in it."""
 
     name: str
     sha256: str
@@ -76,13 +76,14 @@ class Submission:
     performed: datetime
     particulars: Particulars
     launches: tuple[LaunchRow, ...]
-    parameters: tuple[ParameterRow, ...]
     file: str
+    calibration: Calibration
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Record:
-    """A calibration in the registry. `limits` is the number of the acceptance limits that were in force."""
+    """A calibration in the registry. `limits` is the number of the acceptance limits that were in force, `verdict` what
+    they said of it, in a word; None without any."""
 
     number: int
     sha256: str
@@ -94,6 +95,7 @@ class Record:
     occasion: Occasion
     state: State
     limits: int | None
+    verdict: str | None
     supersedes: int | None
     superseded_by: int | None
     reason: str | None
@@ -119,7 +121,6 @@ def submission(text: str, name: str, particulars: Particulars) -> Submission:
     calibration = accepted_part(calibration_of(text, name), name)
     if not calibration.parameters:
         raise InputError(f"{name}: parameters: expected at least one, found none")
-    parameters = tuple(all_parameter_rows(calibration))
     _check_names(calibration, name)
     return Submission(
         name=name,
@@ -131,8 +132,8 @@ def submission(text: str, name: str, particulars: Particulars) -> Submission:
         performed=_performed(calibration, particulars, name),
         particulars=particulars,
         launches=_launch_rows(calibration),
-        parameters=parameters,
         file=text,
+        calibration=calibration,
     )
 
 
@@ -149,6 +150,14 @@ def utc(text: str, where: str) -> datetime:
         return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
     except (ValueError, OverflowError):
         raise InputError(f"{where}: expected a date such as 2026-03-31, found {text!r}") from None
+
+
+def past(text: str, where: str) -> datetime:
+    """`utc` of what has happened; a day is left to time zones."""
+    moment = utc(text, where)
+    if moment > datetime.now(UTC) + timedelta(days=1):
+        raise InputError(f"{where}: expected a date that is past, found {text!r}")
+    return moment
 
 
 def all_parameter_rows(calibration: Calibration) -> Iterable[ParameterRow]:
@@ -185,6 +194,8 @@ def _performed(calibration: Calibration, particulars: Particulars, name: str) ->
 
 def _check_names(calibration: Calibration, name: str) -> None:
     """That names of sessions can be printed and kept by every database, as the others of a calibration file can."""
+    from tumble.recording.session_keys.device import LONGEST_NAME
+
     for value in (launch.session or "-" for launch in calibration.launches):
         if not value.strip() or not value.isprintable() or len(value) > LONGEST_NAME:
             raise InputError(

@@ -18,8 +18,8 @@ from sqlalchemy import (
     Column,
     DateTime,
     Dialect,
-    Double,
     ForeignKey,
+    Index,
     Integer,
     MetaData,
     String,
@@ -76,7 +76,7 @@ CALIBRATION = Table(
     METADATA,
     Column("number", Integer, primary_key=True),
     Column("sha256", String(64), nullable=False, unique=True),  # of the file's content
-    Column("serial", Text, nullable=False, index=True),
+    Column("serial", Text, nullable=False),
     Column("model", Text),
     Column("method", Text, nullable=False),
     Column("frame", Text, nullable=False),
@@ -84,11 +84,19 @@ CALIBRATION = Table(
     Column("occasion", String(16), nullable=False),  # incoming, periodic
     Column("state", String(16), nullable=False),  # as-found, as-left, unadjusted
     Column("limits", ForeignKey("limits.number")),  # that were in force
+    Column("verdict", String(24)),  # by them
     Column("supersedes", ForeignKey("calibration.number"), unique=True),
     Column("reason", Text),
     Column("added", UtcTime, nullable=False),
-    Column("file", Text, nullable=False),  # the whole calibration file
+    Index("calibration_of_device", "serial", "performed", "number"),
     sqlite_autoincrement=True,
+)
+
+CONTENT = Table(  # apart, so that a look through the records does not go through their files
+    "content",
+    METADATA,
+    Column("calibration", ForeignKey("calibration.number"), primary_key=True),
+    Column("file", Text, nullable=False),  # the whole calibration file
 )
 
 LAUNCH = Table(
@@ -98,18 +106,6 @@ LAUNCH = Table(
     Column("number", Integer, primary_key=True, autoincrement=False),  # from 1
     Column("session", Text),
     Column("log_sha256", Text, nullable=False, index=True),
-)
-
-PARAMETER = Table(
-    "parameter",
-    METADATA,
-    Column("calibration", ForeignKey("calibration.number"), primary_key=True),
-    Column("launch", Integer, primary_key=True, autoincrement=False),  # 0: the result
-    Column("place", Integer, primary_key=True, autoincrement=False),  # in the order of the file, from 0
-    Column("name", Text, nullable=False),
-    Column("value", Double, nullable=False),
-    Column("u", Double),
-    Column("unit", Text, nullable=False),
 )
 
 

@@ -6,9 +6,8 @@ Superseded records are left out.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from datetime import datetime
 from typing import TYPE_CHECKING
 
@@ -17,10 +16,10 @@ from tumble.calibration.coverage import by_gravity
 from tumble.calibration.shared_errors import by_priors, of_time_base
 from tumble.errors import InputError
 from tumble.recording.session import Site
-from tumble.registry.conformity import over_temperature
+from tumble.registry.conformity import verdict_at
 from tumble.registry.connect import Registry
-from tumble.registry.limits import Verdict, judge, parse_limits
-from tumble.registry.records import ParameterRow, Record, State, all_parameter_rows
+from tumble.registry.limits import Verdict, parse_limits
+from tumble.registry.records import Record, State
 from tumble.registry.store import LimitsRecord, file_of, records
 
 if TYPE_CHECKING:
@@ -103,39 +102,23 @@ def latest_comparison(registry: Registry, serial: str, frame: str) -> Comparison
     at = next((i for i in range(len(found) - 1, 0, -1) if found[i].state != "as-left"), None)
     if at is None:
         return None
-    later, earlier = (calibration_in(registry, found[i], frame) for i in (at, at - 1))
+    earlier, later = (calibration_in(registry, found[i], frame) for i in (at - 1, at))
     if not {p.name for p in later.parameters} & {p.name for p in earlier.parameters}:
         return None
-    return compare_calibrations(later, earlier)
+    return compare_calibrations(earlier, later)
 
 
-def verdict_of(
-    registry: Registry, record: Record, rows: Sequence[ParameterRow], limits: Mapping[int, LimitsRecord]
-) -> Verdict | None:
-    """The verdict on a record by the limits (by number) that were in force when it was added; None without any."""
+def verdict_of(registry: Registry, record: Record, limits: Mapping[int, LimitsRecord]) -> Verdict | None:
+    """The verdict on a record by the limits (by number) that were in force when it was added, parameter by parameter;
+    None without any."""
     if record.limits is None:
         return None
     own = limits[record.limits]
     parsed = parse_limits(own.file, own.systematic, f"limits {own.number}")
-    unobservable = json.loads(file_of(registry, record.number))["outcome"].get("unobservable", [])
-    found = judge(parsed, record.occasion, rows_in_frame(registry, record, rows, parsed.frame), unobservable)
-    if found is None or parsed.temperatures is None:
-        return found
-    return over_temperature(found, calibration_in(registry, record, parsed.frame), parsed)
+    return verdict_at(calibration_in(registry, record, parsed.frame), parsed, record.occasion)
 
 
 # -------------------- frames --------------------
-
-
-def rows_in_frame(
-    registry: Registry, record: Record, rows: Sequence[ParameterRow], frame: str
-) -> Sequence[ParameterRow]:
-    """The parameters of a record, and of its launches, in a frame, with the degrees of freedom that its file has."""
-    found = list(all_parameter_rows(calibration_in(registry, record, frame)))
-    if record.frame != frame:
-        return found
-    degrees = {(row.launch, row.name): row.dof for row in found}
-    return [replace(row, dof=degrees.get((row.launch, row.name))) for row in rows]
 
 
 def calibration_in(registry: Registry, record: Record, frame: str) -> Calibration:

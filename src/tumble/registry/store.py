@@ -9,16 +9,26 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import Row, Select, func, insert, select
+from sqlalchemy import Row, Select, bindparam, func, insert, select
 
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.registry.connect import Registry
-from tumble.registry.records import LaunchRow, ParameterRow, Particulars, Record, Submission, read_submission
-from tumble.registry.schema import CALIBRATION, LAUNCH, LIMITS, PARAMETER
+from tumble.registry.records import (
+    LaunchRow,
+    Occasion,
+    ParameterRow,
+    Particulars,
+    Record,
+    Submission,
+    all_parameter_rows,
+    read_submission,
+)
+from tumble.registry.schema import CALIBRATION, CONTENT, LAUNCH, LIMITS
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection
@@ -27,6 +37,9 @@ if TYPE_CHECKING:
 
 
 NOTHING_SAID = Particulars()
+
+_LIMITS_ORDER = (LIMITS.c.added, LIMITS.c.number)
+"""In which limits of a type follow each other; the last ones are in force."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -59,7 +72,10 @@ def add(registry: Registry, submission: Submission) -> Added:
     Raises InputError, one line: another type for a known serial, a log that another record stands on, a correction
     without a reason or of something that is no longer in force."""
     with registry.writing() as connection:
-        return add_within(connection, submission, datetime.now(UTC), lambda model: _number_of_limits(connection, model))
+        number, new = add_within(
+            connection, submission, datetime.now(UTC), lambda model: _latest_limits(connection, model)
+        )
+        return Added(record=_one(connection, number), new=new)
 
 
 def add_calibration(
@@ -80,18 +96,21 @@ def add_calibration(
 
 
 def add_within(
-    connection: Connection, submission: Submission, added: datetime, limits_of: Callable[[str], int | None]
-) -> Added:
-    """`add` in a transaction of the caller's; `limits_of` gives the limits that were in force for a type."""
-    known = connection.execute(_records().where(CALIBRATION.c.sha256 == submission.sha256)).first()
+    connection: Connection, submission: Submission, added: datetime, limits_of: Callable[[str], LimitsRecord | None]
+) -> tuple[int, bool]:
+    """`add` in a transaction of the caller's: the number of the record, and whether it is new; `limits_of` gives the
+    limits that were in force for a type."""
+    known = connection.execute(_known(), {"sha256": submission.sha256}).scalar()
     if known is not None:
-        return Added(record=_record(known), new=False)
+        return int(known), False
     corrected = _corrected(connection, submission)
     standing = [record for record in _standing(connection, submission.serial) if record != corrected]
     model = _model(submission, standing)
     _check_logs(connection, submission)
     particulars = submission.particulars
     first = not standing if corrected is None else corrected.occasion == "incoming"
+    occasion = particulars.occasion or ("incoming" if first else "periodic")
+    limits = None if model is None else limits_of(model)
     values = {
         "sha256": submission.sha256,
         "serial": submission.serial,
@@ -99,17 +118,40 @@ def add_within(
         "method": submission.method,
         "frame": submission.frame,
         "performed": submission.performed,
-        "occasion": particulars.occasion or ("incoming" if first else "periodic"),
+        "occasion": occasion,
         "state": particulars.state,
-        "limits": None if model is None else limits_of(model),
+        "limits": None if limits is None else limits.number,
+        "verdict": None if limits is None else _judged(submission, limits, occasion),
         "supersedes": particulars.supersedes,
         "reason": particulars.reason,
         "added": added,
-        "file": submission.file,
     }
-    number = connection.execute(insert(CALIBRATION).returning(CALIBRATION.c.number), values).scalar_one()
-    _insert_parts(connection, number, submission.launches, submission.parameters)
-    return Added(record=_record(connection.execute(_records().where(CALIBRATION.c.number == number)).one()), new=True)
+    number = int(connection.execute(_INSERT, values).scalar_one())
+    connection.execute(insert(CONTENT), {"calibration": number, "file": submission.file})
+    rows = [
+        {"calibration": number, "number": i, "session": launch.session, "log_sha256": launch.log_sha256}
+        for i, launch in enumerate(submission.launches, 1)
+    ]
+    connection.execute(insert(LAUNCH), rows)
+    return number, True
+
+
+def _judged(submission: Submission, limits: LimitsRecord, occasion: Occasion) -> str | None:
+    """What limits say of a calibration, in a word; None where they have none for such a check."""
+    from tumble.registry.conformity import verdict_at
+    from tumble.registry.limits import parse_limits
+
+    parsed = parse_limits(limits.file, limits.systematic, f"limits {limits.number}")
+    try:
+        verdict = verdict_at(submission.calibration, parsed, occasion)
+    except InputError:
+        return "other frame"
+    return None if verdict is None else verdict.result
+
+
+def number_of(connection: Connection, sha256: str) -> int:
+    """The number of the record of a content."""
+    return int(connection.execute(_known(), {"sha256": sha256}).scalar_one())
 
 
 def _corrected(connection: Connection, submission: Submission) -> Record | None:
@@ -142,8 +184,7 @@ def _model(submission: Submission, standing: Sequence[Record]) -> str | None:
 def _check_logs(connection: Connection, submission: Submission) -> None:
     """That no log would count twice."""
     logs = {launch.log_sha256 for launch in submission.launches} - {""}
-    query = _records().join(LAUNCH, LAUNCH.c.calibration == CALIBRATION.c.number).where(LAUNCH.c.log_sha256.in_(logs))
-    for row in connection.execute(query):
+    for row in connection.execute(_with_logs(), {"logs": sorted(logs)}):
         record = _record(row)
         if record.superseded_by is None and record.number != submission.particulars.supersedes:
             raise InputError(
@@ -152,32 +193,38 @@ def _check_logs(connection: Connection, submission: Submission) -> None:
             )
 
 
-def _insert_parts(
-    connection: Connection, number: int, launches: Iterable[LaunchRow], parameters: Iterable[ParameterRow]
-) -> None:
-    rows = [
-        {"calibration": number, "number": i, "session": launch.session, "log_sha256": launch.log_sha256}
-        for i, launch in enumerate(launches, 1)
-    ]
-    connection.execute(insert(LAUNCH), rows)
-    values: list[dict[str, Any]] = []
-    for p in parameters:
-        own = {"launch": p.launch, "name": p.name, "value": p.value, "u": p.u, "unit": p.unit}
-        values.append({"calibration": number, "place": len(values), **own})
-    connection.execute(insert(PARAMETER), values)
-
-
 # -------------------- reading back --------------------
 
 
-def _records() -> Select[Any]:
+@cache
+def _records(column: str | None = None) -> Select[Any]:
+    """All records, or those with a value of a column, which is a parameter of the same name. Made once: making such a
+    query takes longer than running it."""
     later = CALIBRATION.alias("later")
-    kept = [column for column in CALIBRATION.c if column.name != "file"]
-    return (
-        select(*kept, later.c.number.label("superseded_by"))
+    every = (
+        select(*CALIBRATION.c, later.c.number.label("superseded_by"))
         .select_from(CALIBRATION.outerjoin(later, later.c.supersedes == CALIBRATION.c.number))
         .order_by(CALIBRATION.c.number)
     )
+    return every if column is None else every.where(CALIBRATION.c[column] == bindparam(column))
+
+
+@cache
+def _with_logs() -> Select[Any]:
+    """The records that have one of these `logs`."""
+    return (
+        _records()
+        .join(LAUNCH, LAUNCH.c.calibration == CALIBRATION.c.number)
+        .where(LAUNCH.c.log_sha256.in_(bindparam("logs", expanding=True)))
+    )
+
+
+@cache
+def _known() -> Select[Any]:
+    return select(CALIBRATION.c.number).where(CALIBRATION.c.sha256 == bindparam("sha256"))
+
+
+_INSERT = insert(CALIBRATION).returning(CALIBRATION.c.number)
 
 
 def _record(row: Row[Any]) -> Record:
@@ -185,14 +232,14 @@ def _record(row: Row[Any]) -> Record:
 
 
 def _one(connection: Connection, number: int) -> Record:
-    row = connection.execute(_records().where(CALIBRATION.c.number == number)).first()
+    row = connection.execute(_records("number"), {"number": number}).first()
     if row is None:
         raise InputError(f"record {number}: expected a record of the registry, found none of this number")
     return _record(row)
 
 
 def _standing(connection: Connection, serial: str) -> list[Record]:
-    rows = connection.execute(_records().where(CALIBRATION.c.serial == serial))
+    rows = connection.execute(_records("serial"), {"serial": serial})
     return [record for record in map(_record, rows) if record.superseded_by is None]
 
 
@@ -216,10 +263,32 @@ def records(registry: Registry, serial: str | None = None) -> list[Record]:
     ['joint']
     """
     with registry.reading() as connection:
-        found = [r for r in every_record(connection) if serial in (None, r.serial)]
+        if serial is None:
+            found = every_record(connection)
+        else:
+            found = [_record(row) for row in connection.execute(_records("serial"), {"serial": serial})]
         if serial is not None and not found:
             raise InputError(f"device {serial!r}: expected a device of the registry, found none of this serial number")
     return sorted(found, key=lambda r: (r.performed, r.number))
+
+
+def latest_records(registry: Registry) -> list[tuple[Record, int]]:
+    """Of every device the record in force that was performed last, and how many are in force."""
+    C = CALIBRATION.c
+    in_force = C.number.not_in(select(C.supersedes).where(C.supersedes.is_not(None)))
+    last = select(C.serial, func.max(C.performed).label("performed"), func.count().label("count"))
+    devices = last.where(in_force).group_by(C.serial).subquery()
+    query = (
+        select(devices.c.count, *C)
+        .join(devices, (C.serial == devices.c.serial) & (C.performed == devices.c.performed))
+        .where(in_force)
+        .order_by(C.serial, C.number)
+    )
+    names = [column.name for column in C]
+    with registry.reading() as connection:
+        found = [(dict(zip(names, row, strict=True)), count) for count, *row in connection.execute(query)]
+    latest = {values["serial"]: (values, count) for values, count in found}  # of one moment the one added last
+    return [(Record(**values, superseded_by=None), count) for values, count in latest.values()]
 
 
 def latest_record(registry: Registry, serial: str) -> Record:
@@ -240,19 +309,22 @@ def file_of(registry: Registry, number: int) -> str:
     """The text of the calibration file of a record."""
     with registry.reading() as connection:
         _one(connection, number)
-        return str(connection.execute(select(CALIBRATION.c.file).where(CALIBRATION.c.number == number)).scalar_one())
+        return file_within(connection, number)
+
+
+def file_within(connection: Connection, number: int) -> str:
+    """The text of the calibration file of a record, in a transaction of the caller's."""
+    return str(connection.execute(select(CONTENT.c.file).where(CONTENT.c.calibration == number)).scalar_one())
 
 
 def parameters_of(registry: Registry, numbers: Iterable[int]) -> Mapping[int, list[ParameterRow]]:
     """Parameters of records with those of their launches, in the order of the files."""
-    found: dict[int, list[ParameterRow]] = {number: [] for number in numbers}
-    query = select(PARAMETER).where(PARAMETER.c.calibration.in_(found)).order_by(*PARAMETER.primary_key.columns)
-    with registry.reading() as connection:
-        for row in connection.execute(query):
-            found[row.calibration].append(
-                ParameterRow(launch=row.launch, name=row.name, value=row.value, u=row.u, unit=row.unit)
-            )
-    return found
+    from tumble.calibration.calibration_file import calibration_of
+
+    return {
+        number: list(all_parameter_rows(calibration_of(file_of(registry, number), f"record {number}")))
+        for number in numbers
+    }
 
 
 def launches_of(connection: Connection, number: int) -> list[LaunchRow]:
@@ -267,12 +339,12 @@ def launches_of(connection: Connection, number: int) -> list[LaunchRow]:
 def set_limits(registry: Registry, model: str, file: str, systematic: str | None) -> tuple[LimitsRecord, bool]:
     """Put limits in force for a device type, from now on; and whether they are other ones than before."""
     with registry.writing() as connection:
-        number = _number_of_limits(connection, model)
-        if number is not None:
-            now = _limits(connection, number)
-            if (now.file, now.systematic) == (file, systematic):
-                return now, False
-        return _limits(connection, add_limits_within(connection, model, file, systematic, datetime.now(UTC))), True
+        added, before = datetime.now(UTC), _latest_limits(connection, model)
+        if before is not None:
+            if (before.file, before.systematic) == (file, systematic):
+                return before, False
+            added = max(added, before.added + timedelta(microseconds=1))  # those may come from a clock that is ahead
+        return limits_within(connection, add_limits_within(connection, model, file, systematic, added)), True
 
 
 def add_limits_within(connection: Connection, model: str, file: str, systematic: str | None, added: datetime) -> int:
@@ -286,18 +358,23 @@ def add_limits_within(connection: Connection, model: str, file: str, systematic:
     return int(connection.execute(insert(LIMITS).returning(LIMITS.c.number), values).scalar_one())
 
 
-def _number_of_limits(connection: Connection, model: str) -> int | None:
-    return connection.execute(select(func.max(LIMITS.c.number)).where(LIMITS.c.model == model)).scalar()
+def _latest_limits(connection: Connection, model: str) -> LimitsRecord | None:
+    """The limits in force for a type: those that were given last, wherever. An import numbers older limits after newer
+    ones."""
+    latest = select(LIMITS).where(LIMITS.c.model == model).order_by(*(c.desc() for c in _LIMITS_ORDER)).limit(1)
+    row = connection.execute(latest).first()
+    return None if row is None else LimitsRecord(**row._asdict())
 
 
-def _limits(connection: Connection, number: int) -> LimitsRecord:
+def limits_within(connection: Connection, number: int) -> LimitsRecord:
+    """The limits of a number, in a transaction of the caller's."""
     row = connection.execute(select(LIMITS).where(LIMITS.c.number == number)).one()
     return LimitsRecord(**row._asdict())
 
 
 def every_limits(connection: Connection) -> list[LimitsRecord]:
-    """All limits of all types, former ones too, by number."""
-    return [LimitsRecord(**row._asdict()) for row in connection.execute(select(LIMITS).order_by(LIMITS.c.number))]
+    """All limits of all types, former ones too, in the order in which they came in force."""
+    return [LimitsRecord(**row._asdict()) for row in connection.execute(select(LIMITS).order_by(*_LIMITS_ORDER))]
 
 
 def limits_records(registry: Registry) -> list[LimitsRecord]:

@@ -21,9 +21,8 @@ uncertainty of these changes in y_i, u_i² is less by |g_i|² and more by |g_i �
 no part of a drift, nor of a change between two that share it (`tumble.calibration.shared_errors`). The level of the
 line has |ḡ|² in its variance. A parameter of which no more than its prior is known has neither τ nor drift.
 
-A change has the expanded uncertainty U = t(ν) u with ν by Welch and Satterthwaite (`tumble.calibration.coverage`); it
-is `beyond chance` where chance alone makes one of all parameters of the device change so much less often than in CHANCE
-of all cases.
+A change has the expanded uncertainty U = t(ν) u with ν by Welch and Satterthwaite (`tumble.calibration.coverage`).
+Whether the last one is beyond chance says the comparison of the two calibrations (`tumble.calibration.compare`).
 
 Source: Mandel & Paule, Anal. Chem. 42 (1970) 1194, for τ; JCGM 100 (GUM) G.4 for t; ISO 13528, 9.7 for E_n.
 """
@@ -48,8 +47,6 @@ from tumble.units import Array
 YEAR = timedelta(days=365.25)
 COVERED = float(special.ndtr(2.0))
 """One-sided probability of two standard deviations of a normal distribution."""
-CHANCE = 1e-3
-"""A device has changed where chance does so less often."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -68,6 +65,11 @@ class Drift:
     level_with_drift: float
     since: float
 
+    @property
+    def beyond_u(self) -> bool:
+        """Whether it is larger than its U."""
+        return self.expanded is not None and abs(self.per_year) > self.expanded
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Change:
@@ -85,13 +87,6 @@ class Change:
     def expanded(self) -> float | None:
         """U, SI; None without uncertainties."""
         return None if self.u is None else expanded_of(self.u, self.dof)
-
-    @property
-    def probability(self) -> float | None:
-        """How often chance alone makes a change as large; None without uncertainties."""
-        if not self.u:
-            return None
-        return 2.0 * float(special.stdtr(math.inf if self.dof is None else self.dof, -abs(self.value) / self.u))
 
     @property
     def e_n(self) -> float | None:
@@ -142,17 +137,6 @@ def launch_values(point: SeriesPoint) -> Array:
 def years(points: Sequence[SeriesPoint]) -> Array:
     """When points were measured, years since the first."""
     return np.array([(p.performed - points[0].performed) / YEAR for p in points], dtype=float)
-
-
-def beyond_chance(trends: Sequence[Trend]) -> list[Trend]:
-    """Those of all trends of a device whose last change is more than chance makes (module docstring)."""
-    found = []
-    for trend in trends:
-        change = trend.last_change
-        probability = None if change is None else change.probability
-        if probability is not None and probability * len(trends) < CHANCE:
-            found.append(trend)
-    return found
 
 
 def _changes(points: Sequence[SeriesPoint]) -> Iterable[Change]:

@@ -98,8 +98,6 @@ class Section:
 
     title: str
     blocks: tuple[Block, ...]
-    one_page: bool = False
-    """Whether it is not to be broken between pages."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

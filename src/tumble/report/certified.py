@@ -10,7 +10,7 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.errors import InputError
 from tumble.export.certificate import RELATES, STATES, Certificate, Party
 from tumble.recording.circumstances import Circumstances
-from tumble.registry.limits import AGREED_RULE, RULE
+from tumble.registry.limits import RULE
 from tumble.report.blocks import Letterhead, Signature
 from tumble.report.numbers import fixed, significant
 
@@ -44,7 +44,7 @@ def letterhead(laboratory: Party) -> Letterhead:
 
 def facts(certificate: Certificate, calibration: Calibration) -> tuple[tuple[str, str], ...]:
     """Customer, number, dates, place, state and procedure. Raises InputError without a day of the calibration."""
-    first, last = certificate.days(calibration.circumstances)
+    first, last = certificate.days(calibration)
     optional = (
         ("replaces certificate", certificate.replaces),
         ("received", None if certificate.received is None else certificate.received.isoformat()),
@@ -81,8 +81,7 @@ def circumstances(given: Circumstances) -> tuple[tuple[str, str], ...]:
 
 def statements(certificate: Certificate | None, *, judged: bool) -> tuple[str, ...]:
     """What stands above the signatures: by which rule limits were `judged`, traceability, what it all relates to."""
-    rule = RULE if certificate is None else AGREED_RULE
-    said = f"{rule[0].upper()}{rule[1:]}." if judged else ""
+    said = f"{RULE[0].upper()}{RULE[1:]}." if judged else ""
     if certificate is None:
         return tuple(each for each in (said, "The results relate only to the item named above.") if each)
     said += f" Agreed beforehand: {certificate.agreed}." if judged and certificate.agreed else ""

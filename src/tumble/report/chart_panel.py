@@ -18,6 +18,7 @@ from tumble.registry.series import SeriesPoint
 from tumble.registry.trend import YEAR, Trend
 from tumble.report.characters import drawable
 from tumble.report.figures import COLOURS, FAINT, GREY, INK
+from tumble.report.limits import TONES
 from tumble.report.numbers import minus
 from tumble.terminal.registry import expanded_of, limit_cell
 
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MARKERS = dict(zip(STATES, ("v", "^", "o"), strict=True))
-TONES = {"pass": "#22693d", "undecided": "#8a5a00", "fail": "#a32222"}
-_LIMIT = TONES["fail"]
+_COLOURS = {"good": "#22693d", "doubt": "#8a5a00", "bad": "#a32222"}
+_LIMIT = _COLOURS["bad"]
 _NEAR = 0.4
 """A limit is drawn where it is no further from the data than this part of their height."""
 _MOST_DATES = 5
@@ -87,13 +88,13 @@ def _draw_points(
     changed = {c.later: c.e_n for c in trend.changes if c.e_n is not None and abs(c.e_n) > 1.0 and not c.adjustment}
     for point, value, bar in zip(points, values.tolist(), bars.tolist(), strict=True):
         verdict = verdicts.get(point.number, "")
-        colour = COLOURS[0] if verdict in ("", "pass") else TONES[verdict]
+        colour = COLOURS[0] if verdict in ("", "pass") else _COLOURS[TONES[verdict]]
         at = _times([point.performed])
         axes.errorbar(
             at, [value], yerr=[bar], fmt=MARKERS[point.state], markersize=4.5, color=colour, capsize=2.5, linewidth=1.0
         )
         if point.number in changed:
-            axes.plot(at, [value], "o", markersize=10, fillstyle="none", color=TONES["fail"], markeredgewidth=1.2)
+            axes.plot(at, [value], "o", markersize=10, fillstyle="none", color=_LIMIT, markeredgewidth=1.2)
             _draw_number(axes, at, value, changed[point.number])
 
 
@@ -107,7 +108,7 @@ def _draw_number(axes: Axes, at: npt.NDArray[np.datetime64], value: float, e_n: 
         textcoords="offset points",
         ha="right" if side < 0 else "left",
         fontsize=7,
-        color=TONES["fail"],
+        color=_LIMIT,
     )
 
 

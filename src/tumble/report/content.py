@@ -3,19 +3,23 @@ rests on. One document for every kind of output."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from tumble.calibration import further
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import remarks
+from tumble.calibration.further import left_by_matrix, left_said
 from tumble.errors import InputError
-from tumble.export.certificate import Certificate
+from tumble.export.certificate import Certificate, check_certificate, recorded_on
 from tumble.registry.conformity import verdicts
-from tumble.registry.limits import STATEMENTS, Limits, Statement, Verdict
+from tumble.registry.limits import RESULTS, LimitJudgement, Limits, Result, Verdict
 from tumble.report import certified, compare, limits, over_temperature, recording, result
 from tumble.report.blocks import Block, Document, Facts, Items, Part, Section, Text, Tone
 from tumble.report.numbers import NONE
+
+_MOST_MOMENTS = 3
+"""Of more recordings only the days are listed."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -45,6 +49,8 @@ def document(
             f"certificate: as_found: expected a calibration of device {calibrations[0].serial!r} in the frame "
             f"{calibrations[0].frame!r}, found {as_found.serial!r} in {as_found.frame!r}"
         )
+    if certificate is not None:
+        check_certificate(certificate, calibrations[0], as_found)
     titles = _titles(sources)
     given = ReportBasis(acceptance=acceptance, certificate=certificate, as_found=as_found)
     parts = [
@@ -87,17 +93,13 @@ class ReportBasis:
     certificate: Certificate | None
     as_found: Calibration | None
 
-    @property
-    def agreed(self) -> str | None:
-        """How the decision rule was agreed: None without a certificate."""
-        return None if self.certificate is None else self.certificate.agreed or ""
-
 
 def _tone(sources: Sequence[Source], given: ReportBasis) -> Tone:
     """The colour of the worst verdict."""
-    if _badge(sources, given) == "conditional pass":
-        return "doubt"
-    if not_accepted(sources, given.acceptance):
+    badge = _badge(sources, given)
+    if badge in limits.TONES:
+        return limits.TONES[badge]
+    if badge == "not accepted":
         return "bad"
     return "doubt" if any(source.calibration.outcome.remarks for source in sources) else "good"
 
@@ -111,14 +113,14 @@ def _badge(sources: Sequence[Source], given: ReportBasis) -> str:
         return "; ".join(of_kinds) if of_kinds and len(sources) == 1 else "not accepted"
     found = _outcomes(sources, given)
     if found:
-        return min((each for _, each in found), key=STATEMENTS.index)
+        return min((each for _, each in found), key=RESULTS.index)
     return "accepted with scatter" if any(outcome.remarks for outcome in outcomes) else "accepted"
 
 
-def _outcomes(sources: Sequence[Source], given: ReportBasis) -> list[tuple[str, Statement]]:
+def _outcomes(sources: Sequence[Source], given: ReportBasis) -> list[tuple[str, Result]]:
     """The outcome of every check, with its name."""
     found = [verdict for _, verdict in _checks(sources, given.acceptance)]
-    return [(v.occasion, v.result if given.certificate is None else v.statement) for v in found]
+    return [(verdict.occasion, verdict.result) for verdict in found]
 
 
 def _verdict(sources: Sequence[Source], given: ReportBasis) -> str:
@@ -127,10 +129,10 @@ def _verdict(sources: Sequence[Source], given: ReportBasis) -> str:
     if not all(outcome.accepted for outcome in outcomes):
         return "not accepted"
     accepted = "accepted with scatter" if any(outcome.remarks for outcome in outcomes) else "accepted"
-    results: dict[str, list[Statement]] = {}
+    results: dict[str, list[Result]] = {}
     for occasion, outcome in _outcomes(sources, given):
         results.setdefault(occasion, []).append(outcome)
-    worst = [f"{check}: {min(found, key=STATEMENTS.index)}" for check, found in results.items()]
+    worst = [f"{check}: {min(found, key=RESULTS.index)}" for check, found in results.items()]
     return ", ".join([accepted, *worst])
 
 
@@ -190,9 +192,12 @@ def _front(sources: Sequence[Source], titles: Sequence[str]) -> tuple[tuple[str,
 
 
 def _recorded(calibration: Calibration) -> str:
-    """When, by the session or the log; never when it was computed."""
-    date = calibration.circumstances.date
-    return "date not stated" if date is None else date.replace("T", " ").replace("+00:00", " UTC")
+    """When each recording was made, by its session or log; never when it was computed."""
+    moments = recorded_on(calibration)
+    if len(moments) > _MOST_MOMENTS:
+        moments = list(dict.fromkeys(moment[:10] for moment in moments))
+    said = (moment.replace("T", " ").replace("+00:00", " UTC") for moment in moments)
+    return ", ".join(said) or "date not stated"
 
 
 def _computed(calibration: Calibration) -> str:
@@ -201,69 +206,125 @@ def _computed(calibration: Calibration) -> str:
 
 def _sections(source: Source, key: str, given: ReportBasis) -> tuple[Section, ...]:
     """All sections of one calibration; `key` begins the names of its figures."""
+    of_all = _for_customers if given.certificate is not None else _for_the_laboratory
+    return tuple(section for section in of_all(source, key, given) if section is not None)
+
+
+def _for_the_laboratory(source: Source, key: str, given: ReportBasis) -> Iterator[Section | None]:
+    """Everything that is known of a calibration."""
     calibration = source.calibration
     recordings = recording.recordings(calibration)
-    sections: list[Section | None] = [
-        _result(calibration, given),
-        result.beyond(calibration),
-        over_temperature.section(calibration, f"{key}-temperature"),
-        limits.section(calibration, given.acceptance, given.agreed),
-        _notes(calibration),
-        result.launches(calibration) if calibration.launches else None,
-        result.application(calibration),
-        result.frame(calibration, f"{key}-frame"),
-        recording.site(recordings),
-        *(recording.found(r, f"{key}-sphere{i}") for i, r in enumerate(recordings)),
-        *(recording.residuals(r, f"{key}-residuals{i}") for i, r in enumerate(recordings)),
-        result.correlations(calibration, f"{key}-correlations"),
-        result.convergence(calibration, f"{key}-convergence"),
-        *(recording.noise(r, f"{key}-noise{i}") for i, r in enumerate(recordings)),
-        _provenance(source),
-        result.covariance(calibration),
-    ]
-    return tuple(section for section in sections if section is not None)
+    yield _result(calibration, given)
+    yield result.beyond(calibration)
+    yield over_temperature.section(calibration, f"{key}-temperature")
+    yield limits.section(calibration, given.acceptance)
+    yield _notes((*remarks(calibration), *calibration.notes))
+    yield result.launches(calibration) if calibration.launches else None
+    yield result.application(calibration)
+    yield result.frame(calibration, f"{key}-frame")
+    yield recording.site(recordings)
+    yield from (recording.found(r, f"{key}-sphere{i}") for i, r in enumerate(recordings))
+    yield from (recording.residuals(r, f"{key}-residuals{i}") for i, r in enumerate(recordings))
+    yield result.correlations(calibration, f"{key}-correlations")
+    yield result.convergence(calibration, f"{key}-convergence")
+    yield from (recording.noise(r, f"{key}-noise{i}") for i, r in enumerate(recordings))
+    yield _provenance(source)
+
+
+def _for_customers(source: Source, key: str, given: ReportBasis) -> Iterator[Section | None]:
+    """What a certificate states: results and how they are applied, conformity, what was measured, and where all of it
+    is as data; no causes and no advice."""
+    calibration = source.calibration
+    recordings = recording.recordings(calibration)
+    yield _result(calibration, given)
+    if given.acceptance is not None and not _on_the_first_page(calibration, given.acceptance):
+        yield limits.section(calibration, given.acceptance)
+    yield _notes((*remarks(calibration), *map(_without_advice, calibration.notes)))
+    yield result.launches(calibration) if calibration.launches else None
+    yield result.beyond_for_customers(calibration)
+    yield over_temperature.section(calibration, f"{key}-temperature")
+    yield result.application(calibration)
+    yield result.frame(calibration, f"{key}-frame")
+    if any(each.site != recordings[0].site for each in recordings):
+        yield recording.site(recordings)
+    yield from (recording.measured(each) for each in recordings)
+    yield result.correlations(calibration, "")
+    yield _provenance(source)
+
+
+def _on_the_first_page(calibration: Calibration, acceptance: Limits) -> bool:
+    """Whether the table of results has the limits with all that is to be said of them."""
+    return acceptance.frame == calibration.frame and acceptance.temperatures is None
+
+
+_FOR_THE_OPERATOR = ("[", "`", "--", "tumble ", "let ")
+"""What only speaks to those who run the program has one of these: keys, commands, options, advice."""
+
+
+def _without_advice(note: str) -> str:
+    """A note without the clauses that say what to do."""
+    clauses = [clause for clause in note.split("; ") if not any(mark in clause for mark in _FOR_THE_OPERATOR)]
+    return "; ".join(clauses)
 
 
 def _result(calibration: Calibration, given: ReportBasis) -> Section:
-    blocks: list[Block] = result.verdict(calibration)
+    certified_result = given.certificate is not None
+    blocks: list[Block] = result.verdict(calibration, opinions=not certified_result)
     if calibration.parameters:
-        blocks.append(result.parameter_table(calibration, given.as_found, _by_parameter(calibration, given)))
-        blocks.append(
-            Text(
-                text="U = k u is the expanded uncertainty, which covers 95.45 %: k = 2 where u is known, more, by "
-                "Student's t, where it was estimated from few residuals. "
-                '1 µg is 9.80665·10⁻⁶ m/s², " a second of arc.',
-                tone="small",
-            )
+        table = result.parameter_table(
+            calibration, given.as_found, _by_parameter(calibration, given), with_degrees=certified_result
         )
+        said = (
+            "U = k u is the expanded uncertainty, which covers 95.45 %: k = 2 where u is known, more, by Student's t "
+            "with ν degrees of freedom, where it was estimated from few residuals. "
+            f"{_of_which_power_on(calibration)} "
+            '1 µg is 9.80665·10⁻⁶ m/s², " a second of arc.'
+        )
+        blocks += [table, Text(text=said, tone="small")]
     if calibration.prediction is not None:
-        blocks.append(Text(text=f"Known to (standard uncertainty): {further.predicted(calibration.prediction)}."))
+        left = left_by_matrix(calibration)
+        alone = "" if left is None else f", with the whole correction; {left_said(left)}"
+        known_to = f"{further.predicted(calibration.prediction)}{alone}"
+        blocks.append(Text(text=f"Known to (standard uncertainty): {known_to}."))
     if calibration.outcome.unobservable:
         blocks.append(Text(text=f"Not determined: {', '.join(calibration.outcome.unobservable)}."))
+    if given.acceptance is not None and not _on_the_first_page(calibration, given.acceptance):
+        blocks.append(Text(text="Limits, and the verdict on every parameter: section “Limits and verdict”."))
     return Section(title="Result", blocks=tuple(blocks))
 
 
-def _by_parameter(calibration: Calibration, given: ReportBasis) -> dict[str, str]:
-    """The worst outcome of the checks of every parameter that has a limit."""
+def _of_which_power_on(calibration: Calibration) -> str:
+    """What U is of, and what it has not of the next power-on."""
+    if len(calibration.launches) > 1:
+        return (
+            f"It is of the mean of {len(calibration.launches)} power-ons; a single later one lies about the mean with "
+            "the standard deviation “run to run”, which comes on top."
+        )
+    if calibration.together:
+        return "It is of all recorded power-ons together; what changes at the next one comes on top."
+    return "It is of the one power-on that was recorded; what changes at the next one is not in it."
+
+
+def _by_parameter(calibration: Calibration, given: ReportBasis) -> dict[str, list[LimitJudgement]]:
+    """What the checks say of every parameter that has a limit, where the table has room for all there is to say."""
     if given.acceptance is None or given.acceptance.frame != calibration.frame:
         return {}
-    found: dict[str, Statement] = {}
+    judged: dict[str, list[LimitJudgement]] = {}
     for judgement in (j for verdict in verdicts(calibration, given.acceptance) for j in verdict.judgements):
-        outcome = judgement.result if given.certificate is None else judgement.statement
-        found[judgement.name] = min(found.get(judgement.name, outcome), outcome, key=STATEMENTS.index)
-    return dict(found)
+        judged.setdefault(judgement.name, []).append(judgement)
+    return judged
 
 
-def _notes(calibration: Calibration) -> Section | None:
+def _notes(notes: Iterable[str]) -> Section | None:
     """What is to be known of the recording and of U."""
-    said = (*remarks(calibration), *calibration.notes)
+    said = tuple(note for note in notes if note)
     return Section(title="Notes", blocks=(Items(items=said),)) if said else None
 
 
 def _provenance(source: Source) -> Section:
     provenance = source.calibration.provenance
     rows = [
-        ("calibration file", source.file),
+        ("data annex", f"the calibration file {source.file}: all values, u, k, ν and covariances in SI"),
         ("its SHA-256", source.sha256),
         ("SHA-256 of the log" + ("s" if source.calibration.launches else ""), provenance.get("log_sha256", NONE)),
         ("software", provenance.get("software", NONE)),

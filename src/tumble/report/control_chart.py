@@ -14,14 +14,15 @@ from typing import TYPE_CHECKING, Any
 
 from tumble.errors import InputError, needs_extra
 from tumble.files import whole_file
-from tumble.registry.limits import RULE
+from tumble.registry.limits import RESULTS, RULE
 from tumble.registry.monitor import Monitored
 from tumble.registry.trend import Trend
+from tumble.report.limits import TONES
 from tumble.report.numbers import minus
 from tumble.sensors.parameters import group_name, group_of
-from tumble.terminal.comparison import chi_square_of
 from tumble.terminal.registry import (
     change_cells,
+    change_lines,
     drift_cells,
     expanded_of,
     forecast_lines,
@@ -40,15 +41,12 @@ COLUMNS = 3
 _SIZE = 2.9, 1.95
 """Width and height of a picture, inches."""
 
-_TONES = {"pass": "good", "undecided": "doubt", "fail": "bad"}
-_WORST = ("fail", "undecided", "pass")
-
 _COLUMNS = ("parameter", "latest ± U", "limits", "run to run", "drift/year ± U", "change", "Eₙ", "unit", "verdict")
 
 _NOTES = (
     "Points: value with U (95.45 %), ▼ as found, ▲ as left after an adjustment (dotted line), ● without one; blue: "
-    "inside the limits of the periodic check or without any, brown: within the guard band, red: outside. Dashes beside "
-    "a point: its launches. A bar of U that would make the rest too small to see runs out of the picture.",
+    "pass of the limits of the periodic check or without any, brown: conditional pass, red: otherwise. Dashes beside a "
+    "point: its launches. A bar of U that would make the rest too small to see runs out of the picture.",
     "Red line: a limit, with the guard band of the latest U; a limit far from the values stands as a note in the "
     "margin. Dashed line: the drift since the last adjustment, by weighted least squares with the instability from run "
     "to run.",
@@ -130,15 +128,15 @@ def _page(found: Monitored) -> str:
 def _badge(found: Monitored) -> tuple[str, str]:
     """One verdict: the worst on the latest values, or that the device has changed; and its colour."""
     verdicts = set(found.latest_verdicts().values())
-    worst = next((each for each in _WORST if each in verdicts), None)
+    worst = next((each for each in RESULTS if each in verdicts), None)
     if worst == "fail":
         return "fail", "bad"
     if found.changed():
         return "changed", "bad"
     if worst is not None:
-        return worst, _TONES[worst]
+        return worst, TONES[worst]
     several = any(len(trend.series.points) > 1 for trend in found.trends)
-    return ("no change found", "good") if several else ("nothing to compare with yet", "doubt")
+    return ("no change beyond chance", "good") if several else ("nothing to compare with yet", "doubt")
 
 
 def _due(found: Monitored) -> str:
@@ -157,16 +155,17 @@ def _findings(found: Monitored) -> list[_Cell]:
     if changed:
         which = ", ".join(changed)
         said.append(_Cell(text=f"changed since the calibration before, by more than chance: {which}", tone="bad"))
-    elif len(found.trends[0].series.points) > 1:
-        seldom = "that chance would not make in 1 of 1000 devices"
-        said.append(_Cell(text=f"no change since the calibration before {seldom}"))
-    if found.comparison is not None and found.comparison.chi_square is not None:
-        said.append(_Cell(text=f"the latest against the one before, all together: {chi_square_of(found.comparison)}"))
+    if found.comparison is not None:
+        said += [_Cell(text=line) for line in change_lines(found.comparison)]
+    if drifting := found.drifting():
+        units = units_of(found)
+        which = "; ".join(f"{trend.series.name} {_drift(trend, *units[trend.series.name])}" for trend in drifting)
+        said.append(_Cell(text=f"drifts beyond their U: {which}"))
     verdicts = found.latest_verdicts()
-    for result, words in (("fail", "outside the limits"), ("undecided", "within the guard band")):
+    for result in RESULTS[:-1]:
         names = [name for name, verdict in verdicts.items() if verdict == result]
         if names:
-            said.append(_Cell(text=f"{words}: {', '.join(names)}", tone=_TONES[result]))
+            said.append(_Cell(text=f"{result}: {', '.join(names)}", tone=TONES[result]))
     forecasts = forecast_lines(found)
     said += [_Cell(text=line) for line in forecasts]
     if verdicts and not forecasts:
@@ -189,7 +188,7 @@ def _row(found: Monitored, trend: Trend, size: float, unit: str) -> list[_Cell]:
         _Cell(text=minus(change), tone="bad" if beyond else ""),
         _Cell(text=minus(e_n), tone="bad" if beyond else ""),
         _Cell(text=unit),
-        _Cell(text=verdict, tone=_TONES.get(verdict, "")),
+        _Cell(text=verdict, tone=TONES.get(verdict, "")),
     ]
 
 
@@ -241,7 +240,7 @@ def _panel(name: str, found: Monitored, trend: Trend, unit: tuple[float, str]) -
     return _Panel(
         name=trend.series.name,
         verdict=verdict,
-        tone=_TONES.get(verdict, ""),
+        tone=TONES.get(verdict, ""),
         svg=_picture(name, found, trend, unit),
         caption=_caption(trend, *unit),
     )
@@ -250,10 +249,14 @@ def _panel(name: str, found: Monitored, trend: Trend, unit: tuple[float, str]) -
 def _caption(trend: Trend, size: float, unit: str) -> str:
     said = []
     if trend.drift is not None and trend.drift.expanded is not None:
-        said.append(f"drift {_with(drift_cells(trend, size))} {unit} a year")
+        said.append(f"drift {_drift(trend, size, unit)}")
     if trend.run_to_run is not None:
         said.append(f"run to run {significant(trend.run_to_run, size)} {unit}")
     return "; ".join(said) or "drift not known yet"
+
+
+def _drift(trend: Trend, size: float, unit: str) -> str:
+    return f"{_with(drift_cells(trend, size))} {unit} a year"
 
 
 # -------------------- pictures --------------------

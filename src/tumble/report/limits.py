@@ -9,41 +9,42 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import remarks
 from tumble.calibration.shown import shown_units
 from tumble.registry.conformity import verdicts
-from tumble.registry.limits import AGREED_RULE, RULE, LimitJudgement, Limits
+from tumble.registry.limits import RULE, LimitJudgement, Limits, Result
 from tumble.report.blocks import Block, Items, ReportTable, Section, Text, Tone
-from tumble.report.numbers import NONE, minus
+from tumble.report.numbers import NONE, limit_of, minus
 from tumble.units import engineering, rounded
 
 OVER_TEMPERATURE = (
     "Biases and scale factors are judged at the temperature where they are worst, with U there; other parameters are "
     "the same at all temperatures. Beyond what was measured nothing passes."
 )
+TONES: Mapping[Result, Tone] = {
+    "pass": "good",
+    "conditional pass": "doubt",
+    "conditional fail": "bad",
+    "undecided": "bad",
+    "fail": "bad",
+}
 _CHECKS = {"incoming": "Incoming inspection", "periodic": "Periodic check"}
 
 
-def section(calibration: Calibration, limits: Limits | None, agreed: str | None = None) -> Section:
-    """Limits, verdict and decision rule; of a certificate, where the rule is `agreed`, with its four outcomes."""
+def section(calibration: Calibration, limits: Limits | None) -> Section:
+    """Limits, verdict and decision rule."""
     if limits is None:
         said = "No acceptance limits were given: this report states values and uncertainties, not conformity."
         return Section(title="Limits and verdict", blocks=(Text(text=said),))
-    stated = RULE if agreed is None else AGREED_RULE
-    rule = f"{stated[0].upper()}{stated[1:]}. Limits hold in the frame “{limits.frame}”."
-    blocks: list[Block] = [Text(text=f"{rule} Agreed beforehand: {agreed}." if agreed else rule)]
+    rule = f"{RULE[0].upper()}{RULE[1:]}. Limits hold in the frame “{limits.frame}”."
+    blocks: list[Block] = [Text(text=rule)]
     if found := remarks(calibration):
         blocks.append(Items(items=found))
     units = shown_units(calibration.parameters)
     for verdict in verdicts(calibration, limits):
         check = _CHECKS[verdict.occasion]
-        tone: Tone = "good" if verdict.result == "pass" else "bad"
-        reasons = "; ".join(verdict.reasons())
-        outcome = verdict.result if agreed is None else verdict.statement
-        tone = "doubt" if outcome == "conditional pass" else tone
-        said = (
-            f"{check}: {outcome}" + (f", {verdict.over}" if verdict.over else "") + (f" ({reasons})" if reasons else "")
-        )
-        rows = tuple(_row(j, units, j.result if agreed is None else j.statement) for j in verdict.judgements)
+        reasons = f" ({'; '.join(verdict.reasons())})" if verdict.reasons() else ""
+        said = ", ".join(each for each in (f"{check}: {verdict.result}", verdict.over) if each) + reasons
+        rows = tuple(_row(j, units) for j in verdict.judgements)
         columns: tuple[str, ...] = ("parameter", "low", "value", "U", "high", "unit", "verdict")
-        blocks.append(Text(text=said + ".", tone=tone))
+        blocks.append(Text(text=f"{said}.", tone=TONES[verdict.result]))
         if verdict.temperatures is not None:
             blocks.append(Text(text=OVER_TEMPERATURE))
             columns = (*columns, "at °C")
@@ -52,7 +53,7 @@ def section(calibration: Calibration, limits: Limits | None, agreed: str | None 
     return Section(title="Limits and verdict", blocks=tuple(blocks))
 
 
-def _row(judgement: LimitJudgement, units: Mapping[str, tuple[float, str]], outcome: str) -> tuple[str, ...]:
+def _row(judgement: LimitJudgement, units: Mapping[str, tuple[float, str]]) -> tuple[str, ...]:
     finite = [abs(v) for v in (judgement.low, judgement.high) if math.isfinite(v)]
     size, unit = units.get(judgement.name) or engineering(judgement.unit, max(finite, default=0.0))
     value, expanded = NONE, NONE
@@ -60,12 +61,8 @@ def _row(judgement: LimitJudgement, units: Mapping[str, tuple[float, str]], outc
         value, expanded = rounded(judgement.value / size, judgement.expanded / size)
     elif judgement.value is not None:
         value = f"{judgement.value / size:.6g}"
-    low, high = (_limit(v, size) for v in (judgement.low, judgement.high))
-    return judgement.name, low, minus(value), expanded, high, unit, outcome
-
-
-def _limit(value: float, size: float) -> str:
-    return minus(f"{value / size:.6g}") if math.isfinite(value) else NONE
+    low, high = (limit_of(v, size) for v in (judgement.low, judgement.high))
+    return judgement.name, low, minus(value), expanded, high, unit, judgement.result
 
 
 def _at(judgement: LimitJudgement) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from tumble.calibration.coverage import expanded
 from tumble.calibration.results import Parameter
 from tumble.units import rounded
@@ -40,6 +42,16 @@ def with_expanded(parameter: Parameter, size: float) -> tuple[str, str]:
 def factor(parameter: Parameter) -> str:
     """The coverage factor, where U is stated."""
     return NONE if parameter.k is None else fixed(parameter.k, 2)
+
+
+def degrees(parameter: Parameter) -> str:
+    """The degrees of freedom of u; infinite where it is known."""
+    return "∞" if parameter.dof is None else fixed(parameter.dof, 1 if parameter.dof < 100.0 else 0)
+
+
+def limit_of(value: float, size: float) -> str:
+    """An acceptance limit in a unit of this size, where there is one."""
+    return minus(f"{value / size:.6g}") if math.isfinite(value) else NONE
 
 
 def with_standard(parameter: Parameter, size: float) -> tuple[str, str]:

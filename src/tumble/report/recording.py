@@ -24,6 +24,9 @@ from tumble.rotation import unit_vector
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, Array, engineering
 
+_MOST_TURNS = 8
+"""Rows of the table of turns from which on it stands in halves."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedSession:
@@ -121,6 +124,21 @@ def found(recording: RecordedSession, name: str) -> Section | None:
     return Section(title=_titled("Programme and what was found", recording), blocks=tuple(blocks))
 
 
+def measured(recording: RecordedSession) -> Section | None:
+    """Every rest and every turn as numbers, and how they agree with the result."""
+    if not recording.rests:
+        return residuals(recording, "")
+    positions = [_position(rest.attitude) for rest in recording.rests]
+    blocks: list[Block] = [
+        Text(text=_programme_said(recording)),
+        _rest_table(recording, positions, _verticals(recording)),
+        *([_turn_table(recording.turns)] if recording.turns else []),
+        Text(text=_residuals_said(recording)),
+        *([_fit_table(recording.fits)] if recording.fits else []),
+    ]
+    return Section(title=_titled("What was measured", recording), blocks=tuple(blocks))
+
+
 def _titled(title: str, recording: RecordedSession) -> str:
     return f"{title}: {recording.title}" if recording.title else title
 
@@ -207,7 +225,7 @@ def _turn_table(turns: Sequence[TurnResult]) -> ReportTable:
         for turn in turns
     )
     caption = "Turns. Found is the whole angle between two rests as the calibrated gyros saw it (0 to 180°)."
-    return ReportTable(columns=columns, rows=rows, caption=caption, dense=True)
+    return ReportTable(columns=columns, rows=rows, caption=caption, dense=True, halves=len(rows) > _MOST_TURNS)
 
 
 def _degrees(angle: float | None, digits: int) -> str:
@@ -222,15 +240,8 @@ def residuals(recording: RecordedSession, name: str) -> Section | None:
     if not recording.rests:
         table = (_fit_table(recording.fits),) if recording.fits else ()
         return Section(title=_titled("Residuals", recording), blocks=table) if table else None
-    rms = math.sqrt(sum(rest.residual**2 for rest in recording.rests) / len(recording.rests))
-    worst = max(recording.rests, key=lambda rest: abs(rest.residual))
-    said = (
-        "The corrected readings of the accelerometers at rest miss g by "
-        f"{significant(figures.micro_g(rms), 3)} µg (rms), at most by "
-        f"{significant(figures.micro_g(abs(worst.residual)), 3)} µg (rest {recording.rests.index(worst) + 1})."
-    )
     blocks: list[Block] = [
-        Text(text=said),
+        Text(text=_residuals_said(recording)),
         Figure(
             svg=figures.residuals(name, recording.rests, recording.turns),
             caption="Residual of every rest, and how far rests and turns are from the fit.",
@@ -239,6 +250,16 @@ def residuals(recording: RecordedSession, name: str) -> Section | None:
     if recording.fits:
         blocks.append(_fit_table(recording.fits))
     return Section(title=_titled("Residuals", recording), blocks=tuple(blocks))
+
+
+def _residuals_said(recording: RecordedSession) -> str:
+    rms = math.sqrt(sum(rest.residual**2 for rest in recording.rests) / len(recording.rests))
+    worst = max(recording.rests, key=lambda rest: abs(rest.residual))
+    return (
+        "The corrected readings of the accelerometers at rest miss g by "
+        f"{significant(figures.micro_g(rms), 3)} µg (rms), at most by "
+        f"{significant(figures.micro_g(abs(worst.residual)), 3)} µg (rest {recording.rests.index(worst) + 1})."
+    )
 
 
 def _fit_table(fits: Mapping[str, Fit]) -> ReportTable:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.further import (
+    SENSORS,
     GroupLine,
     by_group,
     decided_by_priors,
+    described,
     further_parameters,
     group_lines,
+    left_by_matrix,
+    left_said,
     linear_parameters,
     other_factors,
     verdicts,
@@ -21,6 +24,7 @@ from tumble.calibration.further import (
 from tumble.calibration.half import WORDS, accepted_kinds
 from tumble.calibration.results import Launch, Parameter
 from tumble.calibration.shown import shown_units
+from tumble.registry.limits import RESULTS, LimitJudgement
 from tumble.report import drawings, figures
 from tumble.report.blocks import (
     Block,
@@ -35,25 +39,32 @@ from tumble.report.blocks import (
     Text,
     Tone,
 )
-from tumble.report.numbers import NONE, as_value, factor, fixed, significant, with_expanded, with_standard
+from tumble.report.numbers import (
+    NONE,
+    as_value,
+    degrees,
+    factor,
+    fixed,
+    limit_of,
+    significant,
+    with_expanded,
+    with_standard,
+)
 from tumble.sensors.model import SensorModel
-from tumble.sensors.parameters import beyond_linear, group_name, sensor_kind, within_kind
+from tumble.sensors.parameters import beyond_linear, group_name, variable_of
 from tumble.units import Array, engineering
 
-_BLOCKS = {"accel": "accelerometer", "gyro": "gyro", "mag": "magnetometer"}
 _TEST_VECTORS = {"accel": (1.0, -2.0, 9.5), "gyro": (0.1, -0.2, 0.3), "mag": (0.4, -0.2, 0.3)}
 """True values (m/s², rad/s, unit of the field) near which the readings of the test vectors are."""
-_NAME = re.compile(
-    r"(?P<kind>accel|gyro|mag)\.(?:axis\.(?P<pair>[xyz]{2})|(?P<what>bias|scale|axis)\."
-    r"(?:(?P<letter>[xyz])|(?P<number>\d+))(?:\.(?P<angle>[12]))?)"
-)
 _STRONGEST = 8
 _MOST_ROWS = 26
 """Rows of the table of results that the page for the customer has room for."""
-_MOST_COLUMNS = 14
-"""Columns of a covariance that a page has room for."""
-_MOST_KINDS = 2
-"""Kinds of sensors whose covariances fit on one page."""
+_MOST_LARGE, _MOST_WITH_WORDS = 9, 12
+"""Columns for which the page has room in the larger type, and in the smaller one with the parameters in words."""
+_MOST_UNHALVED = 12
+"""Rows of a narrow table from which on it stands in halves."""
+_MOST_IN_A_MAP = 24
+"""Parameters whose names can be read beside a map of correlations."""
 MODEL_DIGITS, TRUE_DIGITS = 10, 8
 """Digits behind the point of matrices and biases (SI), and of the true values of test vectors that they give."""
 _HEADINGS = {"accel": "Accelerometers", "gyro": "Gyros", "mag": "Magnetometer, in its own frame"}
@@ -73,47 +84,49 @@ _NUMBERED_FRAME = (
 )
 
 
-def described(name: str) -> str:
-    """A parameter in words: "X accelerometer, bias", "angle of the Y accelerometer towards X"."""
-    found = _NAME.fullmatch(name)
-    if found is None:
-        return ""
-    block = _BLOCKS[found["kind"]]
-    if found["pair"]:
-        return f"{found['pair'][0].upper()} {block}, axis towards {found['pair'][1].upper()}"
-    sensor = f"{block} {found['number']}" if found["number"] else f"{found['letter'].upper()} {block}"
-    said = {"bias": "bias", "scale": "scale-factor error", "axis": f"axis angle {found['angle']}"}
-    return f"{sensor}, {said[found['what']]}"
-
-
 def parameter_table(
-    calibration: Calibration, as_found: Calibration | None = None, outcomes: Mapping[str, str] | None = None
+    calibration: Calibration,
+    as_found: Calibration | None = None,
+    judged: Mapping[str, Sequence[LimitJudgement]] | None = None,
+    *,
+    with_degrees: bool = False,
 ) -> ReportTable:
     """Parameters of the linear model with U (95 %); where there are such, the values as found before an adjustment,
-    coverage factors other than 2, deviations from the systematic values and from launch to launch, and the outcomes
-    of the checks by parameter."""
+    coverage factors other than 2 with the degrees of freedom (of all parameters `with_degrees`), the limits and results
+    of those that were `judged`, and deviations from the systematic values and from launch to launch."""
     parameters = linear_parameters(calibration.parameters)
     units = shown_units(parameters)
-    launches, factors = bool(calibration.launches), other_factors(parameters)
+    judged = judged or {}
+    launches, factors = bool(calibration.launches), with_degrees or other_factors(parameters)
     passport = any(p.deviation is not None for p in parameters)
     before = {} if as_found is None else {p.name: p.value for p in as_found.parameters}
+    limited = bool(judged) and all(len(each) == 1 for each in judged.values())
     columns = ["parameter", "", "mean" if launches else "value", "U (95 %)", "unit"]
     columns += ["as found"] if before else []
-    columns += ["k"] if factors else []
-    columns += ["verdict"] if outcomes else []
-    columns += (["run to run"] if launches else []) + (["from nominal"] if passport else [])
+    columns += ["k", "ν"] if factors else []
+    columns += ["run to run"] if launches else []
+    columns += ["from nominal"] if passport else []
+    columns += ["lowest", "highest"] if limited else []
+    columns += ["verdict"] if judged else []
     rows = []
     for p in parameters:
         size, unit = units[p.name]
         row = [p.name, described(p.name), *with_expanded(p, size), unit]
         row += [as_value(before.get(p.name), p, size)] if before else []
-        row += [factor(p)] if factors else []
-        row += [outcomes.get(p.name, NONE)] if outcomes else []
+        row += [factor(p), degrees(p)] if factors else []
         row += [as_value(p.run_to_run, p, size)] if launches else []
         row += [as_value(p.deviation, p, size)] if passport else []
+        own = judged.get(p.name, ())
+        row += [limit_of(each, size) for each in (own[0].low, own[0].high)] if limited and own else []
+        row += [NONE, NONE] if limited and not own else []
+        row += [min((each.result for each in own), key=RESULTS.index, default=NONE)] if judged else []
         rows.append(tuple(row))
-    words = (0, 1, 4, columns.index("verdict")) if outcomes else (0, 1, 4)
-    return ReportTable(columns=tuple(columns), rows=tuple(rows), text=words, halves=len(rows) > _MOST_ROWS)
+    words = (0, 1, 4, columns.index("verdict")) if judged else (0, 1, 4)
+    dense = len(columns) > _MOST_LARGE
+    if len(columns) > _MOST_WITH_WORDS:
+        columns, rows = [columns[0], *columns[2:]], [(row[0], *row[2:]) for row in rows]
+        words = tuple(max(place - 1, 0) for place in words if place != 1)
+    return ReportTable(columns=tuple(columns), rows=tuple(rows), text=words, dense=dense, halves=len(rows) > _MOST_ROWS)
 
 
 def beyond(calibration: Calibration) -> Section | None:
@@ -134,6 +147,19 @@ def beyond(calibration: Calibration) -> Section | None:
     if further := further_parameters(calibration.parameters):
         blocks.append(_further_table(further))
     return Section(title="Beyond the linear model", blocks=tuple(blocks))
+
+
+def beyond_for_customers(calibration: Calibration) -> Section | None:
+    """The parameters beyond the linear model with their uncertainties."""
+    further = further_parameters(calibration.parameters)
+    if not further:
+        return None
+    said = (
+        "What a reading has beside bias, scale factors and axes. Of each there was a prior, a standard deviation over "
+        "such instruments; learned is how much of its variance the recording has taken off: at 0 % only the prior is "
+        "known."
+    )
+    return Section(title="Beyond bias, scale factors and axes", blocks=(Text(text=said), _further_table(further)))
 
 
 def _group_table(lines: Sequence[GroupLine]) -> ReportTable:
@@ -213,17 +239,19 @@ def application(calibration: Calibration) -> Section:
         *_axes_in_words(calibration, [len(model.matrix) for model in known.values()]),
         *_what_a_reading_is(calibration),
     ]
-    if further_parameters(calibration.parameters):
+    left = left_by_matrix(calibration)
+    if left is not None:
         blocks.append(
             Text(
-                text="This is the linear model. The terms of the groups beyond it are to be taken off the reading "
-                "before, as “tumble apply” does; the test vectors are without them."
+                text=f"This is the linear model, {left_said(left)}; the whole correction is at the end of the section."
             )
         )
     if not known:
         blocks.append(Text(text="No matrix can be given: a parameter it needs was not determined."))
     for kind, model in known.items():
         blocks += _applied(kind, model, _unit(calibration, kind))
+    if left is not None:
+        blocks += _whole_correction(calibration)
     return Section(title="How to apply it", blocks=tuple(blocks))
 
 
@@ -265,7 +293,7 @@ def _what_a_reading_is(calibration: Calibration) -> list[Block]:
     for kind, readings in calibration.readings.items():
         for column, scale, offset in zip(readings.columns, readings.scale, readings.offset, strict=True):
             unit = readings.unit + (" per sample" if readings.increments else "")
-            rows.append((column, _BLOCKS.get(kind, kind), unit, significant(scale, 10), significant(offset, 10)))
+            rows.append((column, SENSORS.get(kind, kind), unit, significant(scale, 10), significant(offset, 10)))
     if not rows:
         return [Text(text="A reading is the output in SI after the nominal scale and offset of the device.")]
     said = "A reading is the output in SI after the nominal scale and offset: (raw − offset) / scale"
@@ -296,13 +324,75 @@ def _applied(kind: str, model: SensorModel, unit: str) -> list[Block]:
         ),
         Matrices(matrices=(Matrix(symbol=symbol, rows=_numbers(model.inverse())),)),
         Text(text="Test vector: with these numbers, this reading gives this true value."),
-        Matrices(
-            matrices=(
-                Matrix(symbol="reading", rows=tuple((fixed(v, 6),) for v in reading), unit=unit),
-                Matrix(symbol="true", rows=tuple((fixed(v, TRUE_DIGITS),) for v in true), unit=unit),
-            )
-        ),
+        Matrices(matrices=_test_vector(reading, true, unit)),
     ]
+
+
+def _test_vector(reading: Array, true: Array, unit: str) -> tuple[Matrix, Matrix]:
+    return (
+        Matrix(symbol="reading", rows=tuple((fixed(v, 6),) for v in reading), unit=unit),
+        Matrix(symbol="true", rows=tuple((fixed(v, TRUE_DIGITS),) for v in true), unit=unit),
+    )
+
+
+_TERMS = {
+    "accel.quadratic": "K₂ (a·f)² (accel.quadratic)",
+    "accel.cubic": "K₃ (a·f)³ (accel.cubic)",
+    "accel.asymmetry": "κ |a·f| (accel.asymmetry)",
+    "gyro.asymmetry": "κ |a·ω| (gyro.asymmetry)",
+    "gyro.cubic": "K₃ (a·ω)³ (gyro.cubic)",
+    "gyro.g_sensitivity": "G·f (gyro.g_sensitivity, by the components X, Y, Z of f)",
+}
+"""What the groups beyond the linear model add to a reading, at rest and at constant rate."""
+_IN_MOTION = {
+    "accel.lever": "a·(ω̇ × l + ω × (ω × l)) with the lever arm l (accel.lever)",
+    "accel.delay": "the reading of a time later by accel.delay",
+    "accel.single_delay": "single delays (accel.delay.x and so on) likewise",
+}
+
+
+def _whole_correction(calibration: Calibration) -> Iterator[Block]:
+    """What the groups beyond the linear model add to a reading, their values in full, and a test vector."""
+    compensator = calibration.compensator
+    further = [p for p in further_parameters(calibration.parameters) if variable_of(p.name) != "time"]
+    present = {group_name(p.name) for p in further}
+    static = "; ".join(said for group, said in _TERMS.items() if group in present)
+    moving = "; ".join(said for group, said in _IN_MOTION.items() if group in present)
+    said = (
+        "A reading has, beside matrix · true + bias, for the specific force f and the rate ω in the body frame and the "
+        f"nominal sensing direction a of its sensor: {static}. With these it is corrected by repeating true ← "
+        "matrix⁻¹ · (reading − bias − these terms at true), from true = 0, until nothing changes (six times), the "
+        "force before the rate."
+    )
+    said += f" In motion accelerometers have besides: {moving}." if moving else ""
+    if compensator.warm:
+        said += (
+            " Bias and scale factor change with the temperature T of the sensor by (T − T₀) times .t1 and (T − T₀)² "
+            "times .t2 from their values at the reference temperature T₀."
+        )
+    yield Text(text="The whole correction", tone="label")
+    yield Text(text=said)
+    rows = tuple((p.name, significant(p.value, 8), p.unit) for p in further)
+    yield ReportTable(
+        columns=("parameter", "value, SI", "unit"),
+        rows=rows,
+        text=(0, 2),
+        dense=True,
+        halves=len(rows) > _MOST_UNHALVED,
+    )
+    assert calibration.accel is not None
+    readings = {"accel": test_reading("accel", calibration.accel)}
+    true = {"accel": compensator.force(readings["accel"][None])}
+    if calibration.gyro is not None:
+        readings["gyro"] = test_reading("gyro", calibration.gyro)
+        true["gyro"] = compensator.rate(readings["gyro"][None], true["accel"])
+    yield Text(
+        text="Test vector of the whole correction, at a constant rate"
+        + (" and the reference temperature" if compensator.warm else "")
+        + ": these readings together give these true values."
+    )
+    for kind, reading in readings.items():
+        yield Matrices(matrices=_test_vector(reading, true[kind][0], _unit(calibration, kind)))
 
 
 def test_reading(kind: str, model: SensorModel) -> Array:
@@ -335,7 +425,7 @@ def frame(calibration: Calibration, name: str) -> Section:
 
 
 def correlations(calibration: Calibration, name: str) -> Section | None:
-    """What U covers, the heat map and the strongest correlations."""
+    """What U covers, the strongest correlations, and a map of those of the linear model, where it has a `name`."""
     if calibration.covariance is None:
         return None
     names = [p.name for p in calibration.parameters]
@@ -356,17 +446,19 @@ def correlations(calibration: Calibration, name: str) -> Section | None:
     if rows:
         said = (
             "The covariance of two parameters is their coefficient times both standard uncertainties; all of it is in "
-            "the calibration file. The strongest:"
+            "the calibration file, which is the data annex. The strongest:"
         )
         blocks += [Text(text=said), ReportTable(columns=("parameter", "with", "coefficient"), rows=rows, text=(0, 1))]
-    blocks.append(
-        Figure(
-            svg=figures.correlations(name, names, r),
-            caption="Correlation coefficients of the parameters"
-            + (", in hundredths." if len(names) <= figures.MOST_WITH_NUMBERS else "."),
-            width=figures.MAP,
+    linear = [i for i, own in enumerate(names) if not beyond_linear(own)]
+    if name and len(linear) <= _MOST_IN_A_MAP:
+        shown = [names[i] for i in linear]
+        blocks.append(
+            Figure(
+                svg=figures.correlations(name, shown, r[np.ix_(linear, linear)]),
+                caption="Correlation coefficients of bias, scale and axes, in hundredths.",
+                width=figures.MAP,
+            )
         )
-    )
     return Section(title="Covariance and correlations", blocks=tuple(blocks))
 
 
@@ -382,38 +474,6 @@ def _not_contained(calibration: Calibration) -> str:
         "It does not contain what one recording cannot show: changes with temperature and age, nonlinearity that is "
         "the same in every rest, and an error of gravity larger than stated."
     )
-
-
-def covariance(calibration: Calibration) -> Section | None:
-    """The whole covariance matrix, a table for each pair of kinds of sensor; none where a page has no room for it."""
-    if calibration.covariance is None:
-        return None
-    names = [p.name for p in calibration.parameters]
-    linear = [name for name in names if not beyond_linear(name)]
-    said = "In products of SI units (m/s², 1, rad, rad/s), in the order of the file."
-    if len(linear) < len(names):
-        said += f" Of the linear model; that of all {len(names)} parameters is in the calibration file."
-    kinds = list(dict.fromkeys(sensor_kind(name) for name in linear))
-    members = {kind: [names.index(name) for name in linear if sensor_kind(name) == kind] for kind in kinds}
-    blocks: list[Block] = [Text(text=said)]
-    if any(len(own) > _MOST_COLUMNS for own in members.values()):
-        return None
-    for n, first in enumerate(kinds):
-        for second in kinds[: n + 1]:
-            rows = tuple(
-                (names[i], *(_entry(calibration.covariance, i, j, lower=first == second) for j in members[second]))
-                for i in members[first]
-            )
-            columns = (first, *(within_kind(names[j]) for j in members[second]))
-            blocks.append(ReportTable(columns=columns, rows=rows, dense=True, caption=f"{first} with {second}"))
-    return Section(title="Covariance matrix", blocks=tuple(blocks), one_page=len(kinds) <= _MOST_KINDS)
-
-
-def _entry(covariance: Array, i: int, j: int, *, lower: bool) -> str:
-    if lower and j > i:
-        return ""
-    mantissa, exponent = f"{covariance[i, j]:.2e}".split("e")
-    return f"{mantissa}e{int(exponent)}".replace("-", "−")
 
 
 def convergence(calibration: Calibration, name: str) -> Section | None:
@@ -444,8 +504,9 @@ def convergence(calibration: Calibration, name: str) -> Section | None:
     return Section(title="Convergence", blocks=(*blocks, table))
 
 
-def verdict(calibration: Calibration) -> list[Block]:
-    """Whether the calibration is accepted, the reasons against it, and the remarks with what they are caused by."""
+def verdict(calibration: Calibration, *, opinions: bool = True) -> list[Block]:
+    """Whether the calibration is accepted, the reasons against it, and with `opinions` the remarks and what they are
+    caused by."""
     outcome = calibration.outcome
     if not outcome.accepted and (usable := accepted_kinds(calibration)):
         tone: Tone = "doubt"
@@ -455,7 +516,9 @@ def verdict(calibration: Calibration) -> list[Block]:
         said = "Not accepted: these values must not be used."
     elif outcome.remarks:
         tone = "doubt"
-        said = "Accepted with scatter: the noise within the rests does not explain all residuals."
+        said = (
+            "Accepted with scatter: the noise within the rests does not explain all residuals. Their scatter is in U."
+        )
     else:
         tone = "good"
         said = _agreement(calibration)
@@ -465,7 +528,7 @@ def verdict(calibration: Calibration) -> list[Block]:
         blocks.append(Text(text=f"{'; '.join(parts).capitalize()}."))
     if outcome.reasons:
         blocks.append(Items(items=outcome.reasons, tone="bad"))
-    return [*blocks, *([Items(items=outcome.remarks)] if outcome.remarks else [])]
+    return [*blocks, *([Items(items=outcome.remarks)] if opinions and outcome.remarks else [])]
 
 
 def _agreement(calibration: Calibration) -> str:

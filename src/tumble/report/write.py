@@ -47,13 +47,13 @@ def write_report(
         from tumble.report.content import document, not_accepted
         from tumble.report.page import page
         from tumble.report.pdf import pdf
-    from tumble.export.certificate import read_certificate
+    from tumble.export.certificate import judged_by, read_certificate
     from tumble.registry.limits import limits_of
 
     stated = None if certificate is None else read_certificate(Path(certificate))
-    if limits is None and stated is not None:
-        limits = stated.limits
-    acceptance = None if limits is None else limits_of(Path(limits))
+    acceptance = None if stated is None else judged_by(stated)
+    if limits is not None:
+        acceptance = limits_of(Path(limits))
     as_found = None if stated is None or stated.as_found is None else read_calibration(stated.as_found)
     sources = list(map(_source, given))
     made = document(sources, acceptance, stated, as_found)

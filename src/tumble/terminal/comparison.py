@@ -18,29 +18,25 @@ from tumble.units import rounded
 def comparison_report(comparison: Comparison) -> RenderableType:
     """All that `tumble compare` prints."""
     parts: list[RenderableType] = [Text(f"frame {comparison.frame}"), Text(""), _table(comparison), Text("")]
-    beyond = [d for d in comparison.differences if d.e_n is not None and abs(d.e_n) > 1.0]
+    return Group(*parts, *map(Text, judged_lines(comparison)))
+
+
+def judged_lines(comparison: Comparison) -> list[str]:
+    """How many differences are beyond their U, how likely chance makes the largest of so many, and χ² of all together,
+    in sentences."""
+    beyond = [d.name for d in comparison.differences if d.e_n is not None and abs(d.e_n) > 1.0]
     judged = sum(d.e_n is not None for d in comparison.differences)
-    parts.append(Text(f"{len(beyond)} of {judged} |E_n| beyond 1{_largest(comparison)}"))
-    if comparison.chi_square is not None:
-        parts.append(Text(f"all together: {chi_square_of(comparison)}"))
-    return Group(*parts)
-
-
-def _largest(comparison: Comparison) -> str:
-    """How likely chance makes the largest difference."""
-    chance = comparison.largest_by_chance
-    if chance is None:
-        return ""
-    return f", one as large as the largest by chance with probability {probability_text(chance)}"
-
-
-def chi_square_of(comparison: Comparison) -> str:
-    """χ² of all differences together, and how likely it is."""
-    assert comparison.probability is not None
-    return (
-        f"χ² {comparison.chi_square:.1f} for {comparison.degrees}, exceeded by chance with probability "
-        f"{probability_text(comparison.probability)}"
-    )
+    line = f"{len(beyond)} of {judged} |E_n| beyond 1"
+    if comparison.largest_by_chance is not None:
+        chance = probability_text(comparison.largest_by_chance)
+        line += f", one as large as the largest by chance with probability {chance}"
+    if comparison.probability is None:
+        return [line]
+    return [
+        line,
+        f"all together: χ² {comparison.chi_square:.1f} for {comparison.degrees}, exceeded by chance with probability "
+        f"{probability_text(comparison.probability)}",
+    ]
 
 
 def _table(comparison: Comparison) -> Table:

@@ -11,20 +11,22 @@ import json
 import math
 from dataclasses import asdict, is_dataclass
 from datetime import date
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.check import FieldCheck
-from tumble.calibration.compare import Comparison
-from tumble.calibration.observed import Observed
-from tumble.calibration.quiet_samples import RecordedNoise
 from tumble.calibration.results import fits_content
-from tumble.calibration.verify import Verification
-from tumble.reduction.observations import Observations
 from tumble.units import ZERO_CELSIUS
+
+if TYPE_CHECKING:
+    from tumble.calibration.calibration_file import Calibration
+    from tumble.calibration.check import FieldCheck
+    from tumble.calibration.compare import Comparison
+    from tumble.calibration.observed import Observed
+    from tumble.calibration.quiet_samples import RecordedNoise
+    from tumble.calibration.verify import Verification
+    from tumble.reduction.observations import Observations
 
 
 def print_data(content: dict[str, Any]) -> None:

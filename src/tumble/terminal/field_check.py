@@ -13,7 +13,7 @@ from tumble.estimation.field_check import CHANCE, CheckResult
 from tumble.sensors.parameters import group_name, group_of, positions_by_group, shown_in
 from tumble.terminal.table import add_numbers, plain_table
 from tumble.terminal.text import probability_text
-from tumble.units import rounded
+from tumble.units import rounded, two_digits
 
 
 def field_check_report(check: FieldCheck) -> RenderableType:
@@ -32,7 +32,7 @@ def field_check_report(check: FieldCheck) -> RenderableType:
     unseen = _unseen(check)
     if unseen:
         parts.append(Text(f"not seen by these rests: {', '.join(unseen)}"))
-    parts.append(Text("still valid" if check.valid else "changed"))
+    parts.append(Text(_not_shown(result) if check.valid else "changed"))
     return Group(*parts)
 
 
@@ -56,6 +56,16 @@ def _table(result: CheckResult) -> Table:
         least = rounded(0.0, result.detectable[name] / size)[1]
         table.add_row(name, value, uncertainty, f"{change / u:+z.2f}", least, unit)
     return table
+
+
+def _not_shown(result: CheckResult) -> str:
+    """How large a change of each group may be that these rests do not show: the largest of its sensors."""
+    units = _units(result.detectable)
+    largest: dict[str, float] = {}
+    for name, size in result.detectable.items():
+        largest[group_name(name)] = max(size, largest.get(group_name(name), 0.0))
+    sizes = (f"{group} {two_digits(size / units[group][0])} {units[group][1]}" for group, size in largest.items())
+    return f"no change is shown, and none larger than\n{', '.join(sizes)}"
 
 
 def _units(detectable: Mapping[str, float]) -> dict[str, tuple[float, str]]:

@@ -10,10 +10,10 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from tumble.calibration.compare import Comparison
 from tumble.calibration.coverage import expanded_of as expanded_uncertainty
 from tumble.calibration.results import Parameter
 from tumble.calibration.shown import shown_units
-from tumble.registry.due import Due
 from tumble.registry.forecast import Forecast
 from tumble.registry.limits import RULE, LimitJudgement, Verdict
 from tumble.registry.monitor import Monitored
@@ -22,47 +22,12 @@ from tumble.registry.series import SeriesPoint
 from tumble.registry.store import LimitsRecord
 from tumble.registry.trend import Change, Trend
 from tumble.sensors.parameters import beyond_linear, group_name
-from tumble.terminal.comparison import chi_square_of
+from tumble.terminal.comparison import judged_lines
 from tumble.terminal.table import plain_table
 from tumble.units import rounded, two_digits
 
 _BARS = "▁▂▃▄▅▆▇█"
 _LONG = 24  # points of a sparkline
-
-
-def devices_table(latest: Iterable[Due], counts: Mapping[str, int], verdicts: Mapping[int, str]) -> Table:
-    """Every device with its latest record."""
-    table = _table("device", "type", "calibrations", "latest", "record", "check", "verdict", "due")
-    for item in latest:
-        record = item.record
-        table.add_row(
-            Text(record.serial),
-            Text(record.model or ""),
-            str(counts[record.serial]),
-            _day(record.performed),
-            str(record.number),
-            record.occasion,
-            verdicts[record.number],
-            str(item.day or ""),
-        )
-    return table
-
-
-def records_table(records: Iterable[Record], verdicts: Mapping[int, str]) -> Table:
-    """The records of a device."""
-    table = _table("record", "performed", "check", "state", "method", "frame", "verdict", "")
-    for record in records:
-        table.add_row(
-            str(record.number),
-            _day(record.performed),
-            record.occasion,
-            record.state,
-            Text(record.method),
-            Text(record.frame),
-            verdicts[record.number],
-            f"superseded by {record.superseded_by}" if record.superseded_by else "",
-        )
-    return table
 
 
 def record_report(
@@ -154,25 +119,6 @@ def limits_table(found: Iterable[LimitsRecord], in_force: Mapping[str, LimitsRec
     return table
 
 
-def due_table(found: Iterable[Due], today: date) -> Table:
-    """What is due when."""
-    table = _table("device", "type", "latest", "record", "every", "due", "")
-    for item in found:
-        left = None if item.day is None else (item.day - today).days
-        said = "no interval" if left is None else f"in {left} d" if left >= 0 else f"overdue by {-left} d"
-        said += f", by the drift of {item.by_drift.name}" if item.drifts and item.by_drift is not None else ""
-        table.add_row(
-            Text(item.record.serial),
-            Text(item.record.model or ""),
-            _day(item.record.performed),
-            str(item.record.number),
-            "" if item.months is None else f"{item.months} months",
-            str(item.day or ""),
-            Text(said),
-        )
-    return table
-
-
 # -------------------- trend --------------------
 
 
@@ -232,9 +178,13 @@ def _forecast_line(each: Forecast, size: float, unit: str) -> str:
 
 def _together(found: Monitored) -> list[RenderableType]:
     """What all parameters together say of a change."""
-    if found.comparison is None or found.comparison.chi_square is None:
-        return []
-    return [Text(""), Text(f"the latest against the one before, all together: {chi_square_of(found.comparison)}")]
+    return [] if found.comparison is None else [Text(""), *map(Text, change_lines(found.comparison))]
+
+
+def change_lines(comparison: Comparison) -> list[str]:
+    """What has changed since the calibration before, in sentences."""
+    first, *others = judged_lines(comparison)
+    return [f"the latest against the one before: {first}", *others]
 
 
 def history_report(found: Monitored) -> RenderableType:

@@ -14,25 +14,25 @@ from tumble.registry.store import LimitsRecord
 from tumble.registry.trend import Trend
 
 
-def devices_data(latest: Sequence[Due], counts: Mapping[str, int], verdicts: Mapping[int, str]) -> dict[str, Any]:
+def devices_data(latest: Sequence[Due]) -> dict[str, Any]:
     """Every device with its latest record."""
     return {
         "devices": [
             {
                 "serial": item.record.serial,
                 "model": item.record.model,
-                "calibrations": counts[item.record.serial],
+                "calibrations": item.calibrations,
                 "due": item.day,
-                "latest": _record(item.record) | {"verdict": verdicts[item.record.number] or None},
+                "latest": _record(item.record),
             }
             for item in latest
         ]
     }
 
 
-def records_data(records: Sequence[Record], verdicts: Mapping[int, str]) -> dict[str, Any]:
+def records_data(records: Sequence[Record]) -> dict[str, Any]:
     """The records of a device."""
-    return {"records": [_record(record) | {"verdict": verdicts[record.number] or None} for record in records]}
+    return {"records": [_record(record) for record in records]}
 
 
 def record_data(
@@ -68,6 +68,8 @@ def trend_data(found: Monitored) -> dict[str, Any]:
         "frame": found.frame,
         "limits": {name: list(limits) for name, limits in found.limits.items()},
         "parameters": [_trend(trend) for trend in found.trends],
+        "changed": found.changed(),
+        "forecasts": found.forecasts(),
     }
 
 
@@ -114,6 +116,7 @@ def due_data(found: Sequence[Due], today: date) -> dict[str, Any]:
                 "performed": item.record.performed,
                 "months": item.months,
                 "due": item.day,
+                "by_drift": item.by_drift if item.drifts else None,
                 "overdue": item.day is not None and item.day < today,
             }
             for item in found

@@ -1,14 +1,12 @@
 """The first tables, and triggers that keep every row as it was written."""
 
-from typing import Any
-
 import sqlalchemy as sa
 from alembic import op
 
 revision = "v0001"
 down_revision = None
 
-TABLES = ("limits", "calibration", "launch", "parameter")
+TABLES = ("limits", "calibration", "content", "launch")
 
 
 def upgrade() -> None:
@@ -27,7 +25,7 @@ def upgrade() -> None:
         "calibration",
         sa.Column("number", sa.Integer, primary_key=True),
         sa.Column("sha256", sa.String(64), nullable=False, unique=True),
-        sa.Column("serial", sa.Text, nullable=False, index=True),
+        sa.Column("serial", sa.Text, nullable=False),
         sa.Column("model", sa.Text),
         sa.Column("method", sa.Text, nullable=False),
         sa.Column("frame", sa.Text, nullable=False),
@@ -35,34 +33,26 @@ def upgrade() -> None:
         sa.Column("occasion", sa.String(16), nullable=False),
         sa.Column("state", sa.String(16), nullable=False),
         sa.Column("limits", sa.Integer, sa.ForeignKey("limits.number")),
+        sa.Column("verdict", sa.String(24)),
         sa.Column("supersedes", sa.Integer, sa.ForeignKey("calibration.number"), unique=True),
         sa.Column("reason", sa.Text),
         sa.Column("added", sa.DateTime, nullable=False),
-        sa.Column("file", sa.Text, nullable=False),
         sqlite_autoincrement=True,
+    )
+    op.create_index("calibration_of_device", "calibration", ["serial", "performed", "number"])
+    op.create_table(
+        "content",
+        sa.Column("calibration", sa.Integer, sa.ForeignKey("calibration.number"), primary_key=True),
+        sa.Column("file", sa.Text, nullable=False),
     )
     op.create_table(
         "launch",
-        _of_calibration(),
+        sa.Column("calibration", sa.Integer, sa.ForeignKey("calibration.number"), primary_key=True),
         sa.Column("number", sa.Integer, primary_key=True, autoincrement=False),
         sa.Column("session", sa.Text),
         sa.Column("log_sha256", sa.Text, nullable=False, index=True),
     )
-    op.create_table(
-        "parameter",
-        _of_calibration(),
-        sa.Column("launch", sa.Integer, primary_key=True, autoincrement=False),
-        sa.Column("place", sa.Integer, primary_key=True, autoincrement=False),
-        sa.Column("name", sa.Text, nullable=False),
-        sa.Column("value", sa.Double, nullable=False),
-        sa.Column("u", sa.Double),
-        sa.Column("unit", sa.Text, nullable=False),
-    )
     _forbid_changes(op.get_bind().dialect.name)
-
-
-def _of_calibration() -> sa.Column[Any]:
-    return sa.Column("calibration", sa.Integer, sa.ForeignKey("calibration.number"), primary_key=True)
 
 
 def _forbid_changes(dialect: str) -> None:
