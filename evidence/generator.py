@@ -1,9 +1,9 @@
 """Simulated recordings for evidence, by physics of their own: nothing of tumble is imported here.
 
-A device is carried through rests and turns. Its attitude is an analytic function of time, L(t) = L₀ exp([a θ(t)]×) with a
-smooth θ, its place another; rate and specific force at every sensor, lever arms and delays included, follow from their
-derivatives, and a sample is the mean over its interval by Gauss's rule with three nodes. Then come the sensors, what
-their biases do in time, the temperature, the driver and the clock.
+A device is carried through rests and turns. Its attitude is an analytic function of time, L(t) = L₀ exp([a θ(t)]×)
+with a smooth θ, its place another; rate and specific force at every sensor, lever arms and delays included, follow
+from their derivatives, and a sample is the mean over its interval by Gauss's rule with three nodes. Then come the
+sensors, what their biases do in time, the temperature, the driver and the clock.
 
 Frames: n has the axes north, up, east; the body frame b is that of the accelerometers. Units are SI and radians.
 

@@ -3,10 +3,10 @@
     python evidence/run.py 40                 40 recordings of each kind
     python evidence/run.py 40 'lag*' clean-*  of some kinds
 
-Every recording is a line of `results.jsonl` (those that are there are not made again); the table says of each kind how
-many were accepted, accepted with scatter and refused, and of the 21 parameters of those accepted without a remark the rms
-of (value − truth)/u, the share beyond 3 u, the coverage of U (95 %) and the largest; of those with scatter the rms and the
-largest.
+Every recording is a line of `results.jsonl` (those that are there are not made again); the table says of each kind
+how many were accepted, accepted with scatter and refused, and of the 21 parameters of those accepted without a remark
+the rms of (value − truth)/u, the share beyond 3 u, the coverage of U (95 %) and the largest; of those with scatter
+the rms and the largest.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from generator import DEG, G0, HOUR, NAMES, Spec, record
+from generator import DEG, G0, NAMES, Spec, record
 
 MICRO = 1e-6 * G0
 HAND = Spec()
@@ -46,15 +46,15 @@ KINDS: dict[str, Spec] = {
     **{f"spike-{g}g": replace(HAND, spikes=1, spike=g * G0) for g in (1, 5, 20, 50)},
     "spike-rail": replace(HAND, spikes=1, spike=np.inf),
     "held": replace(HAND, held=1),
-    "clock-50-stated-30-table": replace(TABLE, clock_ppm=50.0, stated={"log": '=file = "log.csv"\ntime = "t"\nclock_ppm_u = 30.0'}),
     **{f"clock-{ppm}-table": replace(TABLE, clock_ppm=float(ppm), stated=UNSTATED) for ppm in (0, 5, 50, 500)},
-    **{f"dead-zone-{zone}": replace(HAND, dead_zone=float(zone) * DEG) for zone in ("0.02", "0.1", "0.15", "0.3", "0.5")},
-    **{f"jump-{jump}": replace(HAND, jump=float(jump) * DEG) for jump in ("0.05", "0.3", "3")},
+    **{f"dead-zone-{zone}": replace(HAND, dead_zone=zone * DEG) for zone in (0.02, 0.1, 0.15, 0.3, 0.5)},
+    **{f"jump-{jump}": replace(HAND, jump=jump * DEG) for jump in (0.05, 0.3, 3.0)},
     "normalised": replace(HAND, normalised=True),
     "one-scatters-table": replace(TABLE, scatter_of_one=25.0 * MICRO),
     "one-scatters-hand": replace(HAND, scatter_of_one=3e-3),
     **{f"in-run-{what}": replace(HAND, in_run=what, in_run_size=6.0) for what in ("white", "walk", "flicker")},
-    **{f"in-run-markov-{tau}": replace(HAND, in_run="markov", in_run_size=6.0, in_run_time=float(tau)) for tau in (30, 100, 300)},
+    **{f"in-run-markov-{tau}": replace(HAND, in_run="markov", in_run_size=6.0, in_run_time=float(tau))
+       for tau in (30, 100, 300)},
     "in-run-exponential-100": replace(HAND, in_run="exponential", in_run_size=40.0),
     "rounded": replace(HAND, step=(4.8e-3, 1.0 / 16.4 * DEG)),
 }  # fmt: skip
