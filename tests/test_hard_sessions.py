@@ -197,7 +197,7 @@ def six_faces(rng: np.random.Generator) -> tuple[Array, Array, dict[str, float]]
 
 def test_six_faces_give_bias_and_scale_of_each_axis_and_say_what_is_absent(tmp_path: Path) -> None:
     time, accel, true = six_faces(np.random.default_rng(2))
-    made = tumble.calibrate(accel=accel, time=time, **SITE)
+    made = tumble.calibrate(session_of_arrays(accel=accel, time=time, **SITE))  # type: ignore[arg-type]
     assert [p.name for p in made.parameters] == list(true)
     assert made.outcome.verdict == "accepted with scatter"
     assert "as six faces give them" in made.outcome.remarks[0]

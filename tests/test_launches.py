@@ -74,7 +74,7 @@ def test_launches_of_another_device_or_the_same_log_twice_are_refused(runs: list
     other = read_session(simulate_session(tmp_path / "other", REQUEST, seed=12))
     with pytest.raises(InputError, match="expected a launch of device"):
         mean_of_launches([runs[0], Run(session=other, calibration=calibrate(other, terms="linear"))])
-    with pytest.raises(InputError, match="same log"):
+    with pytest.raises(InputError, match="same recording"):
         mean_of_launches([runs[0], runs[0]])
 
 

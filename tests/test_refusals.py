@@ -837,13 +837,15 @@ def test_an_estimate_that_breaks_down_is_a_refusal(
 
 
 @pytest.mark.parametrize("site", [{}, {"gravity": 9.81, "gravity_u": 0.05}])
-def test_without_a_place_gravity_is_named_and_not_a_rest(
+def test_without_a_place_gravity_is_remarked_and_nothing_refused(
     hand: Recording, tmp_path: Path, site: dict[str, float]
 ) -> None:
-    said = reason(replace(hand, content={**hand.content, "site": site}), tmp_path / "session")
-    assert "gravity is known to" in said
+    folder = replace(hand, content={**hand.content, "site": site}).write(tmp_path / "session")
+    assert calibrate(folder).exit_code == 0
+    outcome = json.loads((folder / "calibration.json").read_text(encoding="utf-8"))["outcome"]
+    (said,) = [remark for remark in outcome["remarks"] if "with a standard uncertainty of" in remark]
     assert said.endswith("give latitude_deg or gravity in [site]")
-    assert "rests that would help" not in said
+    assert outcome["reasons"] == []
 
 
 # -------------------- at the end of a chain of faults --------------------
