@@ -4,6 +4,7 @@ and what strangers may do to the server."""
 from __future__ import annotations
 
 import logging
+import shutil
 import socket
 import stat
 import threading
@@ -82,7 +83,7 @@ WRITES = f"shutil.copyfile({str(EXAMPLE)!r}, out)"
     [
         ("raise ValueError('Out of range')", "has ended without a result; ValueError: Out of range"),
         ("sys.exit(0)", "has ended without a result"),
-        (f"{WRITES}; sys.exit(1)", "expected a result that agrees with the exit status 1"),
+        (f"{WRITES}; sys.exit(1)", "expected a result that agrees with how it has ended, accepted: False"),
         (f"{WRITES}; sys.exit(70)", "ended with the status 70"),
         ("print('tumble: an error of the program: x', file=sys.stderr); sys.exit(70)", "an error of the program: x"),
         ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", "ended with the status -9"),
@@ -107,6 +108,12 @@ def test_a_crash_is_no_verdict_and_an_old_calibration_no_new_one(
     assert station.file("calibration.json") is None
     assert (station.folder / "calibration.json").read_bytes() == before
     assert {path.name for path in station.folder.iterdir()} == {"calibration.json", "log.csv", "session.toml"}
+
+
+def test_a_report_is_written_beside_its_calibration(bench: Bench) -> None:
+    shutil.copyfile(EXAMPLE, bench.station.folder / "calibration.json")
+    assert ending.report_of(bench.station.folder, NOT_STOPPED) == "report.html"
+    assert "<html" in (bench.station.folder / "report.html").read_text()
 
 
 def test_an_error_of_this_program_does_not_leave_the_page_calibrating(

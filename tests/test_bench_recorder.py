@@ -201,6 +201,12 @@ def test_a_time_that_leaps_is_not_recorded_and_a_pause_is() -> None:
     assert (order.leapt, order.repeated, order.late) == (2, 1, 0)
 
 
+def test_rows_that_are_sent_again_after_a_pause_are_counted() -> None:
+    order = Order(unordered=False, seconds=1.0, refuse=lambda _: None, last=1.0)
+    assert order.feed([Row(text=str(k), time=k / RATE) for k in range(50, 110)]) == [str(k) for k in range(101, 110)]
+    assert (order.repeated, order.late, order.restarted) == (51, 0, False)
+
+
 def test_rows_of_a_slow_unit_pass() -> None:
     out, _ = _in_order([3000 * k for k in range(10)], unordered=False)
     assert out == [str(3000 * k) for k in range(10)]

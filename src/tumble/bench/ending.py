@@ -65,31 +65,25 @@ class Results:
 
 
 def calibrated(folder: Path, stopped: threading.Event) -> Calibration:
-    """The calibration of a session folder, written into it by `tumble calibrate`: in a process of its own, which leaves
-    this one its time and gives back its memory, and is ended when the bench is `stopped`.
-
-    The process writes a new file, which is empty before it, and what stands there is believed only where it agrees with
-    how the process has ended. Raises CalibrationError with what that says; the file of an earlier calibration then
-    stays as it is."""
+    """The calibration of a session folder, written into it by `tumble calibrate`. It is believed only where it agrees
+    with how that has ended. Raises CalibrationError; the file of an earlier calibration then stays as it is."""
     from tumble.calibration.calibration_file import read_calibration
 
     with whole_file(folder / CALIBRATION_FILE) as fresh:
-        status, said = _run("calibrate", "--force", "--out", str(fresh), "--", str(folder), stopped=stopped)
-        if status not in _VERDICTS:
-            raise CalibrationError(said or f"nothing is calibrated: the calibration was ended with the status {status}")
-        if not fresh.stat().st_size:
-            raise CalibrationError(f"nothing is calibrated: the calibration has ended without a result; {said}")
+        accepted = _made(fresh, "calibrate", "--force", "--out", str(fresh), "--", str(folder), stopped=stopped)
         calibration = read_calibration(fresh)
-        if calibration.outcome.accepted is not _VERDICTS[status]:
+        if calibration.outcome.accepted is not accepted:
             raise CalibrationError(
-                f"nothing is calibrated: expected a result that agrees with the exit status {status}, found another"
+                f"calibrate: expected a result that agrees with how it has ended, accepted: {accepted}, found another"
             )
     return calibration
 
 
-def _run(*words: str, stopped: threading.Event) -> tuple[int, str]:
-    """The exit status of a command of tumble and the last line that it says on standard error. No module of the folder
-    it runs in is taken for one of Python's or of tumble's (-P)."""
+def _made(fresh: Path, *words: str, stopped: threading.Event) -> bool:
+    """Whether a command of tumble accepts what it has written into a file, which is empty before it: in a process of
+    its own, which leaves this one its time and gives back its memory, and is ended when the bench is `stopped`. No
+    module of the folder it runs in is taken for one of Python's or of tumble's (-P). Raises CalibrationError with what
+    it says, for any end but with a verdict and a file."""
     with (
         tempfile.TemporaryFile() as said,
         subprocess.Popen(
@@ -105,14 +99,18 @@ def _run(*words: str, stopped: threading.Event) -> tuple[int, str]:
                 process.wait()
         said.seek(0)
         lines = said.read().decode("utf-8", errors="replace").strip().splitlines()
-    return process.returncode, lines[-1].removeprefix("tumble: ") if lines else ""
+    last = lines[-1].removeprefix("tumble: ") if lines else ""
+    if process.returncode not in _VERDICTS:
+        raise CalibrationError(last or f"{words[0]}: it was ended with the status {process.returncode}")
+    if not fresh.stat().st_size:
+        raise CalibrationError(f"{words[0]}: it has ended without a result; {last}")
+    return _VERDICTS[process.returncode]
 
 
-def report_of(folder: Path) -> str:
+def report_of(folder: Path, stopped: threading.Event) -> str:
     """Write the report of a calibration beside it; the name of its file."""
-    from tumble.report.write import write_report
-
-    write_report([folder / CALIBRATION_FILE], folder / REPORT_FILE)
+    with whole_file(folder / REPORT_FILE) as fresh:
+        _made(fresh, "report", "--out", str(fresh), "--", str(folder / CALIBRATION_FILE), stopped=stopped)
     return REPORT_FILE
 
 

@@ -40,7 +40,7 @@ class Order:
     a tenth of a second at most. `seconds` is one unit of the log's time in s. `late` counts rows that came too late,
     `leapt` those whose time was too far ahead, `repeated` those that came twice; `restarted` says whether the clock was
     seen to start anew. Rows up to the `last` one of an earlier recording, which a source may send again, are passed
-    over until a new one comes."""
+    over, and counted as repeated, until a new one comes."""
 
     unordered: bool
     seconds: float
@@ -100,9 +100,8 @@ class Order:
             return False
         if self.last is None or (row.time > self.last and not self._waiting):
             return True
-        if self.last is not None and self._interval is None and row.time <= self.last:
-            return False
-        if row.time in self._passed or any(row.time == waiting for waiting, _, _ in self._waiting):
+        again = self._interval is None and row.time <= self.last
+        if again or row.time in self._passed or any(row.time == waiting for waiting, _, _ in self._waiting):
             self.repeated += 1
             return False
         return True

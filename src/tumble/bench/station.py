@@ -71,7 +71,7 @@ class Station:
             "stop": lambda _: self._stop_recording(),
             "resume": lambda _: self._resume(),
             "calibrate": lambda _: self._calibrate(),
-            "report": lambda _: self._written(ending.report_of(self.folder)),
+            "report": lambda _: self._written(ending.report_of(self.folder, self._stop)),
             "export": lambda to: self._written(ending.exported(self.folder, to)),
             "register": lambda _: self._register(),
             "next_unit": lambda serial: self._next_unit(serial),
