@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from tumble.bench.sources import in_si
 from tumble.bench.station import Station
 from tumble.bench.virtual_table import VirtualTable
 from tumble.calibration.calibration_file import read_calibration
+from tumble.programme.sheet_pictures import ghost
 
 needs_browser = pytest.mark.skipif(chromium() is None, reason="no Chromium is installed")
 
@@ -29,6 +30,16 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
     made = Bench(tmp_path / "launch", "rough-table")
     yield made
     made.close()
+
+
+def running(bench: Bench, what: Callable[[], Any], seconds: float = 60.0) -> None:
+    """Let log time pass until something is so that takes time of the machine."""
+
+    def passed() -> Any:
+        bench.run(0.2)
+        return what()
+
+    eventually(passed, seconds)
 
 
 def answers(bench: Bench) -> dict[str, dict[str, Any]]:
@@ -63,7 +74,7 @@ def test_what_is_wrong_and_the_picture_are_of_one_position(bench: Bench) -> None
 def test_the_ghost_is_where_the_unit_is(bench: Bench) -> None:
     """Halfway through a turn it is halfway; at its end it is the picture, but for how far positions are off."""
     bench.take(1)
-    target = screens.ghost(bench.table.programme.positions[1].matrix)
+    target = ghost(bench.table.programme.positions[1].matrix)
 
     def off() -> float:
         seen = bench.station.state["position"]["ghost"]
@@ -150,7 +161,7 @@ class Shown:
         result = "document.getElementById('finish')"
         top = self.browser.js(f"{result}.hidden ? 0 : {result}.offsetTop")
         small = {"x": 0, "y": top, "width": 1100, "height": 960 if top else 740, "scale": 0.6}
-        found = self.browser.send("Page.captureScreenshot", format="png", clip=small)
+        found = self.browser.send("Page.captureScreenshot", format="png", clip=small, captureBeyondViewport=True)
         (self.pictures / f"bench-{name}.png").write_bytes(base64.b64decode(found["data"]))
         self.faults += [f"{name}: {fault}" for fault in inaccessible(self.browser)]
 
@@ -181,7 +192,7 @@ def test_every_state_of_a_session_as_an_operator_sees_it(tmp_path: Path, recordi
             shown.look("rest")
             for position in range(1, 4):
                 bench.take(position) if position > 1 else bench.until(lambda: bench.screen == "turn")
-            eventually(lambda: (bench.run(0.2), bench.station.state["estimate"])[1], 60.0)
+            running(bench, lambda: bench.station.state["estimate"], 60.0)
             bench.table.go_to(3)
             bench.run(2.0)
             shown.until("h1", "Turn now to position 4")
@@ -196,15 +207,15 @@ def test_every_state_of_a_session_as_an_operator_sees_it(tmp_path: Path, recordi
             assert shown.primary().startswith("Leave this rest out A")
             shown.look("wrong-position")
             browser.press("a")
-            eventually(lambda: (bench.run(0.2), bench.screen)[1] != "fault")
+            running(bench, lambda: bench.screen != "fault")
             for position in range(5, 10):
                 bench.take(position)
-            eventually(lambda: (bench.run(0.2), bench.station.state.get("missed"))[1] is not None, 120.0)
+            running(bench, lambda: bench.station.state.get("missed") is not None, 120.0)
             shown.until("h1", "positions taken" if bench.station.state["missed"] else "All wanted u reached")
             shown.look("done")
             assert shown.primary().startswith("Stop and calibrate C")
             browser.press("c")
-            eventually(lambda: (bench.run(0.2), bench.station.state["result"])[1], 120.0)
+            running(bench, lambda: bench.station.state["result"], 120.0)
             shown.until("h1", "Calibrated")
             rows = browser.js("[...document.querySelectorAll('#finish tbody tr')].map(r => r.innerText)")
             assert len(rows) == len(read_calibration(tmp_path / "launch" / "calibration.json").parameters)
@@ -212,7 +223,7 @@ def test_every_state_of_a_session_as_an_operator_sees_it(tmp_path: Path, recordi
             browser.js("document.getElementById('unit-serial').focus()")
             browser.write("B-2")
             browser.press("Enter")
-            eventually(lambda: (bench.run(0.2), browser.text("#serial"))[1] == "B-2")
+            running(bench, lambda: browser.text("#serial") == "B-2")
             of_the_unit_before = browser.text("#groups") + browser.text("#residuals") + browser.text("#next")
             assert of_the_unit_before + browser.text("#cause") == ""
             assert browser.js("document.getElementById('finish').hidden")
