@@ -21,7 +21,7 @@ from tumble.drafting.raw_scale import accel_scale, gyro_factor
 from tumble.errors import TumbleError
 from tumble.estimation.diagnosis.carried_vertical import fitting_gyro_unit, fitting_time_unit, misses_by_unit
 from tumble.recording.formats.columns import ACCEL, GYRO
-from tumble.recording.formats.scales import Match, matched
+from tumble.recording.formats.scales import ScaleMatch, matched
 from tumble.recording.session_file import session_of
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
@@ -146,7 +146,7 @@ def _gyro_scaled(
     return {**log, "gyro": made}, [f"gyros: {named} in counts: {scale.said} (from the turns)", *_doubts(draft, scale)]
 
 
-def _doubts(draft: Draft, scale: Match) -> list[str]:
+def _doubts(draft: Draft, scale: ScaleMatch) -> list[str]:
     """That the time may be what is wrong: where the rate is a guess, what the counts are at other rates; where the unit
     of a time is one and no data sheet has what the turns show."""
     if draft.rate_guessed:

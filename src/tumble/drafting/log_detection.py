@@ -32,7 +32,7 @@ from tumble.recording.formats.columns import (
     time_unit,
     unit_of_name,
 )
-from tumble.recording.formats.columns_by_data import Told, columns_by_data, time_by_data
+from tumble.recording.formats.columns_by_data import ToldColumns, columns_by_data, time_by_data
 from tumble.recording.formats.message import Sensors
 from tumble.recording.log_source import readable
 from tumble.recording.readers import ENDINGS, source_of
@@ -249,7 +249,7 @@ def _by_data(log: FoundLog) -> FoundLog:
     return replace(log, columns=columns, said=(*log.said, *told.said(named)))
 
 
-def _told(log: FoundLog, named: Mapping[str, Sensors]) -> Told:
+def _told(log: FoundLog, named: Mapping[str, Sensors]) -> ToldColumns:
     """What the columns of a log are by their numbers, but for those of sensors that are named."""
     names = list(next(iter(log.sources())).names)
     taken = {column for sensors in named.values() for column in sensors.columns} | {log.columns.time}

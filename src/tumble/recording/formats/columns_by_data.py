@@ -53,6 +53,7 @@ _MOVES, _JUMPS, _FEWEST_MOVES = 0.05, 0.3, 20
 many of them tell."""
 
 _ONE_WAY = 0.05
+"""Of the steps of a sensor half fall, whatever it is of: 1 of 20 and less by chance once in 50,000 times."""
 
 MIDDLES = (128.0, 512.0, 2048.0, 8192.0, 32768.0, 2.0**23, 2.0**31)
 """Where a converter that knows no sign, and so writes nothing negative, has its zero."""
@@ -62,7 +63,7 @@ Run = tuple[int, int, int]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Told:
+class ToldColumns:
     """Columns by their numbers, and the next hypotheses in words; none where nothing was told."""
 
     columns: Columns
@@ -91,11 +92,11 @@ class _Hypothesis:
         return f"accelerometers {named[0]}, {f'gyros {named[1]}' if self.gyro else 'no gyros'}"
 
 
-def columns_by_data(names: Sequence[str], read: Array) -> Told:
+def columns_by_data(names: Sequence[str], read: Array) -> ToldColumns:
     """What the columns (m, n) of a table with these names are; no triads where nothing looks like accelerometers.
     Columns of no numbers are NaN."""
     if not len(read):
-        return Told(columns=Columns(time=None, time_unit=None, triads={}, temperatures=(), others=()))
+        return ToldColumns(columns=Columns(time=None, time_unit=None, triads={}, temperatures=(), others=()))
     growing = [j for j in range(len(names)) if grows(read[:, j])]
     read_at_all = [j for j in range(len(names)) if j not in growing and np.isfinite(read[:, j]).mean() > 0.5]
     attitudes = _attitudes(read, read_at_all)
@@ -109,7 +110,7 @@ def columns_by_data(names: Sequence[str], read: Array) -> Told:
     if ranked:
         best = ranked[0]
         found = {ACCEL: best.accel} | ({} if best.gyro is None else {GYRO: best.gyro})
-    return Told(
+    return ToldColumns(
         columns=Columns(
             time=_time([names[j] for j in growing], read[:, growing]),
             time_unit=None,

@@ -33,7 +33,7 @@ GYRO_COUNTS: tuple[float, ...] = tuple(
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Candidate:
+class KnownScale:
     """What sensors read for one g or one °/s: in a unit, or in counts where that is None."""
 
     value: float
@@ -44,13 +44,13 @@ class Candidate:
         return self.unit or f"{self.value:.6g} counts"
 
 
-def _candidates(units: Mapping[str, Unit], one: float, counts: Sequence[float]) -> tuple[Candidate, ...]:
+def _candidates(units: Mapping[str, Unit], one: float, counts: Sequence[float]) -> tuple[KnownScale, ...]:
     rates = {name: one / unit.factor for name, unit in units.items() if unit.kind == "rate"}
-    named = [Candidate(value=value, unit=name) for name, value in rates.items()]
-    return (*named, *(Candidate(value=value) for value in counts if not np.isclose(value, list(rates.values())).any()))
+    named = [KnownScale(value=value, unit=name) for name, value in rates.items()]
+    return (*named, *(KnownScale(value=value) for value in counts if not np.isclose(value, list(rates.values())).any()))
 
 
-CANDIDATES: Mapping[str, tuple[Candidate, ...]] = {
+CANDIDATES: Mapping[str, tuple[KnownScale, ...]] = {
     ACCEL: _candidates(ACCEL_UNITS, G_STANDARD, ACCEL_COUNTS),
     GYRO: _candidates(GYRO_UNITS, DEGREE, GYRO_COUNTS),
 }
@@ -60,13 +60,13 @@ PER = {ACCEL: "g", GYRO: "deg/s"}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Match:
+class ScaleMatch:
     """What `found` numbers per g or °/s are: the nearest candidate, and the one after it; and that in words."""
 
     kind: str
     found: float
-    nearest: Candidate
-    rival: Candidate
+    nearest: KnownScale
+    rival: KnownScale
 
     @property
     def known(self) -> bool:
@@ -88,7 +88,7 @@ class Match:
         """The unit, None of counts."""
         return self.nearest.unit if self.known else None
 
-    def off(self, candidate: Candidate) -> float:
+    def off(self, candidate: KnownScale) -> float:
         """Logarithm of what was found over what a candidate reads."""
         return float(np.log(self.found / candidate.value))
 
@@ -106,10 +106,10 @@ class Match:
         return f"one {per} reads {self.found:.4g} {off}"
 
 
-def matched(kind: str, found: float, *, whole: bool) -> Match:
+def matched(kind: str, found: float, *, whole: bool) -> ScaleMatch:
     """What sensors of a kind are that read `found` for one g or °/s; `whole`: their readings are whole numbers. Others
     are counts only where no unit is near."""
     ranked = sorted(CANDIDATES[kind], key=lambda c: abs(np.log(found / c.value)))
     units = [c for c in ranked if c.unit is not None and abs(np.log(found / c.value)) <= NEAR]
     nearest = units[0] if units and not whole else ranked[0]
-    return Match(kind=kind, found=found, nearest=nearest, rival=next(c for c in ranked if c is not nearest))
+    return ScaleMatch(kind=kind, found=found, nearest=nearest, rival=next(c for c in ranked if c is not nearest))
