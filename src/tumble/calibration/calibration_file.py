@@ -243,7 +243,13 @@ class Calibration:
             if not os.access(path, os.W_OK):
                 raise CalibrationError(f"{path}: cannot be replaced: it is read-only; choose another --out")
             self._check_replaceable(path, force)
-        text = json.dumps(self.content(), indent=1, ensure_ascii=False, allow_nan=False)
+        try:
+            text = json.dumps(self.content(), indent=1, ensure_ascii=False, allow_nan=False)
+        except ValueError:
+            raise CalibrationError(
+                f"{self.serial}: expected an estimate in numbers, found one beyond measure: the recording contradicts "
+                "itself; look for a stretch of it in another unit, and leave it out with [[exclude]]"
+            ) from None
         try:
             with whole_file(path) as temporary:
                 temporary.write_text(text + "\n", encoding="utf-8")
@@ -252,7 +258,7 @@ class Calibration:
 
     def _check_replaceable(self, path: Path, force: bool) -> None:
         try:
-            old = json.loads(path.read_text(encoding="utf-8"))
+            old = json_of(text_of_document(path))
             same = old["method"] == self.method and old["provenance"]["log_sha256"] == self.provenance["log_sha256"]
             of_use = any(not old["outcome"][kind]["reasons"] and old[kind] is not None for kind in ("accel", "gyro"))
         except (OSError, ValueError, KeyError, TypeError) as error:

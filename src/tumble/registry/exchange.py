@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from sqlalchemy import select
 
-from tumble.documents import json_of, shown
+from tumble.documents import check_regular, json_of, shown
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.registry.connect import Registry, open_registry
@@ -74,6 +74,7 @@ def import_file(registry: Registry, file: FilePath) -> Imported:
     """Add what an export holds. Raises InputError, one line, and adds nothing, where a line cannot be added."""
     path = Path(file)
     try:
+        check_regular(path)
         with path.open(encoding="utf-8") as opened, registry.writing() as connection:
             return _Import(connection, str(path)).run(opened)
     except OSError as error:

@@ -51,7 +51,7 @@ def write_report(
     acceptance = None if limits is None else limits_of(Path(limits))
     as_found = None if stated is None or stated.as_found is None else read_calibration(stated.as_found)
     sources = [
-        Source(file=path.name, sha256=_sha256(path), calibration=read_calibration(path)) for path in map(Path, files)
+        Source(file=path.name, calibration=read_calibration(path), sha256=_sha256(path)) for path in map(Path, files)
     ]
     made = document(sources, acceptance, stated, as_found)
     content = page(made).encode() if ending == ".html" else pdf(made)
