@@ -23,6 +23,9 @@ LONGEST_LINE = 1000
 """Characters of a message."""
 
 _LONGEST_WORD = 160
+_LONGEST_KEY = 16
+"""Parts of a key of TOML, a.b.c: the memory and the time that a parser takes grow with their square."""
+_LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_LONGEST_KEY}}}""")
 _BEYOND_MEASURE = "a number or a nesting without measure"
 _WORDS = re.compile(rf"\S{{{_LONGEST_WORD + 1},}}")
 _HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
@@ -33,18 +36,28 @@ def whole_number(text: str) -> int | None:
     return int(text) if re.fullmatch("[0-9]{1,9}", text) else None
 
 
+def check_regular(path: Path) -> None:
+    """Raises InputError for what exists and is no file that ends: a device, a pipe or a socket; folders pass."""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise InputError(f"{path}: expected a file, found a device or a pipe; copy what it gives into a file")
+
+
 def text_of_document(path: Path) -> str:
     """The text of a document. Raises OSError, UnicodeDecodeError, and InputError for one that is too large."""
     if "\0" in str(path):
         raise InputError(f"{path}: expected the name of a file, found a null byte in it")
-    size = path.stat().st_size
-    if size > LARGEST_DOCUMENT:
-        raise InputError(f"{path}: expected at most {LARGEST_DOCUMENT >> 20} MB, found {size >> 20} MB")
-    return path.read_text(encoding="utf-8-sig")
+    check_regular(path)
+    with path.open("rb") as file:
+        content = file.read(min(path.stat().st_size, LARGEST_DOCUMENT) + 1)
+    if len(content) > LARGEST_DOCUMENT:
+        raise InputError(f"{path}: expected at most {LARGEST_DOCUMENT >> 20} MB, found more")
+    return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
 
 
 def toml_of(text: str, where: str, error: type[InputError] = InputError) -> dict[str, Any]:
     """The tables of a TOML text, `where` in messages. Raises an error of the class, one line."""
+    if _LONG_KEY.search(text):
+        raise error(f"{where}: expected keys of at most {_LONGEST_KEY} parts, found a longer one")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as fault:

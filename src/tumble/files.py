@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import secrets
@@ -20,6 +21,8 @@ def whole_file(path: Path) -> Iterator[Path]:
 
     Raises OSError that names `path` for a folder that is not there or cannot be written to, and for a disk that is
     full, also where a library says so in words of its own."""
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "is no file that could be replaced", str(path))
     temporary = path.with_name(f".{path.stem[:40]}.{secrets.token_hex(8)}{path.suffix}")
     try:
         with _errors_of(path, temporary):

@@ -282,7 +282,13 @@ class Calibration(Mapping[str, Parameter]):
             if not os.access(path, os.W_OK):
                 raise CalibrationError(f"{path}: cannot be replaced: it is read-only; choose another --out")
             self._check_replaceable(path, force)
-        text = self.text()
+        try:
+            text = self.text()
+        except ValueError:
+            raise CalibrationError(
+                f"{self.serial}: expected an estimate in numbers, found one beyond measure: the recording contradicts "
+                "itself; look for a stretch of it in another unit, and leave it out with [[exclude]]"
+            ) from None
         try:
             with whole_file(path) as temporary:
                 temporary.write_text(text, encoding="utf-8")

@@ -23,6 +23,7 @@ from typing import Literal
 
 import numpy as np
 
+from tumble.documents import check_regular
 from tumble.earth import NORMAL_GRAVITY_U
 from tumble.errors import InputError
 from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, MAGNETIC_UNITS, Array, IntArray
@@ -108,6 +109,7 @@ def read_table(path: Path) -> ReadingsTable:
     """The readings of a CSV file. Raises InputError, one line that names the file, the line and the column, for
     anything but a header of three names and rows of three finite numbers."""
     try:
+        check_regular(path)
         content = path.read_bytes()
         text = content.decode("utf-8-sig")
     except OSError as error:

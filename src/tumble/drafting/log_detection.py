@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from tumble.documents import check_regular
 from tumble.drafting.found_log import LONGEST, SAMPLE_ROWS, FoundLog, check_has_accelerometers, samples_in
 from tumble.drafting.json_document import tables_of_json
 from tumble.drafting.log_times import times_of_column
@@ -61,6 +62,7 @@ def files_of(log: Path) -> list[Path]:
         return found
     if not log.exists():
         raise InputError(f"{log}: expected a log, found no such file")
+    check_regular(log)
     return [log]
 
 

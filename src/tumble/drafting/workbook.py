@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import datetime
+import re
 import zipfile
 from collections.abc import Iterable, Iterator
+from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +21,11 @@ if TYPE_CHECKING:
 ENDINGS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 _MOST_SHEETS = 50
 _WIDEST = 1000
+_PIECE_BYTES = 1 << 20
+_SHEET = re.compile(r"xl/worksheets/.*\.xml", re.IGNORECASE)
+_CELL = re.compile(rb"""\br=["']([A-Z]{1,3})([0-9]{1,7})["']""")
+_LONGEST_CELL = 16
+"""Bytes of the place of a cell in a sheet, which two pieces may share."""
 
 
 def is_workbook(file: Path) -> bool:
@@ -63,8 +70,30 @@ def _check_size(workbook: Path) -> None:
     limit = max(LARGEST_RATIO * workbook.stat().st_size, SMALL_BYTES)
     with zipfile.ZipFile(workbook) as archive:
         size = sum(member.file_size for member in archive.infolist())
+        members = [name for name in archive.namelist() if _SHEET.fullmatch(name)]
     if size > limit:
         raise InputError(f"{workbook}: expected at most {limit / 1e6:.3g} MB unpacked, found {size / 1e6:.3g} MB")
+    for name in members:
+        _check_extent(workbook, name)
+
+
+def _check_extent(workbook: Path, sheet: str) -> None:
+    """Raises InputError for a sheet of Office Open XML whose cells are far apart: the reader makes room for all between
+    the first and the last."""
+    column, row, rest = "", 0, b""
+    with zipfile.ZipFile(workbook) as archive, archive.open(sheet) as stream:
+        while piece := stream.read(_PIECE_BYTES):
+            text = rest + piece
+            for letters, digits in _CELL.findall(text):
+                column = max(column, letters.decode(), key=lambda name: (len(name), name))
+                row = max(row, int(digits))
+            rest = text[-_LONGEST_CELL:]
+        width = reduce(lambda number, letter: 26 * number + ord(letter) - ord("A") + 1, column, 0)
+        if width * row > max(archive.getinfo(sheet).file_size, SMALL_BYTES):
+            raise InputError(
+                f"{workbook}: expected rows of readings, found a cell in column {column} and one in row {row}, and "
+                "next to nothing between; remove it, or save the sheet as CSV"
+            )
 
 
 def _sheets(workbook: CalamineWorkbook) -> Iterator[CalamineSheet]:

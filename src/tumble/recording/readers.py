@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from tumble.documents import check_regular
 from tumble.errors import LogError
 from tumble.recording.dialect import Dialect
 from tumble.recording.log_source import (
@@ -32,6 +33,7 @@ def _source_of_file(path: Path, dialect: Dialect | None) -> LogSource:
             f"{path}: expected a file that ends in {', '.join(ENDINGS)}, found another; state log.delimiter for a text "
             "file, or let `tumble new` find out what it is"
         )
+    check_regular(path)
     with readable(path):
         if path.stat().st_size == 0:
             raise LogError(f"{path}: expected a log, found an empty file")

@@ -20,7 +20,7 @@ from typing import IO, Any, cast
 
 from sqlalchemy import select
 
-from tumble.documents import json_of, shown
+from tumble.documents import check_regular, json_of, shown
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.registry.connect import Registry
@@ -89,6 +89,7 @@ def import_file(registry: Registry, file: FilePath) -> Imported:
     odds with the registry, those before it have been added, and another import goes on from there."""
     path = Path(file)
     try:
+        check_regular(path)
         with TemporaryFile(prefix="tumble-") as staged, path.open(encoding="utf-8") as opened:
             _stage(registry, opened, str(path), staged)
             staged.seek(0)

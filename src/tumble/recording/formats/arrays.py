@@ -7,6 +7,7 @@ length make a table, of which the sensors are taken by name, else by their numbe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -25,6 +26,7 @@ from tumble.recording.formats.columns import Columns as Known
 from tumble.recording.formats.columns_by_data import columns_by_data, grows
 from tumble.recording.formats.message import TIME, Message
 from tumble.recording.gaps import is_likely
+from tumble.recording.unpacked import LARGEST_RATIO, SMALL_BYTES
 from tumble.units import TIME_UNITS
 
 NOTHING = "no arrays named as accelerometers are, such as acc_x or accel (m, 3)"
@@ -217,6 +219,13 @@ def _datasets(path: Path) -> dict[str, tuple[tuple[int, ...], Read]]:
 
     with h5py.File(path) as file:
         file.visititems(visit)
+    limit = max(LARGEST_RATIO * path.stat().st_size, SMALL_BYTES)
+    for name, (shape, _) in found.items():
+        if math.prod(shape) > limit:
+            raise InputError(
+                f"{path}: expected readings, found {name!r} of {' by '.join(map(str, shape))} numbers, of which "
+                "the file holds next to none; write what was recorded"
+            )
     return found
 
 

@@ -1,0 +1,127 @@
+"""What is small on disk and large in memory, and what never ends, is refused in one line before it is read."""
+
+from __future__ import annotations
+
+import os
+import tracemalloc
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tumble.cli import main
+from tumble.documents import toml_of
+from tumble.drafting.new_session import new_session
+from tumble.errors import InputError, SessionError
+from tumble.files import whole_file
+from tumble.recording.session_file import read_session
+
+PARTS = {
+    "[Content_Types].xml": '<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types"><Default '
+    'Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/><Override PartName="/xl/'
+    'workbook.xml" ContentType="application/vnd.openxmlformats-officedocument.spreadsheetml.sheet.main+xml"/></Types>',
+    "_rels/.rels": '<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships"><Relationship '
+    'Id="r1" Type="http://schemas.openxmlformats.org/officeDocument/2006/relationships/officeDocument" '
+    'Target="xl/workbook.xml"/></Relationships>',
+    "xl/workbook.xml": '<workbook xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main" '
+    'xmlns:r="http://schemas.openxmlformats.org/officeDocument/2006/relationships"><sheets><sheet name="a" sheetId="1" '
+    'r:id="r1"/></sheets></workbook>',
+    "xl/_rels/workbook.xml.rels": '<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">'
+    '<Relationship Id="r1" Type="http://schemas.openxmlformats.org/officeDocument/2006/relationships/worksheet" '
+    'Target="worksheets/sheet1.xml"/></Relationships>',
+}
+
+
+def workbook(path: Path, cells: dict[str, float]) -> Path:
+    rows = "".join(f'<row r="{p.lstrip("ABCDFX")}"><c r="{p}"><v>{v}</v></c></row>' for p, v in cells.items())
+    space = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+    sheet = f'<worksheet xmlns="{space}"><sheetData>{rows}</sheetData></worksheet>'
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, text in {**PARTS, "xl/worksheets/sheet1.xml": sheet}.items():
+            archive.writestr(name, text)
+    return path
+
+
+@pytest.mark.parametrize("last", ["XFD1048576", "XFD1025"])
+def test_a_workbook_with_cells_far_apart_is_refused(last: str, tmp_path: Path) -> None:
+    path = workbook(tmp_path / "far.xlsx", {"A1": 1.0, last: 2.0})
+    with pytest.raises(InputError, match=r"far\.xlsx: expected rows of readings, found a cell in column XFD"):
+        new_session(tmp_path / "session", path)
+    assert not (tmp_path / "session").exists()
+
+
+@pytest.mark.parametrize("name", ["a.h5", "a.mat"])
+def test_arrays_of_which_a_file_holds_nothing_are_refused(name: str, tmp_path: Path) -> None:
+    with h5py.File(tmp_path / name, "w") as file:
+        for kind in ("accel", "gyro"):
+            file.create_dataset(kind, shape=(2**36, 3), chunks=(1024, 3), dtype="f8")
+    assert (tmp_path / name).stat().st_size < 10_000
+    with pytest.raises(InputError, match="of 68719476736 by 3 numbers, of which the file holds next to none"):
+        new_session(tmp_path / "session", tmp_path / name)
+
+
+def test_a_key_of_thousands_of_parts_takes_no_memory(tmp_path: Path) -> None:
+    (tmp_path / "session.toml").write_text("format = 1\n" + ".".join(["a"] * 20_000) + " = 1\n")
+    tracemalloc.start()
+    with pytest.raises(SessionError, match=r"session\.toml: expected keys of at most 16 parts, found a longer one"):
+        read_session(tmp_path)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 10_000_000
+
+
+PART = st.sampled_from(["a", "b-1", '"c d"', "'e.f'", '"g\\"h"'])
+
+
+@given(st.lists(PART, min_size=1, max_size=40), st.sampled_from([".", " . ", "\t."]), st.sampled_from(["", "[", "{"]))
+def test_keys_are_counted_by_their_parts(parts: Sequence[str], dot: str, before: str) -> None:
+    key = dot.join(parts)
+    text = {"": f"{key} = 1", "[": f"[{key}]", "{": f"x = {{ {key} = 1 }}"}[before]
+    if len(parts) > 16 and '"g\\"h"' not in parts:
+        with pytest.raises(InputError, match="at most 16 parts"):
+            toml_of(text, "x.toml")
+    elif len(parts) <= 16:
+        assert toml_of(text, "x.toml")
+
+
+def test_words_and_numbers_with_many_dots_are_no_keys() -> None:
+    numbers = ", ".join(f"{0.1 * k:.1f}" for k in range(1, 30))
+    assert toml_of(f'a = 1.5\nb = "1.2.3.4"\nc = [{numbers}]', "x.toml")["b"] == "1.2.3.4"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="devices and pipes of POSIX")
+@pytest.mark.parametrize(
+    "words",
+    ["new {out} {}", "calibrate {} --latitude 5", "report {} -o {out}", "ellipsoid {} --unit g", "verify {} {out}"],
+)
+@pytest.mark.parametrize("what", ["device", "pipe"])
+def test_devices_and_pipes_are_no_documents(words: str, what: str, tmp_path: Path) -> None:
+    path = Path("/dev/zero") if what == "device" else tmp_path / "pipe"
+    if what == "pipe":
+        os.mkfifo(path)
+    given = words.replace("{out}", str(tmp_path / "out.html")).replace("{}", str(path)).split()
+    result = CliRunner().invoke(main, given)
+    assert result.exit_code == 2, result.output
+    assert f"{path}: expected a file, found a device or a pipe" in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes of POSIX")
+def test_a_pipe_is_not_replaced_by_a_file(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match="is no file that could be replaced"), whole_file(tmp_path / "pipe"):
+        pass
+    assert not (tmp_path / "pipe").is_file()
+
+
+def test_arrays_that_are_there_are_read(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("accel", data=np.tile([0.0, 0.0, 9.81], (3000, 1)), compression="gzip", chunks=(1000, 3))
+    draft, _ = new_session(tmp_path / "session", tmp_path / "a.h5")
+    assert draft.content["log"]["accel"]["unit"] == "m/s^2"
