@@ -22,7 +22,7 @@ from registry_writer import write_all
 from sqlalchemy import text
 
 from tumble.errors import InputError, MissingExtraError
-from tumble.registry import connect
+from tumble.registry import connect, exchange
 from tumble.registry.connect import Registry, open_registry
 from tumble.registry.due import due
 from tumble.registry.exchange import Imported, export_lines, import_file
@@ -343,6 +343,52 @@ def test_an_export_is_imported_whole_and_only_once(
             assert limits_in_force(other) == limits_in_force(registry)
     assert import_file(file_registry, file).added == 3
     assert exported(file_registry, tmp_path / "again.jsonl").read_text() == file.read_text()
+
+
+def test_others_write_while_an_import_goes_on(
+    place: str, registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before every line and before every batch another writer adds a record, and is not made to wait."""
+    with open_registry(str(tmp_path / "other.sqlite"), create=True) as other:
+        for i in range(6):
+            added(other, serial=f"S-{i}", log=f"imported {i}")
+        file = exported(other, tmp_path / "export.jsonl")
+    monkeypatch.setattr(connect, "PATIENCE", 0.2)
+    monkeypatch.setattr(exchange, "BATCH", 2)
+    looked, batches, written = exchange.submission, exchange.islice, iter(range(100))
+
+    def meanwhile() -> None:
+        with open_registry(place) as another:
+            added(another, serial="W", log=f"meanwhile {next(written)}")
+
+    def looking(*arguments: Any) -> Submission:
+        meanwhile()
+        return looked(*arguments)
+
+    def taking(*arguments: Any) -> Any:
+        meanwhile()
+        return batches(*arguments)
+
+    monkeypatch.setattr(exchange, "submission", looking)
+    monkeypatch.setattr(exchange, "islice", taking)
+    assert import_file(registry, file) == Imported(added=6, known=0)
+    assert len(records(registry, "W")) == next(written) == 10
+    assert len(records(registry)) == 16
+
+
+def test_an_import_that_is_at_odds_with_the_registry_says_so_and_can_go_on(
+    file_registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(exchange, "BATCH", 2)
+    with open_registry(str(tmp_path / "other.sqlite"), create=True) as other:
+        for i in range(5):
+            added(other, serial=f"S-{i}", log=f"log {i}", values={"accel.bias.x": 0.1})
+        file = exported(other, tmp_path / "export.jsonl")
+    standing = added(file_registry, serial="S-3", log="log 3").record  # another calibration of the same log
+    with pytest.raises(InputError, match="line 5: expected a log that is not in the registry, found that of record 1"):
+        import_file(file_registry, file)
+    assert sorted(r.serial for r in records(file_registry)) == ["S-0", "S-1", "S-3"]
+    assert record(file_registry, standing.number) == standing
 
 
 def limits_of(size: int) -> str:

@@ -49,7 +49,7 @@ from tumble.report.numbers import (
     with_standard,
 )
 from tumble.sensors.model import SensorModel
-from tumble.sensors.parameters import beyond_linear, group_name, variable_of
+from tumble.sensors.parameters import group_name, variable_of
 from tumble.terminal.text import shown_units
 from tumble.units import Array, engineering
 
@@ -62,8 +62,6 @@ _MOST_LARGE, _MOST_WITH_WORDS = 9, 12
 """Columns for which the page has room in the larger type, and in the smaller one with the parameters in words."""
 _MOST_UNHALVED = 12
 """Rows of a narrow table from which on it stands in halves."""
-_MOST_IN_A_MAP = 24
-"""Parameters whose names can be read beside a map of correlations."""
 MODEL_DIGITS, TRUE_DIGITS = 10, 8
 """Digits behind the point of matrices and biases (SI), and of the true values of test vectors that they give."""
 _HEADINGS = {"accel": "Accelerometers", "gyro": "Gyros", "mag": "Magnetometer, in its own frame"}
@@ -423,8 +421,8 @@ def frame(calibration: Calibration, name: str) -> Section:
 # Uncertainty
 
 
-def correlations(calibration: Calibration, name: str) -> Section | None:
-    """What U covers, the strongest correlations, and a map of those of the linear model, where it has a `name`."""
+def correlations(calibration: Calibration) -> Section | None:
+    """What U covers, and the strongest correlations."""
     if calibration.covariance is None:
         return None
     names = [p.name for p in calibration.parameters]
@@ -448,16 +446,6 @@ def correlations(calibration: Calibration, name: str) -> Section | None:
             "the calibration file, which is the data annex. The strongest:"
         )
         blocks += [Text(text=said), ReportTable(columns=("parameter", "with", "coefficient"), rows=rows, text=(0, 1))]
-    linear = [i for i, own in enumerate(names) if not beyond_linear(own)]
-    if name and len(linear) <= _MOST_IN_A_MAP:
-        shown = [names[i] for i in linear]
-        blocks.append(
-            Figure(
-                svg=figures.correlations(name, shown, r[np.ix_(linear, linear)]),
-                caption="Correlation coefficients of bias, scale and axes, in hundredths.",
-                width=figures.MAP,
-            )
-        )
     return Section(title="Covariance and correlations", blocks=tuple(blocks))
 
 
