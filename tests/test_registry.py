@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+import os
 import sqlite3
 import subprocess
 import sys
@@ -138,8 +139,7 @@ def test_the_database_itself_refuses_changes(registry: Registry) -> None:
     added(registry)
     set_limits(registry, "BCHE-501", LIMITS, None)
     before = list(export_lines(registry))
-    for table in ("calibration", "launch", "parameter", "limits"):
-        column = "file" if table in ("calibration", "limits") else "session" if table == "launch" else "name"
+    for table, column in (("calibration", "serial"), ("content", "file"), ("launch", "session"), ("limits", "file")):
         for statement in (f"UPDATE {table} SET {column} = 'x'", f"DELETE FROM {table}"):
             with pytest.raises(InputError, match="a registry is added to, never changed"), registry.writing() as c:
                 c.execute(text(statement))
@@ -305,7 +305,7 @@ def test_a_writer_that_waits_in_vain_says_so(place: str, registry: Registry, mon
 
 def test_what_goes_wrong_on_the_way_leaves_nothing(registry: Registry) -> None:
     whole = submission(json.dumps(content()), "file", Particulars())
-    broken = replace(whole, parameters=(*whole.parameters[:-1], replace(whole.parameters[-1], value=cast(float, None))))
+    broken = replace(whole, file=cast(str, None))  # which comes after the record
     with pytest.raises(InputError):
         add(registry, broken)
     assert records(registry) == []
@@ -521,7 +521,7 @@ def test_a_registry_on_a_medium_that_nobody_can_write_to_is_read(
     place.parent.mkdir()
     with open_registry(str(place), create=True) as registry:
         added(registry)
-    monkeypatch.setattr(connect.os, "access", lambda *_: False)
+    monkeypatch.setattr(os, "access", lambda *_: False)
     with open_registry(str(place)) as registry:
         assert [record.serial for record in records(registry)] == ["A-0007"]
         assert [path.name for path in place.parent.iterdir()] == ["r.sqlite"]  # none beside it

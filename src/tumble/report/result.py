@@ -118,7 +118,7 @@ def parameter_table(
         row += [NONE, NONE] if limited and not own else []
         row += [min((each.result for each in own), key=RESULTS.index, default=NONE)] if judged else []
         rows.append(tuple(row))
-    words = (0, 1, 4, columns.index("verdict")) if judged else (0, 1, 4)
+    words: tuple[int, ...] = (0, 1, 4, columns.index("verdict")) if judged else (0, 1, 4)
     dense = len(columns) > _MOST_LARGE
     if len(columns) > _MOST_WITH_WORDS:
         columns, rows = [columns[0], *columns[2:]], [(row[0], *row[2:]) for row in rows]
