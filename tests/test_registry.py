@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+import os
 import sqlite3
 import subprocess
 import sys
@@ -22,7 +23,7 @@ from registry_writer import write_all
 from sqlalchemy import text
 
 from tumble.errors import InputError, MissingExtraError
-from tumble.registry import connect
+from tumble.registry import connect, exchange
 from tumble.registry.connect import Registry, open_registry
 from tumble.registry.due import due
 from tumble.registry.exchange import Imported, export_lines, import_file
@@ -138,8 +139,7 @@ def test_the_database_itself_refuses_changes(registry: Registry) -> None:
     added(registry)
     set_limits(registry, "BCHE-501", LIMITS, None)
     before = list(export_lines(registry))
-    for table in ("calibration", "launch", "parameter", "limits"):
-        column = "file" if table in ("calibration", "limits") else "session" if table == "launch" else "name"
+    for table, column in (("calibration", "serial"), ("content", "file"), ("launch", "session"), ("limits", "file")):
         for statement in (f"UPDATE {table} SET {column} = 'x'", f"DELETE FROM {table}"):
             with pytest.raises(InputError, match="a registry is added to, never changed"), registry.writing() as c:
                 c.execute(text(statement))
@@ -305,7 +305,7 @@ def test_a_writer_that_waits_in_vain_says_so(place: str, registry: Registry, mon
 
 def test_what_goes_wrong_on_the_way_leaves_nothing(registry: Registry) -> None:
     whole = submission(json.dumps(content()), "file", Particulars())
-    broken = replace(whole, parameters=(*whole.parameters[:-1], replace(whole.parameters[-1], value=cast(float, None))))
+    broken = replace(whole, file=cast(str, None))  # which comes after the record
     with pytest.raises(InputError):
         add(registry, broken)
     assert records(registry) == []
@@ -343,6 +343,52 @@ def test_an_export_is_imported_whole_and_only_once(
             assert limits_in_force(other) == limits_in_force(registry)
     assert import_file(file_registry, file).added == 3
     assert exported(file_registry, tmp_path / "again.jsonl").read_text() == file.read_text()
+
+
+def test_others_write_while_an_import_goes_on(
+    place: str, registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before every line and before every batch another writer adds a record, and is not made to wait."""
+    with open_registry(str(tmp_path / "other.sqlite"), create=True) as other:
+        for i in range(6):
+            added(other, serial=f"S-{i}", log=f"imported {i}")
+        file = exported(other, tmp_path / "export.jsonl")
+    monkeypatch.setattr(connect, "PATIENCE", 0.2)
+    monkeypatch.setattr(exchange, "BATCH", 2)
+    looked, batches, written = exchange.submission, exchange.islice, iter(range(100))
+
+    def meanwhile() -> None:
+        with open_registry(place) as another:
+            added(another, serial="W", log=f"meanwhile {next(written)}")
+
+    def looking(*arguments: Any) -> Submission:
+        meanwhile()
+        return looked(*arguments)
+
+    def taking(*arguments: Any) -> Any:
+        meanwhile()
+        return batches(*arguments)
+
+    monkeypatch.setattr(exchange, "submission", looking)
+    monkeypatch.setattr(exchange, "islice", taking)
+    assert import_file(registry, file) == Imported(added=6, known=0)
+    assert len(records(registry, "W")) == next(written) == 10
+    assert len(records(registry)) == 16
+
+
+def test_an_import_that_is_at_odds_with_the_registry_says_so_and_can_go_on(
+    file_registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(exchange, "BATCH", 2)
+    with open_registry(str(tmp_path / "other.sqlite"), create=True) as other:
+        for i in range(5):
+            added(other, serial=f"S-{i}", log=f"log {i}", values={"accel.bias.x": 0.1})
+        file = exported(other, tmp_path / "export.jsonl")
+    standing = added(file_registry, serial="S-3", log="log 3").record  # another calibration of the same log
+    with pytest.raises(InputError, match="line 5: expected a log that is not in the registry, found that of record 1"):
+        import_file(file_registry, file)
+    assert sorted(r.serial for r in records(file_registry)) == ["S-0", "S-1", "S-3"]
+    assert record(file_registry, standing.number) == standing
 
 
 def limits_of(size: int) -> str:
@@ -475,7 +521,7 @@ def test_a_registry_on_a_medium_that_nobody_can_write_to_is_read(
     place.parent.mkdir()
     with open_registry(str(place), create=True) as registry:
         added(registry)
-    monkeypatch.setattr(connect.os, "access", lambda *_: False)
+    monkeypatch.setattr(os, "access", lambda *_: False)
     with open_registry(str(place)) as registry:
         assert [record.serial for record in records(registry)] == ["A-0007"]
         assert [path.name for path in place.parent.iterdir()] == ["r.sqlite"]  # none beside it

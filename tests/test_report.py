@@ -250,7 +250,7 @@ def test_a_report_has_all_its_sections_in_the_order_in_which_it_is_read(page: Pa
     assert tuple(re.sub(r"^\d+ ", "", heading) for heading in page.headings) == SECTIONS
     assert [int(heading.split()[0]) for heading in page.headings] == list(range(1, len(SECTIONS) + 1))
     captions = [attributes["aria-label"] or "" for tag, attributes in page.elements if tag == "figure"]
-    for wanted in ("body frame", "Orientation coverage", "Residual", "Correlation", "increment", "Noise and drift"):
+    for wanted in ("body frame", "Orientation coverage", "Residual", "increment", "Noise and drift"):
         assert sum(wanted in caption for caption in captions) == 1, wanted
     assert sum(tag == "svg" for tag, _ in page.elements) == len(captions)
 

@@ -148,7 +148,7 @@ class Verdict:
         """Which parameters do not pass, and why, in words."""
         unmeasured = f"not measured {self.unmeasured}" if self.unmeasured else "not known over temperature"
         undecided = [j for j in self.judgements if j.result == "undecided"]
-        groups = {
+        groups: dict[str, list[LimitJudgement]] = {
             **{each: [j for j in self.judgements if j.result == each] for each in _OF_A_VALUE},
             unmeasured: [j for j in undecided if j.beyond],
             "without U": [j for j in undecided if j.expanded is None and j.value is not None and not j.beyond],

@@ -225,7 +225,7 @@ def _for_the_laboratory(source: Source, key: str, given: ReportBasis) -> Iterato
     yield recording.site(recordings)
     yield from (recording.found(r, f"{key}-sphere{i}") for i, r in enumerate(recordings))
     yield from (recording.residuals(r, f"{key}-residuals{i}") for i, r in enumerate(recordings))
-    yield result.correlations(calibration, f"{key}-correlations")
+    yield result.correlations(calibration)
     yield result.convergence(calibration, f"{key}-convergence")
     yield from (recording.noise(r, f"{key}-noise{i}") for i, r in enumerate(recordings))
     yield _provenance(source)
@@ -248,7 +248,7 @@ def _for_customers(source: Source, key: str, given: ReportBasis) -> Iterator[Sec
     if any(each.site != recordings[0].site for each in recordings):
         yield recording.site(recordings)
     yield from (recording.measured(each) for each in recordings)
-    yield result.correlations(calibration, "")
+    yield result.correlations(calibration)
     yield _provenance(source)
 
 

@@ -32,13 +32,6 @@ INK, GREY, FAINT = "#1c2733", "#6b7785", "#d5dae0"
 COLOURS = ("#1f4e79", "#c0561a", "#3d7d52", "#7d4f93", "#a08020", "#58728c")
 """For accelerometers, gyros, or the sensors of a block in turn."""
 
-MOST_WITH_NUMBERS = 30
-"""How many parameters a map of correlations shows with numbers."""
-MAP = 0.7
-"""Its width as a part of the page."""
-LABELS = 200.0
-"""What its labels have to share, points."""
-
 PAGE = 6.7
 """Width of a figure as wide as the page, inches."""
 
@@ -86,10 +79,23 @@ def for_a_page(svg: str, name: str) -> str:
     """The svg element alone, its identifiers made this figure's own, without comments."""
     svg = re.sub(r"<!--.*?-->", "", svg[svg.index("<svg") :], flags=re.DOTALL)
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
-    svg = re.sub(r'\bid="', f'id="{name}-', svg)
-    svg = re.sub(r'href="#', f'href="#{name}-', svg)
-    svg = svg.replace("url(#", f"url(#{name}-")
+    svg = re.sub(r'\b(?:d|x|y)="[^"]*"', _to_a_tenth, svg)
+    own = {each: f"{name}-{i}" for i, each in enumerate(dict.fromkeys(re.findall(r'(?:href="|url\()#([^")]+)', svg)))}
+    svg = re.sub(r' id="([^"]*)"', lambda found: f' id="{own[found[1]]}"' if found[1] in own else "", svg)
+    svg = re.sub(r'(href="|url\()#([^")]+)', lambda found: f"{found[1]}#{own[found[2]]}", svg)
     return re.sub(r"\s*\n\s*", "\n", svg).strip()
+
+
+def _to_a_tenth(attribute: re.Match[str]) -> str:
+    """Coordinates to a tenth of a point, which no eye tells apart, on one line; a line to that follows one is not
+    named again."""
+    words, command = [], ""
+    for word in re.sub(r"\d+\.\d+", lambda number: f"{float(number[0]):.1f}", attribute[0]).split():
+        if word == "L" and command in ("M", "L"):
+            continue
+        command = word[-1] if word[-1].isalpha() else command
+        words.append(word)
+    return " ".join(words)
 
 
 def _grid(axes: Axes) -> None:
@@ -128,42 +134,6 @@ def residuals(name: str, rests: Sequence[RestResult], turns: Sequence[TurnResult
         _rest_ticks(bottom, len(rests))
 
     return drawn(name, PAGE, 3.5, draw)
-
-
-def correlations(name: str, names: Sequence[str], correlation: Array) -> str:
-    """Heat map of the correlation coefficients, with their values in hundredths where these have room."""
-    count = len(names)
-
-    def draw(figure: Figure) -> None:
-        axes = figure.add_subplot()
-        edges = np.arange(count + 1) - 0.5
-        lower = np.where(np.tri(count, dtype=bool), correlation, np.nan)
-        mesh = axes.pcolormesh(
-            edges, edges, lower, cmap="RdBu_r", vmin=-1.0, vmax=1.0, edgecolors="white", linewidth=0.4
-        )
-        axes.set_aspect("equal")
-        axes.invert_yaxis()
-        for p in range(count if count <= MOST_WITH_NUMBERS else 0):
-            for q in range(p):
-                _coefficient(axes, p, q, round(100.0 * float(correlation[p, q])))
-        labels = [drawable(label) for label in names]
-        axes.set_xticks(range(count), labels, rotation=90)
-        axes.set_yticks(range(count), labels)
-        axes.tick_params(length=0.0, labelsize=min(6.0, LABELS / count))
-        axes.spines[:].set_visible(False)
-        bar = figure.colorbar(mesh, ax=axes, shrink=0.5, pad=0.01, label="correlation coefficient")
-        bar.outline.set_visible(False)
-        if bar.solids is not None:  # a picture of pixels else
-            bar.solids.set(rasterized=False, edgecolor="face")
-
-    return drawn(name, MAP * PAGE, 0.86 * MAP * PAGE, draw)
-
-
-def _coefficient(axes: Axes, row: int, column: int, hundredths: int) -> None:
-    if hundredths:
-        colour = "white" if abs(hundredths) > 60 else INK
-        text = f"{hundredths}".replace("-", "−")
-        axes.text(column, row, text, ha="center", va="center", fontsize=4.5, color=colour, in_layout=False)
 
 
 def convergence(name: str, steps: Sequence[Mapping[str, float]], parameters: Sequence[Parameter]) -> str:

@@ -9,7 +9,7 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import remarks
 from tumble.calibration.shown import shown_units
 from tumble.registry.conformity import verdicts
-from tumble.registry.limits import RULE, LimitJudgement, Limits, Result
+from tumble.registry.limits import RULE, LimitJudgement, Limits
 from tumble.report.blocks import Block, Items, ReportTable, Section, Text, Tone
 from tumble.report.numbers import NONE, limit_of, minus
 from tumble.units import engineering, rounded
@@ -18,7 +18,7 @@ OVER_TEMPERATURE = (
     "Biases and scale factors are judged at the temperature where they are worst, with U there; other parameters are "
     "the same at all temperatures. Beyond what was measured nothing passes."
 )
-TONES: Mapping[Result, Tone] = {
+TONES: Mapping[str, Tone] = {
     "pass": "good",
     "conditional pass": "doubt",
     "conditional fail": "bad",

@@ -51,7 +51,7 @@ from tumble.report.numbers import (
     with_standard,
 )
 from tumble.sensors.model import SensorModel
-from tumble.sensors.parameters import beyond_linear, group_name, variable_of
+from tumble.sensors.parameters import group_name, variable_of
 from tumble.units import Array, engineering
 
 _TEST_VECTORS = {"accel": (1.0, -2.0, 9.5), "gyro": (0.1, -0.2, 0.3), "mag": (0.4, -0.2, 0.3)}
@@ -63,8 +63,6 @@ _MOST_LARGE, _MOST_WITH_WORDS = 9, 12
 """Columns for which the page has room in the larger type, and in the smaller one with the parameters in words."""
 _MOST_UNHALVED = 12
 """Rows of a narrow table from which on it stands in halves."""
-_MOST_IN_A_MAP = 24
-"""Parameters whose names can be read beside a map of correlations."""
 MODEL_DIGITS, TRUE_DIGITS = 10, 8
 """Digits behind the point of matrices and biases (SI), and of the true values of test vectors that they give."""
 _HEADINGS = {"accel": "Accelerometers", "gyro": "Gyros", "mag": "Magnetometer, in its own frame"}
@@ -121,7 +119,7 @@ def parameter_table(
         row += [NONE, NONE] if limited and not own else []
         row += [min((each.result for each in own), key=RESULTS.index, default=NONE)] if judged else []
         rows.append(tuple(row))
-    words = (0, 1, 4, columns.index("verdict")) if judged else (0, 1, 4)
+    words: tuple[int, ...] = (0, 1, 4, columns.index("verdict")) if judged else (0, 1, 4)
     dense = len(columns) > _MOST_LARGE
     if len(columns) > _MOST_WITH_WORDS:
         columns, rows = [columns[0], *columns[2:]], [(row[0], *row[2:]) for row in rows]
@@ -424,8 +422,8 @@ def frame(calibration: Calibration, name: str) -> Section:
 # Uncertainty
 
 
-def correlations(calibration: Calibration, name: str) -> Section | None:
-    """What U covers, the strongest correlations, and a map of those of the linear model, where it has a `name`."""
+def correlations(calibration: Calibration) -> Section | None:
+    """What U covers, and the strongest correlations."""
     if calibration.covariance is None:
         return None
     names = [p.name for p in calibration.parameters]
@@ -449,16 +447,6 @@ def correlations(calibration: Calibration, name: str) -> Section | None:
             "the calibration file, which is the data annex. The strongest:"
         )
         blocks += [Text(text=said), ReportTable(columns=("parameter", "with", "coefficient"), rows=rows, text=(0, 1))]
-    linear = [i for i, own in enumerate(names) if not beyond_linear(own)]
-    if name and len(linear) <= _MOST_IN_A_MAP:
-        shown = [names[i] for i in linear]
-        blocks.append(
-            Figure(
-                svg=figures.correlations(name, shown, r[np.ix_(linear, linear)]),
-                caption="Correlation coefficients of bias, scale and axes, in hundredths.",
-                width=figures.MAP,
-            )
-        )
     return Section(title="Covariance and correlations", blocks=tuple(blocks))
 
 
