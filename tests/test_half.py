@@ -136,7 +136,7 @@ def test_bad_gyros_leave_the_accelerometers_to_verify_check_report_and_register(
     assert checked.notes[0].startswith(ABSENT["accel"])
     assert checked.updated().absent[0].startswith(ABSENT["accel"])
     registered = read_submission(tmp_path / "calibration.json", Particulars())
-    assert {sensor_kind(row.name) for row in registered.parameters} == {"accel"}
+    assert {sensor_kind(name) for name in registered.calibration} == {"accel"}
     tumble.write_report([tmp_path / "calibration.json"], tmp_path / "r.html")
     assert "accelerometers: accepted with scatter; gyros: not accepted" in (tmp_path / "r.html").read_text()
 
