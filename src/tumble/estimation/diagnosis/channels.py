@@ -75,7 +75,7 @@ PLACES = 200.0
 """Places between zero and the median of what is read otherwise: counts and pulses, whose intervals jitter, stay in
 one, and a smooth noise has a quarter of a percent in each."""
 FINE = 3.0
-"""Steps of a channel: where everything at rest is zero, resolution is no reason if all else is further off."""
+"""Steps of a channel: where what is read otherwise is mostly nearer to zero, coarse resolution makes the zeros."""
 
 
 def dead_zones(reduction: Reduction, rests: Sequence[RestSpan], channels: Channels) -> list[str]:
@@ -93,12 +93,11 @@ def dead_zones(reduction: Reduction, rests: Sequence[RestSpan], channels: Channe
         if zeros <= FEWEST_ZEROS or not anywhere.any():
             continue
         least = float(anywhere[anywhere > 0.0].min())
+        usual, busiest = least, 0
         if len(others):
-            _, at_place = np.unique(np.floor(PLACES * others / np.median(others)), return_counts=True)
-            no_chance = zeros > FEWEST_ZEROS + MORE_ZEROS * int(at_place.max())
-        else:
-            no_chance = least >= FINE * step
-        if no_chance:
+            usual = float(np.median(others))
+            busiest = int(np.unique(np.floor(PLACES * others / usual), return_counts=True)[1].max())
+        if usual >= FINE * step and zeros > FEWEST_ZEROS + MORE_ZEROS * busiest:
             found.append(
                 f"column {column!r} reads exactly 0 in {100.0 * zeros / len(sizes):.0f} % of the samples at rest, and "
                 f"never less than {least / DEGREE:.2g} °/s otherwise: a dead zone of the driver, in which biases and "
