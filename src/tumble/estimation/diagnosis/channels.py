@@ -69,10 +69,13 @@ def normalised(reduction: Reduction, rests: Sequence[RestSpan], to_body: Array) 
     ]
 
 
-FEWEST_ZEROS, MORE_ZEROS = 10, 10.0
-"""Zeros at rest, beyond this number and so many times what neighbouring values would make of them, are no chance."""
+FEWEST_ZEROS, MORE_ZEROS = 5, 3.0
+"""Zeros at rest, beyond this number and so many times the values at the most frequent other place, are no chance."""
+PLACES = 200.0
+"""Places between zero and the median of what is read otherwise: counts and pulses, whose intervals jitter, stay in
+one, and a smooth noise has a quarter of a percent in each."""
 FINE = 3.0
-"""Steps of a channel: rates that are mostly larger show how many zeros there should be."""
+"""Steps of a channel: where what is read otherwise is mostly nearer to zero, coarse resolution makes the zeros."""
 
 
 def dead_zones(reduction: Reduction, rests: Sequence[RestSpan], channels: Channels) -> list[str]:
@@ -89,10 +92,12 @@ def dead_zones(reduction: Reduction, rests: Sequence[RestSpan], channels: Channe
         anywhere = np.abs(every[:, i])
         if zeros <= FEWEST_ZEROS or not anywhere.any():
             continue
-        usual = float(np.median(others)) if len(others) else float(anywhere[anywhere > 0.0].min())
-        by_chance = 0.5 * len(others) * step / usual
-        if usual >= FINE * step and zeros > FEWEST_ZEROS + MORE_ZEROS * by_chance:
-            least = float(anywhere[anywhere > 0.0].min())
+        least = float(anywhere[anywhere > 0.0].min())
+        usual, busiest = least, 0
+        if len(others):
+            usual = float(np.median(others))
+            busiest = int(np.unique(np.floor(PLACES * others / usual), return_counts=True)[1].max())
+        if usual >= FINE * step and zeros > FEWEST_ZEROS + MORE_ZEROS * busiest:
             found.append(
                 f"column {column!r} reads exactly 0 in {100.0 * zeros / len(sizes):.0f} % of the samples at rest, and "
                 f"never less than {least / DEGREE:.2g} °/s otherwise: a dead zone of the driver, in which biases and "
