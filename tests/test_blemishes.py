@@ -105,10 +105,10 @@ def bad_in(values: Array) -> BadSamples:
 @pytest.mark.parametrize("width", [1, 2, 3])
 @pytest.mark.parametrize("at", [100, 151, 200, 297])
 def test_a_bad_sample_of_a_turn_is_replaced(size: float, width: int, at: int) -> None:
-    """One accelerometer, by half a g and more; 1 to 3 samples."""
+    """One accelerometer, by half a g and more; held for 1 to 3 samples."""
     values = turned(np.random.default_rng(at))
     sound, places = values.copy(), np.arange(at, at + width)
-    values[places, 4] += size
+    values[places, 4] = values[at, 4] + size
     found = bad_in(values)
     np.testing.assert_array_equal(found.at, places)
     np.testing.assert_array_equal(found.values[:, [0, 1, 2, 3, 5]], sound[places][:, [0, 1, 2, 3, 5]])

@@ -54,7 +54,7 @@ ALONE = 30.0
 VIOLENT = 0.5, 0.1
 """m/s and rad: changes of velocity and attitude in a sample that no hand makes, nor a table."""
 LONGEST_RUN = 3
-"""Bad samples in a row, within BRIEF."""
+"""Times that a bad sample is held at most, within BRIEF: others in a row may be a blow."""
 AT_A_TIME = 2**17
 """Samples of a turn that are looked at."""
 
@@ -282,7 +282,14 @@ def _bad_run(values: Array, dt: Array, among: tuple[int, int], beside: int, leas
             band = np.maximum(BEYOND_BAND * np.abs(_off_cubic(near)).max(axis=0), least)
             off = values[run] - mended
             beyond = np.abs(off).max(axis=0) > band
-            if beyond.any() and _corrupt(off, dt[run], beyond, bool(np.ptp(values[run], axis=0).max() == 0.0)):
+            about = slice(inner.start - 2, inner.stop + 2)
+            others = np.abs(_off_cubic(np.where(beyond, 0.0, near)))
+            far = np.delete(others, np.r_[about], axis=0).max(axis=0)
+            stirred = others[about].max(axis=0) > np.maximum(BEYOND_BAND * far, least)
+            if stirred.any():
+                continue  # a lever arm feels a rate that steps
+            held = np.all(np.ptp(values[run][:, beyond], axis=0) == 0.0)
+            if beyond.any() and held and _corrupt(off, dt[run], beyond):
                 return first, np.where(beyond, mended, values[run])
     return None
 
@@ -297,9 +304,9 @@ def _between(values: Array, run: slice) -> Array:
     return np.asarray(weights.T @ values[[run.start - 2, run.start - 1, run.stop, run.stop + 1]])
 
 
-def _corrupt(off: Array, dt: Array, beyond: BoolArray, held: bool) -> bool:
-    """Whether rates and forces (k, 6) that are `beyond` their bands (6,) by so much at intervals (k,) are of no motion;
-    `held`: all samples of the run are one."""
+def _corrupt(off: Array, dt: Array, beyond: BoolArray) -> bool:
+    """Whether rates and forces (k, 6) that are off by so much at intervals (k,), `beyond` their bands (6,), are of no
+    motion."""
     size, kind = np.abs(off).max(axis=0), np.repeat([0, 1], 3)
     if np.any((off * np.sign(off[0])).min(axis=0)[beyond] < 0.5 * size[beyond]):
         return False  # a step from one sample to the next, as of a table that starts at once
@@ -308,7 +315,5 @@ def _corrupt(off: Array, dt: Array, beyond: BoolArray, held: bool) -> bool:
         others = (kind == kind[one]) & ~beyond
         if size[one] > ALONE * size[others].max():
             return True
-    if len(off) > 1 and not held:
-        return False
     turned, moved = (float(np.linalg.norm(dt @ off[:, kind == k])) for k in (0, 1))
     return moved > VIOLENT[0] or turned > VIOLENT[1]
