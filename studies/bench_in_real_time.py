@@ -170,7 +170,7 @@ def followed(sent: Path, rests: Array, folder: Path) -> Followed:
     station.command("calibrate")
     station.stop()
     words = ["calibrate", "--out", str(sent / "batch.json"), "--", str(sent)]
-    subprocess.run([sys.executable, "-m", "tumble", *words], stdout=subprocess.DEVNULL, check=False)
+    subprocess.run([sys.executable, "-m", "tumble", *words], capture_output=True, check=False)
     return Followed(
         looks=looks,
         wrong=wrong,
