@@ -173,7 +173,7 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["calibrate", ""], "expected a path, found an empty one"),
         (["calibrate", "none"], "none/session.toml: expected a session folder with a session.toml, found no such fol"),
         (["calibrate", "."], "session.toml: expected a session folder with a session.toml, found none"),
-        (["calibrate", "few/log.parquet"], "expected a session folder or its session.toml, found another file"),
+        (["calibrate", "few/log.parquet"], "of a log `tumble new` makes a session, and so does"),
         (["calibrate", "one", "two"], "--out: expected a file for the result of several sessions, found none"),
         (["calibrate", "one", "one", "--out", "x.json"], "holds the same recording as one"),
         (["calibrate", "one", "other", "--out", "x.json"], "expected a launch of device 'mems-7'"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.simulation.session import simulate_session
+from tumble.units import Array
 
 RATE = 50.0
 
@@ -79,12 +80,12 @@ def test_a_log_is_read_at_its_rate_or_the_doubt_is_said(name: str, log: pl.DataF
 
 @pytest.mark.parametrize("time", [lambda t: t, r.in_other_order, np.floor], ids=["as they are", "in other order", "s"])
 def test_sensors_in_files_of_their_own_are_joined_sample_by_sample(
-    time: r.Callable[[np.ndarray], np.ndarray], log: pl.DataFrame, tmp_path: Path
+    time: Callable[[Array], Array], log: pl.DataFrame, tmp_path: Path
 ) -> None:
     files = [tmp_path / file for file in r.a_file_a_sensor(time)(log, tmp_path)]
     new_session(tmp_path / "session", files)
-    joined = pl.read_parquet(tmp_path / "session" / "log.parquet")
-    joined = joined.select("t", "accel_x", "accel_y", "accel_z").to_numpy()
+    written = pl.read_parquet(tmp_path / "session" / "log.parquet")
+    joined = written.select("t", "accel_x", "accel_y", "accel_z").to_numpy()
     steps = np.diff(joined[:, 0])
     assert steps == pytest.approx(np.full(len(steps), 1.0 / RATE), rel=0.01)
     of_accelerometers = {tuple(row) for row in np.round(log.select("ax", "ay", "az").to_numpy(), 5).tolist()}

@@ -143,7 +143,10 @@ def write_session(folder: FilePath, content: Mapping[str, Any]) -> None:
 
 def _parsed(path: Path) -> dict[str, Any]:
     if path.name != SESSION_FILE:
-        raise SessionError(f"{path}: expected a session folder or its {SESSION_FILE}, found another file")
+        raise SessionError(
+            f"{path}: expected a session folder or its {SESSION_FILE}, found another file; of a log `tumble new` makes "
+            "a session, and so does `tumble calibrate` with --latitude"
+        )
     try:
         return toml_of(text_of_document(path), str(path), SessionError)
     except FileNotFoundError:

@@ -232,9 +232,11 @@ def _unexplained(carrying: _Carrying) -> list[str] | None:
 
 def _lost(observations: Observations, k: int, miss: float) -> str:
     """Turn k, in which nominal gyros lose the vertical, in words."""
+    assert observations.turns is not None
+    number = int(observations.turns.first[k]) + 1
     return (
         f"the gyros lose the vertical in {observations.turn_named(k)}: they miss it by {miss / DEGREE:.0f}°; look "
-        "there for damaged or lost samples"
+        f"there for damaged or lost samples, or leave it out: [[exclude]] turn = {number}"
     )
 
 
