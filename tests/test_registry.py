@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from itertools import islice
 from pathlib import Path
 from typing import Any, cast
 
@@ -355,7 +356,7 @@ def test_others_write_while_an_import_goes_on(
         file = exported(other, tmp_path / "export.jsonl")
     monkeypatch.setattr(connect, "PATIENCE", 0.2)
     monkeypatch.setattr(exchange, "BATCH", 2)
-    looked, batches, written = exchange.submission, exchange.islice, iter(range(100))
+    looked, batches, written = submission, islice, iter(range(100))
 
     def meanwhile() -> None:
         with open_registry(place) as another:
