@@ -188,11 +188,12 @@ def six_faces(rng: np.random.Generator) -> tuple[Array, Array, dict[str, float]]
         share = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, 300))[:, None]
         path += [before + share * (after - before) + 0.3 * share * (1.0 - share), np.tile(after, (500, 1))]
     up = np.vstack(path)
-    force = g * up / np.linalg.norm(up, axis=1, keepdims=True)
+    force: Array = g * up / np.linalg.norm(up, axis=1, keepdims=True)
     sheared = np.eye(3) + np.tril(rng.normal(0.0, 3e-3, (3, 3)), -1)
-    read = (1.0 + scale) * (force @ sheared.T) + bias + rng.normal(0.0, 0.02, force.shape)
+    read: Array = (1.0 + scale) * (force @ sheared.T) + bias + rng.normal(0.0, 0.02, force.shape)
     true = {f"accel.{what}.{a}": v[i] for what, v in (("bias", bias), ("scale", scale)) for i, a in enumerate("xyz")}
-    return 0.01 * np.arange(1, 1 + len(read)), read, true
+    time: Array = 0.01 * np.arange(1.0, 1.0 + len(read))
+    return time, read, true
 
 
 def test_six_faces_give_bias_and_scale_of_each_axis_and_say_what_is_absent(tmp_path: Path) -> None:
