@@ -227,7 +227,7 @@ def test_a_source_that_cannot_be_opened_again_is_tried_again(
     recording.command("stop")
     with monkeypatch.context() as patched:
         patched.setattr(recording, "_listen", lambda: (_ for _ in ()).throw(InputError("--listen: it is gone")))
-        assert recording.command("resume") == "--listen: it is gone"
+        assert recording.command("resume") == "listen: it is gone"
     assert recording._listen is listen
     assert recording.command("resume") == "recording goes on"
     grows(recording)

@@ -281,7 +281,8 @@ class Calibration(Mapping[str, Parameter]):
         if path.exists():
             if not os.access(path, os.W_OK):
                 raise CalibrationError(f"{path}: cannot be replaced: it is read-only; choose another --out")
-            self._check_replaceable(path, force)
+            if path.stat().st_size:  # an empty file holds nothing of anyone's
+                self._check_replaceable(path, force)
         try:
             text = self.text()
         except ValueError:

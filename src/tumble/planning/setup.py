@@ -99,22 +99,13 @@ class Setup(Brief):
         What is None is usual on a table or by hand; gravity then is normal gravity. With the `terms` "full" the
         instrument has all groups of parameters, of the usual spread of its grade.
 
-        Raises InputError, one line, for a grade or programme that does not exist, no latitude, and numbers below zero.
+        Raises InputError, one line, for a grade or programme that does not exist, and for no latitude.
 
         >>> Setup.of(grade="mems", positions=30).rest
         5.0
         """
         if not abs(latitude_deg) <= 90.0:
             raise InputError(f"latitude: expected -90 to 90 degrees, found {latitude_deg:g}")
-        above_zero = {"positions": positions, "rest": rest, "rate_deg_s": rate_deg_s, "sample_rate": sample_rate}
-        above_zero |= {"gravity": gravity}
-        for name, value in above_zero.items():
-            if value is not None and not 0.0 < value < math.inf:
-                raise InputError(f"{name}: expected a number above 0, found {value:g}")
-        from_zero = {"table_error_deg": table_error_deg, "mounting_error_deg": mounting_error_deg}
-        for name, value in (from_zero | {"noise_factor": noise_factor}).items():
-            if not 0.0 <= value < math.inf:
-                raise InputError(f"{name}: expected 0 or more, found {value:g}")
         kind, usual = grade_named(grade), ON_TABLE if positions is None else BY_HAND
         latitude = latitude_deg * DEGREE
         return Setup(
