@@ -451,7 +451,7 @@ def test_a_calibration_that_was_refused_gives_way_to_one_by_another_method(
     assert contents(file)["method"] == content["method"]
 
 
-@pytest.mark.parametrize("text", [b"a letter", b"\xff\x00", b"[]", b"{}", b""])
+@pytest.mark.parametrize("text", [b"a letter", b"\xff\x00", b"[]", b"{}"])
 @pytest.mark.parametrize("options", [(), ("--force",)])
 def test_a_file_that_is_no_calibration_is_not_replaced(
     session: Path, tmp_path: Path, text: bytes, options: Sequence[str]
@@ -463,6 +463,12 @@ def test_a_file_that_is_no_calibration_is_not_replaced(
     assert "expected a calibration to replace, found another file" in result.stderr
     assert result.stderr.count("\n") == 1
     assert out.read_bytes() == text
+
+
+def test_an_empty_file_holds_nothing_and_is_replaced(session: Path, tmp_path: Path) -> None:
+    (tmp_path / "made.json").touch()
+    assert command(session, "--out", tmp_path / "made.json").exit_code == 0
+    assert contents(tmp_path / "made.json")["method"]
 
 
 def test_a_folder_is_not_replaced(session: Path, tmp_path: Path) -> None:
@@ -482,7 +488,7 @@ def interrupted(*_: object) -> None:
     raise KeyboardInterrupt
 
 
-@pytest.mark.parametrize("call", [(os, "fsync"), (Path, "write_text"), (Path, "chmod"), (Path, "replace")])
+@pytest.mark.parametrize("call", [(os, "fsync"), (Path, "write_text"), (os, "open"), (Path, "replace")])
 def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(
     calibration: Calibration, file: Path, monkeypatch: pytest.MonkeyPatch, call: tuple[Any, str]
 ) -> None:
@@ -497,7 +503,7 @@ def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(
     assert list(file.parent.iterdir()) == [file]
 
 
-@pytest.mark.parametrize("call", [(os, "fsync"), (Path, "chmod"), (Path, "replace")])
+@pytest.mark.parametrize("call", [(os, "fsync"), (os, "open"), (Path, "replace")])
 def test_a_write_that_is_interrupted_leaves_the_old_file_and_nothing_else(
     calibration: Calibration, file: Path, monkeypatch: pytest.MonkeyPatch, call: tuple[Any, str]
 ) -> None:

@@ -368,6 +368,7 @@ def _updated(check: FieldCheck) -> Calibration:
         imu=before.imu,
         frame=before.frame,
         # what still rests on the calibration
+        absent=before.absent,
         method=before.method,
         outcome=before.outcome,
         fits=before.fits,
