@@ -123,13 +123,6 @@ def test_coarse_gyros_have_no_dead_zone(hand: Recorded, step: float) -> None:
     assert tumble.inspect_session(hand.session(gyro=rounded)).gyro_faults == ()
 
 
-def test_pulses_of_a_laser_gyro_have_no_dead_zone(hand: Recorded) -> None:
-    pulse, digit = 0.05 * DEGREE, 0.00012 * DEGREE  # as of an LN-100: counts over intervals that differ by a little
-    counted = pulse * np.round((hand.gyro - np.median(hand.gyro, axis=0)) / pulse)
-    counted += digit * np.random.default_rng(3).integers(-1, 2, counted.shape)
-    assert tumble.inspect_session(hand.session(gyro=counted)).gyro_faults == ()
-
-
 def test_normalised_accelerometers_are_a_fault_with_and_without_gyros(hand: Recorded) -> None:
     unit = 9.80665 * hand.accel / np.linalg.norm(hand.accel, axis=1, keepdims=True)
     session = hand.session(accel=unit)

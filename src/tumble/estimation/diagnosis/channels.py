@@ -70,33 +70,31 @@ def normalised(reduction: Reduction, rests: Sequence[RestSpan], to_body: Array) 
 
 
 FEWEST_ZEROS, MORE_ZEROS = 10, 10.0
-"""Zeros at rest, beyond this number and so many times the most frequent other value, are no chance."""
+"""Zeros at rest, beyond this number and so many times what neighbouring values would make of them, are no chance."""
 FINE = 3.0
-"""Steps of a channel: rates that are mostly larger have many values, of which zero is one."""
+"""Steps of a channel: rates that are mostly larger show how many zeros there should be."""
 
 
 def dead_zones(reduction: Reduction, rests: Sequence[RestSpan], channels: Channels) -> list[str]:
     """Gyros whose driver writes 0 for small rates: at rest they read exactly 0 more often than their resolution makes
-    them, while all other values are at least some way from it. The pulses of laser gyros, which read 0 as often as any
-    other number of pulses, are none."""
+    them, while all other values are at least some way from it."""
     files = {each.file: each for each in reduction.files}
     ends = [files[rest.file].gyro_end[rest.first : rest.last] for rest in rests]  # type: ignore[index]  # with gyros
     at_rest = np.concatenate(ends) if ends else np.empty((0, len(channels.columns)))
     every = np.concatenate([each.gyro_end for each in reduction.files if each.gyro_end is not None])
     found = []
     for i, (column, state) in enumerate(zip(channels.columns, reduction.gyro_channels, strict=True)):
-        values, step = at_rest[:, i], state.step if np.isfinite(state.step) else 0.0
-        others = values[values != 0.0]
-        zeros = len(values) - len(others)
+        sizes, step = np.abs(at_rest[:, i]), state.step if np.isfinite(state.step) else 0.0
+        zeros, others = int((sizes == 0.0).sum()), sizes[sizes > 0.0]
         anywhere = np.abs(every[:, i])
         if zeros <= FEWEST_ZEROS or not anywhere.any():
             continue
-        usual = float(np.median(np.abs(others))) if len(others) else float(anywhere[anywhere > 0.0].min())
-        by_chance = int(np.unique(others, return_counts=True)[1].max(initial=0))
+        usual = float(np.median(others)) if len(others) else float(anywhere[anywhere > 0.0].min())
+        by_chance = 0.5 * len(others) * step / usual
         if usual >= FINE * step and zeros > FEWEST_ZEROS + MORE_ZEROS * by_chance:
             least = float(anywhere[anywhere > 0.0].min())
             found.append(
-                f"column {column!r} reads exactly 0 in {100.0 * zeros / len(values):.0f} % of the samples at rest, and "
+                f"column {column!r} reads exactly 0 in {100.0 * zeros / len(sizes):.0f} % of the samples at rest, and "
                 f"never less than {least / DEGREE:.2g} °/s otherwise: a dead zone of the driver, in which biases and "
                 "slow rates are lost; switch it off"
             )
