@@ -173,7 +173,7 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["calibrate", ""], "expected a path, found an empty one"),
         (["calibrate", "none"], "none/session.toml: expected a session folder with a session.toml, found no such fol"),
         (["calibrate", "."], "session.toml: expected a session folder with a session.toml, found none"),
-        (["calibrate", "few/log.parquet"], "of a log `tumble new` makes a session, and so does"),
+        (["inspect", "few/log.parquet"], "expected a session folder or its session.toml, found another file"),
         (["calibrate", "one", "two"], "--out: expected a file for the result of several sessions, found none"),
         (["calibrate", "one", "one", "--out", "x.json"], "holds the same recording as one"),
         (["calibrate", "one", "other", "--out", "x.json"], "expected a launch of device 'mems-7'"),
@@ -667,6 +667,7 @@ def test_a_log_is_calibrated_without_a_session(sessions: Path) -> None:
     assert {path.name for path in (sessions / "mine-session").iterdir()} == {"session.toml", "calibration.json"}
     again = refused("calibrate", log, "--latitude", "56.84", below=sessions)
     assert f"calibrate that (tumble calibrate {sessions / 'mine-session'}), or remove it" in again
+    assert refused("calibrate", log, below=sessions) == again  # a file that is no session.toml is a log
     (sessions / "letter.txt").write_text("Dear all,", encoding="utf-8")
     assert "expected rows of readings" in refused(
         "calibrate", sessions / "letter.txt", "--latitude", "50", below=sessions

@@ -57,6 +57,7 @@ RUN = (
     "docs/api.md",
 )
 RECORDINGS = {
+    "docs/tutorial.md": "xsens-mti",
     "docs/xsens.md": "xsens-mti",
     "docs/imucal.md": "imucal-ferraris",
     "docs/ln100.md": "ln100-updown",

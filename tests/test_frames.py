@@ -368,8 +368,8 @@ def test_truth_is_shown_in_its_own_frame_only(folder: Path, tmp_path: Path) -> N
 
 WITH_THE_FRAME = {"frame", "parameters", "covariance", "accel", "gyro", "iterations", "launches"}
 WHATEVER_THE_FRAME = {
-    "absent", "serial", "model", "method", "outcome", "mag", "rests", "turns", "fits", "site", "programme", "readings", "notes",
-    "provenance", "groups", "prediction", "axes", "reference_temperature", "references", "thermometers",
+    "absent", "serial", "model", "method", "outcome", "mag", "rests", "turns", "fits", "site", "programme", "readings",
+    "notes", "provenance", "groups", "prediction", "axes", "reference_temperature", "references", "thermometers",
     "measured_between", "circumstances", "imu", "sample_rate", "clock_u", "together",
 }  # fmt: skip
 

@@ -99,8 +99,8 @@ def calibrate(
     launch to launch, and --out is required. With --together they are one estimate by the method joint, with
     coefficients over temperature. Several methods are compared: the first one's result is the one written.
 
-    With --latitude, --serial, --rate, --accel, --gyro or --time it is a LOG in any dialect: a session is made of it
-    first, as `tumble new` does, in the folder LOG-session beside it.
+    A file that is no session.toml, or anything with --latitude, --serial, --rate, --accel, --gyro or --time, is a LOG
+    in any dialect: a session is made of it first, as `tumble new` does, in the folder LOG-session beside it.
     """
     from tumble.recording.session_file import read_session
 
@@ -118,7 +118,8 @@ def calibrate(
     true = _truth(truth) if truth else None
     request = CalibrationRequest(methods=methods, iterations=iterations, frame=frame, terms=terms, together=together)
     given = {"latitude": latitude, "serial": serial, "rate": rate, **columns_stated(accel, gyro, time)}
-    with _session_of(sessions, given) if {*given.values()} - {None, ()} else nullcontext(sessions) as folders:
+    is_log = bool({*given.values()} - {None, ()}) or (len(sessions) == 1 and _is_log(sessions[0]))
+    with _session_of(sessions, given) if is_log else nullcontext(sessions) as folders:
         described = [read_session(folder).without(left_out) for folder in folders]
         alike = None if place is None else _of_type(place, described[0].device.model, frame)
         result, *others = request.calibrations(described, alike)
@@ -223,6 +224,10 @@ def _of_type(place: str, model: str | None, frame: Frame) -> TypeSpread:
 
         with open_registry(place) as opened:
             return type_spread(opened, model, frame)
+
+
+def _is_log(path: Path) -> bool:
+    return path.is_file() and path.suffix != ".toml"
 
 
 @contextmanager
