@@ -456,10 +456,12 @@ def test_compressed_file_of_several_members_is_read_to_its_end(tmp_path: Path) -
         assert len(whole(opened(tmp_path, file))["time"]) == ROWS
 
 
-PLAIN_NUMBERS = st.floats(-1e300, 1e300).flatmap(
+PLAIN_NUMBERS = st.floats(-1e30, 1e30).flatmap(
     lambda x: st.sampled_from([repr(x), f"{x:.17e}", f"{x:.5g}", f"{x:+.3f}"])
 )
-LONG_NUMBERS = st.from_regex(r"[+-]?[0-9]{1,25}\.?[0-9]{0,25}([eE][+-]?[0-9]{1,2})?", fullmatch=True)
+LONG_NUMBERS = st.from_regex(r"[+-]?[0-9]{1,25}\.?[0-9]{0,25}([eE][+-]?[0-9]{1,2})?", fullmatch=True).filter(
+    lambda text: abs(float(text)) <= 1e30
+)
 
 
 @settings(max_examples=60, deadline=None)
@@ -474,8 +476,8 @@ def test_numbers_are_those_of_python(tmp_path_factory: pytest.TempPathFactory, v
     assert accel.tobytes() == expected.tobytes()
 
 
-@pytest.mark.parametrize("value", ["1.1e300", "-1e308"])
-def test_a_reading_beyond_1e300_is_a_lost_sample(value: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("value", ["1.1e30", "-1e308"])
+def test_a_reading_beyond_1e30_is_a_lost_sample(value: str, tmp_path: Path) -> None:
     log = csv_log(tmp_path, with_value(17, "ax", value)(lines()))
     samples = whole(log)
     assert samples["accel"][16, 0] == pytest.approx(0.5 * (samples["accel"][15, 0] + samples["accel"][17, 0]))

@@ -20,6 +20,7 @@ from tumble.documents import dotted, is_plain, shown
 from tumble.errors import CalibrationError
 from tumble.recording.session_keys.device import LONGEST_NAME, ImuTable
 from tumble.sensors.parameters import is_parameter
+from tumble.units import Array
 
 MOST_PARAMETERS, MOST_RESTS, MOST_LAUNCHES = 1000, 100_000, 1000
 LONGEST_TEXT = 10_000
@@ -27,6 +28,8 @@ LARGEST, LEAST = 1e60, 1e-60
 """No number is larger, and no uncertainty that is not zero is smaller."""
 
 _LEAST_SINGULAR_VALUE = 1e-9
+_CORRELATION_ROUNDING = 1e-9
+"""What numbers of 17 digits, and sums of as many terms as there are parameters, are off at most: 1000² · 2⁻⁵² = 2e-10."""
 
 
 def _is_name(text: str) -> str:
@@ -129,6 +132,23 @@ class _ModelKeys(_Keys):
         if np.linalg.svd(np.array(self.matrix), compute_uv=False)[-1] < _LEAST_SINGULAR_VALUE or len(self.bias) < 3:
             raise ValueError("expected a matrix that can be inverted, found a singular one")
         return self
+
+
+def _check_correlations(covariance: Array) -> None:
+    """Raises ValueError for a covariance without negative variances that is not symmetric, or that has a combination
+    of parameters with a negative one."""
+    u = np.sqrt(np.diag(covariance))
+    exact, size = u == 0.0, np.where(u == 0.0, 1.0, u)
+    correlation = covariance / size[:, None] / size
+    if covariance[exact].any() or covariance[:, exact].any():
+        raise ValueError("covariance: expected zeros beside a variance of 0, found others")
+    if np.abs(correlation - correlation.T).max() > _CORRELATION_ROUNDING:
+        raise ValueError("covariance: expected a symmetric matrix, found another")
+    strongest = float(np.abs(correlation).max())
+    if strongest > 1.0 + _CORRELATION_ROUNDING:
+        raise ValueError(f"covariance: expected correlations from -1 to 1, found one of {strongest:.3g} in size")
+    if np.linalg.eigvalsh(correlation)[0] < -_CORRELATION_ROUNDING:
+        raise ValueError("covariance: expected correlations that can be together, found a negative variance of a sum")
 
 
 class _SensorOutcomeKeys(_Keys):
@@ -298,6 +318,8 @@ class _ResultKeys(_Keys):
                     f"covariance[{number}][{number}]: expected zero or a variance of at least {LEAST**2:g}, "
                     f"found {variance:g}"
                 )
+        if rows:
+            _check_correlations(np.array(rows))
         for name, count in Counter(parameter.name for parameter in self.parameters).items():
             if count > 1:
                 raise ValueError(f"parameters: expected every name once, found {name!r} twice")

@@ -297,6 +297,8 @@ def export(out: Path | None, place: str | None) -> None:
     from tumble.registry.connect import open_registry
     from tumble.registry.exchange import export_lines
 
+    if out is not None and out.exists():
+        raise InputError(f"{out}: expected a new file for the export, found one that exists")
     with open_registry(place) as opened:
         if out is None:
             for line in export_lines(opened):

@@ -15,7 +15,7 @@ from tumble.drafting.log_times import Stamps, Times, times_of_column, times_with
 from tumble.errors import InputError, LogError
 from tumble.recording.dialect import Dialect, is_clock
 from tumble.recording.formats.columns import ACCEL, Columns, is_no_sensor
-from tumble.recording.gaps import is_likely
+from tumble.recording.gaps import is_reading
 from tumble.recording.log_source import LogSource
 from tumble.recording.readers import source_of
 from tumble.reduction.segmentation import MIN_REST_SECONDS
@@ -58,7 +58,7 @@ class FoundLog:
         for source in self.sources():
             for table, _ in source.tables(columns, clock):
                 read = table.select(columns).to_numpy()[: rows - count]
-                found.append(np.where(is_likely(read), read, np.nan))
+                found.append(np.where(is_reading(read), read, np.nan))
                 count += len(found[-1])
                 if count >= rows:
                     return np.concatenate(found)

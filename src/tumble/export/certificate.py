@@ -19,12 +19,12 @@ from dataclasses import replace
 from datetime import date
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
-from tumble.documents import text_of_document, toml_of
+from tumble.documents import is_plain, shown, text_of_document, toml_of
 from tumble.errors import InputError, did_you_mean
 from tumble.registry.limits import Limits, limits_of
 from tumble.registry.records import Occasion
@@ -43,6 +43,14 @@ STATES: Mapping[str, str] = {
 }
 """The state of the item when it was calibrated."""
 
+
+def _without_control_characters(text: str) -> str:
+    if not is_plain(text.replace("\n", " ").replace("\t", " ")):
+        raise ValueError(f"expected no control characters, found {shown(text)}")
+    return text
+
+
+_Str = Annotated[str, AfterValidator(_without_control_characters)]
 _Text = Field(pattern=r"^\S+(\s+\S+)*$")
 _Country = Field(pattern="^[A-Z]{2}$")
 
@@ -60,14 +68,14 @@ class _CertificateTable(BaseModel):
 class Party(_CertificateTable):
     """A laboratory or a customer: `code` is the laboratory's accreditation number, `logo` the path of its picture."""
 
-    name: str = _Text
-    city: str = _Text
-    country: str = _Country
-    code: str | None = Field(default=None, pattern=r"^\S+(\s+\S+)*$")
-    email: str | None = Field(default=None, pattern=r"^\S+$")
-    street: str | None = Field(default=None, pattern=r"^\S+(\s+\S+)*$")
-    postcode: str | None = Field(default=None, pattern=r"^\S+(\s+\S+)*$")
-    logo: str | None = Field(default=None, pattern=r"^\S.*\.(svg|png)$")
+    name: _Str = _Text
+    city: _Str = _Text
+    country: _Str = _Country
+    code: _Str | None = Field(default=None, pattern=r"^\S+(\s+\S+)*$")
+    email: _Str | None = Field(default=None, pattern=r"^\S+$")
+    street: _Str | None = Field(default=None, pattern=r"^\S+(\s+\S+)*$")
+    postcode: _Str | None = Field(default=None, pattern=r"^\S+(\s+\S+)*$")
+    logo: _Str | None = Field(default=None, pattern=r"^\S.*\.(svg|png)$")
 
     @property
     def address(self) -> str:
@@ -79,8 +87,8 @@ class Party(_CertificateTable):
 class Person(_CertificateTable):
     """Who answers for a certificate."""
 
-    name: str = _Text
-    role: str | None = Field(default=None, pattern=r"^\S+(\s+\S+)*$")
+    name: _Str = _Text
+    role: _Str | None = Field(default=None, pattern=r"^\S+(\s+\S+)*$")
 
 
 class Certificate(_CertificateTable):
@@ -91,22 +99,22 @@ class Certificate(_CertificateTable):
     `traceability` how gravity, time and table are traced, `replaces` the
     number of a certificate that this one takes the place of."""
 
-    number: str = _Text
-    country: str = _Country
+    number: _Str = _Text
+    country: _Str = _Country
     begin: date | None = None
     end: date | None = None
     received: date | None = None
     issued: date | None = None
     place: Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"] = "laboratory"
     state: Literal["as-found", "as-left", "unchanged"] = "unchanged"
-    as_found: str | None = Field(default=None, min_length=1)
-    procedure: str | None = _Optional
-    limits: str | None = Field(default=None, min_length=1)
+    as_found: _Str | None = Field(default=None, min_length=1)
+    procedure: _Str | None = _Optional
+    limits: _Str | None = Field(default=None, min_length=1)
     check: Occasion | None = None
-    agreed: str | None = _Optional
-    traceability: tuple[str, ...] = Field(default=(), strict=False)
-    remarks: tuple[str, ...] = Field(default=(), strict=False)
-    replaces: str | None = _Optional
+    agreed: _Str | None = _Optional
+    traceability: tuple[_Str, ...] = Field(default=(), strict=False)
+    remarks: tuple[_Str, ...] = Field(default=(), strict=False)
+    replaces: _Str | None = _Optional
     laboratory: Party
     customer: Party
     person: tuple[Person, ...] = Field(min_length=1, strict=False)
@@ -237,7 +245,7 @@ def _said(fault: ErrorDetails) -> str:
         case "missing":
             return f"{where}: expected this key, found none"
         case "value_error":
-            return str(fault["ctx"]["error"])
+            return f"{where}: {fault['ctx']['error']}" if fault["loc"] else str(fault["ctx"]["error"])
         case "literal_error":
             return f"{where}: expected {fault['ctx']['expected']}, found {found!r}"
         case "string_pattern_mismatch":

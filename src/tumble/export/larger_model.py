@@ -26,6 +26,8 @@ from tumble.units import DEGREE, G_STANDARD, Array
 
 USUAL_RATE = 100.0 * DEGREE
 """rad/s, where a calibration does not say how fast its turns were."""
+NEGLIGIBLE = 0.1
+"""Of the standard uncertainty of a reading: it adds less than √(1 + 0.1²) − 1 = 0.5 % to that."""
 WARMER, HOUR = 10.0, 3600.0
 """K and s over which changes are stated."""
 HEATING = 1.0 / 60.0
@@ -36,7 +38,7 @@ NOT_IN_MATRIX = "not in matrix and bias"
 
 def not_held(calibration: Calibration, held: Container[str] = (), said: str = NO_PLACE) -> tuple[str, ...]:
     """A sentence for each group beyond the linear model that the calibration has and that is not `held`: those of
-    accelerometers and those of gyros, of each the largest first."""
+    accelerometers and those of gyros, of each the largest first; and one for all those that are NEGLIGIBLE."""
     absent = [kind for kind, model in (("accel", calibration.accel), ("gyro", calibration.gyro)) if model is None]
     if len(absent) == 2:
         return ()
@@ -44,7 +46,18 @@ def not_held(calibration: Calibration, held: Container[str] = (), said: str = NO
     lost = [group for group in groups() if not group.linear and group.name in found and group.name not in held]
     effects = [(group, *_largest(calibration, group)) for group in lost]
     effects.sort(key=lambda each: (each[0].kind, -each[1]))
-    return tuple(_sentence(*each, said) for each in effects)
+    u = _reading_u(calibration)
+    felt = [_sentence(*each, said) for each in effects if each[1] >= NEGLIGIBLE * u[each[0].kind]]
+    rest = [_words(group) for group, size, _ in effects if size < NEGLIGIBLE * u[group.kind]]
+    if rest:
+        felt.append(f"{'; '.join(rest)}: {said}, errors of less than a tenth of the standard uncertainty of a reading")
+    return tuple(felt)
+
+
+def _reading_u(calibration: Calibration) -> dict[str, float]:
+    """Standard uncertainty of a corrected reading by kind, SI; 0 where it is not known."""
+    known = calibration.prediction
+    return {"accel": 0.0 if known is None else known.force_u, "gyro": 0.0 if known is None else known.rate_u or 0.0}
 
 
 def session_rate(calibration: Calibration) -> float:
@@ -55,9 +68,12 @@ def session_rate(calibration: Calibration) -> float:
 
 
 def _sentence(group: ParameterGroup, size: float, where: str, said: str) -> str:
-    words = group.words.partition(",")[0].replace("−", "-")
     shown = f"{size / (1e-3 * G_STANDARD):.3g} mg" if group.kind == "accel" else f"{size / DEGREE:.3g} deg/s"
-    return f"{words}: {said}, an error of up to {shown} {where}"
+    return f"{_words(group)}: {said}, an error of up to {shown} {where}"
+
+
+def _words(group: ParameterGroup) -> str:
+    return group.words.partition(",")[0].replace("−", "-")
 
 
 def _largest(calibration: Calibration, group: ParameterGroup) -> tuple[float, str]:

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from tumble.errors import LogError
-from tumble.recording.gaps import Grid, is_likely, is_reading
+from tumble.recording.gaps import Grid, is_reading
 from tumble.recording.log_source import Kind, LogSource
 from tumble.recording.session import LogSpec
 from tumble.units import Array
@@ -101,7 +101,7 @@ class _Resolution:
 
     def of(self, numbers: Array) -> float:
         """The step of these numbers (m,) and all before; 0 where there is none."""
-        if not is_likely(numbers).all():
+        if not is_reading(numbers).all():
             return 0.0
         self._largest = max(self._largest, float(np.abs(numbers).max(initial=0.0)))
         self._single &= bool((numbers.astype(np.float32) == numbers).all())

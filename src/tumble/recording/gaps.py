@@ -41,7 +41,8 @@ MOST = 100_000
 than 100 000."""
 REGULAR_HINT = "if the rows are equally spaced whatever their time stamps say, put regular = true in [log]"
 _SHORTEST_TIME = 2.0
-_LARGEST, _LARGEST_LIKELY = 1e300, 1e30
+_LARGEST = 1e30
+"""Beyond what any sensor or clock reads, in any unit, and its tenth power is a number still."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -64,11 +65,6 @@ class Gap:
 def is_reading(numbers: Array) -> BoolArray:
     """Which numbers can be read by a sensor or a clock: finite, and not beyond all measure."""
     return np.asarray(np.abs(numbers) <= _LARGEST)
-
-
-def is_likely(numbers: Array) -> BoolArray:
-    """Which numbers are below 1e30: by these it is found out what columns are."""
-    return np.asarray(np.abs(numbers) < _LARGEST_LIKELY)
 
 
 def check_time(source: LogSource, spec: LogSpec, numbers: IntArray, time: Array) -> Array:

@@ -19,12 +19,18 @@ def write_tables(path: Path, tables: Iterator[pl.DataFrame]) -> None:
     """Write tables of the same columns one below the other. Memory does not grow with their number, and an error on
     the way, of the tables too, leaves what was there before.
 
-    Raises InputError for a name that ends otherwise than in .csv or .parquet."""
+    Raises InputError for a name that ends otherwise than in .csv or .parquet, and for columns that CSV cannot hold."""
     ending = path.suffix.lower()
     if ending not in FORMATS:
         raise InputError(f"{path}: expected a file name that ends in {' or '.join(FORMATS)}, found another")
     failed: list[BaseException] = []
     first = next(tables)
+    unwritten = [name for name, kind in first.schema.items() if kind.is_nested() or kind in (pl.Binary, pl.Object)]
+    if ending == ".csv" and unwritten:
+        raise InputError(
+            f"{path}: expected columns of one value a row, which CSV has, found {unwritten[0]!r} of the type "
+            f"{first.schema[unwritten[0]]}; write a .parquet file"
+        )
 
     def source(*_: object) -> Iterator[pl.DataFrame]:
         try:

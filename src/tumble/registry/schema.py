@@ -10,6 +10,7 @@ say about a device that could not change. Times are in UTC.
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 
 VERSION = "v0001"
 VERSION_TABLE = "schema_version"
+_A_VERSION = re.compile("v(?!0000)[0-9]{4}")
 MIGRATIONS = Path(__file__).parent / "migrations"
 
 
@@ -128,9 +130,12 @@ def bring_up_to_date(registry: Registry, create: bool) -> None:
 
 
 def _version(connection: Connection) -> str | None:
+    """The version of the schema of a registry; None where the database is none, or says it otherwise than we do."""
     if not inspect(connection).has_table(VERSION_TABLE):
         return None
-    return connection.execute(text(f"SELECT version_num FROM {VERSION_TABLE}")).scalar()
+    row = connection.execute(text(f"SELECT * FROM {VERSION_TABLE}")).mappings().first()
+    version = None if row is None else row.get("version_num")
+    return version if isinstance(version, str) and _A_VERSION.fullmatch(version) else None
 
 
 def _check(connection: Connection, name: str, found: str | None, create: bool) -> None:

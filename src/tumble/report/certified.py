@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from tumble.calibration.calibration_file import Calibration
+from tumble.documents import check_regular
 from tumble.errors import InputError
 from tumble.export.certificate import RELATES, STATES, Certificate, Party
 from tumble.recording.circumstances import Circumstances
@@ -31,6 +32,7 @@ def letterhead(laboratory: Party) -> Letterhead:
     if laboratory.logo is None:
         return Letterhead(name=laboratory.name, lines=tuple(lines))
     try:
+        check_regular(Path(laboratory.logo))
         logo = Path(laboratory.logo).read_bytes()
     except OSError as error:
         raise InputError(f"{laboratory.logo}: expected a logo: {error.strerror}") from None

@@ -17,12 +17,13 @@ def probability_text(probability: float) -> str:
 
 
 def print_report(report: RenderableType) -> None:
-    """Print to standard output, as wide as the terminal, or as needed where there is none; characters that it cannot
-    show become question marks."""
+    """Print to standard output, as wide as the terminal; where there is none sentences are not broken, and tables are
+    160 characters wide at most. Characters that it cannot show become question marks."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")
     console = Console(highlight=False, soft_wrap=False)
+    options = console.options
     if not console.is_terminal:
-        console = Console(highlight=False, width=160)
-    shown = (Segment(plain(s.text), s.style, s.control) for s in console.render(report))
-    console.print(Segments(shown), end="")
+        options = options.update(width=160, no_wrap=True, overflow="ignore")
+    shown = (Segment(plain(s.text), s.style, s.control) for s in console.render(report, options))
+    console.print(Segments(shown), end="", crop=console.is_terminal)

@@ -25,7 +25,7 @@ from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_
 from tumble.recording.formats.columns import Columns as Known
 from tumble.recording.formats.columns_by_data import columns_by_data, grows
 from tumble.recording.formats.message import TIME, Message
-from tumble.recording.gaps import is_likely
+from tumble.recording.gaps import is_reading
 from tumble.recording.unpacked import LARGEST_RATIO, SMALL_BYTES
 from tumble.units import TIME_UNITS
 
@@ -154,7 +154,7 @@ def _part(shape: tuple[int, ...], read: Read, part: slice, axis: int | None) -> 
     where = part if len(shape) == 1 else (part, across) if upright else (across, part)
     with np.errstate(over="ignore"):  # numbers of 80 bits that are beyond those of 64
         numbers = np.asarray(read(where), dtype=np.float64)
-    return np.where(is_likely(numbers), numbers, np.nan)
+    return np.where(is_reading(numbers), numbers, np.nan)
 
 
 def _arrays(path: Path) -> dict[str, tuple[tuple[int, ...], Read]]:

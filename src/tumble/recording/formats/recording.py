@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
+
+import polars as pl
 
 from tumble.errors import InputError, needs_extra
 from tumble.recording.formats.message import Message
@@ -81,8 +86,21 @@ def _module(path: Path) -> ModuleType:
 
 def _messages(path: Path) -> list[Message]:
     module = _module(path)
-    try:
+    with _intact(path):
         found: list[Message] = module.messages(path)
+        return [replace(message, rows=partial(_rows, path, message)) for message in found]
+
+
+def _rows(path: Path, message: Message) -> Iterator[pl.DataFrame]:
+    with _intact(path):
+        yield from message.rows()
+
+
+@contextmanager
+def _intact(path: Path) -> Iterator[None]:
+    """Whatever a reader's library says of a damaged recording, then or while its rows are read, becomes one line."""
+    try:
+        yield
     except InputError:
         raise
     except OSError as error:
@@ -90,4 +108,3 @@ def _messages(path: Path) -> list[Message]:
     except Exception as error:  # each reader's library has errors of its own, and struct.error, IndexError and more
         said = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: expected an intact recording, found it damaged or incomplete: {said}") from None
-    return found
