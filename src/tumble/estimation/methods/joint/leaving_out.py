@@ -25,6 +25,8 @@ FREE = 0.01  # of the variance of the noise: directions in which residuals have 
 ROUNDED = 1e-9  # of the largest: directions of a projector below it are rounding
 STANDS_OUT = 8.0  # times the median fall of chi-square of its group: of 15 without a bad one, 1 % have such a one
 LEAST_CHANCE = 1e-300
+MOST_LEFT_OUT = 6
+"""Rests and turns that an estimate leaves out at most."""
 TURNS = 2
 """The number of the group of turns, after accelerometers and gyros at rest."""
 

@@ -26,7 +26,7 @@ from tumble.estimation.linearisation import at_reference
 from tumble.estimation.methods.joint.fit import ALL_STEPS, Fitted
 from tumble.estimation.methods.joint.iteration import negligible
 from tumble.estimation.methods.joint.lag import KEPT, fit_with_lag, with_lag, with_posterior
-from tumble.estimation.methods.joint.leaving_out import sigmas_of, without_misfits
+from tumble.estimation.methods.joint.leaving_out import MOST_LEFT_OUT, sigmas_of, without_misfits
 from tumble.estimation.methods.joint.start import start_of
 from tumble.estimation.methods.joint.warm_up import with_warm_up
 from tumble.estimation.prediction import prediction
@@ -39,7 +39,6 @@ from tumble.units import Array
 
 QUICK_STEPS = 20
 """Steps that the fit of a quick estimate may take: that of a sound session takes ten."""
-MOST_LEFT_OUT = 6
 QUICK_LEFT_OUT = 1
 """Rests and turns that a quick estimate leaves out at most: each costs as much as the estimate with them."""
 MOST_DEGREES = 1e6

@@ -22,6 +22,7 @@ from scipy import special
 from tumble.estimation.causes.chances import weighted_chance
 from tumble.estimation.methods.joint.fit import Fitted, fit_of
 from tumble.estimation.methods.joint.iteration import At
+from tumble.estimation.methods.joint.leaving_out import MOST_LEFT_OUT, without_misfits
 from tumble.units import Array
 
 WANDERS = 1e-3
@@ -49,10 +50,11 @@ def _wandering(fitted: Fitted) -> Iterator[int]:
     n = rests.accel.shape[1]
     last = n + rests.gyro.shape[1]
     squares, weights = _squares(fitted, last) if max(n, last - n) > FEW else (np.zeros((0, last)), np.zeros((0, last)))
-    for channels, common in ((range(n), fitted.scatter.accel), (range(n, last), fitted.scatter.gyro)):
+    common = {range(n): fitted.scatter.accel, range(n, last): fitted.scatter.gyro}
+    for channels in common:
         if len(channels) <= FEW:
-            if common > 0.0 and not set(channels) & set(fitted.problem.wandering):
-                yield from _likelier_apart(fitted, channels)
+            if common[channels] > 0.0 and not set(channels) & set(fitted.problem.wandering):
+                yield from _likelier_apart(without_misfits(fitted, MOST_LEFT_OUT), channels)
             continue
         for channel in channels:
             chance = weighted_chance(float(squares[:, channel].sum()), weights[:, channel])
@@ -62,7 +64,7 @@ def _wandering(fitted: Fitted) -> Iterator[int]:
 
 def _likelier_apart(fitted: Fitted, channels: range) -> Iterator[int]:
     """The one of a few channels with whose own scatter the session is likelier beyond chance: than with one for all,
-    and than with that of any other."""
+    and than with that of any other. One bad rest is no scatter: the fit is without those that stand out."""
     deviances = [_parted(fitted, (*fitted.problem.wandering, channel)).evidence for channel in channels]
     best, *others = sorted(deviances)
     if len(channels) * 0.5 * special.chdtrc(1, max(fitted.evidence - best, 0.0)) < WANDERS and best + TOLD < others[0]:
