@@ -93,6 +93,28 @@ def xsens(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Calibration:
     return calibrate(folder)
 
 
+def test_xsens_without_a_place_gives_everything_but_the_size_of_g(
+    xsens: Calibration, data: Path, tmp_path: Path
+) -> None:
+    """Gravity as it is anywhere on Earth: scale factors of the accelerometers are as uncertain, all else is the same."""
+    (tmp_path / "log.csv").symlink_to(data / "xsens-mti" / "log.csv")
+    described = (data / "xsens-mti" / "session.toml").read_text()
+    nowhere = described.replace("latitude_deg = 45.41\nheight_m = 12.0", "gravity = 9.81744\ngravity_u = 0.03")
+    assert nowhere != described
+    (tmp_path / "session.toml").write_text(nowhere)
+    found = calibrate(tmp_path)
+    assert found.outcome.verdict == "accepted with scatter"
+    for name in list(xsens)[:21]:
+        there, here = xsens[name], found[name]
+        assert here.u is not None
+        assert there.u is not None
+        if name.startswith("accel.scale"):
+            assert 2e-3 < here.u < 5e-3
+            assert abs(here.value - there.value) < here.u
+        elif not name.startswith("gyro"):  # which without a latitude do not know the Earth's rate
+            assert abs(here.value - there.value) < 0.3 * there.u
+
+
 def sensitivities(result: Calibration) -> tuple[Array, Array]:
     """Sensitivity matrices of accelerometers and gyros in counts per m/s² and per rad/s."""
     assert result.accel is not None

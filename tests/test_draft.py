@@ -329,7 +329,7 @@ def test_what_cannot_be_drafted_is_refused_in_one_line(handheld: pl.DataFrame, t
     (tmp_path / "rowless.csv").write_text("t,ax,ay,az\n")
     (tmp_path / "wide.csv").write_text("t,ax,ay,az\n" + "9" * 200_000)
     (tmp_path / "cr.csv").write_text("t,a\rx,ay,az\n1,2,x,3\n")
-    (tmp_path / "damaged.ulg").write_bytes(b"abc" * 1000)
+    (tmp_path / "damaged.ulg").write_bytes(b"\xfe\x01c" * 1000)  # text would be read as such
     for words, said in [
         ((tmp_path / "session", "--log", log), "expected a folder without a session"),
         ((tmp_path / "n", "--log", tmp_path / "none.csv"), "expected a log, found no such file"),

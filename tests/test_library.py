@@ -321,7 +321,7 @@ def test_a_refused_calibration_says_why_it_has_no_parameters(calibration: tumble
     assert not refused.outcome
     with pytest.raises(KeyError, match="not calibrated: no rests"):
         refused["accel.bias.x"]
-    with pytest.raises(tumble.CalibrationError, match="expected accepted accelerometers, found: no rests"):
+    with pytest.raises(tumble.CalibrationError, match="expected accepted accelerometers or gyros, found: no rests"):
         refused.apply(np.tile([0.0, 0.0, 9.8], (4, 1)))
 
 

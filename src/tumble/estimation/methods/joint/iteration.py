@@ -23,6 +23,8 @@ CONVERGED = 1e-3  # of the standard uncertainty
 SQUARED = 10.0  # error after a step, in units of the spreads, over the square of the step
 UNSEEN = 0.2  # rad: a heading that the gyros know to no better
 TO_AND_FRO = 6  # steps after which a heading that still moves is one that the gyros do not know either
+PLACE_UNKNOWN = 1e-3
+"""Normal gravity is known to a third of that anywhere."""
 LEFT_OUT = 1e6  # times its variance: what a rest or turn that is left out has on top
 
 
@@ -122,7 +124,8 @@ def iterate(
 
 def negligible(problem: Problem, step: Step) -> bool:
     """Whether what is left to do after a step is: Gauss–Newton squares the error, in units of the spreads."""
-    change, u = np.abs(step.parameters[1:]), np.sqrt(step.covariance.diagonal()[1:])
+    change = np.abs(_with_gravity_kept(problem, step)[0][1:])
+    u = np.sqrt(step.covariance.diagonal()[1:])
     after = change * min(1.0, SQUARED * float(np.max(change / problem.spread)))
     return bool(np.all(after <= CONVERGED * u + 1e-15))
 
@@ -130,13 +133,29 @@ def negligible(problem: Problem, step: Step) -> bool:
 def moved(problem: Problem, point: Point, step: Step, keep: bool = False) -> tuple[Point, Array]:
     """The point after a step, shortened so that no parameter moves by more than its spread, and the change of the
     parameters. Chains whose heading is hardly seen `keep` it, or all chains."""
-    share = 1.0 / max(1.0, float(np.max(np.abs(step.parameters[1:]) / problem.spread)))
-    angles, chain = share * step.angles, problem.chain
+    parameters, angles, own = _with_gravity_kept(problem, step)
+    share = 1.0 / max(1.0, float(np.max(np.abs(parameters[1:]) / problem.spread)))
+    angles, chain = share * angles, problem.chain
     hidden = np.bincount(chain, heading_information(problem, step)) < UNSEEN**-2 * _overshot(problem, step)
     if keep or hidden.any():
         mean = np.bincount(chain, angles[:, 2]) / np.bincount(chain)
         angles[:, 2] -= np.where(hidden | keep, mean, 0.0)[chain]
-    return point.moved(share * step.parameters, angles, share * step.own), share * step.parameters[1:]
+    return point.moved(share * parameters, angles, share * own), share * parameters[1:]
+
+
+def _with_gravity_kept(problem: Problem, step: Step) -> tuple[Array, Array, Array]:
+    """The step of gravity and the parameters (1 + m,), of the angles (N, 3) and of what each session has of its own.
+    Gravity of an unknown place (u above PLACE_UNKNOWN of it) stays what it is: no reading tells it from the scale
+    factors, and steps along both, whose product counts, would go to and fro. The step is that of everything else given
+    gravity, δ − C_g δ_g / C_gg; what is not known of gravity stays in the covariance."""
+    gravity_u = float(problem.measured[1][0])
+    if gravity_u < PLACE_UNKNOWN * float(problem.measured[0][0]):
+        return step.parameters, step.angles, step.own
+    q = len(problem.own_known)
+    by_gravity = step.parameters[0] / step.covariance[0, 0]
+    angles = step.angles - by_gravity * step.shared[1][:, :, q]
+    own = step.own - by_gravity * step.own_covariance[:, :q, q]
+    return step.parameters - by_gravity * step.covariance[:, 0], angles, own
 
 
 def _overshot(problem: Problem, step: Step) -> float:
