@@ -96,7 +96,7 @@ def xsens(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Calibration:
 def test_xsens_without_a_place_gives_everything_but_the_size_of_g(
     xsens: Calibration, data: Path, tmp_path: Path
 ) -> None:
-    """Gravity as it is anywhere on Earth: scale factors of the accelerometers are as uncertain, all else is the same."""
+    """With gravity as it is anywhere: scale factors of the accelerometers are as uncertain, all else is the same."""
     (tmp_path / "log.csv").symlink_to(data / "xsens-mti" / "log.csv")
     described = (data / "xsens-mti" / "session.toml").read_text()
     nowhere = described.replace("latitude_deg = 45.41\nheight_m = 12.0", "gravity = 9.81744\ngravity_u = 0.03")
