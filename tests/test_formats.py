@@ -4,10 +4,12 @@ must come back as the same numbers."""
 from __future__ import annotations
 
 import math
+import sqlite3
 import struct
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -451,3 +453,15 @@ def test_text_with_the_ending_of_matlab_is_no_recording(tmp_path: Path) -> None:
     assert not is_recording(tmp_path / "imu.mat")
     savemat(tmp_path / "imu.mat", {"acc": np.zeros((10, 3))})
     assert is_recording(tmp_path / "imu.mat")
+
+
+@pytest.mark.parametrize("damage", ["data = x'0001'", "data = 5"])
+def test_a_bag_whose_rows_are_damaged_is_refused_in_one_line(damage: str, record: Array, tmp_path: Path) -> None:
+    """The first rows, by which it is found out what it holds, are sound."""
+    write_bag2(tmp_path / "bag", record)
+    with closing(sqlite3.connect(next((tmp_path / "bag").glob("*.db3")), isolation_level=None)) as bag:
+        bag.execute(f"UPDATE messages SET {damage} WHERE id > 250")
+    with pytest.raises(InputError, match="expected an intact recording, found it damaged or incomplete") as refused:
+        new_session(tmp_path / "session", tmp_path / "bag")
+    assert "\n" not in str(refused.value)
+    assert not (tmp_path / "session").exists()

@@ -125,3 +125,13 @@ def test_arrays_that_are_there_are_read(tmp_path: Path) -> None:
         file.create_dataset("accel", data=np.tile([0.0, 0.0, 9.81], (3000, 1)), compression="gzip", chunks=(1000, 3))
     draft, _ = new_session(tmp_path / "session", tmp_path / "a.h5")
     assert draft.content["log"]["accel"]["unit"] == "m/s^2"
+
+
+def test_a_workbook_whose_sheet_does_not_unpack_is_refused(tmp_path: Path) -> None:
+    path = workbook(tmp_path / "a.xlsx", {f"A{row}": row / 7 for row in range(1, 400)})
+    content = bytearray(path.read_bytes())
+    at = content.index(b"sheet1.xml") + 200
+    content[at : at + 100] = bytes(range(100))
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"a\.xlsx: expected a sound workbook"):
+        new_session(tmp_path / "session", path)

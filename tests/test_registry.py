@@ -9,6 +9,7 @@ import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from itertools import islice
@@ -624,3 +625,14 @@ def test_without_the_extra_it_is_named(module: str, tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == f"the registry needs {module}; install it with: pip install 'tumble[registry]'\n"
     assert MissingExtraError.__name__ in code
+
+
+@pytest.mark.parametrize(
+    ("column", "value"), [("version", "1"), ("version_num", 5), ("version_num", b"\xff"), ("version_num", "a9c1")]
+)
+def test_the_schema_version_of_another_program_is_none(column: str, value: object, tmp_path: Path) -> None:
+    with closing(sqlite3.connect(tmp_path / "r.sqlite", isolation_level=None)) as opened:
+        opened.execute(f"CREATE TABLE schema_version ({column})")
+        opened.execute("INSERT INTO schema_version VALUES (?)", (value,))
+    with pytest.raises(InputError, match="found the tables of another program"), open_registry(tmp_path / "r.sqlite"):
+        pass
