@@ -1,9 +1,11 @@
 """What becomes of a damaged input file: the fuzzer of the project.
 
 Every case damages one input file of a small set (sessions, with thermometers, priors and what is left out too, logs,
-table of readings, calibrations, truth, limits, campaign, manifest, certificate, export of a registry, MATLAB and HDF5
-recordings), or another one beside it, or gives an absurd value to an option, or the options in another order, and runs
-one command in this process. Case n of a seed is always the same, whatever ran before. A case is a finding where
+table of readings, calibrations, halves of them, truth, limits, campaign, manifest, certificate and laboratory, a
+registry and its export, workbooks, MATLAB and HDF5 recordings, ROS bags, Parquet with nested columns), or another one
+beside it, puts something in its place that is no regular file, or gives an absurd value to an option, or the options in
+another order, and runs one command in this process. Case n of a seed is always the same, whatever ran before. A case is
+a finding where
 
 * an exception comes through, or an exit status that is not 0, 1 or 2;
 * exit status 2 comes with anything else than one line on standard error, or leaves a file behind;
@@ -24,12 +26,15 @@ from __future__ import annotations
 
 import argparse
 import gc
+import io
 import json
 import math
+import os
 import re
 import resource
 import shutil
 import signal
+import sqlite3
 import sys
 import tempfile
 import time
@@ -37,9 +42,10 @@ import tomllib
 import traceback
 import unicodedata
 import warnings
+import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
@@ -68,9 +74,9 @@ SETUP = replace(
 )
 LOOKED_AT = 160
 """Rows of the logs of which it is only found out what they are."""
-TWO, SHUFFLED = 0.05, 0.2
-"""The parts of the cases in which another file is damaged too, and of those with absurd options in which the words
-stand in any order."""
+TWO, SHUFFLED, NO_FILE = 0.05, 0.2, 0.01
+"""The parts of the cases in which another file is damaged too, of those with absurd options in which the words stand in
+any order, and of those in which something else than a regular file is put in the place of one."""
 IN_MEMORY = Path("/dev/shm")
 
 Rng = np.random.Generator
@@ -203,8 +209,152 @@ def toml_changed(text: bytes, rng: Rng) -> bytes:
         return words_changed(text, rng)
 
 
+def deep(text: bytes, rng: Rng) -> bytes:
+    """A document with a key of many parts, or brackets within brackets, at a line of it."""
+    count = int(2 ** rng.integers(3, 17))
+    nested = b"[" * count + b"]" * count
+    added = (b"a." * count + b"a = 1", b"x = " + nested, b'"x": ' + nested + b",", nested)[rng.integers(4)]
+    lines = text.splitlines(keepends=True)
+    at = int(rng.integers(len(lines) + 1))
+    return b"".join([*lines[:at], added, b"\n", *lines[at:]])
+
+
+def numbers_changed(text: bytes, rng: Rng) -> bytes:
+    """A log with one wild number, with a stretch of some columns in another unit, or with a column left empty."""
+    head, *rows = [line.split(b",") for line in text.splitlines()]
+    column = int(rng.integers(len(head)))
+    kind = rng.integers(0, 3)
+    if kind == 0:
+        wild = (b"900.5", b"1e308", b"-1e9", b"1e12", b"1e150", b"-5", b"1.7e18")
+        rows[rng.integers(len(rows))][column if rng.random() < 0.5 else 0] = wild[rng.integers(len(wild))]
+    elif kind == 1:
+        factor = (9.80665, 1e3, 57.29578, 1e-3, 0.0174533)[rng.integers(5)]
+        first, last = sorted(rng.integers(0, len(rows) + 1, 2).tolist())
+        for row in rows[first:last]:
+            row[1:] = [repr(float(value) * factor).encode() for value in row[1:]]
+    else:
+        for row in rows:
+            row[column] = b""
+    return b"\n".join(b",".join(row) for row in (head, *rows)) + b"\n"
+
+
+def half_changed(text: bytes, rng: Rng) -> bytes:
+    """A calibration of which a half is refused or both are, with its tree changed in one place or nowhere."""
+    content = json.loads(text)
+    bad = [kind for kind in ("accel", "gyro") if rng.random() < 0.6]
+    for kind in bad:
+        content["outcome"][kind] = {"verdict": "not accepted", "reasons": ["bad"], "remarks": []}
+    content["outcome"] |= {"accepted": not bad, "reasons": ["bad"] if bad else []}
+    content["outcome"]["verdict"] = "not accepted: bad" if bad else "accepted"
+    if rng.random() < 0.3:
+        content["gyro" if rng.random() < 0.5 else "accel"] = None
+    return json.dumps(tree_changed(content, rng) if rng.random() < 0.5 else content).encode()
+
+
+SQL_VALUES = (None, "x", b"\0\1", -1, 10**18, 1.5, "", b"", "\0", "9999-12-31", "v9999")
+
+
+def database_changed(text: bytes, rng: Rng) -> bytes:
+    """An SQLite database with a column changed in some rows, or a table without rows, renamed or taken away."""
+    with tempfile.TemporaryDirectory(dir=IN_MEMORY if IN_MEMORY.is_dir() else None) as folder:
+        path = Path(folder) / "d.sqlite"
+        path.write_bytes(text)
+        with closing(sqlite3.connect(path, isolation_level=None)) as opened, suppress(sqlite3.Error):
+            opened.execute("PRAGMA journal_mode = DELETE")
+            for kind, name in opened.execute("SELECT type, name FROM sqlite_master WHERE type = 'trigger'").fetchall():
+                opened.execute(f'DROP {kind} "{name}"')
+            tables = [row[0] for row in opened.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
+            table = tables[rng.integers(len(tables))]
+            columns = [row[1] for row in opened.execute(f"PRAGMA table_info('{table}')")]
+            column, value = columns[rng.integers(len(columns))], SQL_VALUES[rng.integers(len(SQL_VALUES))]
+            kind = rng.integers(0, 8)
+            if kind == 0:
+                opened.execute(f'DELETE FROM "{table}"')
+            elif kind == 1:
+                opened.execute(f'ALTER TABLE "{table}" RENAME TO "other"')
+            elif kind == 2:
+                opened.execute(f'DROP TABLE "{table}"')
+            else:
+                opened.execute("PRAGMA ignore_check_constraints = ON")
+                opened.execute(f'UPDATE "{table}" SET "{column}" = ? WHERE rowid % {rng.integers(1, 4)} = 0', (value,))
+        return path.read_bytes()
+
+
+def workbook_changed(text: bytes, rng: Rng) -> bytes:
+    """A workbook with a part of it changed, or a cell put far away."""
+    with zipfile.ZipFile(io.BytesIO(text)) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    name = list(parts)[rng.integers(len(parts))]
+    if rng.random() < 0.5:
+        place = (b"XFD1048576", b"XFD1025", b"A1048576", b"ZZZ9999999", b"A0", b"XFD1")[rng.integers(6)]
+        parts[SHEET] = re.sub(rb'r="A3"', b'r="' + place + b'"', parts[SHEET])
+    else:
+        parts[name] = (bytes_changed, words_changed)[rng.integers(2)](parts[name], rng)
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        for each, content in parts.items():
+            archive.writestr(each, content)
+    return out.getvalue()
+
+
+def hdf5_changed(text: bytes, rng: Rng) -> bytes:
+    """An HDF5 file in which a data set is a huge one of which nothing is stored, or has another shape or type."""
+    import h5py
+
+    held = io.BytesIO(text)
+    with h5py.File(held, "r+") as file:
+        name = ("accel", "gyro", "time")[rng.integers(3)]
+        width = int(rng.choice([1, 3, 3, 4]))
+        del file[name]
+        kind = rng.integers(0, 3)
+        if kind == 0:
+            rows = int(2 ** rng.integers(10, 40))
+            file.create_dataset(name, shape=(rows, width), chunks=(min(rows, 1024), width), dtype="f8")
+        elif kind == 1:
+            file.create_dataset(name, data=np.zeros((160, width), dtype=("i1", "f2", "c16", "S4")[rng.integers(4)]))
+        else:
+            file[name] = h5py.SoftLink("/nowhere") if rng.random() < 0.5 else h5py.ExternalLink("/etc/passwd", "/x")
+    return held.getvalue()
+
+
 ANY: tuple[Change, ...] = (bytes_changed, words_changed, lines_changed)
-TREE = {".json": json_changed, ".jsonl": json_changed, ".toml": toml_changed}
+BY_ENDING: dict[str, tuple[Change, ...]] = {
+    ".json": (json_changed, json_changed, json_changed, half_changed, deep),
+    ".jsonl": (json_changed,),
+    ".toml": (toml_changed, toml_changed, toml_changed, deep),
+    ".csv": (numbers_changed,),
+    ".db3": (database_changed,),
+    ".sqlite": (database_changed,),
+    ".xlsx": (workbook_changed,),
+    ".h5": (hdf5_changed,),
+}
+"""What is done to files of an ending in the larger part of their cases."""
+
+
+def in_place_of(path: Path, rng: Rng) -> None:
+    """Something that is no regular file in the place of one: a pipe that nobody writes to, a device, a folder, a link
+    to nothing or to itself, or nothing."""
+    path.unlink()
+    kind = rng.integers(0, 6)
+    if kind == 0:
+        os.mkfifo(path)
+    elif kind == 1:
+        path.symlink_to("/dev/zero")
+    elif kind == 2:
+        path.mkdir()
+    elif kind == 3:
+        path.symlink_to(path.with_name("nothing"))
+    elif kind == 4:
+        path.symlink_to(path.name)
+
+
+def put_right(path: Path, content: bytes) -> None:
+    """A file as it was, whatever is in its place."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+    path.write_bytes(content)
 
 
 # -------------------- inputs and commands --------------------
@@ -284,7 +434,43 @@ TARGETS = (
     Target(file="messung.txt", weight=0.5, commands=("new {out}/new {}/messung.txt --latitude 50",)),
     Target(file="parquet/log.parquet", commands=("inspect {}/parquet", "new {out}/new {}/parquet/log.parquet")),
     Target(file="imu.mat", weight=0.6, commands=("new {out}/new {}/imu.mat",)),
-    Target(file="imu.h5", weight=0.5, commands=("new {out}/new {}/imu.h5",)),
+    Target(file="imu.h5", weight=0.8, commands=("new {out}/new {}/imu.h5",)),
+    Target(file="imu.xlsx", weight=0.8, commands=("new {out}/new {}/imu.xlsx",)),
+    Target(file="imu.bag", weight=1.0, commands=("new {out}/new {}/imu.bag",)),
+    Target(file="ros2/ros2.db3", weight=1.0, commands=("new {out}/new {}/ros2",)),
+    Target(file="ros2/metadata.yaml", weight=0.4, commands=("new {out}/new {}/ros2",)),
+    Target(
+        file="nested/log.parquet",
+        weight=0.5,
+        commands=(
+            "apply {}/calibration.json {}/nested -o {out}/a.parquet",
+            "apply {}/calibration.json {}/nested -o {out}/a.csv",
+            "new {out}/new {}/nested/log.parquet",
+        ),
+    ),
+    Target(
+        file="warm/log.csv",
+        weight=0.8,
+        commands=(
+            "new {out}/new {}/warm/log.csv",
+            "calibrate {}/warm --terms linear --out {out}/c.json",
+            "inspect {}/warm",
+        ),
+    ),
+    Target(
+        file="r.sqlite",
+        weight=1.5,
+        commands=(
+            "registry list --registry {}/r.sqlite",
+            "registry list mems-7 --registry {}/r.sqlite",
+            "registry show 1 --registry {}/r.sqlite",
+            "registry due --registry {}/r.sqlite",
+            "registry trend mems-7 --registry {}/r.sqlite",
+            "registry limits --registry {}/r.sqlite",
+            "registry export --registry {}/r.sqlite",
+            "registry add {}/warm.json --registry {}/r.sqlite",
+        ),
+    ),
     Target(file="log.csv.gz", commands=("new {out}/new {}/log.csv.gz",)),
     Target(file="log.csv.zst", commands=("new {out}/new {}/log.csv.zst",)),
     Target(
@@ -298,6 +484,7 @@ TARGETS = (
             *(f"export {{}}/calibration.json --to {to} -o {{out}}/e" for to in EXPORTS),
             "export {}/calibration.json --to kalibr --noise {}/csv -o {out}/e",
             CERTIFY,
+            "check {}/calibration.json {}/csv",
             "registry add {}/calibration.json --registry {kept}",
             "calibrate {}/passport --terms linear --out {out}/c.json",
         ),
@@ -322,6 +509,7 @@ TARGETS = (
         commands=("registry limits mems {}/warm-limits.toml --registry {kept}",),
     ),
     Target(file="certificate.toml", commands=(CERTIFY,)),
+    Target(file="laboratory.toml", weight=0.5, commands=(CERTIFY.replace("certificate.toml", "by-laboratory.toml"),)),
     Target(file="campaign.toml", weight=0.25, commands=("campaign {}/campaign.toml --in-process -o {out}/campaign",)),
     Target(file="manifest.csv", weight=0.3, commands=("fleet {}/manifest.csv --in-process -o {out}/fleet",)),
     Target(file="manifest.txt", weight=0.2, commands=("fleet {}/manifest.txt --in-process -o {out}/fleet",)),
@@ -416,7 +604,37 @@ name = "A. Person"
 """
 
 
-TEXTS = {"limits": LIMITS, "warm-limits": WARM_LIMITS, "campaign": CAMPAIGN, "certificate": CERTIFICATE}
+LABORATORY = CERTIFICATE[CERTIFICATE.index("[laboratory]") : CERTIFICATE.index("[customer]")]
+PERSON = CERTIFICATE[CERTIFICATE.index("[[person]]") :]
+BY_LABORATORY = (
+    CERTIFICATE.replace(LABORATORY, "")
+    .replace(PERSON, "")
+    .replace("[customer]", 'laboratory = "laboratory.toml"\n[customer]')
+)
+TEXTS = {
+    "laboratory": LABORATORY + PERSON,
+    "by-laboratory": BY_LABORATORY,
+    "limits": LIMITS,
+    "warm-limits": WARM_LIMITS,
+    "campaign": CAMPAIGN,
+    "certificate": CERTIFICATE,
+}
+SHEET = "xl/worksheets/sheet1.xml"
+_OPEN = "http://schemas.openxmlformats.org/package/2006"
+_SPREAD = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+_OFFICE = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
+_APPLICATION = "application/vnd.openxmlformats"
+WORKBOOK = {
+    "[Content_Types].xml": f'<Types xmlns="{_OPEN}/content-types"><Default Extension="rels" ContentType="{_APPLICATION}'
+    f'-package.relationships+xml"/><Override PartName="/xl/workbook.xml" ContentType="{_APPLICATION}-officedocument.'
+    'spreadsheetml.sheet.main+xml"/></Types>',
+    "_rels/.rels": f'<Relationships xmlns="{_OPEN}/relationships"><Relationship Id="r1" Type="{_OFFICE}/officeDocument'
+    '" Target="xl/workbook.xml"/></Relationships>',
+    "xl/workbook.xml": f'<workbook xmlns="{_SPREAD}" xmlns:r="{_OFFICE}"><sheets><sheet name="a" sheetId="1" r:id="r1'
+    '"/></sheets></workbook>',
+    "xl/_rels/workbook.xml.rels": f'<Relationships xmlns="{_OPEN}/relationships"><Relationship Id="r1" Type="{_OFFICE}/'
+    'worksheet" Target="worksheets/sheet1.xml"/></Relationships>',
+}
 
 
 def write_inputs(folder: Path) -> None:
@@ -442,6 +660,15 @@ def write_inputs(folder: Path) -> None:
     rounded.write_csv(folder / "messung.txt", separator=";", decimal_comma=True)
     savemat(folder / "imu.mat", {"data": log.head(400).to_numpy()})  # without names: it takes some rests to tell
     _written_h5(folder / "imu.h5", head)
+    _written_workbook(folder / "imu.xlsx", rounded)
+    _written_bags(folder, head)
+    shutil.copytree(folder / "parquet", folder / "nested")
+    nested = pl.read_parquet(folder / "parquet/log.parquet").with_columns(
+        both=pl.struct("ax", "ay"), listed=pl.concat_list("ax", "ay"), bytes=pl.lit(b"\0\xff")
+    )
+    nested.write_parquet(folder / "nested/log.parquet")
+    of_parquet = (folder / "parquet/session.toml").read_text(encoding="utf-8")
+    (folder / "nested/session.toml").write_text(of_parquet.replace("mems-8", "mems-7"), encoding="utf-8")
     for ending in ("gz", "zst"):
         head.lazy().sink_csv(folder / f"log.csv.{ending}", compression={"gz": "gzip", "zst": "zstd"}[ending])
     rests = read_calibration(folder / "calibration.json").rests
@@ -489,6 +716,66 @@ def _written_h5(path: Path, log: pl.DataFrame) -> None:
         for name, columns in (("accel", ["ax", "ay", "az"]), ("gyro", ["gx", "gy", "gz"])):
             file[name] = log.select(columns).to_numpy()
         file["time"] = log["t"].to_numpy()
+
+
+def _written_workbook(path: Path, log: pl.DataFrame) -> None:
+    cells = [log.columns, *log.rows()]
+    rows = "".join(
+        f'<row r="{number}">'
+        + "".join(
+            f'<c r="{letter}{number}" t="str"><v>{cell}</v></c>'
+            if isinstance(cell, str)
+            else f'<c r="{letter}{number}"><v>{cell}</v></c>'
+            for letter, cell in zip("ABCDEFG", row, strict=True)
+        )
+        + "</row>"
+        for number, row in enumerate(cells, 1)
+    )
+    sheet = f'<worksheet xmlns="{_SPREAD}"><sheetData>{rows}</sheetData></worksheet>'
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, text in {**WORKBOOK, SHEET: sheet}.items():
+            archive.writestr(name, text)
+
+
+def _written_bags(folder: Path, log: pl.DataFrame) -> None:
+    """imu.bag of ROS 1 and the folder ros2 of ROS 2, with a thermometer."""
+    from rosbags.rosbag1 import Writer as Bag1
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Bag2
+    from rosbags.typesys import Stores, get_typestore
+
+    one, two = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_JAZZY)
+    stores: tuple[tuple[Any, Any], ...] = (
+        (Bag1(folder / "imu.bag"), one),
+        (Bag2(folder / "ros2", version=9, storage_plugin=StoragePlugin.SQLITE3), two),
+    )
+    for writer, store in stores:
+        types, imu, warm = store.types, "sensor_msgs/msg/Imu", "sensor_msgs/msg/Temperature"
+        three = types["geometry_msgs/msg/Vector3"]
+        with writer as bag:
+            topics = [
+                bag.add_connection(f"/{name}", kind, typestore=store) for name, kind in (("imu", imu), ("t", warm))
+            ]
+            for t, *row in log.select("t", "ax", "ay", "az", "gx", "gy", "gz").rows():
+                stamp = int(t * 1e9) + 10**18
+                time = types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
+                header = types["std_msgs/msg/Header"](
+                    stamp=time, frame_id="imu", **({"seq": 0} if store is one else {})
+                )
+                force, rate = (three(**dict(zip("xyz", part, strict=True))) for part in (row[:3], row[3:]))
+                read = types[imu](
+                    header=header,
+                    orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+                    orientation_covariance=np.zeros(9),
+                    angular_velocity=rate,
+                    angular_velocity_covariance=np.zeros(9),
+                    linear_acceleration=force,
+                    linear_acceleration_covariance=np.zeros(9),
+                )
+                warmth = types[warm](header=header, temperature=25.0, variance=0.0)
+                serialize = store.serialize_ros1 if store is one else store.serialize_cdr
+                for topic, kind, message in zip(topics, (imu, warm), (read, warmth), strict=True):
+                    bag.write(topic, stamp, serialize(message, kind))
 
 
 # -------------------- one case --------------------
@@ -612,15 +899,21 @@ class Inputs:
         if others and rng.random() < TWO:
             damaged.append(others[rng.integers(len(others))])
         for each in damaged:
+            path = self.folder / each.file
+            if rng.random() < NO_FILE:
+                in_place_of(path, rng)
+                continue
             text = self._damaged(each, rng)
             if verbose:
                 print(each.file, text[:3000])
-            (self.folder / each.file).write_bytes(text)
+            path.write_bytes(text)
         try:
             return self._run(number, words, target, verbose)
         finally:
             for each in damaged:
-                (self.folder / each.file).write_bytes(self.clean[each.file])
+                put_right(self.folder / each.file, self.clean[each.file])
+            for left in self.folder.rglob("*.sqlite-*"):
+                left.unlink()
 
     def _reads(self, words: list[str], file: str) -> bool:
         """Whether a command is given an input file, or its folder."""
@@ -631,9 +924,10 @@ class Inputs:
         text = self.clean[target.file]
         if target.log and rng.random() < 0.7:
             return lines_changed(text, rng)
-        tree = TREE.get(Path(target.file).suffix)
-        if tree is not None and rng.random() < 0.6:
-            return tree(text, rng)
+        changes = BY_ENDING.get(Path(target.file).suffix, ())
+        if changes and rng.random() < 0.6:
+            with suppress(KeyError, TypeError, ValueError):  # a change of calibrations or logs, and another document
+                return changes[rng.integers(len(changes))](text, rng)
         return ANY[rng.integers(len(ANY))](text, rng)
 
     def _run(self, number: int, words: list[str], target: Target | None, verbose: bool) -> Finding | None:

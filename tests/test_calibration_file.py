@@ -593,3 +593,30 @@ def test_the_file_is_utf_8_whatever_the_locale(
     replace(calibration, serial="№ 7", outcome=outcome).write(tmp_path / "calibration.json")
     assert "off by 5° – 7″" in (tmp_path / "calibration.json").read_bytes().decode("utf-8")
     assert read_calibration(tmp_path / "calibration.json").serial == "№ 7"
+
+
+@pytest.mark.parametrize(
+    ("correlations", "said"),
+    [
+        ({(0, 1): 0.5}, "covariance: expected a symmetric matrix"),
+        ({(0, 1): 7.0, (1, 0): 7.0}, "covariance: expected correlations from -1 to 1, found one of 7"),
+        (
+            {(0, 1): 0.9, (1, 0): 0.9, (0, 2): 0.9, (2, 0): 0.9, (1, 2): -0.9, (2, 1): -0.9},
+            "covariance: expected correlations that can be together",
+        ),
+        ({(0, 0): 0.0}, "covariance: expected zeros beside a variance of 0"),
+    ],
+)
+def test_a_covariance_that_no_parameters_have_is_refused(
+    file: Path, tmp_path: Path, correlations: dict[tuple[int, int], float], said: str
+) -> None:
+    content = contents(file)
+    covariance = np.array(content["covariance"])
+    u = np.sqrt(np.diag(covariance))
+    for (i, j), correlation in correlations.items():
+        covariance[i, j] = correlation * u[i] * u[j]
+    path = tmp_path / "c.json"
+    path.write_text(json.dumps(content | {"covariance": covariance.tolist()}), encoding="utf-8")
+    with pytest.raises(CalibrationError) as refused:
+        read_calibration(path)
+    assert said in str(refused.value)

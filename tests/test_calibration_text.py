@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from matplotlib.figure import Figure
-from rich.console import Console, RenderableType
+from rich.console import Console, Group, RenderableType
+from rich.text import Text
 
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration
@@ -33,6 +34,7 @@ from tumble.terminal.calibration import (
     method_table,
 )
 from tumble.terminal.table import plain_table
+from tumble.terminal.text import print_report
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, rounded, two_digits
 
 REQUEST = Setup.of(rest=10.0, sample_rate=50.0)
@@ -295,3 +297,15 @@ def test_a_calibration_shows_priors_and_what_was_learned(full: Calibration) -> N
     assert axes.get_title().endswith("25 parameters, accepted")
     hollow = [line for line in axes.lines if line.get_markerfacecolor() == "none"]
     assert sum(len(np.asarray(line.get_xdata())) for line in hollow) == 1
+
+
+def test_sentences_are_not_broken_in_a_pipe_and_tables_are(capsys: pytest.CaptureFixture[str]) -> None:
+    sentence = "remark: " + "a word and another " * 20 + "the end"
+    table = plain_table("parameter")
+    table.add_column("said")
+    table.add_row("x", "words " * 100)
+    print_report(Group(Text(sentence), table))
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == sentence
+    assert len(lines) > 4
+    assert max(map(len, lines[1:])) <= 160

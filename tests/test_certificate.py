@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -27,12 +28,13 @@ from tumble.cli import main
 from tumble.errors import InputError
 from tumble.estimation.estimate import Outcome
 from tumble.export import export_calibration
-from tumble.export.certificate import read_certificate
+from tumble.export.certificate import Party, read_certificate
 from tumble.planning.setup import Setup
 from tumble.recording.circumstances import AirConditions, Circumstances
 from tumble.recording.session_file import session_of
 from tumble.registry.limits import judge_value
 from tumble.registry.records import Particulars, read_submission
+from tumble.report.certified import letterhead
 from tumble.report.write import write_report
 from tumble.simulation.session import simulate_session
 
@@ -442,3 +444,34 @@ def test_inspect_draws_the_recording(tmp_path: Path) -> None:
     refused = CliRunner().invoke(main, ["inspect", str(tmp_path / "s"), "--plot", str(tmp_path / "r.txt")])
     assert refused.exit_code == 2
     assert "expected a file that ends in .svg, .png or .pdf, found '.txt'" in refused.stderr
+
+
+@pytest.mark.parametrize(("old", "key"), [('name = "', "name"), ('number = "', "number"), ('city = "', "city")])
+def test_a_control_character_in_a_certificate_is_refused(old: str, key: str, tmp_path: Path) -> None:
+    """XML has no place for it."""
+    path = tmp_path / "certificate.toml"
+    path.write_text(CERTIFICATE_TEXT.replace(old, f"{old}\\u0000", 1), encoding="utf-8")
+    with pytest.raises(InputError, match=rf"{key}: expected no control characters, found '\\x00"):
+        read_certificate(path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names")
+def test_a_logo_that_is_no_file_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "logo.png")
+    with pytest.raises(InputError, match="expected a file, found a device or a pipe"):
+        letterhead(Party(name="L", city="B", country="DE", logo=str(tmp_path / "logo.png")))
+
+
+CERTIFICATE_TEXT = """number = "1"
+country = "DE"
+[laboratory]
+name = "Laboratory"
+country = "DE"
+city = "Bonn"
+[customer]
+name = "Customer"
+city = "Bonn"
+country = "DE"
+[[person]]
+name = "A. Person"
+"""

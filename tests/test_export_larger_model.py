@@ -17,6 +17,7 @@ from test_export_mat_csv import read_csv, read_mat
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.temperature_curves import model_at
+from tumble.estimation.prediction import Prediction
 from tumble.export import FORMATS, export_calibration
 from tumble.export.larger_model import not_held
 from tumble.units import DEGREE, G_STANDARD, Array
@@ -144,3 +145,13 @@ def test_imucal_holds_the_g_sensitivity() -> None:
     G = np.array(content["K_ga"]) * DEGREE
     np.testing.assert_allclose(G, made.compensator.gyro_coefficients[:, 4:7], rtol=1e-14)
     assert np.any(G)
+
+
+def test_losses_far_below_the_uncertainty_of_a_reading_are_said_in_one_sentence() -> None:
+    made = larger()[0]
+    every = not_held(replace(made, prediction=None))
+    known = not_held(replace(made, prediction=Prediction(force_u=1e3, rate_u=None, at_rate=None)))
+    of_gyros = [said for said in every if "gyro" in said and "accelerometers after" not in said]
+    assert list(known[:-1]) == of_gyros
+    assert known[-1].endswith("errors of less than a tenth of the standard uncertainty of a reading")
+    assert all(said.partition(":")[0] in known[-1] for said in every if said not in of_gyros)

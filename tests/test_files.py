@@ -12,10 +12,11 @@ import polars as pl
 import pytest
 
 import tumble
-from tumble.errors import LogError
+from tumble.errors import InputError, LogError
 from tumble.files import nothing_left, whole_file
 from tumble.recording.panic import COMMAND_LINE
 from tumble.recording.readers import source_of
+from tumble.recording.writer import write_tables
 
 
 def test_a_file_that_fails_leaves_the_one_that_was_there(tmp_path: Path) -> None:
@@ -124,3 +125,12 @@ def damaged_parquet(tmp_path: Path) -> None:
     with pytest.raises(LogError) as raised:
         list(source_of(path).tables(["t", "ax"]))
     assert "\n" not in str(raised.value)
+
+
+def test_columns_that_csv_cannot_hold_are_named(tmp_path: Path) -> None:
+    table = pl.DataFrame({"ax": [1.0, 2.0], "both": [[1.0, 2.0], [3.0, 4.0]]})
+    with pytest.raises(InputError, match=r"found 'both' of the type List\(Float64\); write a \.parquet file"):
+        write_tables(tmp_path / "a.csv", iter([table]))
+    assert list(tmp_path.iterdir()) == []
+    write_tables(tmp_path / "a.parquet", iter([table]))
+    assert pl.read_parquet(tmp_path / "a.parquet").equals(table)

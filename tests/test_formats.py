@@ -4,10 +4,13 @@ must come back as the same numbers."""
 from __future__ import annotations
 
 import math
+import sqlite3
 import struct
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -451,3 +454,31 @@ def test_text_with_the_ending_of_matlab_is_no_recording(tmp_path: Path) -> None:
     assert not is_recording(tmp_path / "imu.mat")
     savemat(tmp_path / "imu.mat", {"acc": np.zeros((10, 3))})
     assert is_recording(tmp_path / "imu.mat")
+
+
+@pytest.mark.parametrize("damage", ["data = x'0001'", "data = 5"])
+def test_a_bag_whose_rows_are_damaged_is_refused_in_one_line(damage: str, record: Array, tmp_path: Path) -> None:
+    """The first rows, by which it is found out what it holds, are sound."""
+    write_bag2(tmp_path / "bag", record)
+    with closing(sqlite3.connect(next((tmp_path / "bag").glob("*.db3")), isolation_level=None)) as bag:
+        bag.execute(f"UPDATE messages SET {damage} WHERE id > 250")
+    with pytest.raises(InputError, match="expected an intact recording, found it damaged or incomplete") as refused:
+        new_session(tmp_path / "session", tmp_path / "bag")
+    assert "\n" not in str(refused.value)
+    assert not (tmp_path / "session").exists()
+
+
+def test_accelerometers_that_read_zeros_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(
+        "\n".join(["t,ax,ay,az,gx,gy,gz", *(f"{k / 100},0,0,0,0.1,0.2,{k % 7}" for k in range(400))]), encoding="utf-8"
+    )
+    with pytest.raises(InputError, match="ax, ay, az: expected readings, found none in the first"):
+        new_session(tmp_path / "session", tmp_path / "log.csv")
+
+
+def test_an_empty_column_of_accelerometers_gives_no_warning(tmp_path: Path) -> None:
+    rows = ["t,ax,ay,az", *(f"{k / 100},{0.01 * (k % 7)},,9.8{k % 5}" for k in range(400))]
+    (tmp_path / "log.csv").write_text("\n".join(rows), encoding="utf-8")
+    with warnings.catch_warnings(), suppress(InputError):
+        warnings.simplefilter("error")
+        new_session(tmp_path / "session", tmp_path / "log.csv")

@@ -125,3 +125,24 @@ def test_arrays_that_are_there_are_read(tmp_path: Path) -> None:
         file.create_dataset("accel", data=np.tile([0.0, 0.0, 9.81], (3000, 1)), compression="gzip", chunks=(1000, 3))
     draft, _ = new_session(tmp_path / "session", tmp_path / "a.h5")
     assert draft.content["log"]["accel"]["unit"] == "m/s^2"
+
+
+def test_a_workbook_whose_sheet_does_not_unpack_is_refused(tmp_path: Path) -> None:
+    path = workbook(tmp_path / "a.xlsx", {f"A{row}": row / 7 for row in range(1, 400)})
+    content = bytearray(path.read_bytes())
+    at = content.index(b"sheet1.xml") + 200
+    content[at : at + 100] = bytes(range(100))
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"a\.xlsx: expected a sound workbook"):
+        new_session(tmp_path / "session", path)
+
+
+def test_a_log_whose_noise_cannot_be_found_is_refused_in_one_line(tmp_path: Path) -> None:
+    """What was found out of its columns is said of a log that can be used alone."""
+    rows = ["t,ax,ay,az", *(f"{k / 100},{0.01 * (k % 7)},0.02,9.8{k % 5}" for k in range(500))]
+    (tmp_path / "log.csv").write_text("\n".join(rows), encoding="utf-8")
+    result = CliRunner().invoke(
+        main, ["noise", str(tmp_path / "log.csv"), "--accel-unit", "furlong"], prog_name="tumble"
+    )
+    assert result.exit_code == 2
+    assert len(result.stderr.splitlines()) == 1

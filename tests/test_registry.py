@@ -9,6 +9,7 @@ import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from itertools import islice
@@ -202,7 +203,7 @@ def change(path: str, value: object) -> Callable[[dict[str, Any]], None]:
 @pytest.mark.parametrize(
     ("edit", "said"),
     [
-        (change("outcome", {"accepted": False, "reasons": ["rest 3 moved"]}), "one that was not: rest 3 moved"),
+        (change("outcome", {"accepted": False, "reasons": ["rest 3 moved"]}), "expected an accepted one, found: rest 3 moved"),
         (change("parameters", []), "found a covariance of shape (21, 21) for 0 parameters"),
         (change("parameters/0/value", float("inf")), "expected a calibration file of tumble, found Infinity in place"),
         (change("parameters/0/u", -1.0), "accel.bias.x: expected a finite value and a u of 0 or more, found 0.0 and"),
@@ -461,7 +462,10 @@ def lines_without(number: int) -> Callable[[list[str]], list[str]]:
         (last(lambda line: line.replace('"incoming"', '"x"')), "line 6: occasion: expected one of incoming,"),
         (last(lambda line: line.replace('reasons\\": []', 'reasons\\": [\\"no\\"]')), "line 6: expected an accepted"),
         (lambda lines: [lines[0], lines[1].replace("5 mg", "5 furlong"), *lines[2:]], "line 2: periodic: accel.bias"),
-        (lines_without(3), "line 4: expected a line of an export, found one without"),
+        (
+            lambda lines: [lines[0].replace('"calibrations": 3', '"calibrations": 2'), *lines_without(3)(lines)[1:]],
+            "line 4: expected a line of an export, found one without",
+        ),
     ],
 )  # fmt: skip
 def test_an_export_that_cannot_be_imported_adds_nothing(
@@ -621,3 +625,14 @@ def test_without_the_extra_it_is_named(module: str, tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == f"the registry needs {module}; install it with: pip install 'tumble[registry]'\n"
     assert MissingExtraError.__name__ in code
+
+
+@pytest.mark.parametrize(
+    ("column", "value"), [("version", "1"), ("version_num", 5), ("version_num", b"\xff"), ("version_num", "a9c1")]
+)
+def test_the_schema_version_of_another_program_is_none(column: str, value: object, tmp_path: Path) -> None:
+    with closing(sqlite3.connect(tmp_path / "r.sqlite", isolation_level=None)) as opened:
+        opened.execute(f"CREATE TABLE schema_version ({column})")
+        opened.execute("INSERT INTO schema_version VALUES (?)", (value,))
+    with pytest.raises(InputError, match="found the tables of another program"), open_registry(tmp_path / "r.sqlite"):
+        pass

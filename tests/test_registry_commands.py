@@ -251,3 +251,16 @@ def test_parameters_beyond_the_linear_model_are_counted_and_shown_on_request(fol
         assert "accel.quadratic.x" not in short
         assert "accel.quadratic.x" in full
         assert "--all" not in full
+
+
+def test_a_refused_import_makes_no_registry(filled: Path) -> None:
+    lines = run("export").stdout.splitlines()
+    (filled / "cut.jsonl").write_text("\n".join([*lines[:-1], lines[-1][:100]]), encoding="utf-8")
+    assert "expected a line of JSON" in refused("import", "cut.jsonl", "--registry", "other.sqlite")
+    assert not (filled / "other.sqlite").exists()
+
+
+def test_an_export_replaces_no_file(filled: Path) -> None:
+    (filled / "all.jsonl").write_text("kept", encoding="utf-8")
+    assert "expected a new file for the export" in refused("export", "-o", "all.jsonl")
+    assert (filled / "all.jsonl").read_text(encoding="utf-8") == "kept"

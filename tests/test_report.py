@@ -541,7 +541,7 @@ def hostile(content: Any) -> None:
     content["provenance"] = {"log_sha256": SCRIPT, "software": MARKUP, "created": SCRIPT}
     content["rests"][0]["attitude"] = SCRIPT
     content["readings"]["accel"] |= {"columns": [SCRIPT, r"$\frac", "-->"], "unit": MARKUP}
-    content["parameters"][0]["name"] = SCRIPT
+    content["parameters"][0]["name"] = f"accel.bias.{SCRIPT}"
     content["parameters"][1]["unit"] = MARKUP
     content["fits"][SCRIPT] = content["fits"].pop("gyro turns")
 

@@ -29,7 +29,7 @@ LARGEST, LEAST = 1e60, 1e-60
 
 _LEAST_SINGULAR_VALUE = 1e-9
 _CORRELATION_ROUNDING = 1e-9
-"""What numbers of 17 digits and sums of as many terms as there are parameters are off at most: 1000² · 2⁻⁵² = 2e-10."""
+"""What numbers of 17 digits, and sums of as many terms as 1000 parameters make, are off: 1000² · 2⁻⁵² = 2e-10."""
 
 
 def _is_name(text: str) -> str:

@@ -56,8 +56,6 @@ def noise(
         with TemporaryDirectory() as folder:
             given = Given(rate=rate, **columns_stated(accel, gyro, time))
             draft, _ = new_session(Path(folder) / "session", recording, given, progress=with_progress)
-            for sentence in draft.said:
-                say(sentence)
             if draft.rate_guessed:
                 raise InputError(f"{recording}: expected a time column (--time) or the rate (--rate), found neither")
             layout = dict(draft.content["log"])
@@ -65,6 +63,8 @@ def noise(
                 if unit is not None:
                     layout[kind] = {"columns": layout.get(kind, {"columns": []})["columns"], "unit": unit}
             found = noise(recording, layout)
+        for sentence in draft.said:
+            say(sentence)
     if plot is not None:
         draw(found.panels, plot)
         say(f"written to {plot}")

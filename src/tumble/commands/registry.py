@@ -315,8 +315,8 @@ def export(out: Path | None, place: str | None) -> None:
 def import_(file: Path, place: str | None) -> None:
     """Add what FILE, an export, holds and the registry does not; nothing of a file that is no whole export."""
     from tumble.registry.connect import open_registry
-    from tumble.registry.exchange import import_file
+    from tumble.registry.exchange import import_export, read_export
 
-    with open_registry(place, create=True) as opened:
-        done = import_file(opened, file)
+    with read_export(file) as export, open_registry(place, create=True) as opened:
+        done = import_export(opened, export)
         say(f"{done.added} calibrations added to {opened.name}, {done.known} were there already")

@@ -15,7 +15,8 @@ _MOST_FILES = 200
 _PIECE_BYTES = 1 << 20
 _NO_LOGS = (".toml", ".json", ".md", ".pdf", ".png", ".jpg", ".html", ".zip")
 
-_DAMAGED = (zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, EOFError, zlib.error, lzma.LZMAError)
+DAMAGED = (zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, EOFError, zlib.error, lzma.LZMAError)
+"""What is raised of an archive that is damaged or locked."""
 
 
 def is_archive(file: Path) -> bool:
@@ -37,7 +38,7 @@ def unzipped(archive: Path, folder: OutputFolder) -> list[Path]:
                     f"{len(members)}, {sum(m.file_size for m in members) / 1e6:.3g} MB; unpack it and name the logs"
                 )
             return [_written(opened, member, folder) for member in members]
-    except _DAMAGED as error:
+    except DAMAGED as error:
         said = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{archive}: expected a sound archive, found: {said[:200]}") from None
 

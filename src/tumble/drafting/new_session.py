@@ -364,11 +364,12 @@ def _temperature_unit(log: FoundLog, column: str) -> tuple[str, str, float]:
 def _magnitude(log: FoundLog, sensors: Sensors) -> float:
     """The median magnitude of what sensors read in the first rows. Raises LogError where they read nothing."""
     read = np.linalg.norm(log.read(sensors.columns, rows=_HEAD), axis=1)
-    if not np.isfinite(read).any():
+    median = float(np.nanmedian(read)) if np.isfinite(read).any() else 0.0
+    if median == 0.0:
         raise LogError(
             f"{log.files[0]}: {', '.join(sensors.columns)}: expected readings, found none in the first {len(read)} rows"
         )
-    return float(np.nanmedian(read))
+    return median
 
 
 def _accel(sensors: Sensors, times: Times, magnitude: float) -> tuple[dict[str, Any], list[str]]:

@@ -30,6 +30,8 @@ def positions_apart(log: FoundLog, *, unsigned: bool) -> list[tuple[int, int]] |
         return None
     accel = log.read(log.columns.triads[ACCEL].columns)
     accel = unwrapped(accel) if unsigned else accel
+    if np.isnan(accel).all(axis=0).any():
+        return None
     if len(accel) < 2 * FEWEST_ROWS or len(accel) == LONGEST:
         return None
     label = next((n for n in log.cells if _LABEL.fullmatch(n.strip()) and n != log.columns.time), None)

@@ -11,6 +11,7 @@ from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tumble.drafting.archive import DAMAGED
 from tumble.errors import InputError, needs_extra
 from tumble.files import OutputFolder, plain_name, whole_file
 from tumble.recording.unpacked import LARGEST_RATIO, SMALL_BYTES
@@ -58,7 +59,7 @@ def sheets_of(workbook: Path, folder: OutputFolder) -> list[Path]:
                 )
                 for sheet in sheets
             ]
-    except (CalamineError, zipfile.BadZipFile, OSError, ValueError) as error:
+    except (CalamineError, OSError, *DAMAGED) as error:
         said = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{workbook}: expected a sound workbook, found: {said[:200]}; save it as CSV") from None
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import pickle
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import islice
@@ -81,19 +81,47 @@ def _line(content: Mapping[str, Any]) -> str:
     return json.dumps(content, ensure_ascii=False)
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Export:
+    """An export that was looked at as a whole; `corrected`: records that it corrects and does not hold, and where."""
+
+    staged: IO[bytes]
+    corrected: Mapping[str, str]
+
+
+@contextmanager
+def read_export(file: FilePath) -> Iterator[Export]:
+    """An export, every line of which is looked at. Raises InputError, one line, where the file is no whole one."""
+    with TemporaryFile(prefix="tumble-") as staged:
+        yield Export(staged=staged, corrected=_staged(Path(file), staged))
+
+
 def import_file(registry: Registry, file: FilePath) -> Imported:
     """Add what an export holds and the registry does not. Every line is looked at before anything is added, without
     keeping other writers out; then records are added BATCH at a time.
 
     Raises InputError, one line, and adds nothing, where the file is no whole export; where what a record says is at
     odds with the registry, those before it have been added, and another import goes on from there."""
-    path = Path(file)
+    with read_export(file) as export:
+        return import_export(registry, export)
+
+
+def import_export(registry: Registry, export: Export) -> Imported:
+    """`import_file` of an export that was read."""
+    with registry.reading() as connection:
+        known = set(connection.execute(select(CALIBRATION.c.sha256)).scalars()) if export.corrected else set()
+    for sha256, where in export.corrected.items():
+        if sha256 not in known:
+            raise _not_there("supersedes", sha256, where)
+    export.staged.seek(0)
+    return _add_staged(registry, export.staged)
+
+
+def _staged(path: Path, staged: IO[bytes]) -> dict[str, str]:
     try:
         check_regular(path)
-        with TemporaryFile(prefix="tumble-") as staged, path.open(encoding="utf-8") as opened:
-            _stage(registry, opened, str(path), staged)
-            staged.seek(0)
-            return _add_staged(registry, staged)
+        with path.open(encoding="utf-8") as opened:
+            return _stage(opened, str(path), staged)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -121,12 +149,12 @@ class _StagedCalibration:
     supersedes: str | None
 
 
-def _stage(registry: Registry, lines: Iterator[str], path: str, staged: IO[bytes]) -> None:
-    """Check every line of an export, and keep what is in it."""
+def _stage(lines: Iterator[str], path: str, staged: IO[bytes]) -> dict[str, str]:
+    """Check every line of an export, and keep what is in it. Gives the records that it corrects and does not hold."""
     header = _header(next(lines, ""), f"{path}: line 1")
-    with registry.reading() as connection:
-        known = set(connection.execute(select(CALIBRATION.c.sha256)).scalars())
+    known: set[str] = set()
     limits: set[str] = set()
+    corrected: dict[str, str] = {}
     counts = {"limits": 0, "calibration": 0}
     for number, line in enumerate(lines, 2):
         where = f"{path}: line {number}"
@@ -141,11 +169,10 @@ def _stage(registry: Registry, lines: Iterator[str], path: str, staged: IO[bytes
             pickle.dump(_limits(content, where), staged)
             continue
         calibration = _calibration(content, where)
-        for key, there in (("limits", limits), ("supersedes", known)):
-            if content[key] is not None and content[key] not in there:
-                raise InputError(
-                    f"{where}: expected a line of an export, found one without the {key} {content[key][:12]}… it names"
-                )
+        if calibration.limits is not None and calibration.limits not in limits:
+            raise _not_there("limits", calibration.limits, where)
+        if calibration.supersedes is not None and calibration.supersedes not in known:
+            corrected.setdefault(calibration.supersedes, where)
         known.add(calibration.submission.sha256)
         pickle.dump(calibration, staged)
     if counts != header:
@@ -153,6 +180,11 @@ def _stage(registry: Registry, lines: Iterator[str], path: str, staged: IO[bytes
             f"{path}: expected the numbers of records that line 1 says, {_counts(header)}, found {_counts(counts)}; "
             "export it again"
         )
+    return corrected
+
+
+def _not_there(key: str, sha256: str, where: str) -> InputError:
+    return InputError(f"{where}: expected a line of an export, found one without the {key} {sha256[:12]}… it names")
 
 
 def _add_staged(registry: Registry, staged: IO[bytes]) -> Imported:

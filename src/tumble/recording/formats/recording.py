@@ -106,5 +106,6 @@ def _intact(path: Path) -> Iterator[None]:
     except OSError as error:
         raise InputError(f"{path}: expected a readable file, found: {error.strerror or error}") from None
     except Exception as error:  # each reader's library has errors of its own, and struct.error, IndexError and more
-        said = " ".join(str(error).split()) or type(error).__name__
+        of_python = isinstance(error, TypeError | AttributeError | LookupError | AssertionError)
+        said = type(error).__name__ if of_python else " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: expected an intact recording, found it damaged or incomplete: {said}") from None
