@@ -257,12 +257,13 @@ def verify_calibration(calibration: Calibration | FilePath, check: Positions | S
     )
     by_gravity = -(positions.gravity_u**2) if same_gravity else positions.gravity_u**2
     u = np.sqrt(variance + np.maximum(known + by_gravity, 0.0))
+    by_scatter = float(np.max(fit.scatter**2 * (across[:, 0] ** 2).sum(axis=1) / u**2))
     return Verification(
         labels=positions.labels,
         difference=difference,
         u=u,
         sigmas=np.abs(difference) / u,
-        limit=_limit(len(u), fit.degrees if fit.scatter > 0.0 else np.inf),
+        limit=_limit(len(u), fit.degrees / by_scatter**2 if by_scatter > 0.0 else np.inf),  # Welch–Satterthwaite
         left_out=False,
         by_turn_on=_by_turn_on(calibration, positions, seen, difference, variance, by_gravity),
     )
