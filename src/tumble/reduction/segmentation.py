@@ -53,8 +53,9 @@ SHORT_REST_SECONDS, SHORT_REST_SAMPLES, FEWEST_SHORT = 0.6, 40, 9
 the noise is known to 11 %."""
 SHORT_WINDOW_SECONDS, SHORT_MARGIN_SECONDS = 0.5, 0.1
 """Of a recording of short rests: windows of a second have turns in them where a rest lasts no longer."""
-LEVEL_SPREAD = 5.0 * DEGREE
-"""rad/s: how far the level of a gyro at rest may be from that in another attitude, or after its bias has jumped."""
+LEVEL_SPREAD = 20.0 * DEGREE
+"""rad/s: how far the level of gyros at rest may be from that in another attitude, or after biases have jumped, which in
+sensors of the poorest grade are up to that."""
 STAYS = 0.05 * DEGREE
 DENSITY_POINTS = 1000
 AT_A_TIME = 16
