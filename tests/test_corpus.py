@@ -554,7 +554,7 @@ def test_the_sign_of_core_motion_is_taken_off(log: pl.DataFrame, tmp_path: Path)
         (p.novatel_solution, "found INSPVAXA of NovAtel, a solution; log RAWIMUSX"),
         (q.field_alone, "found Time .s., X .µT., Y .µT., Z .µT.; log the readings of the accelerometers too"),
         (q.euler_angles, "found t, roll, pitch, yaw; log the readings of the accelerometers too"),
-        (q.housekeeping_alone, "found 1, 2, 3, 4; state which they are .--accel N,N,N, names or numbers from 1."),
+        (q.housekeeping_alone, "found 1, 2, 3, 4; state which they are .accel N,N,N, names or numbers from 1."),
     ],
 )
 def test_what_has_no_accelerometers_is_refused(write: p.Write, said: str, log: pl.DataFrame, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from tumble.drafting.named_values import cells
 from tumble.drafting.new_session import Given, new_session
 from tumble.drafting.raw_scale import accel_scale
 from tumble.drafting.respelled import respelled
-from tumble.errors import InputError
+from tumble.errors import InputError, LogError
 from tumble.files import OutputFolder
 from tumble.recording.clock import seconds_of
 from tumble.recording.dialect import Dialect, is_clock, top_of
@@ -65,11 +65,11 @@ def test_columns_of_which_no_stretch_is_whole_are_not_told_by_how_they_vary(read
     assert ACCEL not in triads_of(holed)
 
 
-def test_accelerometers_that_read_nothing_or_zero_are_said(tmp_path: Path) -> None:
+def test_accelerometers_that_read_nothing_or_zero_are_refused(tmp_path: Path) -> None:
     rows = {"t": 0.01 * np.arange(400), "ax": np.zeros(400), "ay": np.zeros(400), "az": np.zeros(400)}
     pl.DataFrame(rows).write_csv(tmp_path / "zero.csv")
-    draft, _ = new_session(tmp_path / "zero", tmp_path / "zero.csv")
-    assert any("they read zero, so that the scale is unknown" in said for said in draft.said)
+    with pytest.raises(LogError, match="ax, ay, az: expected readings, found none in the first 400 rows"):
+        new_session(tmp_path / "zero", tmp_path / "zero.csv")
 
 
 def test_a_counter_that_starts_anew_is_a_time(read: Array) -> None:

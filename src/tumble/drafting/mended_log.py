@@ -96,7 +96,7 @@ def _are_between(log: FoundLog, found: BoolArray) -> bool:
     """Whether most rows without readings are between samples that follow each other as usual: none is a lost sample."""
     stamps = log.stamps()
     time = np.empty(0) if stamps is None else stamps.values[: len(found)]
-    if len(time) < len(found) or not found[1:].any():
+    if len(time) < len(found) or not found[1:].any() or not np.isfinite(time[~found]).any():  # messages have no time
         return False
     samples = np.flatnonzero(found)
     steps = np.diff(time[samples])
