@@ -414,7 +414,7 @@ def main() -> int:
         lags(24)
         hysteresis(40)
     z, ratio = warm_up(3 if short else 30)
-    limits = (5.0 * FROM_DEVICE_TO_DEVICE / FEW**0.5, 1.3, 1.4) if short else (2.0, 1.05, 1.4)  # u with the lag in it
+    limits = (5.0 * FROM_DEVICE_TO_DEVICE / FEW**0.5, 1.3, 1.4) if short else (2.0, 1.05, 1.2)
     honest = all(found < limit for found, limit in zip((worst, z, ratio), limits, strict=True))
     print(f"\nIs u over temperature honest, and does a warm-up cost little? {'Yes' if honest else 'No'}")
     return 0 if honest else 1
