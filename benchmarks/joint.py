@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.joint import joint
 from tumble.estimation.methods.staged.method import staged
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes, programme

@@ -21,7 +21,7 @@ import numpy as np
 from tumble.calibration.coverage import by_gravity, degrees_of_mean, expanded
 from tumble.calibration.results import Parameter
 from tumble.calibration.type_spread import KnownLaunches, TypeSpread, pooled
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
 from tumble.registry.limits import judge_value
 from tumble.simulation.observations import simulate_observations

@@ -24,7 +24,7 @@ from tumble.earth import earth_rate, normal_gravity
 from tumble.estimation.diagnosis.misfit import misfit
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Outcome
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.joint import joint
 from tumble.programme.positions import programme
 from tumble.recording.session import Site
 from tumble.reduction.blocks import ChannelState

@@ -34,7 +34,7 @@ import numpy as np
 from paper_device import INSTABILITY
 
 from tumble.earth import earth_rate
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.joint import joint
 from tumble.estimation.methods.paper.levelling import triad
 from tumble.estimation.methods.staged.method import staged
 from tumble.planning.setup import Setup

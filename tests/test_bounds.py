@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tumble.errors import InputError
-from tumble.estimation.components import Scatter
-from tumble.estimation.likelihood import Point, Problem, weights
-from tumble.estimation.linearisation import linearise
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.hyperparameters import Scatter
+from tumble.inference.likelihood import Point, Problem, weights
+from tumble.inference.linearisation import linearise
+from tumble.inference.joint import joint
 from tumble.estimation.observability import in_words
-from tumble.estimation.step import solve
+from tumble.inference.step import solve
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.bounds import Course, bound, bound_of, course_of, instrument_of
 from tumble.planning.budget import GROUPS, budget

@@ -16,16 +16,16 @@ import pytest
 from formula_setup import device_setup
 
 from tumble.calibration.calibrate import calibrate
-from tumble.estimation.components import Scatter
+from tumble.inference.hyperparameters import Scatter
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.likelihood import Prior, Problem, weights
-from tumble.estimation.linearisation import linearise
-from tumble.estimation.methods.joint.fit import TOTAL
-from tumble.estimation.methods.joint.method import QUICK_STEPS, joint
-from tumble.estimation.methods.joint.start import start_of
+from tumble.inference.likelihood import Prior, Problem, weights
+from tumble.inference.linearisation import linearise
+from tumble.inference.fits import TOTAL
+from tumble.inference.joint import QUICK_STEPS, joint
+from tumble.inference.start import start_of
 from tumble.estimation.methods.staged.method import staged
-from tumble.estimation.step import solve
+from tumble.inference.step import solve
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from test_wandering import of_six
 
-from tumble.estimation.by_session import each_session
+from tumble.inference.by_session import each_session
 from tumble.estimation.causes.neighbouring_rests import Neighbours, common_to_neighbours, neighbours
 from tumble.estimation.causes.projection import Projection
 from tumble.estimation.diagnosis.misfit import misfit
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.joint import joint
 from tumble.reduction.observations import Observations
 from tumble.units import Array
 

@@ -11,7 +11,7 @@ from formula_setup import device_setup
 
 from tumble.cli import main
 from tumble.errors import InputError
-from tumble.estimation.elimination import eliminate
+from tumble.inference.elimination import eliminate
 from tumble.planning.best_positions import (
     Aim,
     candidates,

@@ -10,7 +10,7 @@ from click.testing import CliRunner, Result
 
 from tumble.calibration.observed import inspect_session, observations_for_calibration, observations_in_parts
 from tumble.cli import main
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.joint import joint
 from tumble.planning.chamber_recordings import ChamberSession, rests_of
 from tumble.planning.over_temperature import (
     SETTLED,

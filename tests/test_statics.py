@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from tumble.campaigns.triads import LANES, STEPS, fit_statics
-from tumble.estimation.components import Scatter
-from tumble.estimation.likelihood import Point, Problem, weights
-from tumble.estimation.linearisation import linearise
-from tumble.estimation.step import solve
+from tumble.inference.hyperparameters import Scatter
+from tumble.inference.likelihood import Point, Problem, weights
+from tumble.inference.linearisation import linearise
+from tumble.inference.step import solve
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests import Rests

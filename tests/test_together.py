@@ -17,17 +17,17 @@ from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.together import calibrate_together
 from tumble.cli import main
 from tumble.errors import InputError
-from tumble.estimation.by_session import each_session
+from tumble.inference.by_session import each_session
 from tumble.estimation.causes.projection import Projection
-from tumble.estimation.components import Scatter
+from tumble.inference.hyperparameters import Scatter
 from tumble.estimation.diagnosis.misfit import misfit
 from tumble.estimation.diagnosis.verdict import verdict
-from tumble.estimation.likelihood import OWN, Point, Problem, noise_of
-from tumble.estimation.linearisation import linearise
-from tumble.estimation.methods.joint.method import joint
-from tumble.estimation.step import solve
+from tumble.inference.likelihood import OWN, Point, Problem, noise_of
+from tumble.inference.linearisation import linearise
+from tumble.inference.joint import joint
+from tumble.inference.step import solve
 from tumble.estimation.turns_about import TurnsAbout
-from tumble.estimation.variables import variables_of
+from tumble.inference.variables import variables_of
 from tumble.planning.setup import Setup
 from tumble.recording.log import open_log
 from tumble.recording.session import Session

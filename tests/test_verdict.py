@@ -23,14 +23,14 @@ from tumble.earth import NORMAL_GRAVITY_U
 from tumble.estimation.causes.chances import weighted_chance
 from tumble.estimation.causes.former_attitudes import _followed
 from tumble.estimation.causes.projection import Projection, by_north
-from tumble.estimation.components import Scatter
+from tumble.inference.hyperparameters import Scatter
 from tumble.estimation.diagnosis.misfit import misfit
 from tumble.estimation.diagnosis.site_gravity import gravity_doubted, gravity_said
 from tumble.estimation.diagnosis.undetermined import listed
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate, Outcome
-from tumble.estimation.linearisation import linearise
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.linearisation import linearise
+from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.simulation.session import simulate_session

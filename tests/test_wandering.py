@@ -9,7 +9,7 @@ from test_redundant_blocks import DODECAHEDRON
 from test_staged import FINE, NAVIGATION, in_the_hand, observations, unit
 
 from tumble.estimation.diagnosis.verdict import verdict
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.joint import joint
 from tumble.reduction.observations import Observations
 
 

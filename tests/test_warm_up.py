@@ -12,10 +12,10 @@ from tumble.calibration.notes import drifted
 from tumble.calibration.observed import inspect_session, observations_for_calibration
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate, Outcome
-from tumble.estimation.likelihood import WARMING, Problem
-from tumble.estimation.methods.joint.fit import fit_of
-from tumble.estimation.methods.joint.method import joint
-from tumble.estimation.methods.joint.start import start_of
+from tumble.inference.likelihood import WARMING, Problem
+from tumble.inference.fits import fit_of
+from tumble.inference.joint import joint
+from tumble.inference.start import start_of
 from tumble.estimation.methods.joint.time_constants import TimeConstants, settling_with, without_own
 from tumble.planning.setup import Setup
 from tumble.sensors.parameters import usual_sizes

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.joint import joint
 from tumble.estimation.methods.staged.method import staged
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk

@@ -10,7 +10,7 @@ import numpy as np
 
 from tumble.bench.follow import BRIDGED, SoundSamples
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.joint import joint
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk
 from tumble.recording.session import Exclusion, Session

@@ -25,7 +25,7 @@ from tumble.estimation.diagnosis.linear_model import judged, left_out, taken_as_
 from tumble.estimation.diagnosis.undetermined import one_attitude
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.methods.ellipsoid import ellipsoid
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.joint import joint
 from tumble.estimation.methods.paper.scalar import scalar
 from tumble.estimation.methods.paper.sequential import sequential
 from tumble.estimation.methods.staged.method import staged

@@ -40,11 +40,11 @@ from tumble.calibration.results import Parameter
 from tumble.calibration.thermometers import check_thermometers
 from tumble.calibration.type_spread import KnownLaunches, known_launches
 from tumble.errors import CalibrationError, InputError
-from tumble.estimation.components import Scatter
+from tumble.inference.hyperparameters import Scatter
 from tumble.estimation.estimate import Outcome
 from tumble.estimation.field_check import ChangedParameter, CheckResult, KnownBefore, field_check
 from tumble.estimation.prediction import prediction
-from tumble.estimation.variables import variables_of
+from tumble.inference.variables import variables_of
 from tumble.files import FilePath
 from tumble.recording.circumstances import Circumstances
 from tumble.recording.session import Session, Site

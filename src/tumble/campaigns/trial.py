@@ -22,13 +22,13 @@ from tumble.calibration.calibrate import ITERATED_METHODS, METHODS, Method, cali
 from tumble.campaigns.engine import Row
 from tumble.campaigns.triads import fit_statics
 from tumble.errors import InputError
-from tumble.estimation.components import Scatter
+from tumble.inference.hyperparameters import Scatter
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import DETERMINED, Estimate
-from tumble.estimation.likelihood import Point, Problem, weights
-from tumble.estimation.linearisation import linearise
+from tumble.inference.likelihood import Point, Problem, weights
+from tumble.inference.linearisation import linearise
 from tumble.estimation.methods.paper.compensation import triad_model
-from tumble.estimation.step import solve
+from tumble.inference.step import solve
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
 from tumble.recording.session import Session

@@ -20,7 +20,7 @@ from tumble.sensors.model import SensorModel
 from tumble.units import Array, BoolArray
 
 if TYPE_CHECKING:
-    from tumble.estimation.likelihood import Linearised
+    from tumble.inference.likelihood import Linearised
 
 DETERMINED = 10.0
 """How many times better than the spreads the data must know a combination of parameters for it to count as seen. One

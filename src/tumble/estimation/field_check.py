@@ -32,14 +32,14 @@ from functools import cache
 import numpy as np
 from scipy import special
 
-from tumble.estimation.components import Scatter, Weights
-from tumble.estimation.elimination import eliminate
+from tumble.inference.hyperparameters import Scatter, Weights
+from tumble.inference.elimination import eliminate
 from tumble.estimation.estimate import DETERMINED, Fit
-from tumble.estimation.likelihood import Point, Prior, Problem, weights
-from tumble.estimation.linearisation import linearise
-from tumble.estimation.methods.joint.iteration import integrated, moved
-from tumble.estimation.methods.joint.start import headings
-from tumble.estimation.step import solve
+from tumble.inference.likelihood import Point, Prior, Problem, weights
+from tumble.inference.linearisation import linearise
+from tumble.inference.maximum import integrated, moved
+from tumble.inference.start import headings
+from tumble.inference.step import solve
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.sensors.compensation import specific_force

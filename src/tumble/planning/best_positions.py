@@ -8,7 +8,7 @@ usual spreads as prior; they count by A only where an accuracy of them is wanted
 position is sought before it is known when it comes.
 
 A position costs little to add or to exchange. Eliminating the attitudes of all rests before it leaves three rows on the
-attitude of the last of them and a triangle on the parameters (`tumble.estimation.elimination`), and those after it
+attitude of the last of them and a triangle on the parameters (`tumble.inference.elimination`), and those after it
 likewise; the rows of a rest go with those of the turn after it, as the in-run bias of both is one. What a candidate
 shows is then an elimination of two to four rests, whatever the length of the programme: about 0.1 ms.
 
@@ -27,7 +27,7 @@ from typing import Literal
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.estimation.elimination import eliminate
+from tumble.inference.elimination import eliminate
 from tumble.estimation.estimate import DETERMINED
 from tumble.planning.bounds import Bound, bound, course_of, instrument_of, view
 from tumble.planning.reachable_attitudes import ANY, Places, TurnTable, Ways, ways_through

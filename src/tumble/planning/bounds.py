@@ -1,6 +1,6 @@
 """The best a programme allows: the Cramér–Rao bound of the joint likelihood, before anything is measured.
 
-The rows are those of `tumble.estimation.likelihood`, taken at perfect sensors and at the attitudes of the programme,
+The rows are those of `tumble.inference.likelihood`, taken at perfect sensors and at the attitudes of the programme,
 which are eliminated: so the bound is the covariance that `joint` would state for an exact programme. What a log has
 of it: the rests, with white noise, the moves between them, all of which the log has, and in-run instability as a bias
 that differs from rest to rest and lasts through the turn that follows. A move goes about one axis at a constant
@@ -27,11 +27,11 @@ import numpy as np
 from tumble.brief import Brief
 from tumble.earth import earth_rate
 from tumble.errors import InputError
-from tumble.estimation.components import Scatter
-from tumble.estimation.elimination import eliminate
+from tumble.inference.hyperparameters import Scatter
+from tumble.inference.elimination import eliminate
 from tumble.estimation.estimate import GroupFinding, Solution, least_squares
-from tumble.estimation.likelihood import Point, Problem, noise_of
-from tumble.estimation.linearisation import linearise
+from tumble.inference.likelihood import Point, Problem, noise_of
+from tumble.inference.linearisation import linearise
 from tumble.estimation.turns_about import TurnsAbout, own_axes, warms
 from tumble.planning.inertial_turns import inertial_turns
 from tumble.planning.setup import Setup, check_setup
@@ -240,7 +240,7 @@ class View:
 
     def whitened(self) -> tuple[Array, Array]:
         """The whitened rows of the rests (N, r, 3 + p + 1), which count where no turn follows, and of the turns
-        together with the rests before them (K, r + t, 6 + p + 1), see `tumble.estimation.elimination`."""
+        together with the rests before them (K, r + t, 6 + p + 1), see `tumble.inference.elimination`."""
         rows = linearise(self.problem, self.point, self.about)
         weights = noise_of(self.problem, rows).weights(self.scatter)
         turns = self.problem.observations.turns

@@ -1,6 +1,6 @@
 """Recordings over temperature that are planned, as the likelihood sees them.
 
-The rows are those of several sessions together (`tumble.estimation.likelihood`) at perfect sensors and the attitudes of
+The rows are those of several sessions together (`tumble.inference.likelihood`) at perfect sensors and the attitudes of
 their programmes, with the thermometer's course in each. Rests and turns are those that a log gives: the segmentation
 takes a margin off each end of a rest, which belongs to the turn, a turn has its ramps, and rests that warm are taken in
 parts where several sessions are one estimate.
@@ -21,8 +21,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.estimation.likelihood import Point, Problem, Rows, instruments_of
-from tumble.estimation.linearisation import linearise
+from tumble.inference.likelihood import Point, Problem, Rows, instruments_of
+from tumble.inference.linearisation import linearise
 from tumble.planning.bounds import Course, instrument_of, observed
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme

@@ -1,6 +1,6 @@
 """What recordings over temperature can show at best, before a chamber is booked, and how long it takes.
 
-The rows are those of several sessions together (`tumble.estimation.likelihood`) at perfect sensors and the attitudes of
+The rows are those of several sessions together (`tumble.inference.likelihood`) at perfect sensors and the attitudes of
 their programmes, with the thermometer's course in each, so that the covariance is that which `calibrate_together`, or
 `calibrate` of one session, states: common coefficients over temperature, biases of each launch, drifts of each session,
 all groups with their priors.
@@ -19,9 +19,9 @@ import numpy as np
 
 from tumble.errors import InputError
 from tumble.estimation.estimate import DETERMINED, GroupFinding
-from tumble.estimation.likelihood import Problem, noise_of
-from tumble.estimation.step import solve
-from tumble.estimation.variables import both_ways, over_a_range
+from tumble.inference.likelihood import Problem, noise_of
+from tumble.inference.step import solve
+from tumble.inference.variables import both_ways, over_a_range
 from tumble.planning.bounds import Course, bound_of, course_of, findings, scatter_of
 from tumble.planning.chamber_recordings import ChamberSession, problem_of
 from tumble.planning.setup import Setup, time_of, with_all_groups

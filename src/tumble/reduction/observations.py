@@ -96,8 +96,10 @@ class Observations(Brief):
     """Whether no time in the log says that samples are missing."""
     usual: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations, SI, of the groups of parameters beyond the linear model over instruments like this one."""
-    warm_up: float | None = None
-    """Time constant, s, in which biases settle after the start, where they do."""
+    too_small: Mapping[str, float] = field(default_factory=dict)
+    """By group, the factor of the order of which its usual size may be too small: by where it is from."""
+    in_run: Mapping[str, float] = field(default_factory=dict)
+    """Usual standard deviation of the in-run bias, SI, of the accelerometers, "accel", and of the gyros, "gyro"."""
 
     @property
     def session(self) -> IntArray | None:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import special
 
 from tumble.estimation.causes.projection import Projection
-from tumble.estimation.components import Scatter
+from tumble.inference.hyperparameters import Scatter
 from tumble.units import Array
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from tumble.earth import earth_rate
 from tumble.estimation.causes.cause import Candidate
 from tumble.estimation.causes.linearised_session import LinearisedSession
-from tumble.estimation.linearisation import linearise
+from tumble.inference.linearisation import linearise
 from tumble.units import DEGREE
 
 LATITUDE_KNOWN = 0.01

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from tumble.estimation.likelihood import Linearised
+from tumble.inference.likelihood import Linearised
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.model import Block
 from tumble.units import Array

@@ -23,9 +23,9 @@ from tumble.estimation.causes.cause import UNSEEN, Cause
 from tumble.estimation.causes.chances import fall_chance, ratio_chance, sum_of_squares
 from tumble.estimation.causes.linearised_session import SHORTEST_TURN, LinearisedSession
 from tumble.estimation.causes.projection import Projection
-from tumble.estimation.components import Scatter
-from tumble.estimation.likelihood import Linearised, Point, Problem, instruments_of, noise_of
-from tumble.estimation.linearisation import linearise
+from tumble.inference.hyperparameters import Scatter
+from tumble.inference.likelihood import Linearised, Point, Problem, instruments_of, noise_of
+from tumble.inference.linearisation import linearise
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.recording.gaps import REGULAR_HINT
 from tumble.reduction.observations import Observations

@@ -13,8 +13,8 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from tumble.estimation.components import Scatter
-from tumble.estimation.likelihood import Linearised
+from tumble.inference.hyperparameters import Scatter
+from tumble.inference.likelihood import Linearised
 from tumble.units import Array
 
 NO_HEADING = 100.0

@@ -25,7 +25,7 @@ from tumble.estimation.causes.nonlinearity import gyro_nonlinearity, products
 from tumble.estimation.causes.over_time import jumps, over_time
 from tumble.estimation.causes.projection import Projection
 from tumble.estimation.causes.quantisation import quantisation
-from tumble.estimation.likelihood import Linearised
+from tumble.inference.likelihood import Linearised
 
 
 def causes(

@@ -14,17 +14,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.estimation.by_session import each_session
+from tumble.inference.by_session import each_session
 from tumble.estimation.causes.cause import UNITS, WORDS, Cause, Concerns
 from tumble.estimation.causes.chances import variance_chance
 from tumble.estimation.causes.lost_samples import jittering, lost_in_a_turn, stamps_remedy, with_all_groups
 from tumble.estimation.causes.neighbouring_rests import Neighbours, neighbours
 from tumble.estimation.causes.projection import Projection
 from tumble.estimation.causes.ranking import causes
-from tumble.estimation.components import COMPONENTS, Scatter
+from tumble.inference.hyperparameters import COMPONENTS, Scatter
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.likelihood import Linearised
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.likelihood import Linearised
+from tumble.inference.joint import joint
 from tumble.reduction.observations import Observations
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
 

@@ -28,13 +28,12 @@ J_l(r) is the left Jacobian of the rotation group, J_r(r) = J_l(r)ᵀ. A turn of
 accelerometers and turns as they are; in this basis its coefficients vanish exactly, so that a heading that the gyros do
 not see stays free and takes no information from the others. Without a latitude the Earth's rate is noise, Ω/√3 an axis.
 
-Noise. Beside the noise within rests a session has components of variance (`Scatter`): a bias of the accelerometers and
-of the gyros that differs from rest to rest and lasts through the turn that follows, which makes the rows of a rest and
-of its turn dependent; a scatter of the rotations and of the velocities of the turns, and of what n > 3 gyros say beyond
-the rotation; the error of velocities over forces that jump between samples (A3), and of rotations over rates that do.
-Of an array, sensors whose bias wanders more than that of the others of their kind have a component of their own. Its
-gyros are not read at one instant, so that rates that jump from sample to sample make them disagree, too.
-Rows of a rest and of the turn after it are therefore whitened together.
+Noise. Beside the noise within rests a session has components of variance (`Components`): a scatter of the readings of
+accelerometers and gyros from rest to rest; of the rotations and of the velocities of the turns, and of what n > 3 gyros
+say beyond the rotation; the error of velocities over forces that jump between samples (A3), and of rotations over rates
+that do. The gyros of an array are not read at one instant, so that rates that jump from sample to sample make them
+disagree, too. The bias of every sensor is a process in time beside that (`tumble.inference.in_run`), with its states
+among the unknowns of the rests.
 """
 
 from __future__ import annotations
@@ -46,22 +45,20 @@ from functools import cached_property
 import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
-from tumble.estimation.components import WANDERING, Noise, Scatter, Weights
-from tumble.estimation.row_loops import turned
-from tumble.estimation.session_spans import SessionSpan, session_spans
+from tumble.inference.hyperparameters import Components, Noise, Weights
+from tumble.inference.row_loops import turned
+from tumble.inference.session_spans import SessionSpan, session_spans
 from tumble.estimation.turns_about import TurnsAbout
-from tumble.estimation.variables import GROWING, Variables, by_lag, variables_of
+from tumble.inference.variables import GROWING, Variables, by_lag, variables_of
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, skew
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import SensorModel, beyond_body
 from tumble.sensors.parameters import Variable, limits_of
-from tumble.units import Array, BoolArray, IntArray
+from tumble.units import Array, IntArray
 
 OWN: tuple[Variable, ...] = ("time", "launch")
 """What the changes go with that each of several sessions has of its own."""
-WARMING: tuple[Variable, ...] = ("warm-up", "warm-up²")
-"""And those that a session without a thermometer has that warms."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -109,7 +106,7 @@ def bases(attitudes: Array) -> Array:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Rows:
     """The linearised residuals, in SI: [coefficients | residual], residual = observed less predicted, columns as
-    `tumble.estimation.elimination` has them with three unknowns a rest, the parameters being gravity and those of the
+    `tumble.inference.elimination` has them with three unknowns a rest, the parameters being gravity and those of the
     instrument, and then what a session has of its own. `prior` (1 + p, 1 + p) is whitened, and a triangle; `own` (S, q)
     the whitened residuals of the priors of what each session has of its own. `bias` are the coefficients (K, t, n) of
     the turns for a bias of the accelerometers, then of the gyros, in the turn; `gained` (K, 3), m/s, is what gravity
@@ -121,15 +118,6 @@ class Rows:
     bias: Array
     gained: Array
     own: Array = field(default_factory=lambda: np.zeros((1, 0)))
-
-    def merged(self, first: IntArray) -> Array:
-        """Rows (K, r + t, ·) of every turn together with those of the rest before it."""
-        K, t = self.turn.shape[:2]
-        r = self.rest.shape[1]
-        out = np.zeros((K, r + t, self.turn.shape[2]))
-        out[:, :r, :3], out[:, :r, 6:] = self.rest[first, :, :3], self.rest[first, :, 3:]
-        out[:, r:] = self.turn
-        return out
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -161,8 +149,10 @@ class Problem:
     """The lag at which the variables are."""
     lag_known: bool = False
     """Whether the lag is known, so that nothing else is said of it."""
-    wandering: tuple[int, ...] = ()
-    """The channels, accelerometers before gyros, whose bias wanders more than that of the others of their kind."""
+    usual: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
+    """`measured` with every group of its usual size, and"""
+    own_usual: Array = field(default_factory=lambda: np.zeros(0))
+    """`own_known` likewise."""
 
     @staticmethod
     def of(
@@ -196,6 +186,7 @@ class Problem:
                 for group in own.further
             ]
         parts, of_session = session_spans(observations, link)
+        measured = np.append(site.gravity, start), np.append(site.gravity_u, known)
         return Problem(
             observations=observations,
             instrument=instrument,
@@ -203,12 +194,14 @@ class Problem:
             link=link,
             chain=np.append(0, np.cumsum(link[:-1] < 0)),
             earth=np.zeros(3) if site.latitude is None else np.array(earth_rate(site.latitude)),
-            measured=(np.append(site.gravity, start), np.append(site.gravity_u, known)),
+            measured=measured,
+            usual=measured,
             variables=variables_of(observations),
             parts=parts,
             of_session=of_session,
             own=own,
             own_known=np.concatenate(own_known),
+            own_usual=np.concatenate(own_known),
         )
 
     @cached_property
@@ -229,10 +222,16 @@ class Problem:
         turns = self.observations.turns
         return np.zeros(0, dtype=np.int64) if turns is None else turns.first
 
-    @cached_property
-    def unlinked(self) -> BoolArray:
-        """The rests (N,) that no turn follows, whose own rows count."""
-        return self.link < 0
+    @property
+    def biases(self) -> IntArray:
+        """Where the biases of all sensors stand among the parameters."""
+        columns = [self.instrument.group_columns(f"{block.kind}.bias") for block in self.instrument.blocks]
+        return np.concatenate([np.arange(len(self.instrument.names))[each] for each in columns])
+
+    @property
+    def sensors(self) -> int:
+        """How many accelerometers and gyros there are."""
+        return sum(block.size for block in self.instrument.blocks)
 
     @cached_property
     def lag(self) -> int | None:
@@ -348,15 +347,15 @@ class Problem:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Linearised:
-    """The likelihood about the estimate: the point, the turns about it, the rows there, their noise, and the scatter
-    on top of it."""
+    """The likelihood about the estimate: the point, the turns about it, the rows there, their noise, and the components
+    of variance beside it."""
 
     problem: Problem
     point: Point
     about: TurnsAbout | None
     rows: Rows
     noise: Noise
-    scatter: Scatter
+    components: Components
 
     @property
     def rotations(self) -> Array:
@@ -372,9 +371,7 @@ def instruments_of(observations: Observations) -> tuple[Instrument, Instrument |
     accel, gyro, usual = observations.accel_block, observations.gyro_block, observations.usual
     variables = set(variables_of(observations))
     if observations.together is None:
-        variables -= set(WARMING)
-        warming = None if observations.warm_up is None else changing_with(observations, WARMING)
-        return Instrument.of(accel, gyro, usual, variables), warming
+        return Instrument.of(accel, gyro, usual, variables), None
     own = changing_with(observations, OWN)
     return Instrument.of(accel, gyro, usual, variables - set(OWN)), own
 
@@ -389,23 +386,20 @@ def changing_with(observations: Observations, variables: tuple[Variable, ...]) -
 
 
 def noise_of(problem: Problem, rows: Rows) -> Noise:
-    """Covariance of the rows without scatter, and the directions of the components of variance."""
-    noise, r, stop = problem.noise, problem.noise.rest.shape[1], problem.noise.rest_directions[0].shape[2]
-    (Z, component), turns = noise.merged_directions, problem.observations.turns
-    if turns is None or not len(Z):
+    """Covariance of the rows without scatter, and the directions of the components of scatter."""
+    noise, turns = problem.noise, problem.observations.turns
+    Z, component = noise.turn_directions
+    if turns is None or not len(Z) or not problem.instrument.in_velocities:
         return noise
-    across, Z, merged = skew(-0.5 * rows.gained), Z.copy(), noise.merged.copy()
-    Z[:, r:, :stop] = rows.bias
-    if problem.instrument.in_velocities:
-        velocity = slice(r + 3, r + 6)
-        rotation, constant = merged[:, r : r + 3, r : r + 3], turns.duration[:, None, None] ** 2 * _unseen(problem)
-        by_rotation = across @ (rotation - constant * np.eye(3)) @ np.swapaxes(across, 1, 2)
-        merged[:, velocity, r : r + 3] = across @ rotation
-        merged[:, r : r + 3, velocity] = np.swapaxes(merged[:, velocity, r : r + 3], 1, 2)
-        merged[:, velocity, velocity] += turns.arising[:, None, None] * by_rotation
-        merged[:, velocity, velocity] += constant * across @ np.swapaxes(across, 1, 2)
-        Z[:, velocity, -3:] = across @ Z[:, r : r + 3, -3:]
-    return replace(noise, merged=merged, merged_directions=(Z, component))
+    across, Z, turn = skew(-0.5 * rows.gained), Z.copy(), noise.turn.copy()
+    rotation, constant = turn[:, :3, :3], turns.duration[:, None, None] ** 2 * _unseen(problem)
+    by_rotation = across @ (rotation - constant * np.eye(3)) @ np.swapaxes(across, 1, 2)
+    turn[:, 3:6, :3] = across @ rotation
+    turn[:, :3, 3:6] = np.swapaxes(turn[:, 3:6, :3], 1, 2)
+    turn[:, 3:6, 3:6] += turns.arising[:, None, None] * by_rotation
+    turn[:, 3:6, 3:6] += constant * across @ np.swapaxes(across, 1, 2)
+    Z[:, 3:6, -3:] = across @ Z[:, :3, -3:]
+    return replace(noise, turn=turn, turn_directions=(Z, component))
 
 
 def _unseen(problem: Problem) -> float:
@@ -414,8 +408,8 @@ def _unseen(problem: Problem) -> float:
 
 
 def _noise_of_session(problem: Problem) -> Noise:
-    """All of it that does not change with the parameters: without what a bias does in the turn after a rest, and what
-    an error of the rotation on the way does to the velocity."""
+    """All of it that does not change with the parameters: without what an error of the rotation on the way does to the
+    velocity."""
     observations, rests = problem.observations, problem.observations.rests
     gyro, n = observations.gyro_block, rests.accel.shape[1]
     blocks = [rests.accel_covariance]
@@ -424,30 +418,24 @@ def _noise_of_session(problem: Problem) -> Noise:
     if problem.prior.attitude is not None:
         blocks.append(np.broadcast_to(problem.prior.attitude**2 * np.eye(3), (len(rests), 3, 3)))
     rest = _diagonal(blocks)
-    r, stop, t = rest.shape[1], n + rests.gyro.shape[1], problem.rows_of_turn
+    sensors, t = n + rests.gyro.shape[1], problem.rows_of_turn
+    of_rest = np.repeat([0, 1], [n, sensors - n])
+    at_rest = np.broadcast_to(np.eye(rest.shape[1], sensors), (len(rests), rest.shape[1], sensors)), of_rest
     v = 3 if problem.instrument.in_velocities else 0
     spare = t - v - 3
-    component = np.repeat([0, 1, 2, 3, 4, 5, 7, 6], [n, stop - n, 3, v, spare, v, spare, 3])
-    component[list(problem.wandering)] += WANDERING
-    at_rest = np.broadcast_to(np.eye(r, stop), (len(rests), r, stop)), component[:stop]
+    of_turn = np.repeat([2, 3, 4, 5, 7, 6], [3, v, spare, v, spare, 3])
     turns = observations.turns
     if turns is None or not len(turns):
-        nothing, empty = np.zeros((0, r + t, r + t)), np.zeros((0, r + t, len(component)))
-        return Noise(rest=rest, merged=nothing, rest_directions=at_rest, merged_directions=(empty, component))
-    Z = np.zeros((len(turns), r + t, len(component)))
-    Z[:, :stop, :stop] = np.eye(stop)
-    Z[:, r:, stop : stop + t] = np.eye(t)
+        empty = np.zeros((0, t, len(of_turn)))
+        return Noise(rest=rest, turn=np.zeros((0, t, t)), rest_directions=at_rest, turn_directions=(empty, of_turn))
+    Z = np.zeros((len(turns), t, len(of_turn)))
+    Z[:, :, :t] = np.eye(t)
     turned = turns.duration > 0.0  # between the parts of a rest nothing is
-    Z[~turned, r : r + 3 + v, stop:] = 0.0
-    Z[:, r + 3 : r + 3 + v, stop + t : stop + t + v] = np.sqrt(turns.jumps)[:, None, None] * np.eye(v)
-    Z[:, r + 3 + v :, stop + t + v : -3] = np.sqrt(turns.aliased)[:, None, None] * np.eye(spare)
-    Z[:, r : r + 3, -3:] = np.sqrt(turns.aliased)[:, None, None] * np.eye(3)
-    return Noise(
-        rest=rest,
-        merged=_diagonal([rest[turns.first], _turn_noise(problem)]),
-        rest_directions=at_rest,
-        merged_directions=(Z, component),
-    )
+    Z[~turned, : 3 + v] = 0.0
+    Z[:, 3 : 3 + v, t : t + v] = np.sqrt(turns.jumps)[:, None, None] * np.eye(v)
+    Z[:, 3 + v :, t + v : -3] = np.sqrt(turns.aliased)[:, None, None] * np.eye(spare)
+    Z[:, :3, -3:] = np.sqrt(turns.aliased)[:, None, None] * np.eye(3)
+    return Noise(rest=rest, turn=_turn_noise(problem), rest_directions=at_rest, turn_directions=(Z, of_turn))
 
 
 def _turn_noise(problem: Problem) -> Array:
@@ -476,6 +464,6 @@ def _diagonal(blocks: list[Array]) -> Array:
     return out
 
 
-def weights(problem: Problem, rows: Rows, scatter: Scatter) -> Weights:
-    """The weights of the rows from the noise within rests and a scatter."""
-    return noise_of(problem, rows).weights(scatter)
+def weights(problem: Problem, rows: Rows, components: Components = Components()) -> Weights:
+    """The weights of the rows from the noise within rests and components of variance."""
+    return noise_of(problem, rows).weights(components)

@@ -4,12 +4,12 @@ from libc.math cimport cos, fabs, sin, sqrt
 from libc.stdint cimport int64_t
 
 cdef Py_ssize_t _eliminate(
-    const double[:, :, :] rest, const double[:, :, :] turn, const int64_t[:] link, const unsigned char[:] counts,
+    const double[:, :, :] rest, const double[:, :, :] turn, const int64_t[:] link,
     double[:, :, :] factor, double[:, ::1] triangle, double rounding,
     double[:, ::1] work, double[:, ::1] carried, double[:, ::1] kept, double[::1] length, double[::1] product,
 )
 cdef Py_ssize_t _gather(
-    double[:, ::1] work, double[:, ::1] carried, const double[:, :, :] rest, Py_ssize_t i, bint counts,
+    double[:, ::1] work, double[:, ::1] carried, const double[:, :, :] rest, Py_ssize_t i,
     const double[:, :, :] turn, int64_t k,
 ) noexcept nogil
 @cython.locals(square=double)

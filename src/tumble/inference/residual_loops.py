@@ -18,8 +18,8 @@ except ImportError:
 
 def leave(rows: Array, first: IntArray, known: tuple[Array, Array, Array], step: Array, predicted: Array) -> Array:
     """Residuals (M, r) that rows (M, r, ·) of one rest or two each, from the `first` (M,) on, have after the step of
-    their angles and that of all other unknowns (p,). Of the angles their step (N, 3), their covariances with themselves
-    and those of the next rest (2, N, 3, 3), and those with the other unknowns (N, 3, p) are `known`. The covariances
+    the unknowns of these rests and that of all others (p,). Of the former their step (N, d), their covariances with
+    themselves and those of the next rest (2, N, d, d), and those with the others (N, d, p) are `known`. The covariances
     `predicted` (M, r, r) of what the rows predict by the others alone become those of the residuals, 1 − A C Aᵀ."""
     angles, own, shared = known
     residual, work = np.empty(rows.shape[:2]), np.empty((rows.shape[1], rows.shape[2] - len(step) - 1))
@@ -38,24 +38,25 @@ def _leave(
     residual: Array,
     work: Array,
 ) -> None:
-    """One set of rows after the other, A their angles and B the others: with S the covariance of the angles and T that
-    of the angles with the others, 1 − G Aᵀ − A Gᵀ − B C Bᵀ, G = ½ A S + B Tᵀ."""
+    """One set of rows after the other, A the columns of the unknowns of rests and B the others: with S the covariance of the former and T
+    that of the former with the others, 1 − G Aᵀ − A Gᵀ − B C Bᵀ, G = ½ A S + B Tᵀ."""
     r, a, p = rows.shape[1], work.shape[1], step.shape[0]
     with cython.nogil:
         for k in range(rows.shape[0]):
             i = first[k]
+            d = angles.shape[1]
             for row in range(r):
                 total = rows[k, row, a + p]
                 for c in range(p):
                     total -= rows[k, row, a + c] * step[c]
                 for b in range(a):
-                    total -= rows[k, row, b] * angles[i + b // 3, b % 3]
+                    total -= rows[k, row, b] * angles[i + b // d, b % d]
                     half = 0.0
                     for c in range(a):
-                        half += rows[k, row, c] * _of_angles(own, i, b, c)
+                        half += rows[k, row, c] * _of_unknowns(own, i, d, b, c)
                     across = 0.0
                     for c in range(p):
-                        across += rows[k, row, a + c] * shared[i + b // 3, b % 3, c]
+                        across += rows[k, row, a + c] * shared[i + b // d, b % d, c]
                     work[row, b] = 0.5 * half + across
                 residual[k, row] = total
             for row in range(r):
@@ -68,11 +69,11 @@ def _leave(
                     covariance[k, other, row] = total
 
 
-def _of_angles(own: Array, i: int, a: int, b: int) -> float:
-    """The covariance of two of the angles of rest i and the next, of those with themselves and with the next."""
-    if a < 3:
-        return own[0, i, a, b] if b < 3 else own[1, i, a, b - 3]  # type: ignore[no-any-return]
-    return own[0, i + 1, a - 3, b - 3] if b >= 3 else own[1, i, b, a - 3]  # type: ignore[no-any-return]
+def _of_unknowns(own: Array, i: int, d: int, a: int, b: int) -> float:
+    """The covariance of two of the unknowns of rest i and the next, of those with themselves and with the next."""
+    if a < d:
+        return own[0, i, a, b] if b < d else own[1, i, a, b - d]  # type: ignore[no-any-return]
+    return own[0, i + 1, a - d, b - d] if b >= d else own[1, i, b, a - d]  # type: ignore[no-any-return]
 
 
 def score(directions: Array, component: IntArray, left: tuple[Array, Array], slope: Array, information: Array) -> None:

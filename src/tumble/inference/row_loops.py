@@ -1,5 +1,5 @@
 """Compiled loops that write the rows of the likelihood: residuals and analytic Jacobians of all rests or turns at once.
-They are derived in `tumble.estimation.likelihood`; functions β are in the order of `tumble.sensors.parameters`: 1, ω,
+They are derived in `tumble.inference.likelihood`; functions β are in the order of `tumble.sensors.parameters`: 1, ω,
 f, the six products of f, |u| and u³ along the sensor's own axis.
 
 `row_loops.pxd` says what of this is compiled, and how; the rules of `tumble.reduction.kernels` hold.

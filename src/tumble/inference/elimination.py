@@ -8,9 +8,8 @@ rest i, the rows of rest i and of the turn that follows it are
     [ δᵢ (d) | parameters (p) | right-hand side ]             rest, (N, r, d + p + 1)
     [ δᵢ (d) | δᵢ₊₁ (d) | parameters (p) | right-hand side ]   turn, (K, t, 2d + p + 1)
 
-and `link[i]` is the turn from rest i to rest i + 1, −1 where nothing links them. Rows of a turn may contain those of
-the rest before it, with which they may be correlated: `counts` (N,) says whether a rest's own rows count. The
-elimination is orthogonal (a square-root information filter): Householder reflections of what involves δᵢ leave d
+and `link[i]` is the turn from rest i to rest i + 1, −1 where nothing links them. A bias that is a Gauss–Markov process
+has its states among the unknowns, and its steps among the rows of the turns. The elimination is orthogonal (a square-root information filter): Householder reflections of what involves δᵢ leave d
 rows that give δᵢ once the rest is known, rows on δᵢ₊₁, carried on, and rows on the parameters alone, folded into one
 triangle. Nothing is squared, and the cost is linear in the number of rests. A column of which nothing but rounding
 is left is no information: its unknown, a heading that nothing shows, stays where it is. Sums over rows are taken for
@@ -27,7 +26,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg.lapack import dtpqrt
 
-from tumble.units import Array, BoolArray, IntArray
+from tumble.units import Array, IntArray
 
 try:
     import cython
@@ -49,22 +48,78 @@ MANY = 200
 WIDE = 32
 """Columns of such a block."""
 
+LARGE = 20
+"""Unknowns of a rest from which on its elimination is one by LAPACK, too."""
 
-def eliminate(rest: Array, turn: Array, link: IntArray, counts: BoolArray, factor: Array, triangle: Array) -> None:
+
+def eliminate(rest: Array, turn: Array, link: IntArray, factor: Array, triangle: Array) -> None:
     """Eliminate the unknowns of all rests: `factor` (N, d, 2d + p + 1) gets the rows that give them, and the rows on
     the parameters are folded into `triangle` (p + 1, p + 1), which may hold others before."""
+    if factor.shape[1] > LARGE:
+        _eliminate_large(rest, turn, link, factor, triangle)
+        return
     r, t, d, p = rest.shape[1], turn.shape[1], factor.shape[1], len(triangle) - 1
     columns, most = 2 * d + p + 1, d + r + t
     buffer = BUFFER if p < MANY else len(rest) * most
     work, carried, kept = np.zeros((most, columns)), np.zeros((d, columns)), np.zeros((buffer + most, p + 1))
     length, product = np.zeros(2 * d), np.zeros(columns)
-    count = _eliminate(
-        rest, turn, link, counts, factor, triangle, ROUNDING * ROUNDING, work, carried, kept, length, product
-    )
+    count = _eliminate(rest, turn, link, factor, triangle, ROUNDING * ROUNDING, work, carried, kept, length, product)
     if p < MANY:
         _fold(kept, product, count, triangle)
     else:
         fold(kept[:count], triangle)
+
+
+def _eliminate_large(rest: Array, turn: Array, link: IntArray, factor: Array, triangle: Array) -> None:
+    """The same by LAPACK, a rest at a time, for arrays, whose many states make its blocks worth their call."""
+    d, p, kept = factor.shape[1], len(triangle) - 1, list[Array]()
+    carried = np.zeros((d, 2 * d + p + 1))
+    for i, k in enumerate(link.tolist()):
+        own = np.zeros((rest.shape[1], carried.shape[1]))
+        own[:, :d], own[:, 2 * d :] = rest[i, :, :d], rest[i, :, d:]
+        rows = np.concatenate([carried, own, *([turn[k]] if k >= 0 else [])])
+        width = 2 * d if k >= 0 else d
+        length = np.sqrt((rows[:, :width] ** 2).sum(axis=0))
+        reduced = np.linalg.qr(rows, mode="r") if len(rows) > width else rows
+        reduced = np.asarray(reduced)
+        factor[i] = 0.0
+        carried = np.zeros_like(carried)
+        pivot = np.abs(reduced.diagonal()[:width])
+        if np.all(pivot > ROUNDING * np.maximum(length, 1e-300)):
+            factor[i] = reduced[:d]
+            top = width
+        else:  # a heading that nothing shows: reflections one by one
+            work, product = np.ascontiguousarray(rows), np.zeros(rows.shape[1])
+            reduced, top = work, 0
+            for c in range(width):
+                seen = _reflected(work, product, top, c, ROUNDING * ROUNDING * length[c] ** 2)
+                if c < d and seen:
+                    factor[i, c] = work[top]
+                top += seen
+        if k >= 0:
+            following = reduced[d:top] if top == width else reduced[:top]
+            for row in following:
+                first = int(np.flatnonzero(row)[0]) if np.any(row) else width
+                if d <= first < width:
+                    carried[first - d, :d], carried[first - d, 2 * d :] = row[d : 2 * d], row[2 * d :]
+        kept.append(reduced[top:, 2 * d :])
+    fold(np.concatenate(kept), triangle)
+
+
+def _reflected(work: Array, product: Array, top: int, column: int, least: float) -> bool:
+    """`_reflect` of all rows, in arrays."""
+    below = work[top:, column]
+    square = float(below @ below)
+    if square <= least:
+        work[top:, column] = 0.0
+        return False
+    head = float(below[0])
+    diagonal = -np.sqrt(square) if head > 0.0 else np.sqrt(square)
+    v = below.copy()
+    v[0] = head - diagonal
+    work[top:] -= np.outer(v / (diagonal * (diagonal - head)), v @ work[top:])
+    work[top, column], work[top + 1 :, column] = diagonal, 0.0
+    return True
 
 
 def fold(rows: Array, triangle: Array) -> None:
@@ -91,7 +146,6 @@ def _eliminate(
     rest: Array,
     turn: Array,
     link: IntArray,
-    counts: BoolArray,
     factor: Array,
     triangle: Array,
     rounding: float,
@@ -107,7 +161,7 @@ def _eliminate(
     buffer, count = kept.shape[0] - work.shape[0], 0
     with cython.nogil:
         for i in range(rest.shape[0]):
-            rows = _gather(work, carried, rest, i, counts[i], turn, link[i])
+            rows = _gather(work, carried, rest, i, turn, link[i])
             for c in range(2 * d):
                 length[c] = length[c + d] if c < d else 0.0
                 for row in range(d, rows):
@@ -134,21 +188,19 @@ def _eliminate(
     return count
 
 
-def _gather(work: Array, carried: Array, rest: Array, i: int, counts: bool, turn: Array, k: int) -> int:
-    """Put what involves the unknowns of rest i together: carried rows, its own where they count, and those of turn k;
-    how many."""
+def _gather(work: Array, carried: Array, rest: Array, i: int, turn: Array, k: int) -> int:
+    """Put what involves the unknowns of rest i together: carried rows, its own, and those of turn k; how many."""
     d, columns = carried.shape[0], carried.shape[1]
     rows = d
     for row in range(d):
         for column in range(columns):
             work[row, column] = carried[row, column]
-    if counts:
-        for row in range(rest.shape[1]):
-            for column in range(d):
-                work[rows, column], work[rows, d + column] = rest[i, row, column], 0.0
-            for column in range(2 * d, columns):
-                work[rows, column] = rest[i, row, column - d]
-            rows += 1
+    for row in range(rest.shape[1]):
+        for column in range(d):
+            work[rows, column], work[rows, d + column] = rest[i, row, column], 0.0
+        for column in range(2 * d, columns):
+            work[rows, column] = rest[i, row, column - d]
+        rows += 1
     if k >= 0:
         for row in range(turn.shape[1]):
             for column in range(columns):
@@ -227,16 +279,17 @@ def _fold(kept: Array, product: Array, count: int, triangle: Array) -> None:
 
 def put_back(
     factor: Array, link: IntArray, parameters: Array, covariance: Array, unknowns: Array
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, tuple[Array, Array, Array]]:
     """The unknowns (N, d) of the rests for parameters (p,), written to `unknowns`, and their covariances from the
     covariance (p, p) of the parameters: with themselves and those of the next rest (2, N, d, d), and with the
-    parameters (N, d, p). An unknown that nothing shows is zero, and without variance."""
+    parameters (N, d, p). An unknown that nothing shows is zero, and without variance. Last what they are from: the
+    inverses (N, d, d) of the factors, and how unknowns go with those of the next rest and with the parameters."""
     N, d, p = len(factor), factor.shape[1], len(parameters)
     inverse, by_next, by = np.zeros((N, d, d)), np.zeros((N, d, d)), np.zeros((N, d, p))
     _solve_all(factor, inverse, by_next, by, unknowns)
     own, shared = np.zeros((2, N, d, d)), np.reshape(by.reshape(N * d, p) @ covariance, by.shape)
     _put_back(link, parameters, inverse, by_next, by, unknowns, own, shared)
-    return own, shared
+    return own, shared, (inverse, by_next, by)
 
 
 def _solve_all(factor: Array, inverse: Array, by_next: Array, by: Array, unknowns: Array) -> None:

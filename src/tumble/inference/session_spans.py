@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from tumble.reduction.observations import Observations
-from tumble.units import BoolArray, IntArray
+from tumble.units import IntArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -18,16 +18,6 @@ class SessionSpan:
     rests: slice
     turns: slice
     link: IntArray
-
-    @cached_property
-    def last(self) -> BoolArray:
-        """The rests that no turn follows, whose own rows count."""
-        return self.link < 0
-
-    @cached_property
-    def last_rests(self) -> IntArray:
-        """The same by number."""
-        return np.flatnonzero(self.last)
 
     @cached_property
     def first(self) -> IntArray:

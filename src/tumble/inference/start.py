@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from tumble.earth import EARTH_RATE
-from tumble.estimation.elimination import carry
-from tumble.estimation.likelihood import Point, Problem
-from tumble.estimation.methods.joint.iteration import At, Out
+from tumble.inference.elimination import carry
+from tumble.inference.likelihood import Point, Problem
+from tumble.inference.maximum import At
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.rotation import skew, unit_vector
 from tumble.units import Array
@@ -33,7 +33,7 @@ def start_of(problem: Problem) -> tuple[At, tuple[Array, ...]]:
     attitudes = headings(problem, vertical, values, about)
     own = np.zeros((len(problem.parts), len(problem.own_known)))
     point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes, own=own)
-    return At.of(problem, point, about, Out.nothing(problem)), (values,)
+    return At.of(problem, point, about), (values,)
 
 
 def _started_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[TurnsAbout | None, Array]:

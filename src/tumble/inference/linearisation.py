@@ -1,5 +1,5 @@
-"""Residuals and Jacobians of the likelihood at a point (`tumble.estimation.likelihood`): rows of rests and turns, which
-loops write (`tumble.estimation.row_loops`), of spare gyros, of attitudes known beforehand, and of the priors."""
+"""Residuals and Jacobians of the likelihood at a point (`tumble.inference.likelihood`): rows of rests and turns, which
+loops write (`tumble.inference.row_loops`), of spare gyros, of attitudes known beforehand, and of the priors."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.estimation.elimination import fold
-from tumble.estimation.likelihood import Point, Problem, Rows, bases
-from tumble.estimation.row_loops import add_rests, add_turns, inverse_left_jacobian
+from tumble.inference.elimination import fold
+from tumble.inference.likelihood import Point, Problem, Rows, bases
+from tumble.inference.row_loops import add_rests, add_turns, inverse_left_jacobian
 from tumble.estimation.turns_about import TurnsAbout
-from tumble.estimation.variables import GROWING
+from tumble.inference.variables import GROWING
 from tumble.rotation import UP, rotation_vector
 from tumble.sensors.model import beyond_body
 from tumble.sensors.parameters import CONSTANT, RATE

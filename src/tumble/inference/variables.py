@@ -24,7 +24,6 @@ BOTH_WAYS = 3
 """Rests that have to come from each side for a hysteresis to be sought."""
 INNER = 0.8
 """Of half the range: beyond, a hysteresis does nothing."""
-SHORTEST = 1e-6  # s: of a turn
 LAG_STEP = 1.0  # s, of the difference for the derivative
 LEVEL = 0.05
 """K: rests of a session whose temperatures differ by no more are at one level: half of it, more of which a lag does not
@@ -43,8 +42,8 @@ GROWING = 2
 
 def variables_of(observations: Observations, lag: float = 0.0) -> dict[Variable, tuple[Array, Array, Array]]:
     """What parameters may change with, of the rests and of the turns: time from the middle of the session, s, the
-    temperature of each thermometer from its mean, K, and its square, and the direction it came from; what is left of a
-    warm-up, and its square; and of several sessions, each of them."""
+    temperature of each thermometer from its mean, K, and its square, and the direction it came from; and of several
+    sessions, each of them."""
     rests, turns, session = observations.rests, observations.turns, observations.session
     time = 0.5 * (rests.start + rests.stop)
     for of in (slice(None),) if session is None else (session == s for s in range(session[-1] + 1)):
@@ -55,27 +54,9 @@ def variables_of(observations: Observations, lag: float = 0.0) -> dict[Variable,
     first, last = (np.zeros((2, 0), dtype=np.int64)) if turns is None else (turns.first, turns.last)
     grows = {"time": 1.0, "launch": 0.0}
     out = {name: (v, 0.5 * (v[first] + v[last]), np.full((len(first), 1), grows[name])) for name, v in at_rest.items()}
-    if observations.warm_up is not None:
-        out["warm-up"] = left_of_warm_up(observations, observations.warm_up)
-        out["warm-up²"] = left_of_warm_up(observations, 0.5 * observations.warm_up)
     if rests.temperatures is not None:
         out |= _of_temperature(observations, rests.temperatures, lag)
     return out
-
-
-def left_of_warm_up(observations: Observations, settling: float) -> tuple[Array, Array, Array]:
-    """What is left of a warm-up with a time constant, s: means of e^(−t/τ) over the rests (N, 1) and turns (K, 1), t
-    from the start of the first rest, and by how much a second it grows within the turns."""
-    rests = observations.rests
-    begin, seconds = _turning(observations)
-
-    def mean(start: Array, stop: Array) -> Array:
-        passed = np.maximum(stop - start, SHORTEST) / settling
-        left = np.exp((rests.start[0] - start) / settling) * -np.expm1(-passed) / passed
-        return np.asarray(left[:, None])
-
-    in_turns = mean(begin, begin + seconds)
-    return mean(rests.start, rests.stop), in_turns, -in_turns / settling
 
 
 def _of_temperature(

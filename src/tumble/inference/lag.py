@@ -1,0 +1,135 @@
+"""The lag of the sensors behind their thermometer, and the spread it leaves in all parameters.
+
+Everything else is linear, or nearly so, once the lag is known, which multiplies the coefficients over temperature: the
+likelihood has several minima over it, where the temperature hardly bends none that Gauss–Newton finds. So the estimate
+holds the likeliest lag, and in the end its probability is summed over a grid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from tumble.inference.likelihood import Point, Problem
+from tumble.inference.maximum import At, Maximum, maximum
+from tumble.inference.step import Step
+from tumble.units import Array
+
+LAGS = (-100.0, -25.0, 0.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
+"""s: time constants of the sensors behind the thermometer from which the best is sought."""
+LAG_HELD = 1e-3  # s
+_APART = np.concatenate([[0.5], 2.0 ** np.arange(0.0, 10.5)])
+LAGS_ABOUT = np.concatenate([-_APART[::-1], [0.0], _APART])
+"""s: from the lag that is held, where its likelihood is taken at first."""
+RESOLVED, HALVINGS = 0.2, 10
+"""Largest probability of one lag of a grid that resolves the likelihood, half a standard deviation of a Gaussian from
+the next, and how often steps beside likelier ones are halved at most."""
+LESS_LIKELY = 6.0
+"""−2 log of the likelihoods of two lags: the first is taken for a wrong one."""
+LAG_ROUNDS = 3
+"""Solutions with a lag of which each shows the one before to be wrong, at most."""
+KEPT = 1e-3  # learned fraction of a group that the session says anything of
+
+
+def maximum_with_lag(problem: Problem, at: At, iterations: int) -> tuple[Problem, Maximum, Array]:
+    """The maximum with the likeliest lag, which is held; the problem in which it is; and what is to be added to the
+    covariance (m, m) of the parameters because the lag is not known: with the solutions θ(λ)
+
+        C = C(λ) + E[(θ(λ) − E θ)(θ(λ) − E θ)ᵀ]                                                                   (A5)
+
+    Where a session hardly shows the lag, its likelihood is no parabola, and mean and spread are not those of the
+    maximum. The lag that is held in the end is its mean."""
+    none = np.zeros((len(problem.instrument.names),) * 2)
+    if problem.lag is None:
+        return problem, maximum(problem, at, iterations=iterations), none
+    held, tried = _held(problem, 0.0), np.array(LAGS)
+    fitted = maximum(held, At.of(held, at.point, at.about), iterations=iterations)
+    for _ in range(LAG_ROUNDS):
+        lag = float(fitted.point.values[problem.lag])
+        tried = np.unique([*LAGS, lag])
+        deviance, _ = _about(fitted, problem, tried)
+        if deviance[tried == lag][0] < deviance.min() + LESS_LIKELY:
+            break
+        lags, weight, _ = _resolved(fitted, problem, np.array(LAGS))
+        held, fitted = _again(fitted, problem, float(lags[np.argmax(weight / np.gradient(lags))]), iterations)
+    lags, weight, moved_by = _resolved(fitted, problem, fitted.point.values[problem.lag] + LAGS_ABOUT)
+    moved_by -= weight @ moved_by
+    held, fitted = _again(fitted, problem, float(weight @ lags), iterations)
+    return held, fitted, ((moved_by.T * weight) @ moved_by)[1:, 1:]
+
+
+def _again(fitted: Maximum, free: Problem, lag: float, iterations: int) -> tuple[Problem, Maximum]:
+    """The maximum with another lag, and its problem."""
+    assert free.lag is not None
+    held, phi = _held(free, lag), fitted.best.phi
+    start = At.of(held, _point_of(fitted.point, free.lag, lag), fitted.at.about, fitted.at.noise.kept)
+    return held, maximum(held, start, phi, iterations)
+
+
+def _prior_of_lag(problem: Problem, lag: float) -> float:
+    """What the prior adds to the sum of squares."""
+    assert problem.lag is not None
+    expected, u = (values[1 + problem.lag] for values in problem.measured)
+    return float(((lag - expected) / u) ** 2)
+
+
+def _held(problem: Problem, lag: float) -> Problem:
+    """The problem with a lag that is known."""
+    assert problem.lag is not None
+    expected, u = (values.copy() for values in problem.measured)
+    expected[1 + problem.lag], u[1 + problem.lag] = lag, LAG_HELD
+    return replace(problem, measured=(expected, u), lag_known=True)
+
+
+def _point_of(point: Point, where: int, lag: float) -> Point:
+    """A point with another lag."""
+    values = point.values.copy()
+    values[where] = lag
+    return replace(point, values=values)
+
+
+def _at_lag(fitted: Maximum, free: Problem, lag: float) -> Step:
+    """The step from the point of a maximum to the solution with a lag, φ being that of the maximum."""
+    assert free.lag is not None
+    held, wide = _held(free, lag), fitted.problem.measured
+    u = held.measured[1].copy()
+    others = np.arange(len(u)) != 1 + free.lag
+    u[others] = wide[1][others]
+    held = replace(held, measured=(held.measured[0], u), own_known=fitted.problem.own_known)
+    at = At.of(held, _point_of(fitted.point, free.lag, lag), fitted.at.about, fitted.at.noise.kept)
+    return at.solved(held, fitted.components)
+
+
+def _resolved(fitted: Maximum, free: Problem, lags: Array) -> tuple[Array, Array, Array]:
+    """Lags, their probabilities, and what the solutions move gravity and the parameters by (L, 1 + m): those of a first
+    grid, and between them as many as resolve the likelihood, which may be narrow, and steep to one side."""
+    deviance, moved_by = _about(fitted, free, lags)
+    for _ in range(HALVINGS):
+        weight = _probabilities(lags, deviance)
+        if weight.max() < RESOLVED:
+            break
+        heavy = weight > 0.1 * RESOLVED
+        between = np.flatnonzero(heavy[1:] | heavy[:-1])
+        more = 0.5 * (lags[between] + lags[between + 1])
+        others, moved_others = _about(fitted, free, more)
+        lags, deviance = np.insert(lags, between + 1, more), np.insert(deviance, between + 1, others)
+        moved_by = np.insert(moved_by, between + 1, moved_others, axis=0)
+    return lags, _probabilities(lags, deviance), moved_by
+
+
+def _about(fitted: Maximum, free: Problem, lags: Array) -> tuple[Array, Array]:
+    """−2 log of the likelihoods (L,) of lags, with the prior, and what their solutions move gravity and the parameters
+    by (L, 1 + m)."""
+    assert free.lag is not None
+    steps = [_at_lag(fitted, free, lag) for lag in lags.tolist()]
+    deviance = [step.deviance + _prior_of_lag(free, lag) for step, lag in zip(steps, lags.tolist(), strict=True)]
+    moved_by = np.array([step.parameters for step in steps])
+    moved_by[:, 1 + free.lag] = lags
+    return np.array(deviance), moved_by
+
+
+def _probabilities(lags: Array, deviance: Array) -> Array:
+    """Of lags of these −2 log likelihoods, in ascending order."""
+    weight = np.exp(-0.5 * (deviance - deviance.min())) * np.gradient(lags)
+    return np.asarray(weight / weight.sum())
