@@ -277,19 +277,28 @@ def _fold(kept: Array, product: Array, count: int, triangle: Array) -> None:
                     kept[row, other] -= product[other] * part
 
 
+def given_others(factor: Array) -> tuple[Array, Array, Array, Array]:
+    """The rows of all rests solved for their unknowns: what these are known to given the others, R⁻¹ (N, d, d), how
+    they go with those of the next rest (N, d, d) and with the parameters (N, d, p), and their values (N, d) where these
+    are zero."""
+    N, d = factor.shape[:2]
+    inverse, by_next = np.zeros((N, d, d)), np.zeros((N, d, d))
+    by, unknowns = np.zeros((N, d, factor.shape[2] - 2 * d - 1)), np.empty((N, d))
+    _solve_all(factor, inverse, by_next, by, unknowns)
+    return inverse, by_next, by, unknowns
+
+
 def put_back(
     factor: Array, link: IntArray, parameters: Array, covariance: Array, unknowns: Array
-) -> tuple[Array, Array, tuple[Array, Array, Array]]:
+) -> tuple[Array, Array]:
     """The unknowns (N, d) of the rests for parameters (p,), written to `unknowns`, and their covariances from the
     covariance (p, p) of the parameters: with themselves and those of the next rest (2, N, d, d), and with the
-    parameters (N, d, p). An unknown that nothing shows is zero, and without variance. Last what they are from: the
-    inverses (N, d, d) of the factors, and how unknowns go with those of the next rest and with the parameters."""
-    N, d, p = len(factor), factor.shape[1], len(parameters)
-    inverse, by_next, by = np.zeros((N, d, d)), np.zeros((N, d, d)), np.zeros((N, d, p))
-    _solve_all(factor, inverse, by_next, by, unknowns)
+    parameters (N, d, p). An unknown that nothing shows is zero, and without variance."""
+    inverse, by_next, by, unknowns[:] = given_others(factor)
+    N, d, p = by.shape
     own, shared = np.zeros((2, N, d, d)), np.reshape(by.reshape(N * d, p) @ covariance, by.shape)
     _put_back(link, parameters, inverse, by_next, by, unknowns, own, shared)
-    return own, shared, (inverse, by_next, by)
+    return own, shared
 
 
 def _solve_all(factor: Array, inverse: Array, by_next: Array, by: Array, unknowns: Array) -> None:

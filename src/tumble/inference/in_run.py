@@ -24,12 +24,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tumble.inference.elimination import given_others
 from tumble.inference.hyperparameters import Components
 from tumble.units import Array, BoolArray
 
 if TYPE_CHECKING:
     from tumble.inference.likelihood import Problem
-    from tumble.inference.step import Step
+    from tumble.inference.step import Step, Told
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -98,23 +99,24 @@ class InRun:
         return by_size, by_time, told
 
 
-def of_session(problem: Problem, step: Step, process: InRun) -> tuple[Array, Array, Array]:
-    """By how much the means of the biases over the rests differ from their parameters: values (n,), what they change
-    with gravity and the parameters (n, 1 + m), and the covariance (n, n) of the rest. A session's states are a chain,
-    u_i = A_i u_{i+1} + B_i x + e_i, along which their mean is followed from the first."""
-    n, N, d = len(process.sigma), *step.unknowns.shape
-    if len(problem.parts) > 1 or step.to_next is None:
-        p = len(step.parameters)
-        return np.zeros(n), np.zeros((n, p)), np.zeros((n, n))
-    inverse, by_next, by = step.to_next
-    share = np.zeros((n, d))
+def of_session(problem: Problem, told: Told, parameters: Array) -> tuple[Array, Array, Array]:
+    """By how much the means of the biases over the rests of a session differ from their parameters, once a step of
+    these (q + 1 + m,), its own before them, is done: values (n,), what they change with them (n, q + 1 + m), and the
+    covariance (n, n) of the rest. A session's states are a chain, u_i = A_i u_{i+1} + B_i x + a_i + e_i, along which
+    their mean is followed from the first."""
+    process = told.process
+    assert process is not None
+    inverse, by_next, by, alone = given_others(told.factor)
+    N, d, p = by.shape
+    n = len(process.sigma)
+    share, carried = np.zeros((n, d)), np.zeros((n, d))
     share[:, d - n :] = np.diag(process.sigma) / N
-    carried, along, covariance = np.zeros((n, d)), np.zeros((n, by.shape[2])), np.zeros((n, n))
+    values, along, covariance = np.zeros(n), np.zeros((n, p)), np.zeros((n, n))
     for i in range(N):
         carried = carried + share
+        values += carried @ alone[i]
         along += carried @ by[i]
         root = carried @ inverse[i]
         covariance += root @ root.T
         carried = carried @ by_next[i]
-    q = len(problem.own_known)
-    return process.sigma * step.unknowns[:, d - n :].mean(axis=0), along[:, q:], covariance
+    return values + along @ parameters, along, covariance

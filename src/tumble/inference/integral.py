@@ -1,17 +1,23 @@
 """The posterior with the hyperparameters integrated out, by importance sampling.
 
-Points φ_i are of a fixed low-discrepancy sequence, so that a result is the same to the last digit, through a proposal q
-about the maximum: along the eigenvectors of the curvature of −ℓ, Student-t of NU degrees each. A size λ whose maximum is
-1 has a proposal of its own: half of its prior is exactly λ = 1, whatever p < 0 is, the other half falls with the slope
-and curvature of ℓ there. With the weights w_i ∝ e^{ℓ(φ_i)}/q(φ_i), smoothed by the Pareto distribution that fits the
-largest (Vehtari et al. 2024, Pareto smoothed importance sampling), and the step m_i and covariance V_i at each
+Integrated is over the elements of φ that matter: along which, a standard deviation either way, a parameter of the
+linear model moves by more than NOTICED of its u, or its u by as much. The others stay at the maximum. Points φ_i are of
+a fixed low-discrepancy sequence, so that a result is the same to the last digit. The proposal q is a Gaussian copula:
+ℓ along every element through the maximum, by cubics between KNOTS where it and its score are taken, is that element's
+own density, of which
+
+    φ = F⁻¹(N(z)),   z normal with the correlations of the curvature of −ℓ
+
+Of a size λ = exp(max(p, 0)) whose maximum is 1 half of the density is that of p < 0, by its prior. With the weights
+w_i ∝ e^{ℓ(φ_i)}/q(φ_i), smoothed by the Pareto
+distribution that fits the largest (Vehtari et al. 2024, Pareto smoothed importance sampling), and the step m_i and
+covariance V_i at each
 
     x̄ = Σ w m,    C = Σ w (V + m mᵀ) − x̄ x̄ᵀ
 
 and the coverage factor k of a parameter is the half width at 95.45 % of its mixture of Gaussians over its u. Rows do not
 change, so that each point costs one elimination. The effective number of points 1/Σ w² and the shape of the Pareto
-distribution say how good the proposal was; it is centred and scaled once more by the first round's weights where the
-effective number is below LEAST_EFFECTIVE.
+distribution say how good the proposal was.
 """
 
 from __future__ import annotations
@@ -23,20 +29,25 @@ from scipy import special
 
 from tumble.inference.hyperparameters import Hyperparameter, components_of, sized
 from tumble.inference.in_run import of_session
-from tumble.inference.maximum import Maximum
-from tumble.units import Array, BoolArray
+from tumble.inference.linearisation import with_priors
+from tumble.inference.maximum import Evaluated, Maximum
+from tumble.inference.step import deviance, joined, tell
+from tumble.units import Array
 
 POINTS = 128
-NU = 7.0
-"""Degrees of freedom of the proposal."""
-LEAST_EFFECTIVE = 32.0
+KNOTS = (-5.0, -2.5, -1.0, 1.0, 2.0)
+"""Where ℓ is looked at along an element of φ, in standard deviations by its curvature."""
+FINE = 241
+"""Points of the densities along the elements."""
+TAIL = 4.0
+"""Standard deviations beyond the last knots that they reach."""
+WIDER = 1.15
+"""Times what the curvature says: the proposal is to be wider than the posterior."""
+NOTICED = 0.05
+"""Of u: an element of φ that does less to the parameters is not integrated over."""
 POOR = 0.7
 """Shape of the Pareto distribution of the weights from which on the integral is not to be relied on."""
 COVERAGE = 0.9545
-SOFTENED = 0.5
-"""Power of the weights by which a proposal is centred and scaled once more."""
-LEAST_CURVATURE = 0.05
-"""Of ℓ, along any direction of φ: no proposal is wider."""
 MOST_DEGREES = 1e6
 
 
@@ -62,88 +73,134 @@ class Posterior:
 
 def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
     """The posterior about a maximum; with a single point that at the maximum itself."""
-    entries, best = fitted.entries, fitted.best
-    at_bound = np.array([h.bounded for h in entries], dtype=bool) & (best.phi <= 0.0)
-    free, bound = np.flatnonzero(~at_bound), np.flatnonzero(at_bound)
-    curvature = fitted.curvature[np.ix_(free, free)]
-    value, vectors = np.linalg.eigh(curvature)
-    root, centre = vectors / np.sqrt(np.maximum(value, LEAST_CURVATURE)), best.phi[free]
-    grid, adapted = _sequence(points, len(entries)), False
-    while True:
-        phi, log_q = np.zeros((points, len(entries))), np.zeros(points)
-        t = special.stdtrit(NU, grid[:, : len(free)]) if points > 1 else np.zeros((1, len(free)))
-        phi[:, free] = centre + t @ root.T
-        log_q -= 0.5 * (NU + 1.0) * np.log1p(t**2 / NU).sum(axis=1)
-        for column, i in enumerate(bound.tolist(), start=len(free)):
-            if points > 1:
-                phi[:, i], own = _above_the_sheet(entries[i], best.gradient[i], best.information[i, i], grid[:, column])
-                log_q += own
-        every = [_at(fitted, at_bound, own) for own in phi]
-        log_weight = np.array([value for value, *_ in every]) - log_q
-        weight, pareto = smoothed(log_weight)
-        effective = float(1.0 / (weight**2).sum())
-        if adapted or effective >= LEAST_EFFECTIVE or points < 2:
-            break
-        softer = np.exp((log_weight - log_weight.max()) * SOFTENED)
-        softer /= softer.sum()
-        centre = softer @ phi[:, free]
-        off = phi[:, free] - centre
-        size, vectors = np.linalg.eigh((off.T * softer) @ off + 0.2 * root @ root.T)
-        root, adapted = vectors * np.sqrt(size), True
+    best = fitted.best
+    phi, log_q = best.phi[None].repeat(points, axis=0), np.zeros(points)
+    if points > 1:
+        axes, correlation = _axes(fitted)
+        value, vectors = np.linalg.eigh(correlation)
+        normal = special.ndtri(_sequence(points, len(axes)))
+        z = WIDER * normal @ (vectors * np.sqrt(value)).T
+        log_q -= 0.5 * (normal**2).sum(axis=1)
+        for own, axis in zip(z.T, axes, strict=True):
+            x = np.interp(special.ndtr(own), axis.cumulative, axis.phi)
+            phi[:, axis.element] = x
+            log_q += np.interp(x, axis.phi, axis.log_density) + 0.5 * own**2
+    every = [_at(fitted, own) for own in phi]
+    weight, pareto = smoothed(np.array([value for value, *_ in every]) - log_q)
     steps, covariances = np.array([each[1] for each in every]), np.array([each[2] for each in every])
     mean = weight @ steps
     covariance = np.einsum("k,kab->ab", weight, covariances) + ((steps - mean).T * weight) @ (steps - mean)
     process, own = np.array([each[3] for each in every]), np.array([each[4] for each in every])
     of_process = weight @ process
-    variances = np.diagonal(covariances, axis1=1, axis2=2)
-    u = np.sqrt(np.diag(covariance))
+    spread = ((process - of_process).T * weight) @ (process - of_process)
+    deviations = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     return Posterior(
         step=mean,
         covariance=covariance,
-        degrees=_degrees((steps - mean)[:, 1:], np.sqrt(variances)[:, 1:], weight, u[1:]),
+        degrees=_degrees((steps - mean)[:, 1:], deviations[:, 1:], weight, np.sqrt(np.diag(covariance))[1:]),
         process_step=of_process,
-        process_covariance=np.einsum("k,kab->ab", weight, own)
-        + ((process - of_process).T * weight) @ (process - of_process),
+        process_covariance=np.einsum("k,kab->ab", weight, own) + spread,
         points=points,
-        effective=effective,
+        effective=float(1.0 / (weight**2).sum()),
         pareto=pareto,
-        hyperparameters=_summary(entries, phi, weight),
+        hyperparameters=_summary(fitted.entries, phi, weight),
     )
 
 
-def _at(fitted: Maximum, at_bound: BoolArray, phi: Array) -> tuple[float, Array, Array, Array, Array]:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Axis:
+    """The posterior density of an element of φ along it through the maximum: at points `phi`, its logarithm and the
+    distribution function."""
+
+    element: int
+    phi: Array
+    log_density: Array
+    cumulative: Array
+
+
+def _axes(fitted: Maximum) -> tuple[list[_Axis], Array]:
+    """ℓ along every element of φ that matters, and the correlations (k, k) of these by its curvature."""
+    best, bounded = fitted.best, np.array([h.bounded for h in fitted.entries])
+    linear = slice(1, 1 + fitted.free.instrument.linear_count)
+    mean, u = best.step.parameters[linear], np.sqrt(best.step.covariance.diagonal()[linear])
+    axes, bends = list[_Axis](), list[Array]()
+    for i, h in enumerate(fitted.entries):
+        at_bound = bool(bounded[i] and best.phi[i] <= 0.0)
+        size = 1.0 / np.sqrt(max(best.information[i, i] if at_bound else fitted.curvature[i, i], h.prior(best.phi[i])[2]))
+        knots, matters, scores = [(0.0, 0.0, best.gradient[i])], False, list[Array]()
+        for away in (-1.0, 1.0, *KNOTS[:2], *KNOTS[4:]):
+            if at_bound and away < 0.0:
+                continue
+            phi = best.phi.copy()
+            phi[i] += away * size
+            there = Evaluated.of(fitted.free, fitted.entries, fitted.at, phi)
+            knots.append((away * size, there.value - best.value, there.gradient[i]))
+            if abs(away) == 1.0:
+                scores.append(there.gradient)
+                moved = np.abs(there.step.parameters[linear] - mean) / u
+                wider = np.abs(np.sqrt(there.step.covariance.diagonal()[linear]) / u - 1.0)
+                matters |= bool(max(moved.max(), wider.max()) > NOTICED)
+            if away == 1.0 and not matters:
+                break
+        if matters:
+            axes.append(_axis(i, best.phi[i], sorted(knots), size, h.within if at_bound else 0.0))
+            bends.append(np.zeros(len(best.phi)) if at_bound else (scores[0] - scores[1]) / (2.0 * size))
+    elements = [axis.element for axis in axes]
+    curvature = np.array(bends).reshape(len(axes), -1)[:, elements]
+    curvature = 0.5 * (curvature + curvature.T)
+    alone = np.array([bool(bounded[i] and best.phi[i] <= 0.0) for i in elements], dtype=bool)
+    curvature[alone], curvature[:, alone] = 0.0, 0.0
+    diagonal = np.sqrt(np.maximum(curvature.diagonal(), 1e-12))
+    scaled = curvature / np.outer(diagonal, diagonal)
+    np.fill_diagonal(scaled, 1.0)
+    value, vectors = np.linalg.eigh(scaled)
+    return axes, np.asarray((vectors / np.maximum(value, 0.1)) @ vectors.T)
+
+
+def _axis(element: int, centre: float, knots: list[tuple[float, float, float]], size: float, within: float) -> _Axis:
+    """The density by values and slopes of its logarithm at knots, cubics between them and straight beyond; on the left
+    of a bound that of the prior, normal with a standard deviation `within`."""
+    x, y, slope = (np.array(each) for each in zip(*knots, strict=True))
+    grid = np.linspace((-3.0 * within if within else x[0] - TAIL * size), x[-1] + TAIL * size, FINE)
+    step, right = np.diff(x), np.clip(np.searchsorted(x, grid), 1, len(x) - 1)
+    h, left = step[right - 1], right - 1
+    t = np.clip((grid - x[left]) / h, 0.0, 1.0)
+    log_density = (1 + 2 * t) * (1 - t) ** 2 * y[left] + t * (1 - t) ** 2 * h * slope[left]
+    log_density += t * t * (3 - 2 * t) * y[right] - t * t * (1 - t) * h * slope[right]
+    log_density += np.minimum(grid - x[0], 0.0) * max(slope[0], 0.3 / size)
+    log_density += np.maximum(grid - x[-1], 0.0) * min(slope[-1], -0.3 / size)
+    if within:
+        log_density = np.where(grid < 0.0, -0.5 * (grid / within) ** 2, log_density)
+    density = np.exp(log_density - log_density.max())
+    cumulative = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
+    area = cumulative[-1] * (grid[1] - grid[0])
+    log_density = np.log(np.maximum(density, 1e-300)) - np.log(area)
+    return _Axis(
+        element=element, phi=centre + grid, log_density=log_density, cumulative=cumulative / cumulative[-1]
+    )
+
+
+def _at(fitted: Maximum, phi: Array) -> tuple[float, Array, Array, Array, Array]:
     """ℓ at φ, and there the step of gravity and the parameters, its covariance, both with the biases of the session,
     and the step and covariance of the biases of the processes."""
-    entries, free = fitted.entries, fitted.best.problem
-    components = components_of(entries, phi, free.sensors)
-    problem = sized(free, entries, phi)
-    step = fitted.at.solved(problem, components)
-    value = -0.5 * step.deviance + sum(h.prior(p)[0] for h, p in zip(entries, phi.tolist(), strict=True))
-    for i in np.flatnonzero(at_bound):  # where λ may be 1 exactly
-        value += np.log(0.5) if phi[i] <= 0.0 else -np.log(entries[i].within * np.sqrt(2.0 * np.pi))
-    change, covariance, n = step.parameters.copy(), step.covariance, free.sensors
-    biases = 1 + free.biases
+    entries, free = fitted.entries, fitted.free
+    components, problem = components_of(entries, phi, free.sensors), sized(free, entries, phi)
+    rows = with_priors(fitted.at.rows, problem, fitted.at.point, fitted.at.about)
+    told = tell(problem, rows, fitted.at.noise.weights(components))
+    known = joined(problem, rows, told)
+    value = -0.5 * deviance(problem, told, known)
+    value += sum(h.prior(p)[0] for h, p in zip(entries, phi.tolist(), strict=True))
+    q, biases = len(problem.own_known), 1 + free.biases
+    change, covariance = known.parameters.copy(), known.roots[0][q:, q:] @ known.roots[0][q:, q:].T
     process = change[biases], covariance[np.ix_(biases, biases)]
-    if step.told.process is not None:
-        more, by, apart = of_session(problem, step, step.told.process)
+    if told.process is not None and len(problem.parts) == 1:
+        more, by, apart = of_session(problem, told, np.concatenate([known.own[0], known.parameters]))
         to_session = np.eye(len(change))
-        to_session[biases] += by
+        to_session[biases] += by[:, q:]
         change[biases] += more
         covariance = to_session @ covariance @ to_session.T
         covariance[np.ix_(biases, biases)] += apart
-    assert len(biases) == n
     return float(value), change, covariance, *process
-
-
-def _above_the_sheet(h: Hyperparameter, slope: float, information: float, grid: Array) -> tuple[Array, Array]:
-    """Points p of a size λ = exp(max(p, 0)) whose maximum is 1, by uniform numbers, and the logarithms of their
-    proposal: λ = 1 with the probability that ℓ gives it, and above half a normal distribution that falls as ℓ does."""
-    width = 1.0 / np.sqrt(max(information, h.within**-2) + (min(slope, 0.0)) ** 2)
-    above = np.sqrt(0.5 * np.pi) * width / (h.within * np.sqrt(2.0 * np.pi))
-    chance = max(0.5 / (0.5 + above), 0.3)
-    p = np.where(grid < chance, 0.0, width * special.ndtri(0.5 + 0.5 * np.clip((grid - chance) / (1.0 - chance), 0, 1 - 1e-12)))
-    beyond = np.log((1.0 - chance) * 2.0 / (width * np.sqrt(2.0 * np.pi))) - 0.5 * (p / width) ** 2
-    return p, np.where(p <= 0.0, np.log(chance), beyond)
 
 
 def _sequence(points: int, dimensions: int) -> Array:

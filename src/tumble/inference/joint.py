@@ -18,10 +18,19 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.estimation.common_errors import common_covariance
-from tumble.estimation.estimate import DETERMINED, Estimate, GroupFinding, OwnEstimate
+from tumble.estimation.estimate import (
+    DETERMINED,
+    Estimate,
+    GroupFinding,
+    HyperparameterEstimate,
+    Integral,
+    LeftOut,
+    OwnEstimate,
+    ProcessBias,
+)
 from tumble.estimation.prediction import prediction
 from tumble.estimation.turns_about import TurnsAbout
-from tumble.inference.fits import fits, robust, settled, sigmas
+from tumble.inference.fits import fits, left_out, robust, settled, sigmas
 from tumble.inference.integral import POINTS, Posterior, posterior
 from tumble.inference.lag import KEPT, maximum_with_lag
 from tumble.inference.likelihood import NO_PRIOR, Linearised, Prior, Problem, instruments_of
@@ -103,6 +112,32 @@ def _estimate(
         ),
         linearised=_linearised(fitted, free),
         own=_own(fitted),
+        hyperparameters=tuple(_hyperparameters(fitted, shown)),
+        integral=Integral(points=shown.points, effective=shown.effective, pareto=shown.pareto),
+        process_bias=_process_bias(fitted, shown, common),
+        left_out=LeftOut(**dict(zip(("accel", "gyro", "turn"), left_out(fitted), strict=True))),
+    )
+
+
+def _hyperparameters(fitted: Maximum, shown: Posterior) -> Iterator[HyperparameterEstimate]:
+    """What the session says of every hyperparameter."""
+    for h, (value, low, high) in zip(fitted.entries, shown.hyperparameters.tolist(), strict=True):
+        yield HyperparameterEstimate(
+            name=h.name, unit=h.unit, words=h.words, value=value, low=low, high=high, usual=h.usual
+        )
+
+
+def _process_bias(fitted: Maximum, shown: Posterior, common: Array) -> ProcessBias:
+    """The biases as the means of their processes, and how far that of the next minute may be."""
+    problem, biases, components = fitted.problem, fitted.problem.biases, fitted.components
+    variance = np.diag(shown.process_covariance) + np.diag(common)[biases]
+    counts = problem.instrument.accel.size, problem.sensors - problem.instrument.accel.size
+    sigma = components.in_run(*counts)[0] if components.wanders else np.zeros(problem.sensors)
+    return ProcessBias(
+        names=tuple(problem.instrument.names[i] for i in biases),
+        values=fitted.at.point.values[biases] + shown.process_step,
+        u=np.sqrt(variance),
+        next_u=np.sqrt(variance + sigma**2),
     )
 
 

@@ -145,9 +145,10 @@ class Evaluated:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Maximum:
-    """The maximum: the hyperparameters and ℓ there, the linearisation it is of, the point after the last step,
+    """The maximum: the problem with groups of usual size, the hyperparameters and ℓ there, the linearisation it is of, the point after the last step,
     B (D, D), the changes of the parameters by linearisation, and why the iteration ended."""
 
+    free: Problem
     entries: tuple[Hyperparameter, ...]
     best: Evaluated
     at: At
@@ -203,7 +204,14 @@ def maximum(problem: Problem, at: At, phi: Array | None = None, iterations: int 
             status = Status.converged
         if status is Status.converged or len(increments) >= iterations:
             return Maximum(
-                entries=entries, best=best, at=at, point=point, curvature=B, increments=tuple(increments), status=status
+                free=problem,
+                entries=entries,
+                best=best,
+                at=at,
+                point=point,
+                curvature=B,
+                increments=tuple(increments),
+                status=status,
             )
         at = At.of(problem, point, about, at.noise.kept)
 

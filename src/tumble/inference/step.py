@@ -77,9 +77,6 @@ class Step(Known):
     deviance: float
     told: Told
     shared: tuple[Array, Array]
-    to_next: tuple[Array, Array, Array] | None = None
-    """By rest what its unknowns are known to given the next, R⁻¹ (N, d, d), and how they go with those of the next
-    (N, d, d) and with the others (N, d, p)."""
 
     @property
     def angles(self) -> Array:
@@ -104,13 +101,11 @@ def solve(problem: Problem, rows: Rows, weight: Weights) -> Step:
 def completed(problem: Problem, rows: Rows, told: Told) -> Step:
     """The least-squares step of what rows have told and of their priors."""
     known, N, d = joined(problem, rows, told), len(problem.link), told.factor.shape[1]
-    unknowns, shared, to_next = np.empty((N, d)), [], []
+    unknowns, shared = np.empty((N, d)), []
     own_covariance = known.roots @ np.swapaxes(known.roots, 1, 2)
     for part, own, covariance in zip(problem.parts, known.own, own_covariance, strict=True):
         both, link = np.concatenate([own, known.parameters]), _links(part, told.process)
-        *found, between = put_back(told.factor[part.rests], link, both, covariance, unknowns[part.rests])
-        shared.append(found)
-        to_next.append(between)
+        shared.append(put_back(told.factor[part.rests], link, both, covariance, unknowns[part.rests]))
     return Step(
         parameters=known.parameters,
         own=known.own,
@@ -120,10 +115,9 @@ def completed(problem: Problem, rows: Rows, told: Told) -> Step:
         square=known.square,
         pivots=known.pivots,
         unknowns=unknowns,
-        deviance=_deviance(problem, told, known),
+        deviance=deviance(problem, told, known),
         told=told,
         shared=(np.concatenate([each[0] for each in shared], axis=1), np.concatenate([each[1] for each in shared])),
-        to_next=to_next[0] if len(to_next) == 1 else None,
     )
 
 
@@ -223,7 +217,7 @@ def _put_back_own(head: Array, parameters: Array, root: Array) -> tuple[Array, A
     return inverse @ head[:, -1] + by_parameter @ parameters, whole
 
 
-def _deviance(problem: Problem, told: Told, known: Known) -> float:
+def deviance(problem: Problem, told: Told, known: Known) -> float:
     """−2 log of the restricted likelihood, less its constant."""
     own = told.weights.rest, told.weights.turn
     whitened = np.concatenate([each.diagonal(0, 1, 2).ravel() for each in own])
