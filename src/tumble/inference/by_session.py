@@ -12,11 +12,11 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from tumble.estimation.turns_about import TurnsAbout
 from tumble.inference.hyperparameters import Noise
 from tumble.inference.likelihood import Linearised, Problem, Rows
 from tumble.inference.session_spans import SessionSpan
 from tumble.inference.step import tell, with_own
-from tumble.estimation.turns_about import TurnsAbout
 from tumble.reduction.moments import Moments
 from tumble.reduction.together import apart
 from tumble.units import Array

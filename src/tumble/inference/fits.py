@@ -20,10 +20,9 @@ import numpy as np
 from scipy import special
 
 from tumble.estimation.estimate import Fit
-from tumble.inference.hyperparameters import Components
+from tumble.inference.hyperparameters import Components, Noise, Weights
 from tumble.inference.likelihood import Problem
-from tumble.inference.maximum import At, Maximum, Status, maximum
-from tumble.inference.step import Left, left
+from tumble.inference.step import Left
 from tumble.units import Array, BoolArray
 
 GROUPS = ("accelerometers", "gyro rests", "gyro turns", "velocities of turns")
@@ -37,9 +36,7 @@ LEAST_WEIGHT = 0.1
 """A row of less weight is left out."""
 STANDS_OUT = 4.0
 """Sigmas by the scale of the others: where no rest or turn is further out the maximum is as good as a robust one."""
-ROBUST_ROUNDS = 12
-"""Maxima with weights at most until these settle."""
-SETTLED = 0.02
+SETTLED = 0.05
 """A change of weights that is none."""
 LEFT_OUT = 1e-6
 """The weight of what is left out."""
@@ -60,29 +57,24 @@ class Residuals:
     counts: tuple[Array, Array, Array]
 
 
-def residuals(fitted: Maximum, after: Left | None = None, components: Components | None = None) -> Residuals:
-    """How far rests and turns are from the fit, or from that with other components of variance."""
-    problem, noise, step = fitted.problem, fitted.at.noise, fitted.best.step
-    weights = step.told.weights if components is None else noise.weights(components)
-    after = fitted.best.left if after is None else after
-    n = problem.observations.accel_block.size
-    sensors = n + problem.observations.rests.gyro.shape[1]
-    rest_kept, turn_kept = _kept(problem, fitted.at)
-    groups = (
-        (weights.rest, after.rest, rest_kept, slice(n)),
-        (weights.rest, after.rest, rest_kept, slice(n, sensors)),
-        (weights.turn, after.turn, turn_kept, slice(None)),
-    )
-    every = [_falls(*group) for group in groups]
-    falls, counts = zip(*every, strict=True)
+def residuals(problem: Problem, noise: Noise, weights: Weights, after: Left) -> Residuals:
+    """How far rests and turns are from a fit by what it leaves of the rows of these weights."""
+    rest_kept, turn_kept = kept(noise)
+    rest = weights.rest, after.rest, rest_kept
+    groups = *((*rest, rows) for rows in _of_sensors(problem)), (weights.turn, after.turn, turn_kept, slice(None))
+    falls, counts = zip(*(_falls(*group) for group in groups), strict=True)
     return Residuals(falls=falls, counts=counts)
 
 
-def _kept(problem: Problem, at: At) -> tuple[Array, Array]:
+def _of_sensors(problem: Problem) -> tuple[slice, slice]:
+    """The rows of a rest that are the accelerometers' and the gyros'."""
+    n = problem.observations.accel_block.size
+    return slice(n), slice(n, n + problem.observations.rests.gyro.shape[1])
+
+
+def kept(noise: Noise) -> tuple[Array, Array]:
     """Square roots of the weights of single rows."""
-    if at.noise.kept is not None:
-        return at.noise.kept
-    return np.ones(at.noise.rest.shape[:2]), np.ones(at.noise.turn.shape[:2])
+    return (np.ones(noise.rest.shape[:2]), np.ones(noise.turn.shape[:2])) if noise.kept is None else noise.kept
 
 
 def _falls(W: Array, after: tuple[Array, Array], kept: Array, rows: slice) -> tuple[Array, Array]:
@@ -111,53 +103,42 @@ def _falls(W: Array, after: tuple[Array, Array], kept: Array, rows: slice) -> tu
     return fall, count
 
 
-def robust(problem: Problem, first: Maximum) -> Maximum:
-    """The maximum without the rests and turns that do not fit; `first` where all do."""
-    if not any((sigma > STANDS_OUT).any() for sigma in sigmas(first)):
-        return first
-    fitted, n = first, problem.observations.accel_block.size
-    weights = [np.ones(len(fall)) for fall in residuals(first).falls]
-    for _ in range(ROBUST_ROUNDS):
-        shown = residuals(fitted)
-        new = [(NU + q) / (NU + fall) for fall, q in zip(shown.falls, shown.counts, strict=True)]
-        new = [np.minimum(w, 1.0) for w in new]
-        change = max((float(np.abs(a - b).max()) for a, b in zip(new, weights, strict=True) if len(a)), default=0.0)
-        weights = new
-        if change < SETTLED:
-            break
-        fitted = _weighted(problem, fitted, weights, n)
-    out = [w < LEAST_WEIGHT for w in weights]
-    if not any(each.any() for each in out):
-        return first
-    return _weighted(problem, fitted, [np.where(each, LEFT_OUT, 1.0) for each in out], n)
+def student(shown: Residuals) -> list[Array]:
+    """The weights of Student-t rows: of the accelerometers and of the gyros at rest, by rest, and of the turns."""
+    every = zip(shown.falls, shown.counts, strict=True)
+    return [np.minimum((NU + count) / (NU + fall), 1.0) for fall, count in every]
 
 
-def _weighted(problem: Problem, fitted: Maximum, weights: list[Array], n: int) -> Maximum:
-    """The maximum with weights of the accelerometers and gyros at rest, by rest, and of the turns."""
-    at = fitted.at
-    kept = np.ones(at.noise.rest.shape[:2]), np.ones(at.noise.turn.shape[:2])
-    sensors = n + problem.observations.rests.gyro.shape[1]
-    kept[0][:, :n], kept[0][:, n:sensors] = np.sqrt(weights[0])[:, None], np.sqrt(weights[1])[:, None]
-    kept[1][:] = np.sqrt(weights[2])[:, None]
-    return maximum(problem, replace(at, noise=replace(at.noise, kept=kept)), fitted.best.phi)
+def weighted(problem: Problem, noise: Noise, weights: list[Array]) -> Noise:
+    """The noise with weights of the accelerometers and of the gyros at rest, by rest, and of the turns."""
+    rest, turn = np.ones(noise.rest.shape[:2]), np.ones(noise.turn.shape[:2])
+    for rows, own in zip(_of_sensors(problem), weights, strict=False):
+        rest[:, rows] = np.sqrt(own)[:, None]
+    turn[:] = np.sqrt(weights[2])[:, None]
+    return replace(noise, kept=(rest, turn))
 
 
-def left_out(fitted: Maximum) -> tuple[BoolArray, BoolArray, BoolArray]:
+def same_weights(kept: tuple[Array, Array] | None, before: tuple[Array, Array]) -> bool:
+    """Whether the weights of single rows have settled."""
+    assert kept is not None
+    return all(bool(np.all(np.abs(a**2 - b**2) < SETTLED)) for a, b in zip(kept, before, strict=True))
+
+
+def left_out(problem: Problem, noise: Noise) -> tuple[BoolArray, BoolArray, BoolArray]:
     """The rests whose accelerometers, and whose gyros, and the turns that are left out."""
-    rest, turn = _kept(fitted.problem, fitted.at)
-    n = fitted.problem.observations.accel_block.size
-    sensors = n + fitted.problem.observations.rests.gyro.shape[1]
-    least = LEAST_WEIGHT**0.5
-    by = [np.any(part < least, axis=1) for part in (rest[:, :n], rest[:, n:sensors], turn)]
-    return by[0], by[1], by[2]
+    rest, turn = kept(noise)
+    accel, gyro, by_turn = (np.any(part < LEAST_WEIGHT**0.5, axis=1) for part in (*(rest[:, rows] for rows in _of_sensors(problem)), turn))
+    return accel, gyro, by_turn
 
 
-def sigmas(fitted: Maximum) -> tuple[Array, Array, Array]:
+def sigmas(problem: Problem, noise: Noise, weights: Weights, after: Left) -> tuple[Array, Array, Array]:
     """How far each rest is from the fit by its accelerometers and by its gyros (N,), and each turn (K,), as Gaussian
     sigmas of the same probability: by Fisher's distribution, for the scale is that of the others."""
-    shown, fits, out = residuals(fitted), chi_squares(fitted.problem, fitted.best.left), left_out(fitted)
+    shown, fits = residuals(problem, noise, weights, after), chi_squares(problem, after)
     every = list[Array]()
-    for fall, count, omitted, name in zip(shown.falls, shown.counts, out, GROUPS[:3], strict=True):
+    for fall, count, omitted, name in zip(
+        shown.falls, shown.counts, left_out(problem, noise), GROUPS[:3], strict=True
+    ):
         degrees = fits[name].degrees if name in fits else 0.0
         k = np.maximum(count, 1)
         others = np.maximum(degrees - k * max(1, omitted.sum()), 1.0)
@@ -188,19 +169,13 @@ def chi_squares(problem: Problem, after: Left, components: Components | None = N
     return out
 
 
-def fits(fitted: Maximum) -> Mapping[str, Fit]:
-    """The same, and that of everything with the noise within rests alone."""
-    alone = fitted.at.solved(fitted.problem, Components())
-    every = chi_squares(fitted.problem, left(fitted.problem, alone)).values()
+def with_total(fits: Mapping[str, Fit], alone: Mapping[str, Fit]) -> Mapping[str, Fit]:
+    """The same, and that of everything with the noise within rests `alone`."""
+    every = alone.values()
     total = Fit(
         chi_square=sum(each.chi_square for each in every),
         degrees=sum(each.degrees for each in every),
         scatter=0.0,
         scatter_unit="",
     )
-    return chi_squares(fitted.problem, fitted.best.left, fitted.components) | {TOTAL: total}
-
-
-def settled(fitted: Maximum) -> bool:
-    """Whether the maximum is one."""
-    return fitted.status is Status.converged
+    return {**fits, TOTAL: total}

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from tumble.inference.hyperparameters import Hyperparameter, components_of, sized
+from tumble.inference.hyperparameters import components_of, sized
 from tumble.inference.in_run import of_session
 from tumble.inference.linearisation import with_priors
 from tumble.inference.maximum import Evaluated, Maximum
@@ -35,6 +35,9 @@ from tumble.inference.step import deviance, joined, tell
 from tumble.units import Array
 
 POINTS = 128
+MOST_PARAMETERS = 200
+"""Of an array of more parameters the maximum alone is taken: priors and scatter matter least to it, and a point costs a
+hundred times as much."""
 KNOTS = (-5.0, -2.5, -1.0, 1.0, 2.0)
 """Where ℓ is looked at along an element of φ, in standard deviations by its curvature."""
 FINE = 241
@@ -74,6 +77,7 @@ class Posterior:
 def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
     """The posterior about a maximum; with a single point that at the maximum itself."""
     best = fitted.best
+    points = 1 if len(best.step.parameters) > MOST_PARAMETERS else points
     phi, log_q = best.phi[None].repeat(points, axis=0), np.zeros(points)
     if points > 1:
         axes, correlation = _axes(fitted)
@@ -103,7 +107,7 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
         points=points,
         effective=float(1.0 / (weight**2).sum()),
         pareto=pareto,
-        hyperparameters=_summary(fitted.entries, phi, weight),
+        hyperparameters=_summary(fitted, phi, weight),
     )
 
 
@@ -259,11 +263,15 @@ def _degrees(means: Array, deviations: Array, weight: Array, u: Array) -> Array:
     return np.asarray(np.interp(-factor, -factors, degrees))
 
 
-def _summary(entries: tuple[Hyperparameter, ...], phi: Array, weight: Array) -> Array:
-    """Median and the limits of the middle 68 % of every hyperparameter (D, 3)."""
-    out = np.empty((len(entries), 3))
-    for i, h in enumerate(entries):
-        order = np.argsort(phi[:, i])
-        share = np.cumsum(weight[order]) - 0.5 * weight[order]
-        out[i] = [h.value(float(p)) for p in np.interp([0.5, 0.16, 0.84], share, phi[order, i])]
+def _summary(fitted: Maximum, phi: Array, weight: Array) -> Array:
+    """Median and the limits of the middle 68 % of every hyperparameter (D, 3); of those that are not integrated over by
+    the curvature at the maximum."""
+    out = np.empty((len(fitted.entries), 3))
+    for i, h in enumerate(fitted.entries):
+        at, order = fitted.best.phi[i], np.argsort(phi[:, i])
+        limits = at + np.array([0.0, -1.0, 1.0]) / np.sqrt(fitted.curvature[i, i])
+        if np.ptp(phi[:, i]) > 0.0:
+            share = np.cumsum(weight[order]) - 0.5 * weight[order]
+            limits = np.interp([0.5, 0.16, 0.84], share, phi[order, i])
+        out[i] = [h.value(float(p)) for p in limits]
     return out

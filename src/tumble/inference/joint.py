@@ -30,13 +30,15 @@ from tumble.estimation.estimate import (
 )
 from tumble.estimation.prediction import prediction
 from tumble.estimation.turns_about import TurnsAbout
-from tumble.inference.fits import fits, left_out, robust, settled, sigmas
+from tumble.inference.fits import chi_squares, left_out, sigmas, with_total
+from tumble.inference.hyperparameters import Components
 from tumble.inference.integral import POINTS, Posterior, posterior
 from tumble.inference.lag import KEPT, maximum_with_lag
 from tumble.inference.likelihood import NO_PRIOR, Linearised, Prior, Problem, instruments_of
 from tumble.inference.linearisation import at_reference
-from tumble.inference.maximum import MAX_ITERATIONS, Maximum
+from tumble.inference.maximum import MAX_ITERATIONS, Maximum, without_outliers
 from tumble.inference.start import start_of
+from tumble.inference.step import left
 from tumble.reduction.observations import Observations
 from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument
@@ -60,9 +62,9 @@ def joint(
     usual, own = instruments_of(observations)
     problem = Problem.of(observations, prior, instrument=instrument or usual, own=own, usual=observations.usual)
     at, first = start_of(problem)
-    held, fitted, by_lag = maximum_with_lag(problem, at, QUICK_STEPS if quick else MAX_ITERATIONS)
-    if settled(fitted) and not quick:
-        fitted = robust(held, fitted)
+    fitted, by_lag = maximum_with_lag(problem, at, QUICK_STEPS if quick else MAX_ITERATIONS)
+    if fitted.converged and not quick:
+        fitted = without_outliers(fitted)
     shown = posterior(fitted, 1 if quick else POINTS)
     return _estimate(problem, fitted, shown, first + fitted.increments, by_lag)
 
@@ -70,8 +72,9 @@ def joint(
 def _estimate(
     free: Problem, fitted: Maximum, shown: Posterior, increments: tuple[Array, ...], by_lag: Array
 ) -> Estimate:
-    accel_sigmas, gyro_sigmas, turn_sigmas = sigmas(fitted)
-    problem, instrument = fitted.problem, fitted.problem.instrument
+    problem, instrument, noise, best = fitted.problem, fitted.problem.instrument, fitted.at.noise, fitted.best
+    accel_sigmas, gyro_sigmas, turn_sigmas = sigmas(problem, noise, best.step.told.weights, best.left)
+    alone = chi_squares(problem, left(problem, fitted.at.solved(problem, Components())))
     observations, linear = problem.observations, instrument.linear_count
     values = fitted.at.point.values + shown.step[1:]
     common = common_covariance(observations, instrument) + by_lag
@@ -98,8 +101,8 @@ def _estimate(
         gyro_rest_sigmas=gyro_sigmas,
         turn_sigmas=turn_sigmas,
         increments=increments,
-        fits=fits(fitted),
-        converged=settled(fitted),
+        fits=with_total(chi_squares(problem, best.left, fitted.components), alone),
+        converged=fitted.converged,
         instrument=instrument,
         groups=findings,
         degrees=shown.degrees,
@@ -115,7 +118,7 @@ def _estimate(
         hyperparameters=tuple(_hyperparameters(fitted, shown)),
         integral=Integral(points=shown.points, effective=shown.effective, pareto=shown.pareto),
         process_bias=_process_bias(fitted, shown, common),
-        left_out=LeftOut(**dict(zip(("accel", "gyro", "turn"), left_out(fitted), strict=True))),
+        left_out=LeftOut(**dict(zip(("accel", "gyro", "turn"), left_out(problem, noise), strict=True))),
     )
 
 

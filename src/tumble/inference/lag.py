@@ -32,8 +32,8 @@ LAG_ROUNDS = 3
 KEPT = 1e-3  # learned fraction of a group that the session says anything of
 
 
-def maximum_with_lag(problem: Problem, at: At, iterations: int) -> tuple[Problem, Maximum, Array]:
-    """The maximum with the likeliest lag, which is held; the problem in which it is; and what is to be added to the
+def maximum_with_lag(problem: Problem, at: At, iterations: int) -> tuple[Maximum, Array]:
+    """The maximum with the likeliest lag, which is held, and what is to be added to the
     covariance (m, m) of the parameters because the lag is not known: with the solutions θ(λ)
 
         C = C(λ) + E[(θ(λ) − E θ)(θ(λ) − E θ)ᵀ]                                                                   (A5)
@@ -42,7 +42,7 @@ def maximum_with_lag(problem: Problem, at: At, iterations: int) -> tuple[Problem
     maximum. The lag that is held in the end is its mean."""
     none = np.zeros((len(problem.instrument.names),) * 2)
     if problem.lag is None:
-        return problem, maximum(problem, at, iterations=iterations), none
+        return maximum(problem, at, iterations=iterations), none
     held, tried = _held(problem, 0.0), np.array(LAGS)
     fitted = maximum(held, At.of(held, at.point, at.about), iterations=iterations)
     for _ in range(LAG_ROUNDS):
@@ -52,19 +52,19 @@ def maximum_with_lag(problem: Problem, at: At, iterations: int) -> tuple[Problem
         if deviance[tried == lag][0] < deviance.min() + LESS_LIKELY:
             break
         lags, weight, _ = _resolved(fitted, problem, np.array(LAGS))
-        held, fitted = _again(fitted, problem, float(lags[np.argmax(weight / np.gradient(lags))]), iterations)
+        fitted = _again(fitted, problem, float(lags[np.argmax(weight / np.gradient(lags))]), iterations)
     lags, weight, moved_by = _resolved(fitted, problem, fitted.point.values[problem.lag] + LAGS_ABOUT)
     moved_by -= weight @ moved_by
-    held, fitted = _again(fitted, problem, float(weight @ lags), iterations)
-    return held, fitted, ((moved_by.T * weight) @ moved_by)[1:, 1:]
+    fitted = _again(fitted, problem, float(weight @ lags), iterations)
+    return fitted, ((moved_by.T * weight) @ moved_by)[1:, 1:]
 
 
-def _again(fitted: Maximum, free: Problem, lag: float, iterations: int) -> tuple[Problem, Maximum]:
-    """The maximum with another lag, and its problem."""
+def _again(fitted: Maximum, free: Problem, lag: float, iterations: int) -> Maximum:
+    """The maximum with another lag."""
     assert free.lag is not None
     held, phi = _held(free, lag), fitted.best.phi
     start = At.of(held, _point_of(fitted.point, free.lag, lag), fitted.at.about, fitted.at.noise.kept)
-    return held, maximum(held, start, phi, iterations)
+    return maximum(held, start, phi, iterations)
 
 
 def _prior_of_lag(problem: Problem, lag: float) -> float:

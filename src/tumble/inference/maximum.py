@@ -14,7 +14,7 @@ the logarithm of the posterior of φ with x integrated out, r being the residual
         below, p has nothing to do with the data.
 
 It ends where a step of x is negligible beside u (CONVERGED) and ½ gᵀB⁻¹g, what ℓ would still gain, below GAIN
-(`Status.converged`); or it runs out, which is said and is no result.
+for every element of φ (`Status.converged`); or it runs out, which is said and is no result.
 
 A chain of turns whose heading the gyros hardly see (no better than UNSEEN) keeps it where it is: it is still an unknown
 of every step, so that it takes nothing from the parameters. So does gravity of an unknown place.
@@ -27,11 +27,21 @@ from enum import Enum
 
 import numpy as np
 
+from tumble.estimation.turns_about import TurnsAbout
+from tumble.inference.fits import (
+    LEAST_WEIGHT,
+    LEFT_OUT,
+    STANDS_OUT,
+    residuals,
+    same_weights,
+    sigmas,
+    student,
+    weighted,
+)
 from tumble.inference.hyperparameters import SCATTER, Components, Hyperparameter, Noise, components_of, sized, table
 from tumble.inference.likelihood import Point, Problem, Rows, noise_of
 from tumble.inference.linearisation import linearise, with_priors
 from tumble.inference.step import Left, Step, left, scatter_score, solve
-from tumble.estimation.turns_about import TurnsAbout
 from tumble.units import Array, BoolArray
 
 MAX_ITERATIONS = 40
@@ -40,8 +50,9 @@ STEPS = 6
 """Steps over φ at one linearisation at most."""
 CONVERGED = 1e-3
 """Of the standard uncertainty: a step of x that is negligible."""
-GAIN = 1e-3
-"""What ℓ would still gain where φ counts as settled: φ is within 0.05 of its standard deviations."""
+GAIN = 0.5 * 0.05**2
+"""What ℓ would still gain by each element of φ where φ counts as settled: they are within 0.05 of their standard
+deviations, root mean square."""
 FURTHEST = 2.0
 """Δ at first and at most."""
 SQUARED = 10.0
@@ -158,6 +169,11 @@ class Maximum:
     status: Status
 
     @property
+    def converged(self) -> bool:
+        """Whether it is one."""
+        return self.status is Status.converged
+
+    @property
     def components(self) -> Components:
         """The components of variance at the maximum."""
         return self.best.step.told.weights.components
@@ -168,13 +184,16 @@ class Maximum:
         return self.best.problem
 
 
-def maximum(problem: Problem, at: At, phi: Array | None = None, iterations: int = MAX_ITERATIONS) -> Maximum:
-    """The joint maximum of x and φ from a linearisation on, and from φ where that is known."""
+def maximum(
+    problem: Problem, at: At, phi: Array | None = None, iterations: int = MAX_ITERATIONS, robust: bool = False
+) -> Maximum:
+    """The joint maximum of x and φ from a linearisation on, and from φ where that is known; a `robust` one with
+    Student-t rows (`tumble.inference.fits`)."""
     plain = at.solved(problem, Components())
     entries = table(problem, at.noise, _seen(at.noise, left(problem, plain), plain))
     bounded = np.array([h.bounded for h in entries], dtype=bool)
     phi = np.array([h.centre for h in entries]) if phi is None or len(phi) != len(entries) else phi
-    increments, radius, B, status = list[Array](), FURTHEST, np.zeros((0, 0)), Status.ran_out
+    increments, radius, B, enough = list[Array](), FURTHEST, np.zeros((0, 0)), GAIN * len(entries)
     while True:
         best = Evaluated.of(problem, entries, at, phi)
         B = best.information if not len(increments) else B
@@ -184,7 +203,7 @@ def maximum(problem: Problem, at: At, phi: Array | None = None, iterations: int 
             step = np.zeros(len(phi))
             step[free] = np.linalg.solve(B[np.ix_(free, free)], best.gradient[free])
             gain = 0.5 * float(best.gradient @ step)
-            if gain < GAIN:
+            if gain < enough:
                 break
             step *= min(1.0, radius / float(np.abs(step).max()))
             wanted = np.where(bounded, np.maximum(best.phi + step, 0.0), best.phi + step)
@@ -199,10 +218,13 @@ def maximum(problem: Problem, at: At, phi: Array | None = None, iterations: int 
         phi = best.phi
         point, by = moved(best.problem, at.point, best.step, keep=len(increments) >= TO_AND_FRO)
         increments.append(by)
-        about = integrated(problem, point, at.about)
-        if negligible(best.problem, best.step) and about is at.about and gain < GAIN:
-            status = Status.converged
-        if status is Status.converged or len(increments) >= iterations:
+        about, kept, weights_settled = integrated(problem, point, at.about), at.noise.kept, True
+        if robust:
+            shown = residuals(best.problem, at.noise, best.step.told.weights, best.left)
+            kept = weighted(problem, at.noise, student(shown)).kept
+            weights_settled = at.noise.kept is not None and same_weights(kept, at.noise.kept)
+        ended = negligible(best.problem, best.step) and about is at.about and gain < enough and weights_settled
+        if ended or len(increments) >= iterations:
             return Maximum(
                 free=problem,
                 entries=entries,
@@ -211,9 +233,24 @@ def maximum(problem: Problem, at: At, phi: Array | None = None, iterations: int 
                 point=point,
                 curvature=B,
                 increments=tuple(increments),
-                status=status,
+                status=Status.converged if ended else Status.ran_out,
             )
-        at = At.of(problem, point, about, at.noise.kept)
+        at = At.of(problem, point, about, kept)
+
+
+def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maximum:
+    """The maximum without the rests and turns that do not fit; the same where all do."""
+    problem, at = fitted.free, fitted.at
+    weights = fitted.best.step.told.weights
+    if max(float(each.max(initial=0.0)) for each in sigmas(problem, at.noise, weights, fitted.best.left)) < STANDS_OUT:
+        return fitted
+    by_student = maximum(problem, at, fitted.best.phi, iterations, robust=True)
+    at, best = by_student.at, by_student.best
+    out = [w < LEAST_WEIGHT for w in student(residuals(problem, at.noise, best.step.told.weights, best.left))]
+    if not any(each.any() for each in out):
+        return fitted
+    noise = weighted(problem, at.noise, [np.where(each, LEFT_OUT, 1.0) for each in out])
+    return maximum(problem, replace(at, noise=noise), best.phi, iterations)
 
 
 def _updated(B: Array, step: Array, change: Array) -> Array:
