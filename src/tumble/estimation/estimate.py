@@ -196,16 +196,15 @@ class Integral:
     pareto: float
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class ProcessBias:
-    """The bias of every sensor as the mean of its process, about which the bias of the next minute or of another day
-    is: names, values and standard uncertainties, SI, and u of the bias that is met next, the process's own spread
-    included. The parameters of these names are the means over the session."""
+    """The bias of a sensor as the mean of its process, about which that of the next minute or of another day is: its
+    value and standard uncertainty, SI, and u of the bias that is met next, the process's own spread included."""
 
-    names: tuple[str, ...]
-    values: Array
-    u: Array
-    next_u: Array
+    name: str
+    value: float
+    u: float
+    next_u: float
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -267,8 +266,8 @@ class Estimate(Brief):
     """What the model did not know about itself."""
     integral: Integral | None = None
     """How that was integrated over."""
-    process_bias: ProcessBias | None = None
-    """The biases as the means of their processes."""
+    process_bias: tuple[ProcessBias, ...] = ()
+    """The biases as the means of their processes; the parameters are those of the session."""
     left_out: LeftOut | None = None
     """What was left out because it does not fit, where the method leaves out."""
 

@@ -117,7 +117,7 @@ def _estimate(
         own=_own(fitted),
         hyperparameters=tuple(_hyperparameters(fitted, shown)),
         integral=Integral(points=shown.points, effective=shown.effective, pareto=shown.pareto),
-        process_bias=_process_bias(fitted, shown, common),
+        process_bias=tuple(_process_bias(fitted, shown, common)),
         left_out=LeftOut(**dict(zip(("accel", "gyro", "turn"), left_out(problem, noise), strict=True))),
     )
 
@@ -130,18 +130,16 @@ def _hyperparameters(fitted: Maximum, shown: Posterior) -> Iterator[Hyperparamet
         )
 
 
-def _process_bias(fitted: Maximum, shown: Posterior, common: Array) -> ProcessBias:
+def _process_bias(fitted: Maximum, shown: Posterior, common: Array) -> Iterator[ProcessBias]:
     """The biases as the means of their processes, and how far that of the next minute may be."""
     problem, biases, components = fitted.problem, fitted.problem.biases, fitted.components
-    variance = np.diag(shown.process_covariance) + np.diag(common)[biases]
-    counts = problem.instrument.accel.size, problem.sensors - problem.instrument.accel.size
-    sigma = components.in_run(*counts)[0] if components.wanders else np.zeros(problem.sensors)
-    return ProcessBias(
-        names=tuple(problem.instrument.names[i] for i in biases),
-        values=fitted.at.point.values[biases] + shown.process_step,
-        u=np.sqrt(variance),
-        next_u=np.sqrt(variance + sigma**2),
-    )
+    accelerometers = problem.instrument.accel.size
+    sigma, _ = components.in_run(accelerometers, problem.sensors - accelerometers)
+    variances = np.diag(shown.process_covariance) + np.diag(common)[biases]
+    values = fitted.at.point.values[biases] + shown.process_step
+    for i, value, variance, own in zip(biases.tolist(), values.tolist(), variances.tolist(), sigma, strict=True):
+        u, next_u = np.sqrt(variance), np.sqrt(variance + own**2)
+        yield ProcessBias(name=problem.instrument.names[i], value=value, u=float(u), next_u=float(next_u))
 
 
 def _undetermined(covariance: Array) -> Array:
