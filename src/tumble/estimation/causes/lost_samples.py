@@ -23,7 +23,7 @@ from tumble.estimation.causes.cause import Candidate, Cause
 from tumble.estimation.causes.chances import SumOfSquares
 from tumble.estimation.causes.linearised_session import SHORTEST_TURN, LinearisedSession
 from tumble.estimation.causes.projection import UNSEEN, Remaining
-from tumble.inference.hyperparameters import Components
+from tumble.inference.hyperparameters import SCATTER, Components
 from tumble.inference.likelihood import Linearised, Point, Problem, instruments_of, noise_of
 from tumble.inference.linearisation import linearise
 from tumble.estimation.turns_about import TurnsAbout
@@ -34,6 +34,8 @@ from tumble.sensors.parameters import RATE
 from tumble.units import DEGREE, Array
 
 FEWEST_HELD = 3
+ROUNDS = 4
+"""Of the scatter of turns that are to blame for all."""
 JITTERING = 3e-3
 """Of an interval: time stamps that jitter by less are right, as far as any turn shows."""
 
@@ -159,31 +161,39 @@ def samples_held(observations: Observations) -> Cause | None:
     )
 
 
-def lost_in_all_turns(
-    session: LinearisedSession, s: int, remaining: tuple[Remaining, Remaining], u: Array
-) -> Cause:
-    """Rotations of turns of session s that err about their own axis, with the angle, more than across it: samples that
-    are missing or held. Both are scatter, so that what is compared is one with the other. A loss of samples that comes
-    by chance, a share p of them, makes the variance p ω² Δt² a sample of what turns have lost, and scale factors that
-    are less by p: the latter is no scatter, and is the damage."""
+def turns_to_blame(linearised: Linearised, alone: Remaining) -> Remaining:
+    """What is left of residuals where turns alone scatter, by as much as residuals do: lost samples make rotations err,
+    and an estimate may have taken that for rests that scatter."""
+    Z, of = linearised.noise.turn_directions
+    along, variance, remaining = Z[:, :, of == SCATTER.index("turn")], 0.0, alone
+    for step in range(ROUNDS):
+        found = SumOfSquares.along(remaining.step.told.weights.turn @ along, *remaining.left.turn)
+        if step == 0:
+            variance = found.excess
+        elif found.mean > 0.0:
+            variance *= found.square / found.mean
+        remaining = Remaining.of(linearised, Components(turn=float(np.sqrt(variance))))
+    return remaining
+
+
+def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Remaining, u: Array) -> Cause:
+    """Rotations of turns of session s that err about their own axis, with the angle, more than across it, where turns
+    are to blame: samples that are missing or held. Both are scatter, so that what is compared is one with the other. A
+    share p of samples that is lost by chance makes the variance p ω² Δt² a sample of what turns have lost, and scale
+    factors of the gyros that are less by p: the latter is no scatter, and is the damage."""
     about, observed, own = session.linearised.about, session.observed[s], session.problem.parts[s].turns
     assert about is not None
     path = np.einsum("kipp->ki", about.moments.Phi[own][..., RATE])
     axis = path / np.maximum(np.linalg.norm(path, axis=1, keepdims=True), 1e-9)
     size = np.sqrt(about.moments.body_rates[own][:, [0, 3, 5]].sum(axis=1))[:, None, None]
-    directions = size * axis[..., None], size * np.swapaxes(tangent_basis(axis), 1, 2)
-    (along, across), (scatter, beside) = (
-        [
-            SumOfSquares.along(each.step.told.weights.turn[own, :, :3] @ of, *(x[own] for x in each.left.turn))
-            for of in directions
-        ]
-        for each in reversed(remaining)
+    W, left = blamed.step.told.weights.turn[own, :, :3], [each[own] for each in blamed.left.turn]
+    along, across = (
+        SumOfSquares.along(W @ (size * of), *left) for of in (axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2))
     )
-    damage, interval = 0.0, _interval(observed)
-    gyro = session.problem.instrument.gyro
-    if interval is not None and gyro is not None:
-        share = max(0.0, scatter.excess - beside.excess) / interval
-        damage = share / float(u[session.problem.instrument.group_columns("gyro.scale")].min())
+    damage, interval, instrument = 0.0, _interval(observed), session.problem.instrument
+    if interval is not None and instrument.gyro is not None:
+        share = max(0.0, along.excess - across.excess) / interval
+        damage = share / float(u[instrument.group_columns("gyro.scale")].min())
     return Cause(
         name="lost samples",
         concerns="both",

@@ -26,7 +26,8 @@ from scipy import special
 
 from tumble.inference.elimination import fold
 from tumble.inference.hyperparameters import Components, Noise
-from tumble.inference.likelihood import Linearised
+from tumble.inference.likelihood import Linearised, Problem
+from tumble.inference.linearisation import with_priors
 from tumble.inference.step import Left, Step, completed, inverse_of, left, tell, with_own
 from tumble.units import Array
 
@@ -95,7 +96,8 @@ class Projection:
 def projections(linearised: Linearised, components: Components, rest: Array, turn: Array) -> Iterator[Projection]:
     """Of every session what its unknowns leave of columns of the rests (N, r, c) and turns (K, t, c), SI, with
     components of variance."""
-    problem, noise, rows = linearised.problem, _noise(linearised), linearised.rows.beside(rest, turn)
+    noise, problem = _noise(linearised), _as_large_as_they_are(linearised)
+    rows = with_priors(linearised.rows, problem, linearised.point, linearised.about).beside(rest, turn)
     told = tell(problem, rows, noise.weights(components))
     q, c, p = len(problem.own_known), rest.shape[2], len(linearised.rows.prior) - 1
     triangles = [with_own(problem, *each)[q:, q:] for each in zip(told.sessions, rows.own, strict=True)]
@@ -140,6 +142,22 @@ class Remaining:
         problem, weights = linearised.problem, _noise(linearised).weights(components)
         step = completed(problem, linearised.rows, tell(problem, linearised.rows, weights))
         return Remaining(step=step, left=left(problem, step))
+
+
+def _as_large_as_they_are(linearised: Linearised) -> Problem:
+    """The problem with the prior of every group at least as wide as the group is large: no cause is to gain from a prior
+    that the estimate contradicts."""
+    problem, point = linearised.problem, linearised.point
+    known, own = problem.measured[1].copy(), problem.own_known.copy()
+    off = np.append(0.0, point.values) - np.append(0.0, problem.measured[0][1:])
+    for members in problem.instrument.members.values():
+        some = slice(members.start + 1, members.stop + 1)
+        known[some] *= max(1.0, float(np.sqrt(np.mean((off[some] / known[some]) ** 2))))
+    if problem.own is not None:
+        for members in problem.own.members.values():
+            some = slice(members.start - problem.own.linear_count, members.stop - problem.own.linear_count)
+            own[some] *= max(1.0, float(np.sqrt(np.mean((point.own[:, some] / own[some]) ** 2))))
+    return replace(problem, measured=(problem.measured[0], known), own_known=own)
 
 
 def _rows(noise: Noise, rests: slice, turns: slice) -> float:

@@ -17,7 +17,7 @@ from tumble.estimation.causes.cause import Candidate, Cause
 from tumble.estimation.causes.former_attitudes import hysteresis, memory
 from tumble.estimation.causes.latitude import latitude_error
 from tumble.estimation.causes.linearised_session import LinearisedSession
-from tumble.estimation.causes.lost_samples import lost_in_a_turn, lost_in_all_turns, samples_held
+from tumble.estimation.causes.lost_samples import lost_in_a_turn, lost_in_all_turns, samples_held, turns_to_blame
 from tumble.estimation.causes.nonlinearity import gyro_nonlinearity, products
 from tumble.estimation.causes.over_time import jumps
 from tumble.estimation.causes.projection import Projection, Remaining, projections
@@ -31,6 +31,7 @@ def causes(linearised: Linearised, alone: Remaining, whole: Remaining) -> list[l
     residuals with the noise alone and with the components of variance of the estimate."""
     session = LinearisedSession(linearised)
     found, us = tested(linearised, list(_candidates(session, whole)))
+    blamed = turns_to_blame(linearised, alone) if session.turned else whole
     for s, (own, u) in enumerate(zip(found, us, strict=True)):
         own += quantisation(session, s)
         held = samples_held(session.observed[s])
@@ -38,7 +39,7 @@ def causes(linearised: Linearised, alone: Remaining, whole: Remaining) -> list[l
             own[:] = [cause for cause in own if cause.name != held.name] + [held]
         elif session.turned:
             lost = [cause for cause in own if cause.name == "lost samples"]
-            lost.append(lost_in_all_turns(session, s, (alone, whole), u))
+            lost.append(lost_in_all_turns(session, s, blamed, u))
             most = min(lost, key=lambda cause: cause.probability)
             own[:] = [cause for cause in own if cause not in lost] + [most]
         own.sort(key=lambda cause: cause.probability)

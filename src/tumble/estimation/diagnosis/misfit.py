@@ -101,17 +101,17 @@ def misfit(estimate: Estimate) -> Misfit | None:
     parts, observed = linearised.problem.parts, LinearisedSession(linearised).observed
     chances = [group_chances(linearised, alone, part) for part in parts]
     found = causes(linearised, alone, whole)
+    wandering = list(_wandering(estimate, linearised))
     usual = {h.name.removesuffix("_in_run"): h.usual for h in estimate.hyperparameters}
     limit = standing_out([p for own in chances for p in own] + [c.probability for own in found for c in own])
     every = [
-        _of_session(linearised, seen, own, likely, limit, usual)
+        _of_session(linearised, seen, own, likely, limit, usual, {concerns for concerns, *_ in wandering})
         for seen, own, likely in zip(observed, chances, found, strict=True)
     ]
     together = linearised.problem.observations.together
     if together is not None:
         said = [(name, each) for name, each in zip(together.names, every, strict=True) if each.remarks or each.reasons]
         every = [_of_all(said)]
-    wandering = list(_wandering(estimate, linearised))
     of_process = Misfit(
         remarks=tuple((concerns, remark) for concerns, _, remark in wandering),
         causes=tuple(cause for _, cause, _ in wandering),
@@ -154,22 +154,30 @@ def _of_session(
     found: list[Cause],
     limit: float,
     usual: Mapping[str, float],
+    said: set[str],
 ) -> Misfit:
     """What the residuals of a session say, by the probabilities of its groups and of its causes, of which those up to a
-    limit stand out. A scatter within what is `usual` of in-run biases is nothing to speak of."""
+    limit stand out. A scatter within what is `usual` of in-run biases is nothing to speak of, and that of some groups
+    is `said` already."""
     larger = [
         group
         for group, chance in zip(GROUPS, chances, strict=True)
         if chance <= limit and _scatter(group, linearised) > usual.get(group.component, 0.0)
     ]
-    named = [cause for cause in found if cause.probability <= limit]
+    lost = [cause for cause in found if cause.name == "lost samples" and cause.probability < NAMED_PROBABILITY]
+    first = lost if any(group.component == "turn" for group in larger) else []  # what they do looks like others
+    named = first + [cause for cause in found if cause.probability <= limit and cause not in first]
     ratios = {group.component: _scatter(group, linearised) / _noise(group, observations) for group in larger}
     if larger:
-        others = [cause for cause in found if cause.probability > limit]
+        others = [cause for cause in found if cause not in named]
         named += _likely(others, ratios, {group.concerns for group in larger}, observations)
     named = named[:MOST_NAMED]
-    harmful = [c for c in named if c.damage > DAMAGE and (c.probability <= limit or c.name == "lost samples")]
-    remarks = [(group.concerns, _larger(group, ratios[group.component], linearised)) for group in larger]
+    harmful = [c for c in named if c.damage > DAMAGE and (c.probability <= limit or c in first)]
+    remarks = [
+        (group.concerns, _larger(group, ratios[group.component], linearised))
+        for group in larger
+        if group.component not in said
+    ]
     remarks += [(cause.concerns, f"probable cause: {cause.sentence}") for cause in named if cause not in harmful]
     return Misfit(
         reasons=tuple((cause.concerns, _damaging(cause)) for cause in harmful),
@@ -186,6 +194,9 @@ def _wandering(estimate: Estimate, linearised: Linearised) -> Iterator[tuple[Con
     for block in linearised.problem.instrument.blocks:
         kind: Concerns = "accel" if block.kind == "accel" else "gyro"
         size, lasting = by_name.get(f"{kind}_in_run"), by_name.get(f"{kind}_time")
+        drift = by_name.get(f"{kind}.bias.drift")
+        if drift is not None and _beyond(drift):
+            yield kind, "drift", _drift_said(kind, longest, linearised)
         if size is None or lasting is None:
             continue
         words, of_kind = WORDS[kind], _sized(kind, size.value)
@@ -204,6 +215,21 @@ def _wandering(estimate: Estimate, linearised: Linearised) -> Iterator[tuple[Con
                 own = _sized(kind, unlike.value * size.value)
                 remark = f"{kind}.bias.{sensor} wanders by {own}, those of the other {words} by {of_kind}{CONTAINED}"
                 yield kind, "wandering sensor", remark
+
+
+def _drift_said(kind: str, seconds: float, linearised: Linearised) -> str:
+    """By how much biases drift over a session where that is a group of parameters."""
+    problem, point, name = linearised.problem, linearised.point, f"{kind}.bias.drift"
+    if name in problem.instrument.members:
+        slopes = point.values[problem.instrument.members[name]]
+    else:
+        assert problem.own is not None
+        own, first = problem.own.members[name], problem.own.linear_count
+        slopes = point.own[:, own.start - first : own.stop - first]
+    return (
+        f"biases of the {WORDS[kind]} drift by {_sized(kind, seconds * float(np.abs(slopes).max()))} over the session"
+        f"{CONTAINED}; let the device warm up, or make the session shorter"
+    )
 
 
 def _beyond(found: HyperparameterEstimate) -> bool:
@@ -227,10 +253,8 @@ def _likely(
     standing = [c for c in likely if c.probability < NAMED_PROBABILITY]
     if ratios.get("turn", 0.0) <= TURNS_MORE * ratios.get("gyro", 0.0):
         return standing
-    lost = [c for c in likely if c.name == "lost samples"]
-    untold = lost and lost[0].probability > NAMED_PROBABILITY
-    random = [_movement(), *(_untold(c, observations) for c in lost)] if untold else [*lost, _movement()]
-    return random + [c for c in standing if c not in lost]
+    untold = [_untold(c, observations) for c in likely if c.name == "lost samples"]
+    return [_movement(), *untold, *standing]
 
 
 def group_chances(linearised: Linearised, alone: Remaining, part: SessionSpan) -> list[float]:
