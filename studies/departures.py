@@ -461,7 +461,7 @@ def said_of(setting: Setting, off: Departure, seed: int) -> Said:
     observations, truth = session(setting, off, seed)
     estimate = joint(observations)
     outcome = verdict(estimate, observations)
-    found = misfit(estimate, observations) if outcome.verdict == "accepted with scatter" else None
+    found = misfit(estimate) if outcome.verdict == "accepted with scatter" else None
     count = len(ACCEL.names) + len(GYRO.names)
     true = np.array([truth[name] for name in estimate.names[:count]])
     return Said(

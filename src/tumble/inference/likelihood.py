@@ -119,6 +119,28 @@ class Rows:
     gained: Array
     own: Array = field(default_factory=lambda: np.zeros((1, 0)))
 
+    @property
+    def residuals(self) -> tuple[Array, Array]:
+        """Observed less predicted, of the rests (N, r) and of the turns (K, t)."""
+        return self.rest[..., -1], self.turn[..., -1]
+
+    @property
+    def headings(self) -> Array:
+        """The coefficients (N, r) of the rests for their heading."""
+        return np.asarray(self.rest[..., 2])
+
+    def beside(self, rest: Array, turn: Array) -> Rows:
+        """The same with further common parameters after those of the instrument, of which nothing is known beforehand,
+        by their columns (N, r, c) and (K, t, c)."""
+        before, c = -1 - self.own.shape[1], rest.shape[2]
+        every = (np.concatenate([a[..., :before], b, a[..., before:]], axis=2) for a, b in zip((self.rest, self.turn), (rest, turn), strict=True))
+        p = len(self.prior) - 1
+        prior = np.zeros((p + c + 1, p + c + 1))
+        keep = np.append(np.arange(p), p + c)
+        prior[np.ix_(keep, keep)] = self.prior
+        wide_rest, wide_turn = every
+        return replace(self, rest=wide_rest, turn=wide_turn, prior=prior)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Problem:

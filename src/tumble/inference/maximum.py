@@ -258,6 +258,8 @@ def _updated(B: Array, step: Array, change: Array) -> Array:
     damped by Powell so that it stays positive."""
     along = B @ step
     square, seen = float(step @ along), float(step @ change)
+    if square == 0.0:  # a step that a bound has taken whole
+        return B
     share = 1.0 if seen >= 0.2 * square else 0.8 * square / (square - seen)
     mixed = share * change + (1.0 - share) * along
     return np.asarray(B - np.outer(along, along) / square + np.outer(mixed, mixed) / float(step @ mixed))
