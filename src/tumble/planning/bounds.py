@@ -22,7 +22,7 @@ combination of unit length that is determined worst. For accelerometers alone th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -150,7 +150,7 @@ def _bound(seen: View, setup: Setup, clock_u: float = 0.0) -> Bound:
     triangle = np.diag(np.append(known_before(seen.problem), 0.0))
     fold(told.sessions[0], triangle)
     root, solution = _marginal(triangle[:-1, :-1], linear, spread)
-    root = np.hstack([over_session(seen.problem, told, root), by_time_base(instrument.names, _clock(clock_u))[:, None]])
+    root = np.hstack([over_session(seen.problem, told, root), by_clock(instrument, clock_u)[:, None]])
     own = root @ root.T
     natural = _natural_units(setup, instrument.units[:linear])
     direction, size, _ = np.linalg.svd(root[:linear] / natural[:, None])
@@ -172,9 +172,10 @@ def _bound(seen: View, setup: Setup, clock_u: float = 0.0) -> Bound:
     )
 
 
-def _clock(u: float) -> Mapping[str, float]:
-    """What a time base of this relative standard uncertainty changes, by group; sensors read rates and forces."""
-    return clocked(u, {"accel": False, "gyro": False})
+def by_clock(instrument: Instrument, u: float) -> Array:
+    """What a time base of this relative standard uncertainty changes in the parameters (m,); sensors read rates and
+    forces, no increments."""
+    return by_time_base(instrument.names, clocked(u, {"accel": False, "gyro": False}))
 
 
 def _marginal(triangle: Array, linear: int, spread: Array) -> tuple[Array, Solution]:
@@ -293,7 +294,7 @@ class View:
 
 
 def begun(rest: Array, states: int) -> Array:
-    """The rows of rests (..., r + n, d + p + 1) of `View.whitened` where a chain begins with each: its n states are then
+    """The rows of rests (..., r + n, d + p + 1) of `View.whitened` where a chain begins with each: its n states are
     those of a stationary process."""
     out = rest.copy()
     out[..., rest.shape[-2] - states :, 3 : 3 + states] = np.eye(states)

@@ -36,7 +36,7 @@ def expected(problem: Problem, rows: Rows, components: Components) -> tuple[Prob
     noise = noise_of(problem, rows)
     step = solve(problem, rows, noise.weights(components))
     information = scatter_score(noise, step, left(problem, step))[1].diagonal()
-    known, own, scatter = problem.measured[1].copy(), problem.own_known.copy(), dict[str, float]()
+    known, own, scatter = problem.measured[1][1:].copy(), problem.own_known.copy(), dict[str, float]()
     variances = np.diagonal(step.own_covariance, axis1=1, axis2=2)
     for h in table(problem, noise, information > 0.0):
         if h.place == "scatter":
@@ -44,10 +44,11 @@ def expected(problem: Problem, rows: Rows, components: Components) -> tuple[Prob
             if degrees > LEAST_DEGREES:
                 scatter[h.name] = h.usual * _expected_scatter(degrees)
         elif h.place == "group":
-            known[1:][h.members] *= _expected_size(known[1:][h.members], variances[:1, len(own) + 1 :][:, h.members], h.within)
+            known[h.members] *= _expected_size(known[h.members], variances[:1, len(own) + 1 :][:, h.members], h.within)
         elif h.place == "own group":
             own[h.members] *= _expected_size(own[h.members], variances[:, h.members], h.within)
-    wider = replace(problem, measured=(problem.measured[0], known), own_known=own)
+    sizes = np.append(problem.measured[1][0], known)
+    wider = replace(problem, measured=(problem.measured[0], sizes), own_known=own)
     return wider, replace(components, **scatter)
 
 
