@@ -373,10 +373,7 @@ def _rests(course: Course, setup: Setup, gyros: bool) -> Rests:
     N, noise = len(course.attitudes), setup.noise
     accel = noise.accel_white**2 / setup.rest + ACCEL_FLOOR**2
     gyro = noise.gyro_white**2 / setup.rest + GYRO_FLOOR**2
-    n = 3 if gyros else 0
-    moved = np.zeros(N)
-    moved[course.first + 1] = course.seconds
-    start = np.asarray(setup.rest * np.arange(N) + np.cumsum(moved), dtype=float)
+    n, start = 3 if gyros else 0, begins(course, setup)
     return Rests(
         file=np.zeros(N, dtype=np.int64),
         start=start,
@@ -391,6 +388,13 @@ def _rests(course: Course, setup: Setup, gyros: bool) -> Rests:
         gyro_noise=np.full((N, n), noise.gyro_white),
         temperatures=None,
     )
+
+
+def begins(course: Course, setup: Setup, ramp: float = 0.0) -> Array:
+    """When the rests of a course begin (N,), s, moves taking as long as they do and a `ramp`, s."""
+    moved = np.zeros(len(course.attitudes))
+    moved[course.first + 1] = course.seconds + ramp
+    return np.asarray(setup.rest * np.arange(len(moved)) + np.cumsum(moved))
 
 
 def _turns(course: Course, setup: Setup, moments: Moments, still: Array | None) -> Turns:

@@ -24,7 +24,7 @@ import numpy as np
 from tumble.inference.hyperparameters import Components
 from tumble.inference.likelihood import Point, Problem, Rows, instruments_of
 from tumble.inference.linearisation import linearise, with_priors
-from tumble.planning.bounds import Course, components_of, instrument_of, observed
+from tumble.planning.bounds import Course, begins, components_of, instrument_of, observed
 from tumble.planning.expected_sizes import expected
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme
@@ -100,7 +100,7 @@ def problem_of(
 
 def _recorded(session: ChamberSession, course: Course, setup: Setup, *, parts: bool) -> _Recorded:
     """A session with its rests as a log has them, cut off at both ends, in `parts` where several are one estimate."""
-    start, margin = _starts(course, setup), margin_of(setup.rest)
+    start, margin = begins(course, setup, setup.ramp), margin_of(setup.rest)
     time, kelvin = session.course(float(start[-1]) + setup.rest)
     begin, end = start + margin, start + setup.rest - margin
     change = np.abs(np.interp(end, time, kelvin) - np.interp(begin, time, kelvin))
@@ -134,13 +134,6 @@ def _one_after_the_other(courses: Sequence[Course]) -> Course:
         moves=np.concatenate([course.moves for course in courses]),
         seconds=np.concatenate([course.seconds for course in courses]),
     )
-
-
-def _starts(course: Course, setup: Setup) -> Array:
-    """When the rests of a course begin (N,), s."""
-    moved = np.zeros(len(course.attitudes))
-    moved[course.first + 1] = course.seconds + setup.ramp
-    return np.asarray(setup.rest * np.arange(len(moved)) + np.cumsum(moved))
 
 
 def _warmed(
