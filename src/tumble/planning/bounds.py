@@ -8,8 +8,9 @@ what is said of a bias is said of its mean over the session. A move goes about o
 turns about a fixed axis in inertial space (`tumble.planning.steady_turns`). Errors of table and mounting are not in the
 bound: the attitudes are unknowns, and where they are a degree or two off it changes by parts of a thousand.
 
-What `calibrate` will state (`stated`) is a little more: it does not know the noise nor how large further groups are in
-this instrument (`tumble.planning.expected_sizes`), and it has the time base of the log.
+What `calibrate` will state (`stated`) is more: it does not know the noise nor how large further groups are in this
+instrument (`tumble.planning.expected_sizes`), it has the time base of the log, and of this the ends of the rests belong
+to the turns.
 
 Groups of parameters beyond the linear model (`Setup.further`) have priors, the spreads of the set-up. What is said of
 combinations is said of the linear parameters, whatever the others are within their priors; of a group, what the
@@ -48,6 +49,7 @@ from tumble.reduction.coloured_noise import WHITE
 from tumble.reduction.moments import Moments
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests import ACCEL_FLOOR, GYRO_FLOOR, Rests
+from tumble.reduction.segmentation import margin_of
 from tumble.reduction.turns import TURN_FLOOR, VELOCITY_FLOOR, Turns
 from tumble.rotation import rotation_vector
 from tumble.sensors.instrument import Instrument
@@ -138,7 +140,9 @@ def bound_of(course: Course, setup: Setup, *, gyros: bool = True) -> Bound:
 def stated(setup: Setup, *, gyros: bool = True) -> Bound:
     """The same with what `calibrate` does not know of a recording by a set-up's programme: what it will state on the
     average over instruments. Raises InputError."""
-    seen = view(course_of(setup), setup, gyros=gyros)
+    course, margin = course_of(setup), margin_of(setup.rest)
+    still = np.full(len(course.first), 0.5 * setup.ramp + margin)
+    seen = view(course, replace(setup, rest=setup.rest - 2.0 * margin), gyros=gyros, still=still)
     problem, components = expected(seen.problem, seen.rows, seen.components)
     return _bound(replace(seen, problem=problem, components=components), setup, setup.clock_u)
 
@@ -308,10 +312,11 @@ def known_before(problem: Problem) -> Array:
     return np.where(u > 0.0, 1.0 / np.where(u > 0.0, u, 1.0), 0.0)
 
 
-def view(course: Course, setup: Setup, *, gyros: bool) -> View:
-    """The rows at perfect sensors and the attitudes of the course. Raises InputError."""
+def view(course: Course, setup: Setup, *, gyros: bool, still: Array | None = None) -> View:
+    """The rows at perfect sensors and the attitudes of the course, with `still` (K,) s before and after the turns that
+    belong to them. Raises InputError."""
     instrument = instrument_of(setup, gyros)
-    observations, about = observed(course, setup, instrument)
+    observations, about = observed(course, setup, instrument, still)
     problem = Problem.of(observations, instrument=instrument, usual=setup.further)
     point = Point(values=np.zeros(len(instrument.names)), gravity=setup.gravity, attitudes=course.attitudes)
     return View(problem=problem, rows=linearise(problem, point, about), components=components_of(setup))

@@ -55,14 +55,18 @@ def expected(problem: Problem, rows: Rows, components: Components) -> tuple[Prob
 
 
 def _matters(problem: Problem, step: Step, h: Hyperparameter) -> bool:
-    """Whether u of a linear parameter changes by more than NOTICED where a group is larger by a standard deviation of
-    what is known of its size: with C the covariance and K the change of the precision, C + C (K⁻¹ − C)⁻¹ C."""
+    """Whether a linear parameter, or its u, changes by more than NOTICED of u where a group is larger by a standard
+    deviation of what is known of its size. With C the covariance, S the prior and K the change of the precision, a
+    parameter moves by M ĉ, M = C (K⁻¹ − C)⁻¹, ĉ having the covariance S − C, and its variance by M C."""
     C, s2 = step.covariance[1:, 1:], problem.measured[1][1:][h.members] ** 2
-    linear, variance = slice(problem.instrument.linear_count), C.diagonal()[h.members]
-    size = (2.0 * np.clip(1.0 - variance / s2, 0.0, 1.0).sum() + h.within**-2) ** -0.5
-    across, K = C[linear, h.members], np.diag(-np.expm1(-2.0 * size) / s2)
-    more = np.einsum("ia,ab,ib->i", across, np.linalg.solve(np.eye(len(K)) - K @ C[h.members, h.members], K), across)
-    return bool((np.sqrt(1.0 + more / C.diagonal()[linear]) - 1.0).max() > NOTICED)
+    linear, own = slice(problem.instrument.linear_count), C[h.members, h.members]
+    size = (2.0 * np.clip(1.0 - own.diagonal() / s2, 0.0, 1.0).sum() + h.within**-2) ** -0.5
+    K = np.diag(-np.expm1(-2.0 * size) / s2)
+    M = np.linalg.solve(np.eye(len(K)) - K @ own, K @ C[h.members, linear]).T
+    known = C.diagonal()[linear]
+    moved = np.einsum("ia,ab,ib->i", M, np.diag(s2) - own, M) / known
+    wider = np.sqrt(1.0 + (M * C[linear, h.members]).sum(axis=1) / known) - 1.0
+    return bool(max(moved.max() ** 0.5, wider.max()) > NOTICED)
 
 
 def _expected_scatter(degrees: float) -> float:
@@ -84,5 +88,8 @@ def _expected_size(usual: Array, variance: Array, within: float) -> Array:
     density = np.exp(log_likelihood - log_likelihood.max() - 0.5 * (p / within) ** 2)
     density /= np.sqrt(0.5 * np.pi) * within / (p[1] - p[0])
     density[0] += np.exp(log_likelihood[0] - log_likelihood.max())  # half of the prior is on the usual size
-    mean = np.einsum("i,isk->sk", density / density.sum(), 1.0 / (1.0 / size2 + 1.0 / told))
-    return np.asarray(np.sqrt((1.0 / np.maximum(1.0 / mean - 1.0 / told, 1e-9 / s2) / s2).mean(axis=0)))
+    share, weight = size2 / (size2 + told), density / density.sum()
+    mean = np.einsum("i,isk->sk", weight, share)
+    apart = np.einsum("i,isk->sk", weight, (share - mean) ** 2)
+    variance = mean * told + apart * (s2 + told)
+    return np.asarray(np.sqrt((1.0 / np.maximum(1.0 / variance - 1.0 / told, 1e-9 / s2) / s2).mean(axis=0)))
