@@ -11,14 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tumble.errors import InputError
-from tumble.inference.hyperparameters import Scatter
+from tumble.estimation.observability import in_words
+from tumble.estimation.turns_about import TurnsAbout
+from tumble.inference.hyperparameters import CORRELATION_TIME, Components
+from tumble.inference.joint import joint
 from tumble.inference.likelihood import Point, Problem, weights
 from tumble.inference.linearisation import linearise
-from tumble.inference.joint import joint
-from tumble.estimation.observability import in_words
 from tumble.inference.step import solve
-from tumble.estimation.turns_about import TurnsAbout
-from tumble.planning.bounds import Course, bound, bound_of, course_of, instrument_of
+from tumble.planning.bounds import Course, bound, bound_of, course_of, instrument_of, known_before, view
 from tumble.planning.budget import GROUPS, budget
 from tumble.planning.error_propagation import NAMES
 from tumble.planning.setup import Setup
@@ -34,7 +34,7 @@ GRAVITY = 9.815817
 SETUP = device_setup(latitude=56.8 * DEGREE, gravity=GRAVITY, rest=120.0, turn_rate=9.0 * DEGREE)
 """§8 of the turntable method: rests of 120 s, half turns of 20 s."""
 
-TENTH_OF_MG = replace(SETUP, noise=NoiseModel(accel_instability=1e-4 * GRAVITY))
+TENTH_OF_MG = replace(SETUP, noise=NoiseModel(accel_white=1e-4 * GRAVITY * np.sqrt(SETUP.rest)))
 
 
 LEVERS = ("accel.lever", "accel.delay")
@@ -171,7 +171,7 @@ def test_the_bound_is_that_of_the_joint_likelihood(monkeypatch: pytest.MonkeyPat
         problem = Problem.of(observations)
         point = Point(values=np.zeros(len(NAMES)), gravity=GRAVITY, attitudes=way_of(TILTED).attitudes)
         rows = linearise(problem, point, TurnsAbout.of(observations, problem.instrument, point.values))
-        found = solve(problem, rows, weights(problem, rows, Scatter())).covariance[1:, 1:]
+        found = solve(problem, rows, weights(problem, rows, Components())).covariance[1:, 1:]
         assert off(found, expected) < difference
 
 
@@ -234,9 +234,14 @@ def test_a_degree_of_the_table_changes_the_bound_by_less_than_a_hundredth() -> N
     st.sampled_from(TRIPLES),
     st.sampled_from(["", " N+45", " U-30", " E+110"]),
     st.sampled_from(list(GRADES)),
+    st.booleans(),
 )
-def test_one_more_position_never_hurts(codes: list[str], letters: str, turn: str, name: str) -> None:
-    setup = replace(SETUP, noise=GRADES[name].noise)
+def test_one_more_position_never_hurts(codes: list[str], letters: str, turn: str, name: str, wanders: bool) -> None:
+    """Of biases that wander, what is asked for is their mean over all rests, which is another then."""
+    noise = GRADES[name].noise
+    setup = replace(
+        SETUP, noise=noise if wanders else NoiseModel(accel_white=noise.accel_white, gyro_white=noise.gyro_white)
+    )
     before = [*programme("nine").positions, *from_attitudes(codes).positions]
     listed = [position.attitude for position in before]
     for gyros in (True, False):
@@ -244,8 +249,9 @@ def test_one_more_position_never_hurts(codes: list[str], letters: str, turn: str
             bound(with_programme(setup, from_attitudes(some)), gyros=gyros)
             for some in (listed, [*listed, letters + turn])
         )
-        assert np.all(more.u <= fewer.u * (1.0 + 1e-9))
-        assert more.worst_u <= fewer.worst_u * (1.0 + 1e-9)
+        asked = np.array([not (wanders and ".bias." in name) for name in more.names])
+        assert np.all(more.u[asked] <= fewer.u[asked] * (1.0 + 1e-9))
+        assert wanders or more.worst_u <= fewer.worst_u * (1.0 + 1e-9)
 
 
 @settings(max_examples=10, deadline=None)
@@ -265,14 +271,51 @@ def test_with_gyros_the_order_matters() -> None:
     assert there.rms("accel.scale") == pytest.approx(other.rms("accel.scale"), rel=0.1)
 
 
-def test_longer_rests_and_instability_are_noise_at_rest() -> None:
-    """Without gyros, u goes as the root of white noise over time plus instability squared."""
-    white = NoiseModel(accel_white=1e-4)
-    both = NoiseModel(accel_white=1e-4, accel_instability=np.sqrt(3.0) * 1e-4 / np.sqrt(SETUP.rest))
-    u = [bound(replace(SETUP, noise=noise), gyros=False).u for noise in (white, both)]
-    quarter = bound(replace(SETUP, noise=white, rest=SETUP.rest / 4.0), gyros=False).u
-    np.testing.assert_allclose(u[1], 2.0 * u[0], rtol=1e-6)
-    np.testing.assert_allclose(u[1], quarter, rtol=1e-6)
+def test_longer_rests_are_less_noise() -> None:
+    """Without gyros, u goes as one over the root of the duration."""
+    white = replace(SETUP, noise=NoiseModel(accel_white=1e-4))
+    u = bound(white, gyros=False).u
+    np.testing.assert_allclose(bound(replace(white, rest=SETUP.rest / 4.0), gyros=False).u, 2.0 * u, rtol=1e-6)
+
+
+@pytest.mark.parametrize("gyros", [True, False], ids=["gyros", "accelerometers"])
+def test_the_bound_with_in_run_biases_is_that_of_all_readings_with_their_covariance(gyros: bool) -> None:
+    """Against one dense weighted least squares of white rows, states and their covariance e^(−Δt/τ) side by side, the
+    mean of every bias over the rests being what is asked for."""
+    setup = replace(with_programme(SETUP, "nine"), noise=GRADES["mems"].noise, further={"accel.quadratic": 1e-4})
+    seen, n = view(course_of(setup), setup, gyros=gyros), 6 if gyros else 3
+    weight, rows, rests = weights(seen.problem, seen.rows, seen.components), seen.rows, seen.problem.observations.rests
+    N, p = len(rests), rows.rest.shape[2] - 4
+    wide = np.zeros((0, 3 * N + n * N + p))
+    for k in range(N):
+        own = np.zeros((rows.rest.shape[1], wide.shape[1]))
+        own[:, 3 * k : 3 * k + 3], own[:, (3 + n) * N :] = rows.rest[k, :, :3], rows.rest[k, :, 3:-1]
+        own[:n, 3 * N + n * k : 3 * N + n * (k + 1)] = np.eye(n)
+        wide = np.vstack([wide, weight.rest[k] @ own])
+    for k in range(len(rows.turn)):
+        own = np.zeros((rows.turn.shape[1], wide.shape[1]))
+        own[:, 3 * k : 3 * k + 6], own[:, (3 + n) * N :] = rows.turn[k, :, :6], rows.turn[k, :, 6:-1]
+        for at in (k, k + 1):
+            own[:, 3 * N + n * at : 3 * N + n * (at + 1)] = 0.5 * rows.bias[k]
+        wide = np.vstack([wide, weight.turn[k] @ own])
+    noise, middle = setup.noise, 0.5 * (rests.start + rests.stop)
+    rho = np.exp(-np.abs(middle[:, None] - middle) / CORRELATION_TIME)
+    sigma = np.repeat([noise.accel_instability, noise.gyro_instability], 3)[:n]
+    states = np.einsum("ij,ab->iajb", rho, np.diag(sigma**2)).reshape(n * N, n * N)
+    before = np.zeros((wide.shape[1],) * 2)
+    before[3 * N : (3 + n) * N, 3 * N : (3 + n) * N] = np.linalg.inv(states)
+    before[(3 + n) * N :, (3 + n) * N :] = np.diag(known_before(seen.problem) ** 2)
+    used = np.flatnonzero((wide**2).sum(axis=0) > 0.0)
+    scale = np.sqrt(np.diag(wide.T @ wide + before)[used])
+    information = (wide.T @ wide + before)[np.ix_(used, used)] / np.outer(scale, scale)
+    covariance = np.zeros_like(before)
+    covariance[np.ix_(used, used)] = np.linalg.pinv(information, rcond=1e-13) / np.outer(scale, scale)
+    mean = np.zeros((p - 1, wide.shape[1]))
+    mean[:, (3 + n) * N + 1 :] = np.eye(p - 1)
+    for i, column in enumerate(seen.problem.biases.tolist()):
+        mean[column, 3 * N + i : (3 + n) * N : n] = 1.0 / N
+    expected = mean @ covariance @ mean.T
+    assert off(bound(setup, gyros=gyros).covariance, expected) < 1e-5
 
 
 def test_uncertain_gravity_is_in_the_scale_factors_together_and_nowhere_else() -> None:

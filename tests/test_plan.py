@@ -147,7 +147,7 @@ def test_nine_positions_for_accelerometers_come_near_the_best_there_are() -> Non
     """§3 of the turntable method: of all sets of nine directions the least tr (HᵀH)⁻¹ is 7.98; the nine have 24.
     What is found on a table with stops of 15°, 8.986, is also the best of twenty random starts there."""
     sigma = 1e-4
-    setup = replace(SETUP, noise=NoiseModel(accel_instability=sigma * SETUP.gravity))
+    setup = replace(SETUP, noise=NoiseModel(accel_white=sigma * SETUP.gravity * np.sqrt(SETUP.rest)))
     wanted = {"accel.bias": SETUP.gravity, "accel.scale": 1.0, "accel.axis": 1.0}
     aim = Aim(wanted=wanted, gyros=False)
     found = optimised(setup, 9, aim, TurnTable(step=15.0 * DEGREE))

@@ -22,14 +22,15 @@ from tumble.calibration.calibrate import ITERATED_METHODS, METHODS, Method, cali
 from tumble.campaigns.engine import Row
 from tumble.campaigns.triads import fit_statics
 from tumble.errors import InputError
-from tumble.inference.hyperparameters import Scatter
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import DETERMINED, Estimate
+from tumble.estimation.methods.paper.compensation import triad_model
+from tumble.estimation.turns_about import TurnsAbout
+from tumble.inference.hyperparameters import Components
 from tumble.inference.likelihood import Point, Problem, weights
 from tumble.inference.linearisation import linearise
-from tumble.estimation.methods.paper.compensation import triad_model
-from tumble.inference.step import solve
-from tumble.estimation.turns_about import TurnsAbout
+from tumble.inference.step import joined, tell
+from tumble.planning.bounds import over_session
 from tumble.planning.setup import Setup
 from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
@@ -97,10 +98,10 @@ def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> d
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
     about = TurnsAbout.of(observations, instrument, truth)
     point = Point(values=truth, gravity=scenario.site.gravity, attitudes=attitudes)
-    scatter = Scatter(accel=scenario.noise.accel_instability, gyro=scenario.noise.gyro_instability)
-    rows = linearise(problem, point, about)
-    step = solve(problem, rows, weights(problem, rows, scatter))
-    found = np.sqrt(np.diag(step.covariance)[1:])
+    noise, rows = scenario.noise, linearise(problem, point, about)
+    components = Components(accel_in_run=noise.accel_instability, gyro_in_run=noise.gyro_instability)
+    told = tell(problem, rows, weights(problem, rows, components))
+    found = np.linalg.norm(over_session(problem, told, joined(problem, rows, told).roots[0]), axis=1)
     determined = problem.spread / DETERMINED
     determined[instrument.linear_count :] = np.inf  # by their priors
     return {n: float(u) for n, u, s in zip(instrument.names, found, determined, strict=True) if u < s}

@@ -22,7 +22,8 @@ def linearise(problem: Problem, point: Point, about: TurnsAbout | None) -> Rows:
     """Residuals and Jacobians at a point; `about` is None where there are no turns."""
     problem = problem.warmed(point)
     model = problem.instrument.linearised(point.values)
-    turn, bias = np.zeros((0, problem.rows_of_turn, 8 + problem.width)), np.zeros((0, problem.rows_of_turn, 0))
+    turn = np.zeros((0, problem.rows_of_turn, 8 + problem.width))
+    bias = np.zeros((0, problem.rows_of_turn, problem.sensors))
     if about is not None:
         turn, bias = _turn_rows(problem, point, about, model)
     return Rows(

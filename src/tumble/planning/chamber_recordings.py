@@ -21,9 +21,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tumble.inference.hyperparameters import Components
 from tumble.inference.likelihood import Point, Problem, Rows, instruments_of
-from tumble.inference.linearisation import linearise
-from tumble.planning.bounds import Course, instrument_of, observed
+from tumble.inference.linearisation import linearise, with_priors
+from tumble.planning.bounds import Course, begins, components_of, instrument_of, observed
+from tumble.planning.expected_sizes import expected
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme
 from tumble.reduction.observations import Observations, Together
@@ -75,8 +77,9 @@ class _Recorded:
 
 def problem_of(
     setup: Setup, sessions: Sequence[ChamberSession], courses: Sequence[Course], *, gyros: bool
-) -> tuple[Problem, Rows]:
-    """The sessions as one problem, and its rows."""
+) -> tuple[Problem, Rows, Components]:
+    """The sessions as one problem, its rows, and the components of variance beside its noise, all as large as they will
+    be taken for (`tumble.planning.expected_sizes`)."""
     recorded = [_recorded(*each, setup, parts=len(sessions) > 1) for each in zip(sessions, courses, strict=True)]
     course = _one_after_the_other([each.course for each in recorded])
     bare = replace(instrument_of(setup, gyros), further=())
@@ -90,12 +93,14 @@ def problem_of(
     if problem.lag is not None:
         values[problem.lag] = TYPICAL * setup.further["temperature.lag"]
     point = Point(values=values, gravity=setup.gravity, attitudes=course.attitudes, own=of_each)
-    return problem, _with_lag(problem.warmed(point), linearise(problem, point, about))
+    rows = _with_lag(problem.warmed(point), linearise(problem, point, about))
+    problem, components = expected(problem, rows, components_of(setup))
+    return problem, with_priors(rows, problem, point, about), components
 
 
 def _recorded(session: ChamberSession, course: Course, setup: Setup, *, parts: bool) -> _Recorded:
     """A session with its rests as a log has them, cut off at both ends, in `parts` where several are one estimate."""
-    start, margin = _starts(course, setup), margin_of(setup.rest)
+    start, margin = begins(course, setup, setup.ramp), margin_of(setup.rest)
     time, kelvin = session.course(float(start[-1]) + setup.rest)
     begin, end = start + margin, start + setup.rest - margin
     change = np.abs(np.interp(end, time, kelvin) - np.interp(begin, time, kelvin))
@@ -129,13 +134,6 @@ def _one_after_the_other(courses: Sequence[Course]) -> Course:
         moves=np.concatenate([course.moves for course in courses]),
         seconds=np.concatenate([course.seconds for course in courses]),
     )
-
-
-def _starts(course: Course, setup: Setup) -> Array:
-    """When the rests of a course begin (N,), s."""
-    moved = np.zeros(len(course.attitudes))
-    moved[course.first + 1] = course.seconds + setup.ramp
-    return np.asarray(setup.rest * np.arange(len(moved)) + np.cumsum(moved))
 
 
 def _warmed(

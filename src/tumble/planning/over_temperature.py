@@ -3,7 +3,7 @@
 The rows are those of several sessions together (`tumble.inference.likelihood`) at perfect sensors and the attitudes of
 their programmes, with the thermometer's course in each, so that the covariance is that which `calibrate_together`, or
 `calibrate` of one session, states: common coefficients over temperature, biases of each launch, drifts of each session,
-all groups with their priors.
+all groups with their priors, in-run biases, what will be said of the noise, and the time base.
 
 A chamber that has changed by ΔT leaves a unit of time constant τ with (ΔT/τ) e^(−t/τ) of drift, and sensors that lag by
 λ with λ times this of error: it soaks until that is SETTLED.
@@ -19,10 +19,10 @@ import numpy as np
 
 from tumble.errors import InputError
 from tumble.estimation.estimate import DETERMINED, GroupFinding
-from tumble.inference.likelihood import Problem, noise_of
-from tumble.inference.step import solve
+from tumble.inference.likelihood import Problem, weights
+from tumble.inference.step import joined, tell
 from tumble.inference.variables import both_ways, over_a_range
-from tumble.planning.bounds import Course, bound_of, course_of, findings, scatter_of
+from tumble.planning.bounds import Course, bound_of, by_clock, course_of, findings, over_session
 from tumble.planning.chamber_recordings import ChamberSession, problem_of
 from tumble.planning.setup import Setup, time_of, with_all_groups
 from tumble.sensors.parameters import (
@@ -151,9 +151,12 @@ def plan_over_temperature(
         raise InputError("temperature: expected at least one recording, found none")
     setup, chamber = with_all_groups(setup), chamber or Chamber()
     courses = [course_of(replace(setup, programme=session.programme)) for session in sessions]
-    problem, rows = problem_of(setup, sessions, courses, gyros=gyros)
-    step = solve(problem, rows, noise_of(problem, rows).weights(scatter_of(setup)))
-    covariance = step.covariance[1:, 1:]
+    problem, rows, components = problem_of(setup, sessions, courses, gyros=gyros)
+    told = tell(problem, rows, weights(problem, rows, components))
+    root = joined(problem, rows, told).roots[0][len(problem.own_known) :, len(problem.own_known) :]
+    root = over_session(problem, told, root) if len(problem.parts) == 1 else root[1:]
+    root = np.column_stack([root, by_clock(problem.instrument, setup.clock_u)])
+    covariance = root @ root.T
     planned = tuple(_planned(setup, sessions, courses, chamber, gyros=gyros))
     instrument, kelvin = problem.instrument, problem.observations.rests.temperature
     assert kelvin is not None

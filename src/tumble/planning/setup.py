@@ -20,6 +20,7 @@ from tumble.earth import normal_gravity
 from tumble.errors import InputError
 from tumble.programme.positions import Programme, duration
 from tumble.programme.positions import programme as built_in
+from tumble.recording.session import USUAL_CLOCK_U
 from tumble.sensors.grades import GRADES, NoiseModel, Spread
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.parameters import usual_sizes
@@ -56,7 +57,7 @@ class Setup(Brief):
     the instrument is called, and the start of a simulated one's serial number. `further` are the groups of parameters
     that it has beyond the linear model, with their standard deviations over instruments, SI, which are the priors too.
     `latitude`, rad; `height`, m; `gravity`, m/s², with its standard uncertainty `gravity_u`
-    (`earth.NORMAL_GRAVITY_U` if it is not measured)."""
+    (`earth.NORMAL_GRAVITY_U` if it is not measured); `clock_u`, the relative standard uncertainty of the time base."""
 
     programme: Programme = field(default_factory=lambda: _programme(PROGRAMME))
     by_hand: int | None = None
@@ -76,6 +77,7 @@ class Setup(Brief):
     height: float = HEIGHT
     gravity: float
     gravity_u: float = GRAVITY_U
+    clock_u: float = USUAL_CLOCK_U
 
     @staticmethod
     def of(
@@ -156,7 +158,7 @@ def check_setup(setup: Setup, iterations: int) -> None:
         raise InputError(
             f"gravity: expected {LEAST_GRAVITY:g} to {MOST_GRAVITY:g} m/s^2, as a planet has, found {setup.gravity:g}"
         )
-    for name in ("table_error", "mounting_error", "gravity_u"):
+    for name in ("table_error", "mounting_error", "gravity_u", "clock_u"):
         expect(name, getattr(setup, name), least="0 or more")
     for noise in fields(setup.noise):
         expect(f"noise.{noise.name}", getattr(setup.noise, noise.name), least="0 or more")
