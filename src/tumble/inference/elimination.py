@@ -8,8 +8,8 @@ rest i, the rows of rest i and of the turn that follows it are
     [ δᵢ (d) | parameters (p) | right-hand side ]             rest, (N, r, d + p + 1)
     [ δᵢ (d) | δᵢ₊₁ (d) | parameters (p) | right-hand side ]   turn, (K, t, 2d + p + 1)
 
-and `link[i]` is the turn from rest i to rest i + 1, −1 where nothing links them. A bias that is a Gauss–Markov process
-has its states among the unknowns, and its steps among the rows of the turns. The elimination is orthogonal (a square-root information filter): Householder reflections of what involves δᵢ leave d
+and `link[i]` is the turn from rest i to rest i + 1, −1 where nothing links them. A bias that is a
+Gauss–Markov process has its states among the unknowns, and its steps among the rows of the turns. The elimination is orthogonal (a square-root information filter): Householder reflections of what involves δᵢ leave d
 rows that give δᵢ once the rest is known, rows on δᵢ₊₁, carried on, and rows on the parameters alone, folded into one
 triangle. Nothing is squared, and the cost is linear in the number of rests. A column of which nothing but rounding
 is left is no information: its unknown, a heading that nothing shows, stays where it is. Sums over rows are taken for
@@ -52,16 +52,21 @@ LARGE = 20
 """Unknowns of a rest from which on its elimination is one by LAPACK, too."""
 
 
-def eliminate(rest: Array, turn: Array, link: IntArray, factor: Array, triangle: Array) -> None:
+def eliminate(
+    rest: Array, turn: Array, link: IntArray, factor: Array, triangle: Array, begins: Array | None = None
+) -> None:
     """Eliminate the unknowns of all rests: `factor` (N, d, 2d + p + 1) gets the rows that give them, and the rows on
-    the parameters are folded into `triangle` (p + 1, p + 1), which may hold others before."""
+    the parameters are folded into `triangle` (p + 1, p + 1), which may hold others before. What is known of the first
+    rest before any reading are the rows `begins` (d, 2d + p + 1), nothing where None."""
+    if begins is None:
+        begins = np.zeros((factor.shape[1], factor.shape[2]))
     if factor.shape[1] > LARGE:
-        _eliminate_large(rest, turn, link, factor, triangle)
+        _eliminate_large(rest, turn, link, factor, triangle, begins)
         return
     r, t, d, p = rest.shape[1], turn.shape[1], factor.shape[1], len(triangle) - 1
     columns, most = 2 * d + p + 1, d + r + t
     buffer = BUFFER if p < MANY else len(rest) * most
-    work, carried, kept = np.zeros((most, columns)), np.zeros((d, columns)), np.zeros((buffer + most, p + 1))
+    work, carried, kept = np.zeros((most, columns)), begins.copy(), np.zeros((buffer + most, p + 1))
     length, product = np.zeros(2 * d), np.zeros(columns)
     count = _eliminate(rest, turn, link, factor, triangle, ROUNDING * ROUNDING, work, carried, kept, length, product)
     if p < MANY:
@@ -70,10 +75,11 @@ def eliminate(rest: Array, turn: Array, link: IntArray, factor: Array, triangle:
         fold(kept[:count], triangle)
 
 
-def _eliminate_large(rest: Array, turn: Array, link: IntArray, factor: Array, triangle: Array) -> None:
+def _eliminate_large(
+    rest: Array, turn: Array, link: IntArray, factor: Array, triangle: Array, begins: Array
+) -> None:
     """The same by LAPACK, a rest at a time, for arrays, whose many states make its blocks worth their call."""
-    d, p, kept = factor.shape[1], len(triangle) - 1, list[Array]()
-    carried = np.zeros((d, 2 * d + p + 1))
+    d, kept, carried = factor.shape[1], list[Array](), begins
     for i, k in enumerate(link.tolist()):
         own = np.zeros((rest.shape[1], carried.shape[1]))
         own[:, :d], own[:, 2 * d :] = rest[i, :, :d], rest[i, :, d:]
@@ -81,7 +87,6 @@ def _eliminate_large(rest: Array, turn: Array, link: IntArray, factor: Array, tr
         width = 2 * d if k >= 0 else d
         length = np.sqrt((rows[:, :width] ** 2).sum(axis=0))
         reduced = np.linalg.qr(rows, mode="r") if len(rows) > width else rows
-        reduced = np.asarray(reduced)
         factor[i] = 0.0
         carried = np.zeros_like(carried)
         pivot = np.abs(reduced.diagonal()[:width])
@@ -89,12 +94,11 @@ def _eliminate_large(rest: Array, turn: Array, link: IntArray, factor: Array, tr
             factor[i] = reduced[:d]
             top = width
         else:  # a heading that nothing shows: reflections one by one
-            work, product = np.ascontiguousarray(rows), np.zeros(rows.shape[1])
-            reduced, top = work, 0
+            reduced, top = np.ascontiguousarray(rows), 0
             for c in range(width):
-                seen = _reflected(work, product, top, c, ROUNDING * ROUNDING * length[c] ** 2)
+                seen = _reflected(reduced, top, c, ROUNDING * ROUNDING * length[c] ** 2)
                 if c < d and seen:
-                    factor[i, c] = work[top]
+                    factor[i, c] = reduced[top]
                 top += seen
         if k >= 0:
             following = reduced[d:top] if top == width else reduced[:top]
@@ -106,7 +110,7 @@ def _eliminate_large(rest: Array, turn: Array, link: IntArray, factor: Array, tr
     fold(np.concatenate(kept), triangle)
 
 
-def _reflected(work: Array, product: Array, top: int, column: int, least: float) -> bool:
+def _reflected(work: Array, top: int, column: int, least: float) -> bool:
     """`_reflect` of all rows, in arrays."""
     below = work[top:, column]
     square = float(below @ below)

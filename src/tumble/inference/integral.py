@@ -34,7 +34,7 @@ from tumble.inference.maximum import Evaluated, Maximum
 from tumble.inference.step import deviance, joined, tell
 from tumble.units import Array
 
-POINTS = 128
+POINTS = 64
 MOST_PARAMETERS = 200
 """Of an array of more parameters the maximum alone is taken: priors and scatter matter least to it, and a point costs a
 hundred times as much."""
@@ -46,7 +46,7 @@ TAIL = 4.0
 """Standard deviations beyond the last knots that they reach."""
 WIDER = 1.15
 """Times what the curvature says: the proposal is to be wider than the posterior."""
-NOTICED = 0.05
+NOTICED = 0.1
 """Of u: an element of φ that does less to the parameters is not integrated over."""
 POOR = 0.7
 """Shape of the Pareto distribution of the weights from which on the integral is not to be relied on."""

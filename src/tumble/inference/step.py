@@ -132,13 +132,11 @@ def tell(problem: Problem, rows: Rows, weight: Weights) -> Told:
         joints = np.zeros((len(rest), turn.shape[1] + d - 3, 2 * d + size))
         joints[problem.before_turn, : turn.shape[1]] = turn
         joints[:, turn.shape[1] :] = process.steps(d, joints.shape[2])
+    begins = np.zeros((d, 2 * d + size))  # a chain of states begins as its process is
+    begins[3:, 3:d] = np.eye(d - 3)
     for part, triangle in zip(problem.parts, sessions, strict=True):
-        own = rest[part.rests]
-        if process is not None:  # a chain begins as its process is
-            own = np.concatenate([own, np.zeros((len(own), d - 3, own.shape[2]))], axis=1)
-            own[0, -(d - 3) :, 3:d] = np.eye(d - 3)
         between = joints[part.turns if process is None else part.rests]
-        eliminate(own, between, _links(part, process), factor[part.rests], triangle)
+        eliminate(rest[part.rests], between, _links(part, process), factor[part.rests], triangle, begins)
     return Told(weights=weight, process=process, whitened=(rest, turn), factor=factor, sessions=sessions)
 
 
