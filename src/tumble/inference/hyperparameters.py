@@ -4,7 +4,7 @@
 |---|---|---|
 | ln σ of a component of scatter | rests, turns, velocities … | σ exponential, its mean the noise it stands beside |
 | ln σ_b, ln τ_b of a kind | in-run bias, a Gauss–Markov process | log-normal about the grade's size and 300 s, ÷× 5 |
-| p of a sensor | its in-run bias is exp(max(p, 0)) times that of its kind | N(0, ln 3) |
+| p of a sensor | its scatter and in-run bias are exp(max(p, 0)) times those of its kind | N(0, ln 3) |
 | p of a group | its size is exp(max(p, 0)) times the usual one | N(0, ln k) |
 
 A component of scatter may be small, and is never excluded: no test decides whether it is there. With λ = exp(max(p, 0))
@@ -43,7 +43,7 @@ SHEET, STATED, GUESSED = 2.0, 3.0, 10.0
 """The factor by which a usual size may be too small where it is from a data sheet, from a grade that is stated, or from
 one that is guessed."""
 UNLIKE = 3.0
-"""The same of the in-run bias of a sensor, over that of the others of its kind."""
+"""The same of the scatter and the in-run bias of a sensor, over those of the others of its kind."""
 REST_MODES = {"accel": "readings of the accelerometers at rest", "gyro": "readings of the gyros at rest"}
 
 
@@ -54,8 +54,9 @@ class Components:
     the integrals (rad) of gyros beyond the rotation of the body; c of (A3), the error of the integral over a jump
     between samples in parts of its size times the interval; the error of a rotation in parts of what `aliased` samples
     would make it, and that of what gyros say beyond it in the same parts. Then the in-run bias of each kind, a
-    stationary Gauss–Markov process: its standard deviation and correlation time (s), and by how many times that of a
-    sensor is larger than that of its kind (n,), accelerometers before gyros; 1 where empty."""
+    stationary Gauss–Markov process: its standard deviation and correlation time (s). By how many times the scatter at
+    rest and the in-run bias of a sensor are larger than those of its kind is `unlike` (n,), accelerometers before gyros;
+    1 where empty."""
 
     accel: float = 0.0
     gyro: float = 0.0
@@ -106,10 +107,15 @@ class Noise:
     turn_directions: tuple[Array, IntArray]
     kept: tuple[Array, Array] | None = None
 
+    def at_rest(self, components: Components) -> tuple[Array, IntArray]:
+        """The directions of the scatter at rest, those of sensors unlike others as much longer, and of which they are."""
+        Z, of = self.rest_directions
+        return (Z * components.unlike if len(components.unlike) else Z), of
+
     def weights(self, components: Components) -> Weights:
         """The weights of the rows with components of variance."""
         variances = components.variances
-        rest = whitening(self.rest, *self.rest_directions, variances)
+        rest = whitening(self.rest, *self.at_rest(components), variances)
         turn = whitening(self.turn, *self.turn_directions, variances)
         if self.kept is not None:
             rest, turn = rest * self.kept[0][:, None], turn * self.kept[1][:, None]
@@ -226,7 +232,7 @@ def _in_run(problem: Problem) -> Iterator[Hyperparameter]:
             yield Hyperparameter(
                 name=f"{kind}.in_run.{sensor}",
                 unit="1",
-                words=f"in-run bias of {kind} {sensor} over that of the others",
+                words=f"scatter and in-run bias of {kind} {sensor} over those of the others",
                 place="unlike",
                 usual=1.0,
                 within=float(np.log(UNLIKE)),

@@ -63,6 +63,8 @@ TO_AND_FRO = 6
 """Linearisations after which a heading that still moves is one that the gyros do not know either."""
 PLACE_UNKNOWN = 1e-3
 """Normal gravity is known to a third of that anywhere."""
+SENSED = 0.2
+"""Of the rests: what the scatter of a single sensor is told by at first, until its curvature is known."""
 LEAST_DEGREES = 0.5
 """Of freedom: a component of scatter of which the fit leaves less is not estimated. It is by what is left of it, in the
 end by rounding, that its variance would be divided."""
@@ -114,7 +116,7 @@ class Evaluated:
         components, wide = components_of(entries, phi, problem.sensors), sized(problem, entries, phi)
         step = at.solved(wide, components)
         after = left(wide, step)
-        by_variance, of_variance = scatter_score(at.noise, step, after)
+        by_variance, of_variance, by_sensor = scatter_score(at.noise, step, after)
         twice = 2.0 * components.variances
         scatter, of_scatter = twice * by_variance, np.outer(twice, twice) * of_variance
         by_size, by_time, told = (np.zeros(0),) * 3 if step.told.process is None else step.told.process.scores(step)
@@ -134,7 +136,9 @@ class Evaluated:
             elif h.place == "time":
                 gradient[i], information[i, i] = by_time[kind].sum(), 0.5 * told[kind].sum()
             elif h.place == "unlike":
-                gradient[i], information[i, i] = by_size[h.members].sum(), 2.0 * told[h.members].sum()
+                own = twice[SCATTER.index(h.name.partition(".")[0])] * by_sensor[h.members]
+                gradient[i] = by_size[h.members].sum() + own.sum()
+                information[i, i] = 2.0 * told[h.members].sum() + len(problem.link) * SENSED
             else:
                 s, c2, variance = (
                     (wide.measured[1][1:][h.members], square[h.members], step.covariance.diagonal()[1:][h.members])

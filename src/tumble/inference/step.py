@@ -271,14 +271,18 @@ def _predicted(rows: Array, root: Array) -> Array:
     return np.asarray(along @ np.swapaxes(along, 1, 2))
 
 
-def scatter_score(noise: Noise, step: Step, after: Left) -> tuple[Array, Array]:
-    """The score (c,) of the restricted likelihood by the variances of the components of scatter, and its information
-    (c, c), of which the part within a rest and within a turn is taken. Raises LinAlgError where residuals are beyond all
-    measure."""
-    slope, information = np.zeros(len(SCATTER)), np.zeros((len(SCATTER),) * 2)
-    weights, (at_rest, of_rest), (in_turn, of_turn) = step.told.weights, noise.rest_directions, noise.turn_directions
-    score(weights.rest @ at_rest, of_rest, after.rest, slope, information)
+def scatter_score(noise: Noise, step: Step, after: Left) -> tuple[Array, Array, Array]:
+    """The score (c,) of the restricted likelihood by the variances of the components of scatter, its information (c, c),
+    of which the part within a rest and within a turn is taken, and the score by the variance of the scatter of every
+    sensor at rest (n,), in parts of that of its kind. Raises LinAlgError where residuals are beyond all measure."""
+    weights = step.told.weights
+    (at_rest, of_rest), (in_turn, of_turn) = noise.at_rest(weights.components), noise.turn_directions
+    n = len(of_rest)
+    by_sensor, of_sensors = np.zeros(n), np.zeros((n, n))
+    score(weights.rest @ at_rest, np.arange(n), after.rest, by_sensor, of_sensors)
+    kind = np.eye(len(SCATTER))[of_rest]
+    slope, information = by_sensor @ kind, kind.T @ of_sensors @ kind
     score(weights.turn @ in_turn, of_turn, after.turn, slope, information)
     if not (np.isfinite(slope).all() and np.isfinite(information).all()):
         raise np.linalg.LinAlgError("residuals are beyond all measure")
-    return slope, information
+    return slope, information, by_sensor
