@@ -20,9 +20,9 @@ from tumble.estimation.ellipsoid import WorstPosition as WorstPosition
 from tumble.estimation.estimate import GroupFinding as GroupFinding
 from tumble.estimation.estimate import Judgement as Judgement
 from tumble.estimation.field_check import CheckResult as CheckResult
-from tumble.inference.likelihood import Linearised as Linearised
 from tumble.estimation.observability import Refusal as Refusal
 from tumble.estimation.prediction import Prediction as Prediction
+from tumble.inference.likelihood import Linearised as Linearised
 from tumble.planning.best_positions import Aim as Aim
 from tumble.planning.best_positions import Compared as Compared
 from tumble.planning.best_positions import Next as Next

@@ -25,18 +25,18 @@ from tumble.estimation.diagnosis.linear_model import judged, left_out, taken_as_
 from tumble.estimation.diagnosis.undetermined import one_attitude
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.methods.ellipsoid import ellipsoid
-from tumble.inference.joint import joint
 from tumble.estimation.methods.paper.scalar import scalar
 from tumble.estimation.methods.paper.sequential import sequential
 from tumble.estimation.methods.staged.method import staged
 from tumble.files import FilePath
+from tumble.inference.hyperparameters import GUESSED, SHEET, STATED
+from tumble.inference.joint import joint
 from tumble.recording.arrays import Temperatures, session_of_arrays
 from tumble.recording.log import Log
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.sensors.frames import Convention, Frame
-from tumble.inference.hyperparameters import GUESSED, SHEET, STATED
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.grades import guessed_grade
 from tumble.sensors.parameters import usual_sizes

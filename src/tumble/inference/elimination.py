@@ -9,9 +9,9 @@ rest i, the rows of rest i and of the turn that follows it are
     [ δᵢ (d) | δᵢ₊₁ (d) | parameters (p) | right-hand side ]   turn, (K, t, 2d + p + 1)
 
 and `link[i]` is the turn from rest i to rest i + 1, −1 where nothing links them. A bias that is a
-Gauss–Markov process has its states among the unknowns, and its steps among the rows of the turns. The elimination is orthogonal (a square-root information filter): Householder reflections of what involves δᵢ leave d
-rows that give δᵢ once the rest is known, rows on δᵢ₊₁, carried on, and rows on the parameters alone, folded into one
-triangle. Nothing is squared, and the cost is linear in the number of rests. A column of which nothing but rounding
+Gauss–Markov process has its states among the unknowns, and its steps among the rows of the turns. The elimination is
+orthogonal (a square-root information filter): Householder reflections of what involves δᵢ leave d rows that give
+δᵢ once the rest is known, rows on δᵢ₊₁, carried on, and rows on the parameters alone, folded into one triangle. Nothing is squared, and the cost is linear in the number of rests. A column of which nothing but rounding
 is left is no information: its unknown, a heading that nothing shows, stays where it is. Sums over rows are taken for
 all columns side by side, so that the loops over columns are vector instructions.
 
@@ -75,9 +75,7 @@ def eliminate(
         fold(kept[:count], triangle)
 
 
-def _eliminate_large(
-    rest: Array, turn: Array, link: IntArray, factor: Array, triangle: Array, begins: Array
-) -> None:
+def _eliminate_large(rest: Array, turn: Array, link: IntArray, factor: Array, triangle: Array, begins: Array) -> None:
     """The same by LAPACK, a rest at a time, for arrays, whose many states make its blocks worth their call."""
     d, kept, carried = factor.shape[1], list[Array](), begins
     for i, k in enumerate(link.tolist()):
@@ -86,7 +84,7 @@ def _eliminate_large(
         rows = np.concatenate([carried, own, *([turn[k]] if k >= 0 else [])])
         width = 2 * d if k >= 0 else d
         length = np.sqrt((rows[:, :width] ** 2).sum(axis=0))
-        reduced = np.linalg.qr(rows, mode="r") if len(rows) > width else rows
+        reduced = np.asarray(np.linalg.qr(rows, mode="r"))
         factor[i] = 0.0
         carried = np.zeros_like(carried)
         pivot = np.abs(reduced.diagonal()[:width])

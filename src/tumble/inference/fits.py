@@ -1,4 +1,4 @@
-"""How well an estimate fits: chi-square by group of residuals, and how far each rest and turn is from what the others say.
+"""How well an estimate fits: chi-square by group of residuals, and how far each rest and turn is from the others.
 
 A rest or turn is judged by how much chi-square falls without it, in as many directions as it has residuals. One that is
 spoilt must not decide a parameter, and must not hide behind the scatter it makes. So where one stands out the maximum
@@ -7,8 +7,8 @@ its gyros and of a turn have the weight
 
     w = (ν + q)/(ν + χ²)
 
-each for itself, taken again at every linearisation. Those whose weight falls below LEAST_WEIGHT are left out, by number;
-the estimate is that of all others, which have their whole weight.
+each for itself, taken again at every linearisation. Those whose weight falls below LEAST_WEIGHT are left out, by
+number; the estimate is that of all others, which have their whole weight.
 """
 
 from __future__ import annotations
@@ -127,7 +127,8 @@ def same_weights(kept: tuple[Array, Array] | None, before: tuple[Array, Array]) 
 def left_out(problem: Problem, noise: Noise) -> tuple[BoolArray, BoolArray, BoolArray]:
     """The rests whose accelerometers, and whose gyros, and the turns that are left out."""
     rest, turn = kept(noise)
-    accel, gyro, by_turn = (np.any(part < LEAST_WEIGHT**0.5, axis=1) for part in (*(rest[:, rows] for rows in _of_sensors(problem)), turn))
+    parts = *(rest[:, rows] for rows in _of_sensors(problem)), turn
+    accel, gyro, by_turn = (np.any(part < LEAST_WEIGHT**0.5, axis=1) for part in parts)
     return accel, gyro, by_turn
 
 
@@ -136,9 +137,7 @@ def sigmas(problem: Problem, noise: Noise, weights: Weights, after: Left) -> tup
     sigmas of the same probability: by Fisher's distribution, for the scale is that of the others."""
     shown, fits = residuals(problem, noise, weights, after), chi_squares(problem, after)
     every = list[Array]()
-    for fall, count, omitted, name in zip(
-        shown.falls, shown.counts, left_out(problem, noise), GROUPS[:3], strict=True
-    ):
+    for fall, count, omitted, name in zip(shown.falls, shown.counts, left_out(problem, noise), GROUPS[:3], strict=True):
         degrees = fits[name].degrees if name in fits else 0.0
         k = np.maximum(count, 1)
         others = np.maximum(degrees - k * max(1, omitted.sum()), 1.0)
@@ -150,11 +149,9 @@ def sigmas(problem: Problem, noise: Noise, weights: Weights, after: Left) -> tup
 
 def chi_squares(problem: Problem, after: Left, components: Components | None = None) -> dict[str, Fit]:
     """Chi-square of every group of residuals there is, with the scatter beside the noise."""
-    n = problem.observations.accel_block.size
-    sensors, v = n + problem.observations.rests.gyro.shape[1], 6 if problem.instrument.in_velocities else 3
-    turn = np.arange(after.turn[0].shape[1])
-    rows = ((after.rest, np.arange(n)), (after.rest, np.arange(n, sensors)))
-    rows += ((after.turn, np.r_[turn[:3], turn[v:]]), (after.turn, turn[3:v]))
+    v, turn = 6 if problem.instrument.in_velocities else 3, np.arange(after.turn[0].shape[1])
+    accel, gyro = (np.arange(rows.start or 0, rows.stop) for rows in _of_sensors(problem))
+    rows = (after.rest, accel), (after.rest, gyro), (after.turn, np.r_[turn[:3], turn[v:]]), (after.turn, turn[3:v])
     there = 1 if problem.observations.gyro_block is None else 4 if problem.instrument.in_velocities else 3
     out = dict[str, Fit]()
     for name, component, unit, ((residual, covariance), own) in zip(

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -55,8 +55,8 @@ class Components:
     between samples in parts of its size times the interval; the error of a rotation in parts of what `aliased` samples
     would make it, and that of what gyros say beyond it in the same parts. Then the in-run bias of each kind, a
     stationary Gauss–Markov process: its standard deviation and correlation time (s). By how many times the scatter at
-    rest and the in-run bias of a sensor are larger than those of its kind is `unlike` (n,), accelerometers before gyros;
-    1 where empty."""
+    rest and the in-run bias of a sensor are larger than those of its kind is `unlike` (n,), accelerometers before
+    gyros; 1 where empty."""
 
     accel: float = 0.0
     gyro: float = 0.0
@@ -94,6 +94,9 @@ class Components:
         return sigma * self.unlike if len(self.unlike) else sigma, np.repeat([self.accel_time, self.gyro_time], counts)
 
 
+NO_COMPONENTS = Components()
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Noise:
     """Covariance of the rows without scatter, of the rests (N, r, r) and of the turns (K, t, t), and the directions Z
@@ -108,7 +111,7 @@ class Noise:
     kept: tuple[Array, Array] | None = None
 
     def at_rest(self, components: Components) -> tuple[Array, IntArray]:
-        """The directions of the scatter at rest, those of sensors unlike others as much longer, and of which they are."""
+        """The directions of the scatter at rest, those of sensors unlike others as much longer, and of what they are."""
         Z, of = self.rest_directions
         return (Z * components.unlike if len(components.unlike) else Z), of
 
@@ -174,10 +177,10 @@ class Hyperparameter:
 def table(problem: Problem, noise: Noise, seen: BoolArray) -> tuple[Hyperparameter, ...]:
     """The hyperparameters of a problem: the components of scatter that are `seen`, the in-run biases, and the groups
     whose size is by a prior."""
-    return (*_scatter(problem, noise, seen), *_in_run(problem), *_groups(problem))
+    return (*_scatter(noise, seen), *_in_run(problem), *_groups(problem))
 
 
-def _scatter(problem: Problem, noise: Noise, seen: BoolArray) -> Iterator[Hyperparameter]:
+def _scatter(noise: Noise, seen: BoolArray) -> Iterator[Hyperparameter]:
     """The components of scatter: each stands beside the noise along its directions."""
     units = dict(zip(SCATTER, ("m/s^2", "rad/s", "rad", "m/s", "rad", "1", "1", "1"), strict=True))
     words = (
@@ -207,7 +210,8 @@ def _in_run(problem: Problem) -> Iterator[Hyperparameter]:
     rests, first = problem.observations.rests, 0
     if len(rests) < 2:
         return
-    for block, covariance in zip(problem.instrument.blocks, (rests.accel_covariance, rests.gyro_covariance), strict=False):
+    covariances = rests.accel_covariance, rests.gyro_covariance
+    for block, covariance in zip(problem.instrument.blocks, covariances, strict=False):
         kind, unit = ("accel", "m/s^2") if block.kind == "accel" else ("gyro", "rad/s")
         noise = float(np.sqrt(np.median(np.trace(covariance, axis1=1, axis2=2)) / block.size))
         usual = problem.observations.in_run.get(kind, noise)
@@ -278,8 +282,8 @@ def components_of(entries: tuple[Hyperparameter, ...], phi: Array, sensors: int)
     for h, p in zip(entries, phi.tolist(), strict=True):
         if h.place == "unlike":
             unlike[h.members] = h.value(p)
-    known = {each.name for each in fields(Components)}
-    return replace(Components(**{name: v for name, v in values.items() if name in known}), unlike=unlike)
+    known: dict[str, Any] = {each.name: values[each.name] for each in fields(Components) if each.name in values}
+    return Components(**known, unlike=unlike)
 
 
 def sized(problem: Problem, entries: tuple[Hyperparameter, ...], phi: Array) -> Problem:

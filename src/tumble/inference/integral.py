@@ -15,8 +15,8 @@ covariance V_i at each
 
     x̄ = Σ w m,    C = Σ w (V + m mᵀ) − x̄ x̄ᵀ
 
-and the coverage factor k of a parameter is the half width at 95.45 % of its mixture of Gaussians over its u. Rows do not
-change, so that each point costs one elimination. The effective number of points 1/Σ w² and the shape of the Pareto
+and the coverage factor k of a parameter is the half width at 95.45 % of its mixture of Gaussians over its u. Rows do
+not change, so that each point costs one elimination. The effective number of points 1/Σ w² and the shape of the Pareto
 distribution say how good the proposal was.
 """
 
@@ -130,7 +130,8 @@ def _axes(fitted: Maximum) -> tuple[list[_Axis], Array]:
     axes, bends = list[_Axis](), list[Array]()
     for i, h in enumerate(fitted.entries):
         at_bound = bool(bounded[i] and best.phi[i] <= 0.0)
-        size = 1.0 / np.sqrt(max(best.information[i, i] if at_bound else fitted.curvature[i, i], h.prior(best.phi[i])[2]))
+        bend = best.information[i, i] if at_bound else fitted.curvature[i, i]
+        size = 1.0 / np.sqrt(max(bend, h.prior(float(best.phi[i]))[2]))
         knots, matters, scores = [(0.0, 0.0, best.gradient[i])], False, list[Array]()
         for away in (-1.0, 1.0, *KNOTS[:2], *KNOTS[4:]):
             if at_bound and away < 0.0:
@@ -179,9 +180,7 @@ def _axis(element: int, centre: float, knots: list[tuple[float, float, float]], 
     cumulative = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
     area = cumulative[-1] * (grid[1] - grid[0])
     log_density = np.log(np.maximum(density, 1e-300)) - np.log(area)
-    return _Axis(
-        element=element, phi=centre + grid, log_density=log_density, cumulative=cumulative / cumulative[-1]
-    )
+    return _Axis(element=element, phi=centre + grid, log_density=log_density, cumulative=cumulative / cumulative[-1])
 
 
 def _at(fitted: Maximum, phi: Array) -> tuple[float, Array, Array, Array, Array]:
@@ -198,7 +197,7 @@ def _at(fitted: Maximum, phi: Array) -> tuple[float, Array, Array, Array, Array]
     change, covariance = known.parameters.copy(), known.roots[0][q:, q:] @ known.roots[0][q:, q:].T
     process = change[biases], covariance[np.ix_(biases, biases)]
     if told.process is not None and len(problem.parts) == 1:
-        more, by, apart = of_session(problem, told, np.concatenate([known.own[0], known.parameters]))
+        more, by, apart = of_session(told, np.concatenate([known.own[0], known.parameters]))
         to_session = np.eye(len(change))
         to_session[biases] += by[:, q:]
         change[biases] += more

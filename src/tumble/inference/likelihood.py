@@ -46,7 +46,7 @@ import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.estimation.turns_about import TurnsAbout
-from tumble.inference.hyperparameters import Components, Noise, Weights
+from tumble.inference.hyperparameters import NO_COMPONENTS, Components, Noise, Weights
 from tumble.inference.row_loops import turned
 from tumble.inference.session_spans import SessionSpan, session_spans
 from tumble.inference.variables import GROWING, Variables, by_lag, variables_of
@@ -133,7 +133,8 @@ class Rows:
         """The same with further common parameters after those of the instrument, of which nothing is known beforehand,
         by their columns (N, r, c) and (K, t, c)."""
         before, c = -1 - self.own.shape[1], rest.shape[2]
-        every = (np.concatenate([a[..., :before], b, a[..., before:]], axis=2) for a, b in zip((self.rest, self.turn), (rest, turn), strict=True))
+        pairs = zip((self.rest, self.turn), (rest, turn), strict=True)
+        every = (np.concatenate([a[..., :before], b, a[..., before:]], axis=2) for a, b in pairs)
         p = len(self.prior) - 1
         prior = np.zeros((p + c + 1, p + c + 1))
         keep = np.append(np.arange(p), p + c)
@@ -486,6 +487,6 @@ def _diagonal(blocks: list[Array]) -> Array:
     return out
 
 
-def weights(problem: Problem, rows: Rows, components: Components = Components()) -> Weights:
+def weights(problem: Problem, rows: Rows, components: Components = NO_COMPONENTS) -> Weights:
     """The weights of the rows from the noise within rests and components of variance."""
     return noise_of(problem, rows).weights(components)

@@ -160,8 +160,8 @@ class Evaluated:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Maximum:
-    """The maximum: the problem with groups of usual size, the hyperparameters and ℓ there, the linearisation it is of, the point after the last step,
-    B (D, D), the changes of the parameters by linearisation, and why the iteration ended."""
+    """The maximum: the problem with groups of usual size, the hyperparameters and ℓ there, the linearisation it is of,
+    the point after the last step, B (D, D), the changes of the parameters by linearisation, and why the iteration ended."""
 
     free: Problem
     entries: tuple[Hyperparameter, ...]

@@ -38,8 +38,8 @@ def _leave(
     residual: Array,
     work: Array,
 ) -> None:
-    """One set of rows after the other, A the columns of the unknowns of rests and B the others: with S the covariance of the former and T
-    that of the former with the others, 1 − G Aᵀ − A Gᵀ − B C Bᵀ, G = ½ A S + B Tᵀ."""
+    """One set of rows after the other, A the columns of the unknowns of rests and B the others: with S the covariance
+    of the former and T that of the former with the others, 1 − G Aᵀ − A Gᵀ − B C Bᵀ, G = ½ A S + B Tᵀ."""
     r, a, p = rows.shape[1], work.shape[1], step.shape[0]
     with cython.nogil:
         for k in range(rows.shape[0]):

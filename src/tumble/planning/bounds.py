@@ -204,7 +204,7 @@ def over_session(problem: Problem, told: Told, root: Array) -> Array:
     (1 + m, ·) of gravity and the parameters, biases being the means of their processes."""
     if told.process is None:
         return root[1:]
-    _, by, apart = of_session(problem, told, np.zeros(len(root)))
+    _, by, apart = of_session(told, np.zeros(len(root)))
     biases, more = 1 + problem.biases, np.zeros((len(root), len(apart)))
     moved = root.copy()
     moved[biases] += by @ root
