@@ -45,10 +45,10 @@ from functools import cached_property
 import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
+from tumble.estimation.turns_about import TurnsAbout
 from tumble.inference.hyperparameters import Components, Noise, Weights
 from tumble.inference.row_loops import turned
 from tumble.inference.session_spans import SessionSpan, session_spans
-from tumble.estimation.turns_about import TurnsAbout
 from tumble.inference.variables import GROWING, Variables, by_lag, variables_of
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, skew
@@ -132,13 +132,13 @@ class Rows:
     def beside(self, rest: Array, turn: Array) -> Rows:
         """The same with further common parameters after those of the instrument, of which nothing is known beforehand,
         by their columns (N, r, c) and (K, t, c)."""
-        before, c = -1 - self.own.shape[1], rest.shape[2]
-        every = (np.concatenate([a[..., :before], b, a[..., before:]], axis=2) for a, b in zip((self.rest, self.turn), (rest, turn), strict=True))
-        p = len(self.prior) - 1
-        prior = np.zeros((p + c + 1, p + c + 1))
-        keep = np.append(np.arange(p), p + c)
-        prior[np.ix_(keep, keep)] = self.prior
-        wide_rest, wide_turn = every
+        before, p, c = -1 - self.own.shape[1], len(self.prior) - 1, rest.shape[2]
+        prior, known = np.zeros((p + c + 1, p + c + 1)), np.append(np.arange(p), p + c)
+        prior[np.ix_(known, known)] = self.prior
+        wide_rest, wide_turn = (
+            np.concatenate([own[..., :before], further, own[..., before:]], axis=2)
+            for own, further in ((self.rest, rest), (self.turn, turn))
+        )
         return replace(self, rest=wide_rest, turn=wide_turn, prior=prior)
 
 

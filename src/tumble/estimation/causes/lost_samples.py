@@ -23,10 +23,10 @@ from tumble.estimation.causes.cause import Candidate, Cause
 from tumble.estimation.causes.chances import SumOfSquares
 from tumble.estimation.causes.linearised_session import SHORTEST_TURN, LinearisedSession
 from tumble.estimation.causes.projection import UNSEEN, Remaining
+from tumble.estimation.turns_about import TurnsAbout
 from tumble.inference.hyperparameters import SCATTER, Components
 from tumble.inference.likelihood import Linearised, Point, Problem, instruments_of, noise_of
 from tumble.inference.linearisation import linearise
-from tumble.estimation.turns_about import TurnsAbout
 from tumble.recording.gaps import REGULAR_HINT
 from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis

@@ -7,8 +7,8 @@ Columns A_c are appended to the parameters, without a prior, and everything is e
          R_c  | r_c         R_cᵀ R_c = BᵀB,   R_cᵀ r_c = Bᵀe
               | ρ
 
-B being what all other unknowns leave of the columns, and e the residuals. Several causes share one elimination, for what
-is asked of one is asked of its columns of R_c. Without columns of sizes ĉ the parameters err by R_θ⁻¹ R_θc ĉ. Of
+B being what all other unknowns leave of the columns, and e the residuals. Several causes share one elimination, for
+what is asked of one is asked of its columns of R_c. Without columns of sizes ĉ the parameters err by R_θ⁻¹ R_θc ĉ. Of
 several sessions each is judged by itself, with what the others say of the common parameters, their triangles, as its
 prior.
 
@@ -145,8 +145,8 @@ class Remaining:
 
 
 def _as_large_as_they_are(linearised: Linearised) -> Problem:
-    """The problem with the prior of every group at least as wide as the group is large: no cause is to gain from a prior
-    that the estimate contradicts."""
+    """The problem with the prior of every group at least as wide as the group is large: no cause is to gain from a
+    prior that the estimate contradicts."""
     problem, point = linearised.problem, linearised.point
     known, own = problem.measured[1].copy(), problem.own_known.copy()
     off = np.append(0.0, point.values) - np.append(0.0, problem.measured[0][1:])

@@ -52,7 +52,7 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
     remarks += [*apart, *(("both", remark) for remark in estimate.remarks), *judged.remarks]
     integral = estimate.integral
     if integral is not None and integral.pareto > POOR and integral.effective < FEWEST_POINTS:
-        said = "u rests on few points of the integral over what the model does not know of itself: it is known to a third"
+        said = "u rests on a few points of the integral over what the model does not know of itself: it is a rough one"
         remarks.append(("both", said))
     of_accel, of_gyro = (
         tuple(said for concerns, said in (*reasons, *remarks) if concerns == kind) for kind in ("accel", "gyro")
@@ -81,8 +81,8 @@ def _not_fitting(estimate: Estimate, observations: Observations) -> tuple[list[_
     several = ("accel", "rests", accel), ("gyro", "rests by their gyros", gyro), ("gyro", "turns", turn)
     for kind, what, omitted in several:
         if omitted.sum() > MOST_LEFT_OUT * len(omitted):
-            said = f"{omitted.sum()} of {len(omitted)} {what} do not fit, more than a third: the data contradict the model"
-            reasons.append((kind, f"{said}; look at the rests with `tumble inspect`"))
+            said = f"{omitted.sum()} of {len(omitted)} {what} do not fit, more than a third"
+            reasons.append((kind, f"{said}: the data contradict the model; look at the rests with `tumble inspect`"))
     for i in np.flatnonzero((estimate.rest_sigmas > FIT_SIGMAS) | accel | gyro):
         left = accel[i] or gyro[i]
         gyros = bool(gyro[i] and not accel[i]) if left else bool(by_gyros[i])
