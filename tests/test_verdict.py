@@ -252,7 +252,7 @@ def _projected(estimate: Estimate, rest: Array, turn: Array) -> Projection:
 
 def test_a_projection_is_that_of_all_unknowns_at_once() -> None:
     """Against least squares with the columns of all attitudes, parameters and causes side by side."""
-    estimate, _ = estimated("none", setting=2)
+    estimate = joint(replace(estimated("none")[1], usual={}))
     linearised = estimate.linearised
     assert linearised is not None
     problem, rows = linearised.problem, linearised.rows

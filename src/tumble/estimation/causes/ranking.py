@@ -75,7 +75,7 @@ def _most_likely(
 
 def _candidates(session: LinearisedSession, whole: Remaining) -> Iterator[Candidate]:
     """Everything that is tried by columns."""
-    yield from jumps(session, whole.step)
+    yield from jumps(session)
     yield hysteresis(session)
     yield from memory(session)
     yield from products(session)
