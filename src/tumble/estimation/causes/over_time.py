@@ -72,7 +72,9 @@ def jumps(session: LinearisedSession) -> Iterator[Candidate]:
 def _falls(step: Step, sensors: slice) -> Array:
     """By how much chi-square falls (N,) without the step of the processes of some sensors after each rest; 0 where none
     follows, or where the data say nothing of it."""
-    process, n = step.told.process, len(step.told.process.sigma)
+    process = step.told.process
+    assert process is not None
+    n = len(process.sigma)
     own = step.shared[0][:, :, -n:, -n:][:, :, sensors, sensors]
     values, rho = step.unknowns[:, -n:][:, sensors], process.rho[:, sensors]
     here, following, across = own[0, :-1], own[0, 1:], own[1, :-1] * rho[:-1, :, None]
