@@ -32,15 +32,15 @@ from functools import cache
 import numpy as np
 from scipy import special
 
-from tumble.estimation.estimate import DETERMINED, Fit
-from tumble.estimation.turns_about import TurnsAbout
-from tumble.inference.elimination import eliminate
 from tumble.inference.hyperparameters import Scatter, Weights
+from tumble.inference.elimination import eliminate
+from tumble.estimation.estimate import DETERMINED, Fit
 from tumble.inference.likelihood import Point, Prior, Problem, weights
 from tumble.inference.linearisation import linearise
 from tumble.inference.maximum import integrated, moved
 from tumble.inference.start import headings
 from tumble.inference.step import solve
+from tumble.estimation.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument
