@@ -23,14 +23,14 @@ from tumble.earth import NORMAL_GRAVITY_U
 from tumble.estimation.causes.chances import FALSE_ALARMS, SumOfSquares, standing_out
 from tumble.estimation.causes.former_attitudes import _followed
 from tumble.estimation.causes.projection import Projection, Remaining, by_north, projections
-from tumble.inference.hyperparameters import Components
 from tumble.estimation.diagnosis.misfit import misfit
 from tumble.estimation.diagnosis.site_gravity import gravity_doubted, gravity_said
 from tumble.estimation.diagnosis.undetermined import listed
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate, Outcome
-from tumble.inference.linearisation import linearise
+from tumble.inference.hyperparameters import Components
 from tumble.inference.joint import joint
+from tumble.inference.linearisation import linearise
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.simulation.session import simulate_session
@@ -252,7 +252,7 @@ def _projected(estimate: Estimate, rest: Array, turn: Array) -> Projection:
 
 def test_a_projection_is_that_of_all_unknowns_at_once() -> None:
     """Against least squares with the columns of all attitudes, parameters and causes side by side."""
-    estimate, _ = estimated("none", setting=2)
+    estimate = joint(replace(estimated("none")[1], usual={}))
     linearised = estimate.linearised
     assert linearised is not None
     problem, rows = linearised.problem, linearised.rows

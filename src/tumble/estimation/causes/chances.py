@@ -1,8 +1,8 @@
 """How likely chance alone makes residuals as large, and which of many tests stand out.
 
-The sum of the squares of residuals along whitened directions S, what the unknowns leave of them being P, is Σ λ χ²₁ with
-the eigenvalues λ of Sᵀ P S. With X = S Sᵀ, blocks of single rests and turns, Σ λ = tr P X, and Σ λ² ≤ tr P X²: equal
-where the directions are of one length, else larger, and the test the more cautious. So blocks of P do.
+The sum of the squares of residuals along whitened directions S, what the unknowns leave of them being P, is Σ λ χ²₁
+with the eigenvalues λ of Sᵀ P S. With X = S Sᵀ, blocks of single rests and turns, Σ λ = tr P X, and Σ λ² ≤ tr P X²: as
+large where the directions are of one length, else the test is the more cautious. So the blocks of P do.
 """
 
 from __future__ import annotations

@@ -8,6 +8,8 @@ import numpy as np
 
 from tumble.estimation.causes.cause import UNITS, WORDS, Candidate
 from tumble.estimation.causes.linearised_session import PATH_STEPS, LinearisedSession, kinds
+from tumble.estimation.causes.projection import Remaining
+from tumble.inference.hyperparameters import Components
 from tumble.inference.step import Step
 from tumble.units import Array
 
@@ -17,13 +19,21 @@ FREE = 0.01
 """Of the variance of a step of a process: the data say nothing of one of which they leave more than 1 − FREE."""
 
 
-def jumps(session: LinearisedSession, step: Step) -> Iterator[Candidate]:
+def jumps(session: LinearisedSession) -> Iterator[Candidate]:
     """Biases of a kind of sensors that change between two rests, as where a driver measures them anew or another device
-    goes on, where their process steps by the most beside what is usual of it; the turn between is taken as lying half
-    before and half after it."""
-    if step.told.process is None:
-        return
+    goes on; the turn between is taken as lying half before and half after it. They do so where their process, had it
+    all scatter of the rests and lasted as long as the session, would step by the most beside its usual steps."""
     rests, before_turn, first = session.observations.rests, session.problem.before_turn, 0
+    components, longest = session.linearised.components, max(float(np.ptp(rests.start)), 1.0)
+    wandering = Components(
+        accel_in_run=float(np.hypot(components.accel, components.accel_in_run)),
+        gyro_in_run=float(np.hypot(components.gyro, components.gyro_in_run)),
+        accel_time=longest,
+        gyro_time=longest,
+    )
+    if not wandering.wanders:
+        return
+    step = Remaining.of(session.linearised, wandering).step
     N, most = len(rests), max(part.rests.stop - part.rests.start for part in session.problem.parts)
     for kind, block in kinds(session):
         falls = _falls(step, slice(first, first + block.size))
@@ -62,7 +72,9 @@ def jumps(session: LinearisedSession, step: Step) -> Iterator[Candidate]:
 def _falls(step: Step, sensors: slice) -> Array:
     """By how much chi-square falls (N,) without the step of the processes of some sensors after each rest; 0 where none
     follows, or where the data say nothing of it."""
-    process, n = step.told.process, len(step.told.process.sigma)
+    process = step.told.process
+    assert process is not None
+    n = len(process.sigma)
     own = step.shared[0][:, :, -n:, -n:][:, :, sensors, sensors]
     values, rho = step.unknowns[:, -n:][:, sensors], process.rho[:, sensors]
     here, following, across = own[0, :-1], own[0, 1:], own[1, :-1] * rho[:-1, :, None]

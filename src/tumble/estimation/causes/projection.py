@@ -7,13 +7,14 @@ Columns A_c are appended to the parameters, without a prior, and everything is e
          R_c  | r_c         R_cᵀ R_c = BᵀB,   R_cᵀ r_c = Bᵀe
               | ρ
 
-B being what all other unknowns leave of the columns, and e the residuals. Several causes share one elimination, for what
-is asked of one is asked of its columns of R_c. Without columns of sizes ĉ the parameters err by R_θ⁻¹ R_θc ĉ. Of
+B being what all other unknowns leave of the columns, and e the residuals. Several causes share one elimination, for
+what is asked of one is asked of its columns of R_c. Without columns of sizes ĉ the parameters err by R_θ⁻¹ R_θc ĉ. Of
 several sessions each is judged by itself, with what the others say of the common parameters, their triangles, as its
 prior.
 
 A heading that the gyros hardly see may be far from where the rows were linearised. The horizontal Earth's rate is
-linear in its cosine and sine, and the part along north is noise of such chains of rests.
+linear in its cosine and sine, so the part along north is another unknown of each chain of rests that has such a
+heading.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from scipy import special
 
 from tumble.inference.elimination import fold
 from tumble.inference.hyperparameters import Components, Noise
-from tumble.inference.likelihood import Linearised, Problem
+from tumble.inference.likelihood import Linearised, Problem, Rows
 from tumble.inference.linearisation import with_priors
 from tumble.inference.step import Left, Step, completed, inverse_of, left, tell, with_own
 from tumble.units import Array
@@ -96,10 +97,12 @@ class Projection:
 def projections(linearised: Linearised, components: Components, rest: Array, turn: Array) -> Iterator[Projection]:
     """Of every session what its unknowns leave of columns of the rests (N, r, c) and turns (K, t, c), SI, with
     components of variance."""
-    noise, problem = _noise(linearised), _as_large_as_they_are(linearised)
-    rows = with_priors(linearised.rows, problem, linearised.point, linearised.about).beside(rest, turn)
+    problem = _as_large_as_they_are(linearised)
+    rows = with_priors(linearised.rows, problem, linearised.point, linearised.about)
+    rows, noise = _with_norths(linearised, rows)
+    q, c, p, m = len(problem.own_known), rest.shape[2], len(rows.prior) - 1, len(problem.instrument.names)
+    rows = rows.beside(rest, turn)
     told = tell(problem, rows, noise.weights(components))
-    q, c, p = len(problem.own_known), rest.shape[2], len(linearised.rows.prior) - 1
     triangles = [with_own(problem, *each)[q:, q:] for each in zip(told.sessions, rows.own, strict=True)]
     common = np.append(np.arange(p), p + c)
     for s, part in enumerate(problem.parts):
@@ -120,9 +123,9 @@ def projections(linearised: Linearised, components: Components, rest: Array, tur
         yield Projection(
             triangle=triangle[p : p + c, p : p + c],
             along=triangle[p : p + c, -1],
-            moving=(inverse @ triangle[first:p, p : p + c])[1 - first :],
+            moving=(inverse @ triangle[first:p, p : p + c])[1 - first : 1 - first + m],
             length=length,
-            u=np.sqrt((inverse**2).sum(axis=1))[1 - first :],
+            u=np.sqrt((inverse**2).sum(axis=1))[1 - first : 1 - first + m],
             chi_square=float((triangle[p:, -1] ** 2).sum()),
             degrees=_rows(noise, part.rests, part.turns) - 3 * len(part.link) + hidden + others,
             scatters=components.wanders or bool(np.any(components.variances > 0.0)),
@@ -139,14 +142,14 @@ class Remaining:
     @staticmethod
     def of(linearised: Linearised, components: Components) -> Remaining:
         """What is left of all rows."""
-        problem, weights = linearised.problem, _noise(linearised).weights(components)
-        step = completed(problem, linearised.rows, tell(problem, linearised.rows, weights))
+        problem, (rows, noise) = linearised.problem, _with_norths(linearised, linearised.rows)
+        step = completed(problem, rows, tell(problem, rows, noise.weights(components)))
         return Remaining(step=step, left=left(problem, step))
 
 
 def _as_large_as_they_are(linearised: Linearised) -> Problem:
-    """The problem with the prior of every group at least as wide as the group is large: no cause is to gain from a prior
-    that the estimate contradicts."""
+    """The problem with the prior of every group at least as wide as the group is large: no cause is to gain from a
+    prior that the estimate contradicts."""
     problem, point = linearised.problem, linearised.point
     known, own = problem.measured[1].copy(), problem.own_known.copy()
     off = np.append(0.0, point.values) - np.append(0.0, problem.measured[0][1:])
@@ -167,22 +170,25 @@ def _rows(noise: Noise, rests: slice, turns: slice) -> float:
     return float((noise.kept[0][rests] ** 2).sum() + (noise.kept[1][turns] ** 2).sum())
 
 
-def _noise(linearised: Linearised) -> Noise:
-    """The noise of the rows, with the part of the Earth's rate along north in every chain whose heading is hardly
-    seen."""
+def _with_norths(linearised: Linearised, rows: Rows) -> tuple[Rows, Noise]:
+    """The rows with the part of the Earth's rate along north as an unknown, 0 ± 1, of every chain whose heading is
+    hardly seen, and the noise: of a single rest it is a part of that."""
     problem, noise = linearised.problem, linearised.noise
     gyro, n = problem.observations.gyro_block, problem.observations.accel_block.size
     if gyro is None or problem.earth[0] == 0.0:
-        return noise
+        return rows, noise
     of_gyros = slice(n, n + gyro.size)
     variance = np.diagonal(noise.rest, axis1=1, axis2=2)[:, of_gyros]
-    seen = (linearised.rows.headings[:, of_gyros] ** 2 / variance).sum(axis=1)
-    hardly = np.bincount(problem.chain, seen) < SEEN_HEADING**-2
+    hardly = np.bincount(problem.chain, (rows.headings[:, of_gyros] ** 2 / variance).sum(axis=1)) < SEEN_HEADING**-2
+    single = np.bincount(problem.chain) == 1
     rest, turn = by_north(linearised)
-    rest, turn = rest * hardly[problem.chain][:, None], turn * hardly[problem.chain[problem.before_turn]][:, None]
-    return replace(
-        noise, rest=noise.rest + rest[:, :, None] * rest[:, None], turn=noise.turn + turn[:, :, None] * turn[:, None]
-    )
+    alone = rest * (hardly & single)[problem.chain][:, None]
+    chains = np.flatnonzero(hardly & ~single)
+    own = problem.chain[:, None] == chains
+    wide = rows.beside(rest[:, :, None] * own[:, None], turn[:, :, None] * own[problem.before_turn][:, None])
+    unknown = np.arange(len(rows.prior) - 1, len(wide.prior) - 1)
+    wide.prior[unknown, unknown] = 1.0
+    return wide, replace(noise, rest=noise.rest + alone[:, :, None] * alone[:, None])
 
 
 def by_north(linearised: Linearised) -> tuple[Array, Array]:

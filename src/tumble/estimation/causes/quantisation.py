@@ -14,8 +14,8 @@ COARSE = 0.5
 
 
 def quantisation(session: LinearisedSession, s: int) -> Iterator[Cause]:
-    """Channels of session s whose steps the noise does not cover, where what rounding does to a mean is not small beside its
-    noise."""
+    """Channels of session s whose steps the noise does not cover, where what rounding does to a mean is not small
+    beside its noise."""
     own = session.problem.parts[s].rests
     for kind, _ in kinds(session):
         found = session.observations.rounding.get(kind)

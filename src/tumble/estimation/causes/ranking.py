@@ -1,7 +1,7 @@
 """What may be behind residuals that the noise does not explain, of each session the most likely first.
 
-All is tested at the linearisation of the estimate, without solving again (`tumble.estimation.causes.projection`). A fall
-of chi-square Δχ² is judged as chi-square of q degrees of freedom by the noise alone, and by
+All is tested at the linearisation of the estimate, without solving again (`tumble.estimation.causes.projection`). A
+fall of chi-square Δχ² is judged as chi-square of q degrees of freedom by the noise alone, and by
 F = (Δχ²/q) / ((χ² − Δχ²)/(ν − q)) with the components of variance of the estimate too: of few degrees of freedom a
 scatter may be had by chance, and what is left beside a cause be nothing.
 """
@@ -24,6 +24,7 @@ from tumble.estimation.causes.projection import Projection, Remaining, projectio
 from tumble.estimation.causes.quantisation import quantisation
 from tumble.inference.hyperparameters import Components
 from tumble.inference.likelihood import Linearised
+from tumble.units import Array
 
 
 def causes(linearised: Linearised, alone: Remaining, whole: Remaining) -> list[list[Cause]]:
@@ -46,7 +47,7 @@ def causes(linearised: Linearised, alone: Remaining, whole: Remaining) -> list[l
     return found
 
 
-def tested(linearised: Linearised, candidates: Sequence[Candidate]) -> tuple[list[list[Cause]], list[np.ndarray]]:
+def tested(linearised: Linearised, candidates: Sequence[Candidate]) -> tuple[list[list[Cause]], list[Array]]:
     """Of each session all candidates that it sees, one of a name and kind of sensor, and u of the parameters (m,)."""
     rest, turn = (np.concatenate([getattr(c, rows) for c in candidates], axis=2) for rows in ("rest", "turn"))
     ends = np.cumsum([c.rest.shape[2] for c in candidates])
@@ -74,7 +75,7 @@ def _most_likely(
 
 def _candidates(session: LinearisedSession, whole: Remaining) -> Iterator[Candidate]:
     """Everything that is tried by columns."""
-    yield from jumps(session, whole.step)
+    yield from jumps(session)
     yield hysteresis(session)
     yield from memory(session)
     yield from products(session)

@@ -2,9 +2,9 @@
 
 An estimate is accepted with scatter where a group of residuals is larger than the noise within rests explains, where
 a cause stands out (`tumble.estimation.causes`), or where biases wander beyond what is usual: by all tests together in
-less than one of a hundred clean sessions. It is not accepted where its uncertainty cannot be trusted: where a cause that
-stands out, being left out, moves a parameter of the linear model by more than DAMAGE of its u, for then the error is
-not random.
+less than one of a hundred clean sessions. It is not accepted where its uncertainty cannot be trusted: where a cause
+that stands out, being left out, moves a parameter of the linear model by more than DAMAGE of its u, for then the error
+is not random.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ NOTHING = {"accel": 5e-6 * G_STANDARD, "gyro": 0.02 * DEGREE_PER_HOUR, "turn": 2
 """m/s², rad/s, rad: scatter that no use of an inertial unit would notice, however small the noise of the log."""
 
 BEYOND_USUAL = 3.0
-"""Times what is usual of the grade: an in-run bias that is larger for certain, by the lower limit of its middle 68 %, is
-said; and so is that of a sensor, beside those of its kind."""
+"""Times what is usual of the grade: an in-run bias that is larger for certain, by the lower limit of its middle 68 %,
+is said; and so is that of a sensor, beside those of its kind."""
 
 TURNS_MORE = 10.0
 """Times: turns that scatter by more than gyros at rest, in parts of their noise, do so for a cause of their own."""
@@ -200,7 +200,7 @@ def _wandering(estimate: Estimate, linearised: Linearised) -> Iterator[tuple[Con
         if size is None or lasting is None:
             continue
         words, of_kind = WORDS[kind], _sized(kind, size.value)
-        if _beyond(size):
+        if _beyond(size) and not (drift is not None and _beyond(drift)):
             drifts = lasting.value > longest
             yield (
                 kind,
@@ -258,8 +258,8 @@ def _likely(
 
 
 def group_chances(linearised: Linearised, alone: Remaining, part: SessionSpan) -> list[float]:
-    """Probability, by group of a session, that chance alone makes residuals as large as they are beside the noise within
-    rests, in the directions of its scatter."""
+    """Probability, by group of a session, that chance alone makes residuals as large as they are beside the noise
+    within rests, in the directions of its scatter."""
     noise, weights = linearised.noise, alone.step.told.weights
     (at_rest, of_rest), (in_turn, of_turn), after = noise.rest_directions, noise.turn_directions, alone.left
     found = []
@@ -316,8 +316,8 @@ def _larger(group: Group, ratio: float, linearised: Linearised) -> str:
 
 def _aliased(largest: float, linearised: Linearised) -> str:
     return (
-        f"the rotations of the turns err by up to about {largest / DEGREE:.2g}° where rates jump from sample to sample, as "
-        f"instantaneous samples of jerky turns do{CONTAINED}; turn smoothly, or sample faster"
+        f"the rotations of the turns err by up to about {largest / DEGREE:.2g}° where rates jump from sample to "
+        f"sample, as instantaneous samples of jerky turns do{CONTAINED}; turn smoothly, or sample faster"
         + jittering(linearised.problem.observations)
     )
 

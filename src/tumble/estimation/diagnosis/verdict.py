@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from tumble.estimation.causes.cause import Concerns
@@ -17,8 +19,11 @@ from tumble.estimation.diagnosis.undetermined import (
 from tumble.estimation.estimate import FIT_SIGMAS, Estimate, Outcome
 from tumble.reduction.observations import Observations
 from tumble.reduction.segmentation import STILL_SECONDS, Segmentation
-from tumble.units import BoolArray
+from tumble.sensors.parameters import sensor_kind
+from tumble.units import DEGREE, G_STANDARD, BoolArray
 
+SCATTER_LIMIT, TURN_SCATTER_LIMIT = 1e-3 * G_STANDARD, 1.0 * DEGREE
+"""Of the methods that have one scatter and leave nothing out."""
 MOST_LEFT_OUT = 1.0 / 3.0
 """Of the rests or turns: where more do not fit, it is not they that are wrong."""
 FEWEST_POINTS, POOR = 10.0, 0.7
@@ -34,14 +39,15 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
     missing = linear_names(estimate.unobservable)
     faces = faces_alone(estimate, missing)
     first = [] if estimate.reasons or faces else undetermined(estimate, observations, missing)
-    judged = misfit(estimate) if estimate.converged and not missing else None
-    judged = judged or Misfit()
+    judged = _judged(estimate, missing)
     reasons: list[tuple[Concerns, str]] = [("both", reason) for reason in estimate.reasons]
     if (faces or not missing) and not estimate.converged:
         said = "the estimate did not converge: the data contradict the model; look at the rests with `tumble inspect`"
         reasons.append(("both", said))
     if not gravity_confirmed:
         reasons += (("accel", said) for said in gravity_refused(observations.site))
+    if estimate.left_out is None:
+        reasons += _scattering(estimate, observations)
     spoilt, apart = _not_fitting(estimate, observations)
     reasons += spoilt
     reasons += judged.reasons
@@ -52,7 +58,7 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
     remarks += [*apart, *(("both", remark) for remark in estimate.remarks), *judged.remarks]
     integral = estimate.integral
     if integral is not None and integral.pareto > POOR and integral.effective < FEWEST_POINTS:
-        said = "u rests on few points of the integral over what the model does not know of itself: it is known to a third"
+        said = "u rests on a few points of the integral over what the model does not know of itself: it is a rough one"
         remarks.append(("both", said))
     of_accel, of_gyro = (
         tuple(said for concerns, said in (*reasons, *remarks) if concerns == kind) for kind in ("accel", "gyro")
@@ -64,6 +70,37 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
         of_accel=of_accel,
         of_gyro=of_gyro,
     )
+
+
+def _scattering(estimate: Estimate, observations: Observations) -> Iterator[_Said]:
+    """Accelerometers at rest and turns that scatter beyond anything a sensor does."""
+    rests, turns = estimate.fits.get("accelerometers"), estimate.fits.get("gyro turns")
+    if rests is not None and rests.scatter > SCATTER_LIMIT:
+        yield (
+            "accel",
+            f"the rests scatter by {rests.scatter / G_STANDARD * 1e3:.2g} mg, more than 1 mg: the device moved at "
+            "rest, or the accelerometers do not follow the model",
+        )
+    if turns is not None and turns.scatter > TURN_SCATTER_LIMIT:
+        worst = observations.turn_named(int(np.argmax(estimate.turn_sigmas)))
+        yield (
+            "gyro",
+            f"the turns scatter by {turns.scatter / DEGREE:.2g}°, more than {TURN_SCATTER_LIMIT / DEGREE:.0f}°: look "
+            f"for damaged or lost samples of the gyros, first in {worst}",
+        )
+
+
+def _judged(estimate: Estimate, missing: tuple[str, ...]) -> Misfit:
+    """What the residuals say; where parameters of one kind of sensor are missing, of the other kind."""
+    without = {sensor_kind(name) for name in missing}
+    if not estimate.converged or (without and (estimate.gyro is None or len(without) > 1)):
+        return Misfit()
+    found = misfit(estimate) or Misfit()
+    reasons, remarks = (
+        tuple(each for each in said if not without or each[0] not in ("both", *without))
+        for said in (found.reasons, found.remarks)
+    )
+    return Misfit(reasons=reasons, remarks=remarks, causes=found.causes)
 
 
 def _not_fitting(estimate: Estimate, observations: Observations) -> tuple[list[_Said], list[_Said]]:
@@ -81,8 +118,8 @@ def _not_fitting(estimate: Estimate, observations: Observations) -> tuple[list[_
     several = ("accel", "rests", accel), ("gyro", "rests by their gyros", gyro), ("gyro", "turns", turn)
     for kind, what, omitted in several:
         if omitted.sum() > MOST_LEFT_OUT * len(omitted):
-            said = f"{omitted.sum()} of {len(omitted)} {what} do not fit, more than a third: the data contradict the model"
-            reasons.append((kind, f"{said}; look at the rests with `tumble inspect`"))
+            said = f"{omitted.sum()} of {len(omitted)} {what} do not fit, more than a third"
+            reasons.append((kind, f"{said}: the data contradict the model; look at the rests with `tumble inspect`"))
     for i in np.flatnonzero((estimate.rest_sigmas > FIT_SIGMAS) | accel | gyro):
         left = accel[i] or gyro[i]
         gyros = bool(gyro[i] and not accel[i]) if left else bool(by_gyros[i])
