@@ -52,6 +52,7 @@ from tumble.reduction.rests import ACCEL_FLOOR, GYRO_FLOOR, Rests
 from tumble.reduction.segmentation import margin_of
 from tumble.reduction.turns import TURN_FLOOR, VELOCITY_FLOOR, Turns
 from tumble.rotation import rotation_vector
+from tumble.sensors.grades import NoiseModel
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import positions_by_group
@@ -319,12 +320,12 @@ def view(course: Course, setup: Setup, *, gyros: bool, still: Array | None = Non
     observations, about = observed(course, setup, instrument, still)
     problem = Problem.of(observations, instrument=instrument, usual=setup.further)
     point = Point(values=np.zeros(len(instrument.names)), gravity=setup.gravity, attitudes=course.attitudes)
-    return View(problem=problem, rows=linearise(problem, point, about), components=components_of(setup))
+    return View(problem=problem, rows=linearise(problem, point, about), components=components_of(setup.noise))
 
 
-def components_of(setup: Setup) -> Components:
-    """The in-run instability of a set-up's instrument."""
-    return Components(accel_in_run=setup.noise.accel_instability, gyro_in_run=setup.noise.gyro_instability)
+def components_of(noise: NoiseModel) -> Components:
+    """The in-run instability of an instrument."""
+    return Components(accel_in_run=noise.accel_instability, gyro_in_run=noise.gyro_instability)
 
 
 def observed(

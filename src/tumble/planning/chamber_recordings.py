@@ -94,7 +94,7 @@ def problem_of(
         values[problem.lag] = TYPICAL * setup.further["temperature.lag"]
     point = Point(values=values, gravity=setup.gravity, attitudes=course.attitudes, own=of_each)
     rows = _with_lag(problem.warmed(point), linearise(problem, point, about))
-    problem, components = expected(problem, rows, components_of(setup))
+    problem, components = expected(problem, rows, components_of(setup.noise))
     return problem, with_priors(rows, problem, point, about), components
 
 
