@@ -173,7 +173,7 @@ def _bound(seen: View, setup: Setup, clock_u: float = 0.0) -> Bound:
         condition=np.inf if len(null) else float(size[0]) / max(float(size[-1]), np.finfo(float).tiny),
         worst=worst * np.sign(worst[np.argmax(np.abs(worst))]),
         worst_u=np.inf if len(null) else float(size[0]),
-        further=tuple(findings(instrument, setup, np.diag(own))),
+        further=tuple(findings(seen.problem, np.diag(own))),
     )
 
 
@@ -214,15 +214,16 @@ def over_session(problem: Problem, told: Told, root: Array) -> Array:
     return np.hstack([moved, more])[1:]
 
 
-def findings(instrument: Instrument, setup: Setup, variance: Array) -> Iterator[GroupFinding]:
-    """What a programme finds out about each group beyond the linear model."""
-    for name, members in instrument.members.items():
-        learned = np.clip(1.0 - variance[members] / setup.further[name] ** 2, 0.0, 1.0)
+def findings(problem: Problem, variance: Array) -> Iterator[GroupFinding]:
+    """What a programme finds out about each group beyond the linear model, of the size that it has in a problem."""
+    for name, members in problem.instrument.members.items():
+        size, usual = problem.measured[1][1:][members], float(problem.usual[1][1:][members][0])
+        learned = np.clip(1.0 - variance[members] / size**2, 0.0, 1.0)
         yield GroupFinding(
             name=name,
             kept=bool(learned.max() > KEPT),
-            prior=setup.further[name],
-            widened=1.0,
+            prior=usual,
+            widened=float(size[0]) / usual,
             learned=tuple(learned.tolist()),
         )
 

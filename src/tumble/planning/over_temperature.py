@@ -163,7 +163,7 @@ def plan_over_temperature(
     linear = instrument.linear_count
     determined = np.ones(len(covariance), dtype=bool)
     determined[:linear] = np.sqrt(np.diag(covariance)[:linear]) < problem.spread[:linear] / DETERMINED
-    further = tuple(findings(instrument, setup, np.diag(covariance)))
+    further = tuple(findings(problem, np.diag(covariance)))
     return ThermalPlan(
         setup=setup,
         sessions=planned,
