@@ -92,4 +92,5 @@ def _expected_size(usual: Array, variance: Array, within: float) -> Array:
     mean = np.einsum("i,isk->sk", weight, share)
     apart = np.einsum("i,isk->sk", weight, (share - mean) ** 2)
     variance = mean * told + apart * (s2 + told)
-    return np.asarray(np.sqrt((1.0 / np.maximum(1.0 / variance - 1.0 / told, 1e-9 / s2) / s2).mean(axis=0)))
+    larger = 1.0 / np.maximum(1.0 / variance - 1.0 / told, 1e-9 / s2) / s2
+    return np.asarray(np.sqrt(np.minimum(larger, weight @ np.exp(2.0 * p)).mean(axis=0)))
