@@ -21,10 +21,12 @@ from tumble.errors import InputError
 from tumble.estimation.estimate import DETERMINED, GroupFinding
 from tumble.inference.hyperparameters import Components
 from tumble.inference.likelihood import Problem, Rows, weights
+from tumble.inference.linearisation import with_priors
 from tumble.inference.step import joined, tell
 from tumble.inference.variables import both_ways, over_a_range
-from tumble.planning.bounds import Course, bound_of, by_clock, course_of, findings, over_session
+from tumble.planning.bounds import Course, bound_of, by_clock, components_of, course_of, findings, over_session
 from tumble.planning.chamber_recordings import ChamberSession, problem_of
+from tumble.planning.expected_sizes import expected
 from tumble.planning.setup import Setup, time_of, with_all_groups
 from tumble.sensors.parameters import (
     THERMAL,
@@ -152,8 +154,9 @@ def plan_over_temperature(
         raise InputError("temperature: expected at least one recording, found none")
     setup, chamber = with_all_groups(setup), chamber or Chamber()
     courses = [course_of(replace(setup, programme=session.programme)) for session in sessions]
-    problem, rows, components = problem_of(setup, sessions, courses, gyros=gyros)
-    covariance = covariance_of(problem, rows, components, setup.clock_u)
+    problem, rows, point = problem_of(setup, sessions, courses, gyros=gyros)
+    problem, components = expected(problem, rows, components_of(setup.noise))
+    covariance = covariance_of(problem, with_priors(rows, problem, point), components, setup.clock_u)
     planned = tuple(_planned(setup, sessions, courses, chamber, gyros=gyros))
     instrument, kelvin = problem.instrument, problem.observations.rests.temperature
     assert kelvin is not None
