@@ -10,8 +10,8 @@ from click.testing import CliRunner, Result
 
 from tumble.calibration.observed import inspect_session, observations_for_calibration, observations_in_parts
 from tumble.cli import main
-from tumble.inference.joint import joint
-from tumble.inference.linearisation import with_priors
+from tumble.inference.likelihood import Problem, instruments_of
+from tumble.inference.start import start_of
 from tumble.planning.bounds import components_of, course_of
 from tumble.planning.chamber_recordings import ChamberSession, problem_of, rests_of
 from tumble.planning.over_temperature import (
@@ -111,15 +111,17 @@ def test_u_is_that_by_the_rows_of_logs(text: str, grade: str) -> None:
         made.append(replace(stated(observations, setup), usual=with_all_groups(setup).further))
     numbers = [np.arange(len(each.rests)) for each in made]
     whole = made[0] if len(made) == 1 else joined(made, [str(i) for i in range(len(made))], numbers)
-    likely = joint(whole).linearised
-    assert likely is not None
-    own = replace(likely.problem, measured=likely.problem.usual, own_known=likely.problem.own_usual)
+    truth = devices(setup, sessions, 1)[0].truth | {"temperature.lag": LAG}
+    whole = replace(whole, start=truth)
+    instrument, of_each = instruments_of(whole)
+    own = Problem.of(whole, instrument=instrument, own=of_each, usual=whole.usual)
+    at = start_of(own)[0]
     courses = [course_of(replace(setup, programme=session.programme)) for session in sessions]
     planned, its_rows, _ = problem_of(with_all_groups(setup), sessions, courses, gyros=True)
     assert own.instrument.names == planned.instrument.names
     u, expected = (
         np.sqrt(np.diag(covariance_of(problem, rows, components_of(setup.noise), setup.clock_u)))
-        for problem, rows in ((own, with_priors(likely.rows, own, likely.point, likely.about)), (planned, its_rows))
+        for problem, rows in ((own.warmed(at.point), at.rows), (planned, its_rows))
     )
     found = dict(zip(own.instrument.names, (u / expected).tolist(), strict=True))
     off = {name: ratio for name, ratio in found.items() if abs(ratio - 1.0) > (LEVERS if "lever" in name else 0.02)}
