@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -335,7 +336,9 @@ def _turned_on(
 
 def _components(calibration: Calibration, grade: str) -> Components:
     """The scatter of the rests and turns of the calibration, and the in-run instability of the grade."""
-    scatter = {name: calibration.fits[fit].scatter for name, fit in _FITS.items() if fit in calibration.fits}
+    scatter: dict[str, Any] = {
+        name: calibration.fits[fit].scatter for name, fit in _FITS.items() if fit in calibration.fits
+    }
     return replace(components_of(GRADES[grade].noise), **scatter)
 
 
