@@ -131,7 +131,7 @@ def readings(setup: Setup, truth: Array, attitudes: Array, rng: np.random.Genera
 
 
 def in_run(setup: Setup, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
-    """In-run biases (T, N, 3) of unit variance at the rests, about their mean over the session: Gauss–Markov processes."""
+    """In-run biases (T, N, 3) at the rests: Gauss–Markov processes of unit variance, about their means."""
     start = begins(course_of(setup), setup)
     root = np.linalg.cholesky(np.exp(-np.abs(start[:, None] - start) / CORRELATION_TIME))
     drawn = root @ rng.standard_normal(shape)

@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -46,6 +47,7 @@ from tumble.estimation.prediction import prediction
 from tumble.files import FilePath
 from tumble.inference.hyperparameters import Components
 from tumble.inference.variables import variables_of
+from tumble.planning.bounds import components_of
 from tumble.recording.circumstances import Circumstances
 from tumble.recording.session import Session, Site
 from tumble.recording.session_file import session_from
@@ -334,9 +336,10 @@ def _turned_on(
 
 def _components(calibration: Calibration, grade: str) -> Components:
     """The scatter of the rests and turns of the calibration, and the in-run instability of the grade."""
-    scatter = {name: calibration.fits[fit].scatter for name, fit in _FITS.items() if fit in calibration.fits}
-    noise = GRADES[grade].noise
-    return Components(**scatter, accel_in_run=noise.accel_instability, gyro_in_run=noise.gyro_instability)
+    scatter: dict[str, Any] = {
+        name: calibration.fits[fit].scatter for name, fit in _FITS.items() if fit in calibration.fits
+    }
+    return replace(components_of(GRADES[grade].noise), **scatter)
 
 
 # The updated calibration

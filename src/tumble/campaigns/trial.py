@@ -26,11 +26,10 @@ from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import DETERMINED, Estimate
 from tumble.estimation.methods.paper.compensation import triad_model
 from tumble.estimation.turns_about import TurnsAbout
-from tumble.inference.hyperparameters import Components
 from tumble.inference.likelihood import Point, Problem, weights
 from tumble.inference.linearisation import linearise
 from tumble.inference.step import joined, tell
-from tumble.planning.bounds import over_session
+from tumble.planning.bounds import components_of, over_session
 from tumble.planning.setup import Setup
 from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
@@ -98,9 +97,8 @@ def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> d
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
     about = TurnsAbout.of(observations, instrument, truth)
     point = Point(values=truth, gravity=scenario.site.gravity, attitudes=attitudes)
-    noise, rows = scenario.noise, linearise(problem, point, about)
-    components = Components(accel_in_run=noise.accel_instability, gyro_in_run=noise.gyro_instability)
-    told = tell(problem, rows, weights(problem, rows, components))
+    rows = linearise(problem, point, about)
+    told = tell(problem, rows, weights(problem, rows, components_of(scenario.noise)))
     found = np.linalg.norm(over_session(problem, told, joined(problem, rows, told).roots[0]), axis=1)
     determined = problem.spread / DETERMINED
     determined[instrument.linear_count :] = np.inf  # by their priors

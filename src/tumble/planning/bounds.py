@@ -52,6 +52,7 @@ from tumble.reduction.rests import ACCEL_FLOOR, GYRO_FLOOR, Rests
 from tumble.reduction.segmentation import margin_of
 from tumble.reduction.turns import TURN_FLOOR, VELOCITY_FLOOR, Turns
 from tumble.rotation import rotation_vector
+from tumble.sensors.grades import NoiseModel
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import positions_by_group
@@ -172,7 +173,7 @@ def _bound(seen: View, setup: Setup, clock_u: float = 0.0) -> Bound:
         condition=np.inf if len(null) else float(size[0]) / max(float(size[-1]), np.finfo(float).tiny),
         worst=worst * np.sign(worst[np.argmax(np.abs(worst))]),
         worst_u=np.inf if len(null) else float(size[0]),
-        further=tuple(findings(instrument, setup, np.diag(own))),
+        further=tuple(findings(seen.problem, np.diag(own))),
     )
 
 
@@ -213,15 +214,16 @@ def over_session(problem: Problem, told: Told, root: Array) -> Array:
     return np.hstack([moved, more])[1:]
 
 
-def findings(instrument: Instrument, setup: Setup, variance: Array) -> Iterator[GroupFinding]:
-    """What a programme finds out about each group beyond the linear model."""
-    for name, members in instrument.members.items():
-        learned = np.clip(1.0 - variance[members] / setup.further[name] ** 2, 0.0, 1.0)
+def findings(problem: Problem, variance: Array) -> Iterator[GroupFinding]:
+    """What a programme finds out about each group beyond the linear model, of the size that it has in a problem."""
+    for name, members in problem.instrument.members.items():
+        size, usual = problem.measured[1][1:][members], float(problem.usual[1][1:][members][0])
+        learned = np.clip(1.0 - variance[members] / size**2, 0.0, 1.0)
         yield GroupFinding(
             name=name,
             kept=bool(learned.max() > KEPT),
-            prior=setup.further[name],
-            widened=1.0,
+            prior=usual,
+            widened=float(size[0]) / usual,
             learned=tuple(learned.tolist()),
         )
 
@@ -319,12 +321,12 @@ def view(course: Course, setup: Setup, *, gyros: bool, still: Array | None = Non
     observations, about = observed(course, setup, instrument, still)
     problem = Problem.of(observations, instrument=instrument, usual=setup.further)
     point = Point(values=np.zeros(len(instrument.names)), gravity=setup.gravity, attitudes=course.attitudes)
-    return View(problem=problem, rows=linearise(problem, point, about), components=components_of(setup))
+    return View(problem=problem, rows=linearise(problem, point, about), components=components_of(setup.noise))
 
 
-def components_of(setup: Setup) -> Components:
-    """The in-run instability of a set-up's instrument."""
-    return Components(accel_in_run=setup.noise.accel_instability, gyro_in_run=setup.noise.gyro_instability)
+def components_of(noise: NoiseModel) -> Components:
+    """The in-run instability of an instrument."""
+    return Components(accel_in_run=noise.accel_instability, gyro_in_run=noise.gyro_instability)
 
 
 def observed(

@@ -21,11 +21,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.inference.hyperparameters import Components
 from tumble.inference.likelihood import Point, Problem, Rows, instruments_of
-from tumble.inference.linearisation import linearise, with_priors
-from tumble.planning.bounds import Course, begins, components_of, instrument_of, observed
-from tumble.planning.expected_sizes import expected
+from tumble.inference.linearisation import linearise
+from tumble.planning.bounds import Course, begins, instrument_of, observed
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme
 from tumble.reduction.observations import Observations, Together
@@ -77,9 +75,8 @@ class _Recorded:
 
 def problem_of(
     setup: Setup, sessions: Sequence[ChamberSession], courses: Sequence[Course], *, gyros: bool
-) -> tuple[Problem, Rows, Components]:
-    """The sessions as one problem, its rows, and the components of variance beside its noise, all as large as they will
-    be taken for (`tumble.planning.expected_sizes`)."""
+) -> tuple[Problem, Rows, Point]:
+    """The sessions as one problem, its rows, and the point at which they are."""
     recorded = [_recorded(*each, setup, parts=len(sessions) > 1) for each in zip(sessions, courses, strict=True)]
     course = _one_after_the_other([each.course for each in recorded])
     bare = replace(instrument_of(setup, gyros), further=())
@@ -93,9 +90,7 @@ def problem_of(
     if problem.lag is not None:
         values[problem.lag] = TYPICAL * setup.further["temperature.lag"]
     point = Point(values=values, gravity=setup.gravity, attitudes=course.attitudes, own=of_each)
-    rows = _with_lag(problem.warmed(point), linearise(problem, point, about))
-    problem, components = expected(problem, rows, components_of(setup))
-    return problem, with_priors(rows, problem, point, about), components
+    return problem, _with_lag(problem.warmed(point), linearise(problem, point, about)), point
 
 
 def _recorded(session: ChamberSession, course: Course, setup: Setup, *, parts: bool) -> _Recorded:

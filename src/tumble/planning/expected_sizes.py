@@ -16,6 +16,7 @@ set-up: rests tell it.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,7 @@ def expected(problem: Problem, rows: Rows, components: Components) -> tuple[Prob
     noise = noise_of(problem, rows)
     step = solve(problem, rows, noise.weights(components))
     information = scatter_score(noise, step, left(problem, step))[1].diagonal()
-    known, own, scatter = problem.measured[1][1:].copy(), problem.own_known.copy(), dict[str, float]()
+    known, own, scatter = problem.measured[1][1:].copy(), problem.own_known.copy(), dict[str, Any]()
     variances = np.diagonal(step.own_covariance, axis1=1, axis2=2)
     for h in table(problem, noise, information > 0.0):
         if h.place == "scatter":
@@ -92,4 +93,5 @@ def _expected_size(usual: Array, variance: Array, within: float) -> Array:
     mean = np.einsum("i,isk->sk", weight, share)
     apart = np.einsum("i,isk->sk", weight, (share - mean) ** 2)
     variance = mean * told + apart * (s2 + told)
-    return np.asarray(np.sqrt((1.0 / np.maximum(1.0 / variance - 1.0 / told, 1e-9 / s2) / s2).mean(axis=0)))
+    larger = 1.0 / np.maximum(1.0 / variance - 1.0 / told, 1e-9 / s2) / s2
+    return np.asarray(np.sqrt(np.minimum(larger, weight @ np.exp(2.0 * p)).mean(axis=0)))
