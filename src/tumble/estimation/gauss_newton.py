@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tumble.estimation.estimate import Solution
+from tumble.estimation.agreement import unexplained
+from tumble.estimation.estimate import Solution, scatter_of
 from tumble.units import Array
 
 MAX_ITERATIONS = 30
@@ -30,6 +31,27 @@ def gauss_newton(
         if negligible(solution, rounding):
             break
     return values, tuple(steps)
+
+
+def with_scatter(
+    solution_at: Callable[[Array, float], Solution],
+    agreement_at: Callable[[Array], tuple[Callable[[float], float], float, float]],
+    values: Array,
+    spread: Array,
+    rounding: Array | float = ROUNDING,
+) -> tuple[Array, float, tuple[Array, ...]]:
+    """Values (m,), the scatter that explains the residuals, zero where they need none, and all steps. `agreement_at`
+    values has the chi-square of the residuals by their scatter, its degrees of freedom, and a first guess of it."""
+    scatter, steps = 0.0, ()
+    for again in range(4):
+        if again:
+            chi_square, degrees, size = agreement_at(values)
+            if again == 1 and not unexplained(chi_square(0.0), degrees):
+                break
+            scatter = scatter_of(lambda trial: chi_square(trial) - degrees, size)  # noqa: B023 — called at once
+        values, more = gauss_newton(lambda at: solution_at(at, scatter), values, spread, rounding)  # noqa: B023
+        steps += more
+    return values, scatter, steps
 
 
 def bounded(step: Array, spread: Array) -> Array:

@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.estimation.methods.paper.levelling import triad, vertical
+from tumble.estimation.methods.paper.levelling import triad
+from tumble.rotation import unit_vector
 from tumble.units import Array
 
 STANDING = 1e-6
@@ -52,7 +53,7 @@ def scalar_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
 def invariant_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
     """Bias (..., 3) from the dot-product invariant û·ω̂ − Ω sin B = û·δω by least squares: linear in the bias, and
     without an azimuth. Not in the paper, where the scalar method has to take its place."""
-    u = vertical(force)
+    u = unit_vector(force)
     return _solved(u, (u * rate).sum(axis=-1) - earth_rate[1])
 
 
