@@ -16,6 +16,7 @@ import numpy as np
 
 from tumble.errors import ProgrammeError
 from tumble.estimation.estimate import Estimate
+from tumble.estimation.methods.paper.accuracy_formulas import solved
 from tumble.estimation.methods.paper.four_stages import PaperMethod
 from tumble.estimation.methods.paper.iterations import iterated
 from tumble.reduction.observations import Observations
@@ -53,8 +54,7 @@ def scalar_differences(readings: Array, gravity: Array, form: Form) -> Array:
 def scalar_fit(readings: Array, verticals: Array, gravity: Array, form: Form = "quadratic") -> SensorModel:
     """Model of a triad from readings (..., N, 3) at N ≥ 9 rests by least squares, Eq. (13), with the verticals
     (..., N, 3) of the programme or of `unit_vector(readings)`. The model is the exact one of Eq. (1)."""
-    rows, z = scalar_rows(verticals), scalar_differences(readings, gravity, form)
-    X = (np.linalg.pinv(rows) @ z[..., None])[..., 0]
+    X = solved(scalar_rows(verticals), scalar_differences(readings, gravity, form))
     return triad_model(np.asarray(gravity)[..., None] * X[..., :3], X[..., 3:6], X[..., 6:])
 
 
