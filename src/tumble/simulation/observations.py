@@ -15,8 +15,8 @@ over the samples, right to about 1e-4. A log made by `simulate` differs in that 
 axes, which moves M and B by some 1e-3, and in that the noise has to be estimated from it; here the covariances are
 the true ones.
 
-What is not here: vibration, whatever a log has besides rests and turns, and coloured noise other than a bias that is
-drawn anew at every rest and held through the move that follows (`NoiseModel`), of which the covariances know nothing.
+What is not here: vibration, whatever a log has besides rests and turns, and coloured noise other than that of in-run
+biases (`tumble.simulation.sensors`), of which the covariances know nothing.
 The stated gravity differs from the true one by a draw with the stated uncertainty.
 """
 
@@ -38,7 +38,7 @@ from tumble.reduction.turn_samples import AHEAD, TurnSamples
 from tumble.reduction.turns import TURN_FLOOR, VELOCITY_FLOOR, VELOCITY_STEP, TurnReadings, Turns
 from tumble.rotation import onto_body, rotation_matrix, skew
 from tumble.simulation.scenario import Itinerary, OnTable, Scenario, itinerary
-from tumble.simulation.sensors import SimulatedBlock
+from tumble.simulation.sensors import InRunBias, SimulatedBlock
 from tumble.units import Array, IntArray
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -62,7 +62,8 @@ def simulate_observations(
     way = itinerary(scenario, geometry)
     accel, gyro = (SimulatedBlock.of(block, scenario, way.middle) for block in (scenario.accel, scenario.gyro))
     biases = tuple(
-        each.instability * noise.standard_normal((len(way.rests), each.block.size)) for each in (accel, gyro)
+        block.bias(noise.standard_normal((len(way.rests), len(block.coefficients))), way.rests)
+        for block in (accel, gyro)
     )
     rests = _rests(scenario, way, (accel, gyro), biases, noise)
     linked = np.array(way.programmed, dtype=bool) | (not only_programmed)
@@ -89,18 +90,18 @@ def _rests(
     scenario: Scenario,
     way: Itinerary,
     sensors: tuple[SimulatedBlock, SimulatedBlock],
-    biases: tuple[Array, ...],
+    biases: tuple[InRunBias, ...],
     rng: np.random.Generator,
 ) -> Rests:
-    """The mean readings at rest, with biases (N, n) of accelerometers and gyros."""
+    """The mean readings at rest, with what the biases of accelerometers and gyros change by."""
     start, stop = way.rests.T
     seconds, files, climate = stop - start, np.zeros(len(start), dtype=np.int64), scenario.climate
     force = scenario.site.gravity * way.attitudes[:, 1]
     rate = np.array(earth_rate(scenario.latitude)) @ way.attitudes
     means = []
     for block, bias in zip(sensors, biases, strict=True):
-        noise = block.white / np.sqrt(seconds)[:, None] * rng.standard_normal(bias.shape)
-        means.append(block.read(force, rate, 0.5 * (start + stop), seconds) + bias + noise)
+        noise = block.white / np.sqrt(seconds)[:, None] * rng.standard_normal(bias.values.shape)
+        means.append(block.read(force, rate, 0.5 * (start + stop), seconds) + bias.values + noise)
     return Rests.of_white_noise(
         start,
         stop,
@@ -116,7 +117,7 @@ def _turns(
     way: Itinerary,
     first: IntArray,
     sensors: tuple[SimulatedBlock, SimulatedBlock],
-    biases: tuple[Array, ...],
+    biases: tuple[InRunBias, ...],
     rng: np.random.Generator,
 ) -> tuple[Turns, TurnSamples, TurnReadings]:
     """The turns after the rests `first` (K,), not yet integrated, and their samples: for each turn AHEAD more are
@@ -163,7 +164,7 @@ def _samples(
     first: IntArray,
     turns: tuple[Array, Array],
     sensors: tuple[SimulatedBlock, SimulatedBlock],
-    biases: tuple[Array, ...],
+    biases: tuple[InRunBias, ...],
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
     """Readings of the gyros and of the accelerometers (K, AHEAD + SAMPLES, n) in turns by inertial rotation vectors
@@ -173,7 +174,7 @@ def _samples(
     when = way.rests[first, 1][:, None] + (np.arange(S) - AHEAD + 0.5) * dt[:, None]
     rate = np.repeat((vector / T[:, None])[:, None], S, axis=1)
     force = scenario.site.gravity * _mean_verticals(scenario, before, vector, T)
-    sampled = _sampled(gyro, force, rate, when) + biases[1][first][:, None]
+    sampled = _sampled(gyro, force, rate, when) + biases[1].at(when)
     noise = rng.standard_normal((len(first), SAMPLES, gyro.block.size))
     sampled[:, AHEAD:] += gyro.white / np.sqrt(dt)[:, None, None] * noise
     if np.any(late := scenario.instrument.delays(scenario.values)):
@@ -181,9 +182,7 @@ def _samples(
         each = [_mean_verticals(scenario, before, vector, T, behind) for behind in times.tolist()]
         force = scenario.site.gravity * np.stack(each, axis=2)[:, :, which]
     felt = _sampled(accel, _with_levers(scenario, way, first, force, vector, T), rate, when)
-    felt += biases[0][first][:, None] + accel.white / np.sqrt(dt)[:, None, None] * rng.spawn(1)[0].standard_normal(
-        felt.shape
-    )
+    felt += biases[0].at(when) + accel.white / np.sqrt(dt)[:, None, None] * rng.spawn(1)[0].standard_normal(felt.shape)
     return sampled, felt
 
 

@@ -104,12 +104,17 @@ def _block_readings(sensors: _SampledBlock, attitudes: Array, moves: Array, rest
     fs, shifted = sensors.scenario.profile.sample_rate, rests + sensors.late
     shifted[0, 0], shifted[-1, 1] = rests[0, 0], rests[-1, 1]
     edges = np.column_stack([np.ceil(shifted[:, 0] * fs - 1e-6), np.floor(shifted[:, 1] * fs + 1e-6)]).astype(int)
+    normal = np.empty((len(rests), len(sensors.readings)))
     for i, L in enumerate(attitudes):
-        sensors.bias = sensors.sensors.instability * sensors.rng.standard_normal(len(sensors.bias))
+        normal[i] = sensors.rng.standard_normal(normal.shape[1])
         for first, last in _chunks(edges[i, 0], edges[i, 1]):
             sensors.put(first, last, sensors.at_rest(L, first, last))
         for first, last in _chunks(edges[i, 1], edges[i + 1, 0]) if i < len(moves) else ():
             sensors.put(first, last, sensors.in_move(L, moves[i], float(shifted[i, 1]), first, last))
+    bias = sensors.sensors.bias(normal, rests)
+    for first, last in _chunks(0, sensors.readings.shape[1]) if np.any(bias.values) else ():
+        begins = (np.arange(first, last) + 1e-6) / fs - sensors.late  # that of a rest, where it begins with it
+        sensors.readings[:, first:last] += bias.at(begins).T
     return sensors.readings
 
 
@@ -121,14 +126,12 @@ def _chunks(first: int, last: int) -> Iterator[tuple[int, int]]:
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class _SampledBlock:
-    """One block at work: its sensors, by how much it is `late`, s, its readings (n, N) as they fill up, and the change
-    that its bias has in the current rest and move."""
+    """One block at work: its sensors, by how much it is `late`, s, and its readings (n, N) as they fill up."""
 
     sensors: SimulatedBlock
     scenario: Scenario
     late: float
     rng: np.random.Generator
-    bias: Array
     readings: Array
 
     @staticmethod
@@ -140,7 +143,6 @@ class _SampledBlock:
             scenario=scenario,
             late=late,
             rng=rng,
-            bias=np.zeros(block.size),
             readings=np.empty((block.size, samples)),
         )
 
@@ -152,7 +154,7 @@ class _SampledBlock:
     def put(self, first: int, last: int, means: Array) -> None:
         """Samples of mean readings (last − first, n), or (1, n) for all of them."""
         out = self.readings[:, first:last]
-        out[:] = means.T + self.bias[:, None]
+        out[:] = means.T
         if self.sensors.white > 0.0:
             sigma = math.sqrt(self.scenario.profile.sample_rate) * self.sensors.white
             out += sigma * self.rng.standard_normal(out.shape)
