@@ -189,7 +189,7 @@ def _samples(
 def _sampled(sensors: SimulatedBlock, force: Array, rate: Array, when: Array) -> Array:
     """Readings (K, S, n) at times (K, S), s, in forces (K, S, 3), or (K, S, n, 3), and rates (K, S, 3) of the body."""
     (K, S), flat = when.shape, force.reshape(when.size, *force.shape[2:])
-    return sensors.read(flat, rate.reshape(K * S, 3), when.ravel()).reshape(K, S, -1)
+    return sensors.read(flat, rate.reshape(K * S, 3), when.ravel()).reshape(K, S, len(sensors.coefficients))
 
 
 def _with_levers(scenario: Scenario, way: Itinerary, first: IntArray, force: Array, vector: Array, T: Array) -> Array:
