@@ -13,6 +13,7 @@ from tumble.units import Array
 
 MAX_ITERATIONS = 30
 CONVERGED = 1e-3  # of the standard uncertainty
+SCATTER_ROUNDS = 3
 ROUNDING = 1e-15
 """SI: steps that are no more than rounding."""
 
@@ -42,14 +43,22 @@ def with_scatter(
 ) -> tuple[Array, float, tuple[Array, ...]]:
     """Values (m,), the scatter that explains the residuals, zero where they need none, and all steps. `agreement_at`
     values has the chi-square of the residuals by their scatter, its degrees of freedom, and a first guess of it."""
-    scatter, steps = 0.0, ()
-    for again in range(4):
-        if again:
-            chi_square, degrees, size = agreement_at(values)
-            if again == 1 and not unexplained(chi_square(0.0), degrees):
-                break
-            scatter = scatter_of(lambda trial: chi_square(trial) - degrees, size)  # noqa: B023 — called at once
-        values, more = gauss_newton(lambda at: solution_at(at, scatter), values, spread, rounding)  # noqa: B023
+    scatter = 0.0
+
+    def converged(start: Array) -> tuple[Array, tuple[Array, ...]]:
+        return gauss_newton(lambda at: solution_at(at, scatter), start, spread, rounding)
+
+    values, steps = converged(values)
+    for again in range(SCATTER_ROUNDS):
+        chi_square, degrees, size = agreement_at(values)
+        if not again and not unexplained(chi_square(0.0), degrees):
+            break
+
+        def excess(trial: float, of: Callable[[float], float] = chi_square, expected: float = degrees) -> float:
+            return of(trial) - expected
+
+        scatter = scatter_of(excess, size)
+        values, more = converged(values)
         steps += more
     return values, scatter, steps
 

@@ -114,7 +114,7 @@ def _block_readings(sensors: _SampledBlock, attitudes: Array, moves: Array, rest
     bias = sensors.sensors.bias(normal, rests)
     for first, last in _chunks(0, sensors.readings.shape[1]) if np.any(bias.values) else ():
         begins = (np.arange(first, last) + 1e-6) / fs - sensors.late  # that of a rest, where it begins with it
-        sensors.readings[:, first:last] += bias.at(begins).T
+        sensors.readings[:, first:last] += bias.at(np.asarray(begins, dtype=float)).T
     return sensors.readings
 
 
