@@ -248,6 +248,7 @@ def test_scatter_is_found_where_there_is_some() -> None:
         SETUP.noise,
         accel_instability=5.0 * SETUP.noise.accel_white / np.sqrt(SETUP.rest),
         gyro_instability=5.0 * SETUP.noise.gyro_white / np.sqrt(SETUP.rest),
+        instability_time=0.0,
     )
     z, scatter = [], []
     for seed in range(30):

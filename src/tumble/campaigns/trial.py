@@ -24,7 +24,6 @@ from tumble.campaigns.triads import fit_statics
 from tumble.errors import InputError
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import DETERMINED, Estimate
-from tumble.estimation.methods.paper.compensation import triad_model
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.inference.likelihood import Point, Problem, weights
 from tumble.inference.linearisation import linearise
@@ -35,7 +34,7 @@ from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.sensors.grades import Spread
-from tumble.sensors.model import Block
+from tumble.sensors.model import Block, triad_model
 from tumble.sensors.parameters import limits_of
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import HandHeld, Scenario, itinerary, scenario_of

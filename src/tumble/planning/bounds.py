@@ -48,7 +48,7 @@ from tumble.recording.session import Site
 from tumble.reduction.coloured_noise import WHITE
 from tumble.reduction.moments import Moments
 from tumble.reduction.observations import Observations
-from tumble.reduction.rests import ACCEL_FLOOR, GYRO_FLOOR, Rests
+from tumble.reduction.rests import Rests
 from tumble.reduction.segmentation import margin_of
 from tumble.reduction.turns import TURN_FLOOR, VELOCITY_FLOOR, Turns
 from tumble.rotation import rotation_vector
@@ -324,9 +324,16 @@ def view(course: Course, setup: Setup, *, gyros: bool, still: Array | None = Non
     return View(problem=problem, rows=linearise(problem, point, about), components=components_of(setup.noise))
 
 
+SHORTEST_TIME = 1e-3
+"""s: of the correlation of biases that are drawn anew at every rest."""
+
+
 def components_of(noise: NoiseModel) -> Components:
     """The in-run instability of an instrument."""
-    return Components(accel_in_run=noise.accel_instability, gyro_in_run=noise.gyro_instability)
+    time = max(noise.instability_time, SHORTEST_TIME)
+    return Components(
+        accel_in_run=noise.accel_instability, gyro_in_run=noise.gyro_instability, accel_time=time, gyro_time=time
+    )
 
 
 def observed(
@@ -377,23 +384,13 @@ def _check(setup: Setup, gyros: bool) -> None:
 
 def _rests(course: Course, setup: Setup, gyros: bool) -> Rests:
     """What perfect sensors read at rest, with the covariances of white noise."""
-    N, noise = len(course.attitudes), setup.noise
-    accel = noise.accel_white**2 / setup.rest + ACCEL_FLOOR**2
-    gyro = noise.gyro_white**2 / setup.rest + GYRO_FLOOR**2
-    n, start = 3 if gyros else 0, begins(course, setup)
-    return Rests(
-        file=np.zeros(N, dtype=np.int64),
-        start=start,
-        stop=start + setup.rest,
+    noise, start = setup.noise, begins(course, setup)
+    return Rests.of_white_noise(
+        start,
+        start + setup.rest,
         accel=setup.gravity * course.attitudes[:, 1],
-        accel_covariance=np.broadcast_to(accel * np.eye(3), (N, 3, 3)),
-        accel_drift=np.zeros((N, 3)),
-        accel_noise=np.full((N, 3), noise.accel_white),
-        gyro=(np.array(earth_rate(setup.latitude)) @ course.attitudes)[:, :n],
-        gyro_covariance=np.broadcast_to(gyro * np.eye(n), (N, n, n)),
-        gyro_drift=np.zeros((N, n)),
-        gyro_noise=np.full((N, n), noise.gyro_white),
-        temperatures=None,
+        gyro=(np.array(earth_rate(setup.latitude)) @ course.attitudes)[:, : 3 if gyros else 0],
+        densities=(noise.accel_white, noise.gyro_white),
     )
 
 

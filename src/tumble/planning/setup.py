@@ -30,6 +30,7 @@ from tumble.usual_setup import (
     GRADE,
     GRAVITY_U,
     HEIGHT,
+    INSTABILITY_TIME,
     LATITUDE_DEG,
     MOUNTING_ERROR_DEG,
     MOVE,
@@ -94,10 +95,12 @@ class Setup(Brief):
         gravity: float | None = None,
         gravity_u: float = GRAVITY_U,
         noise_factor: float = 1.0,
+        instability_time: float = INSTABILITY_TIME,
         terms: Terms = "linear",
     ) -> Setup:
         """The set-up of a built-in programme or, if `positions` is given, of so many positions by hand, with an
-        instrument of a grade whose noise is multiplied by `noise_factor`, in the words and units of the command line.
+        instrument of a grade whose noise is multiplied by `noise_factor` and whose in-run biases have the correlation
+        time `instability_time`, s, in the words and units of the command line.
         What is None is usual on a table or by hand; gravity then is normal gravity. With the `terms` "full" the
         instrument has all groups of parameters, of the usual spread of its grade.
 
@@ -121,7 +124,7 @@ class Setup(Brief):
             ramp=usual.ramp,
             sample_rate=SAMPLE_RATE if sample_rate is None else sample_rate,
             instrument=grade,
-            noise=kind.noise.scaled(noise_factor),
+            noise=replace(kind.noise.scaled(noise_factor), instability_time=instability_time),
             accel=kind.accel,
             gyro=kind.gyro,
             further=usual_sizes(grade) if terms == "full" else {},

@@ -46,6 +46,38 @@ class Rests:
     def __len__(self) -> int:
         return len(self.start)
 
+    @staticmethod
+    def of_white_noise(
+        start: Array,
+        stop: Array,
+        *,
+        accel: Array,
+        gyro: Array,
+        densities: tuple[float, float],
+        temperatures: Array | None = None,
+    ) -> Rests:
+        """Rests of one file with these mean readings (N, n), in white noise of these densities of the accelerometers
+        and the gyros."""
+
+        def covariance(readings: Array, density: float, floor: float) -> Array:
+            variance = density**2 / (stop - start) + floor**2
+            return np.asarray(variance[:, None, None] * np.eye(readings.shape[1]))
+
+        return Rests(
+            file=np.zeros(len(start), dtype=np.int64),
+            start=start,
+            stop=stop,
+            accel=accel,
+            accel_covariance=covariance(accel, densities[0], ACCEL_FLOOR),
+            accel_drift=np.zeros_like(accel),
+            accel_noise=np.full_like(accel, densities[0]),
+            gyro=gyro,
+            gyro_covariance=covariance(gyro, densities[1], GYRO_FLOOR),
+            gyro_drift=np.zeros_like(gyro),
+            gyro_noise=np.full_like(gyro, densities[1]),
+            temperatures=temperatures,
+        )
+
     @property
     def temperature(self) -> Array | None:
         """The mean over the thermometers (N,), K."""
