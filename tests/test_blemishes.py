@@ -12,7 +12,13 @@ from tumble.calibration.calibrate import calibrate
 from tumble.calibration.observed import inspect_session
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
-from tumble.reduction.blemishes import BadSamples, bad_samples_of_turns, blemish_notes, without_blemishes
+from tumble.reduction.blemishes import (
+    BadSamples,
+    bad_sample_notes,
+    bad_samples_of_turns,
+    blemish_notes,
+    without_blemishes,
+)
 from tumble.reduction.blocks import Reducer, Reduction
 from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.segmentation import RestSpan
@@ -122,7 +128,7 @@ def test_a_packet_that_was_misread_and_one_gyro_are_found() -> None:
     values[230, 2] += 1.0
     found = bad_in(values)
     np.testing.assert_array_equal(found.at, [150, 230])
-    assert found.note(np.array([6])) == (
+    assert bad_sample_notes(found, np.array([6])) == (
         "2 bad samples, far off those beside them, replaced by what is between these in the turn 7 to 8",
     )
 

@@ -18,14 +18,13 @@ from tumble.recording.log import Chunk, Log
 from tumble.reduction import kernels as _kernels
 from tumble.reduction.array_motion import FEWEST
 from tumble.reduction.motion_samples import MotionSamples
+from tumble.reduction.tuning import USUAL, Tuning
 from tumble.sensors.model import Block, beyond_body
 from tumble.units import Array, IntArray
 
 BLOCK_SECONDS = 0.1
 UNRECORDED = 2.0
 """Samples: what is left between two samples beyond their interval is a gap, not jitter."""
-HELD_SHARE = 0.2
-"""Share of a log in which its channels are taken to repeat by chance, that at rest."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -143,6 +142,8 @@ class Reduction:
     """Lost samples of the log, as it was read."""
     blemishes: tuple[Blemish, ...] = ()
     """Blocks with bad samples, which have no weight."""
+    tuning: Tuning = USUAL
+    """By which rests and bad samples are told from movement."""
 
     @property
     def by_file(self) -> dict[int, FileBlocks]:
@@ -160,10 +161,10 @@ class Reduction:
         channels of coarse resolution, else 0.
 
         They are if hardly any channel repeats without all the others, or if channels that repeat independently in a
-        HELD_SHARE of the log would seldom do so together."""
+        `held_share` of the log would seldom do so together."""
         channels = self.accel_channels + self.gyro_channels
         samples, fewest = channels[0].samples, min(channel.repeats for channel in channels)
-        share = HELD_SHARE * samples
+        share = self.tuning.held_share * samples
         chance = share * float(np.prod([min(1.0, channel.repeats / max(share, 1.0)) for channel in channels]))
         together = self.repeated_rows >= 0.8 * fewest and fewest <= 0.7 * samples
         return self.repeated_rows if together or self.repeated_rows > 3.0 * chance + 3.0 else 0
@@ -402,9 +403,11 @@ def _body(values: Array, to_body: Array | None) -> Array:
     return values if to_body is None else values @ to_body
 
 
-def reduce_log(log: Log, accel: Block, gyro: Block | None, chunks: Iterable[Chunk] | None = None) -> Reduction:
-    """Read a log once and reduce it; `chunks` stands in for `log.chunks()`, e.g. to show progress. Raises LogError
-    where gaps leave nothing of it."""
+def reduce_log(
+    log: Log, accel: Block, gyro: Block | None, chunks: Iterable[Chunk] | None = None, tuning: Tuning = USUAL
+) -> Reduction:
+    """Read a log once and reduce it; `chunks` stands in for `log.chunks()`, e.g. to show progress, and
+    what follows goes by the `tuning`. Raises LogError where gaps leave nothing of it."""
     spec = log.session.log
     kinds = [channels is not None and channels.unit.kind == "increment" for channels in (spec.accel, spec.gyro)]
     reducer = Reducer(
@@ -421,4 +424,4 @@ def reduce_log(log: Log, accel: Block, gyro: Block | None, chunks: Iterable[Chun
         raise LogError(
             f"{log.name}: expected stretches of {BLOCK_SECONDS:g} s and longer without a gap, found none; record again"
         )
-    return replace(reduction, gaps=log.gaps)
+    return replace(reduction, gaps=log.gaps, tuning=tuning)

@@ -16,7 +16,7 @@ from tumble.recording.gaps import Gap
 from tumble.recording.session import Exclusion
 from tumble.reduction.blocks import Reduction
 from tumble.reduction.matching import Match
-from tumble.reduction.segmentation import MIN_REST_SECONDS, RestSpan, Segmentation
+from tumble.reduction.segmentation import RestSpan, Segmentation
 
 
 def without_times(reduction: Reduction, found: Segmentation, excluded: tuple[Exclusion, ...]) -> Segmentation:
@@ -36,7 +36,7 @@ def _longest(reduction: Reduction, span: RestSpan, file: int, start: float, stop
     before = span.first, min(span.last, int(np.searchsorted(edges, start + 1e-9, side="right")) - 1)
     after = max(span.first, int(np.searchsorted(edges, stop - 1e-9))), span.last
     first, last = max(before, after, key=lambda part: part[1] - part[0])
-    if last <= first or edges[last] - edges[first] < MIN_REST_SECONDS:
+    if last <= first or edges[last] - edges[first] < reduction.tuning.rest:
         return None
     return RestSpan(file=file, first=first, last=last, start=float(edges[first]), stop=float(edges[last]))
 

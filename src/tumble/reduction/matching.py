@@ -18,7 +18,7 @@ from tumble.errors import ProgrammeError
 from tumble.programme.positions import Position, Programme, from_attitudes, programme
 from tumble.recording.session import ProgrammeSpec, Session
 from tumble.reduction.blocks import BLOCK_SECONDS, FileBlocks, Reduction
-from tumble.reduction.segmentation import STILL_SECONDS, RestSpan, Segmentation, stated_rest
+from tumble.reduction.segmentation import RestSpan, Segmentation
 from tumble.units import DEGREE, Array, IntArray
 
 POSITION_LIMIT = 7.0 * DEGREE
@@ -53,13 +53,17 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
     means = np.array([_blocks(reduction, s).accel_mean(s.first, s.last) for s in rests])
     readings = means @ np.linalg.pinv(session.log.accel.axes).T
     verticals = _verticals(readings, listed, session.site.gravity)
-    passed_over = "".join(f"{said}; " for said in segmentation.passed_over())
+    why_missing = (
+        f"was it skipped or shorter than {segmentation.tuning.still} s? "
+        + "".join(f"{sentence}; " for sentence in segmentation.passed_over())
+        + "`tumble inspect` shows what was found and rejected"
+    )
     if not listed.ordered:
-        return Match(rests=rests, programme=listed, position=_any_order(listed, rests, verticals, passed_over))
+        return Match(rests=rests, programme=listed, position=_any_order(listed, rests, verticals, why_missing))
     seen = session.log.gyro is not None
     groups = _groups(session, reduction, rests) if seen else _groups_by_vertical(listed, verticals)
     first = [group[0] for group in groups]
-    _check_order(listed, [rests[i] for i in first], verticals[first], passed_over)
+    _check_order(listed, [rests[i] for i in first], verticals[first], why_missing)
     _check_turns(session, reduction, listed, rests, groups)
     position = np.array([next(k for k, group in enumerate(groups) if i in group) for i in range(len(rests))])
     return Match(rests=rests, programme=listed, position=position)
@@ -85,7 +89,9 @@ def _check_stated(listed: Programme, file: FileBlocks, spec: ProgrammeSpec) -> N
 def _with_stated(reduction: Reduction, found: tuple[RestSpan, ...], spec: ProgrammeSpec) -> tuple[RestSpan, ...]:
     """Rests found, with those that a position states by its times in their place."""
     stated = [
-        stated_rest(reduction, p.start, p.stop) for p in spec.positions if p.start is not None and p.stop is not None
+        RestSpan.between(reduction.files[0], p.start, p.stop)
+        for p in spec.positions
+        if p.start is not None and p.stop is not None
     ]
     kept = [s for s in found if not any(s.file == t.file and s.start < t.stop and t.start < s.stop for t in stated)]
     return tuple(sorted([*kept, *stated], key=lambda s: (s.file, s.start)))
@@ -164,8 +170,8 @@ def _seen(vertical: Array) -> str:
     return "(" + ", ".join(f"{v:+.2f}" for v in vertical) + ")"
 
 
-def _check_order(listed: Programme, rests: list[RestSpan], verticals: Array, passed_over: str) -> None:
-    """Every position has its rest, in order; `passed_over` says what was nearly one."""
+def _check_order(listed: Programme, rests: list[RestSpan], verticals: Array, why_missing: str) -> None:
+    """Every position has its rest, in order."""
     expected = len(listed.positions)
     if len(rests) == expected:
         for k, (rest, vertical) in enumerate(zip(rests, verticals, strict=True)):
@@ -176,10 +182,7 @@ def _check_order(listed: Programme, rests: list[RestSpan], verticals: Array, pas
     missing, surplus = _alignment(listed, verticals)
     counted = f"programme {listed.name}: expected {expected} rests, found {len(rests)}"
     if missing:
-        raise ProgrammeError(
-            f"{counted}; no rest for {_named(listed, missing[0])}: was it skipped or shorter than {STILL_SECONDS} s? "
-            f"{passed_over}`tumble inspect` shows what was found and rejected"
-        )
+        raise ProgrammeError(f"{counted}; no rest for {_named(listed, missing[0])}: {why_missing}")
     rest = rests[surplus[0]]
     raise ProgrammeError(
         f"{counted}; the rest at {rest.start:.1f}–{rest.stop:.1f} s with the vertical {_seen(verticals[surplus[0]])} "
@@ -246,7 +249,7 @@ def _across(vector: Array, axis: Array) -> float:
     return float(np.linalg.norm(vector - axis * (vector @ axis)))
 
 
-def _any_order(listed: Programme, rests: tuple[RestSpan, ...], verticals: Array, passed_over: str) -> IntArray:
+def _any_order(listed: Programme, rests: tuple[RestSpan, ...], verticals: Array, why_missing: str) -> IntArray:
     """The position of every rest. Every position must have one, and once: rests that follow each other in it, as of a
     cube turned on its face, count as one."""
     off = np.array([[_off(v, p) for v in verticals] for p in listed.positions])
@@ -260,11 +263,11 @@ def _any_order(listed: Programme, rests: tuple[RestSpan, ...], verticals: Array,
                 f"the body as in the nearest, {_named(listed, k)}, found {_seen(verticals[j])}, "
                 f"{off[k, j] / DEGREE:.1f}° off; at most {POSITION_LIMIT / DEGREE:.0f}° can be the same position"
             )
-    _check_once(listed, rests, nearest, passed_over)
+    _check_once(listed, rests, nearest, why_missing)
     return np.asarray(nearest)
 
 
-def _check_once(listed: Programme, rests: tuple[RestSpan, ...], position: IntArray, passed_over: str) -> None:
+def _check_once(listed: Programme, rests: tuple[RestSpan, ...], position: IntArray, why_missing: str) -> None:
     """Every position was taken, and left only once."""
     taken: dict[int, list[RestSpan]] = {}
     for k, members in groupby(range(len(rests)), key=position.tolist().__getitem__):
@@ -278,10 +281,7 @@ def _check_once(listed: Programme, rests: tuple[RestSpan, ...], position: IntArr
     count = f"programme {listed.name}: expected {len(listed.positions)} positions, each once, found {len(taken)}"
     if missing:
         also = f"; {doubled[0]}" if doubled else ""
-        raise ProgrammeError(
-            f"{count}; no rest for {' and '.join(missing)}{also}: was it skipped or shorter than {STILL_SECONDS} s? "
-            f"{passed_over}`tumble inspect` shows what was found and rejected"
-        )
+        raise ProgrammeError(f"{count}; no rest for {' and '.join(missing)}{also}: {why_missing}")
     if doubled:
         raise ProgrammeError(
             f"{count}; {doubled[0]}: one of these rests is surplus; cut it from the log, or leave [programme] out to "

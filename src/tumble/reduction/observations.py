@@ -25,7 +25,7 @@ from tumble.brief import Brief
 from tumble.programme.positions import Programme
 from tumble.recording.session import Site
 from tumble.reduction.array_motion import ArrayMoments, MovedArray, array_moments
-from tumble.reduction.blemishes import blemish_notes
+from tumble.reduction.blemishes import bad_sample_notes, blemish_notes
 from tumble.reduction.blocks import Reduction, extremes
 from tumble.reduction.coloured_noise import fit_coloured_noise
 from tumble.reduction.matching import Match
@@ -180,7 +180,7 @@ def observe(
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         noises = (accel, fit_coloured_noise(accel_quiet)), (gyro, gyro_noise)
         turned = turns, samples = reduced_turns(reduction, reduction.samples, spans, rests, *noises, rounded)
-        in_turns = samples.bad.note(turns.first)
+        in_turns = bad_sample_notes(samples.bad, turns.first)
         readings = turn_readings(reduction, spans, turned, noises[1], rounded["gyro"]) if gyro.size > 3 else None
         arrays = _arrays(reduction, rests, accel, gyro) if arrays is None else arrays
     return Observations(

@@ -30,8 +30,6 @@ CONVERTERS = 2.0 ** np.arange(11, 32)
 """2^k of converters of 12 to 32 bits."""
 EXACT = 1e-6
 HALF_TURN = math.pi
-FEWEST = 2
-"""Samples of a turn: a single one at the end of the range may just have reached it."""
 
 
 def without_unknown_turns(
@@ -47,7 +45,7 @@ def without_unknown_turns(
             if of_gyros.shape[1] < gyro.size - 3:
                 continue  # more than three gyros, and of their samples the rate alone
             count = int(_clipped(read_by(gyro, rates, of_gyros), limits).sum())
-            if count >= FEWEST:
+            if count >= reduction.tuning.fewest_clipped:
                 clipped[k] = _unknown(turns[k], count, f"gyros are clipped in {count} of its samples")
     if 2.0 * np.abs(extremes(reduction.gyro_channels)).max() > HALF_TURN * reduction.rate:
         for k, rates, intervals, _ in _samples(reduction, turns):
