@@ -23,7 +23,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -80,7 +79,7 @@ class BlockCompensation:
         """Arguments of the compiled loops, with the sensors that have nonlinear terms alone."""
         linear, has = np.empty((3, 4)), self.terms.any(axis=1)
         linear[:, :3], linear[:, 3] = self.matrix, -self.matrix @ self.bias
-        return linear, np.concatenate([self.axes[has], self.terms[has], self.left_inverse.T[has]], axis=1)
+        return linear, np.hstack([self.axes[has], self.terms[has], self.left_inverse.T[has]])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -99,7 +98,7 @@ class Compensation:
     def _kernel_model(self) -> _kernels.Model:
         """Arguments of the compiled loops."""
         G = self.gyro.matrix @ self.g_sensitivity
-        return self.gyro._kernel_terms(), self.accel._kernel_terms(), G if G.any() else NO_AXES, float(self.delay)
+        return self.gyro._kernel_terms(), self.accel._kernel_terms(), np.ascontiguousarray(G), float(self.delay)
 
 
 # The moments ---------------------------------------------------------------------------------------------------
@@ -175,65 +174,59 @@ class Pieces:
     start: IntArray
     stop: IntArray
 
-    @cached_property
-    def stretches(self) -> _kernels.Stretches:
-        """The stretches of all pieces in which the loops integrate them."""
-        return self.stretches_of(slice(None))
-
-    def stretches_of(self, part: slice) -> _kernels.Stretches:
-        """Those of some of the pieces."""
-        starts, stops = (np.ascontiguousarray(x[part], dtype=np.int64) for x in (self.start, self.stop))
-        piece, first, stop = _kernels.stretches_of(starts, stops)
-        return piece + (part.start or 0), first, stop
-
 
 def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
     """Moments of every piece, by the step about the middle attitude (A1).
 
     Errors of arithmetic are below 1e-12 while a sample turns by less than 0.5 rad."""
-    return _integrated(pieces, [(pieces.stretches, compensation)], own)
+    return _integrated(pieces, [(slice(None), compensation)], own)
 
 
-def _integrated(pieces: Pieces, parts: list[tuple[_kernels.Stretches, Compensation]], own: OwnAxes) -> Moments:
-    """Moments of every piece, stretches of them with compensations of their own."""
-    count, n, m = len(pieces.start), len(own.gyro), len(own.accel)
-    rows, linear = _kernels.COMMON + 2 * n + 2 * m, _kernels.LINEAR + 2 * n
-    attitude, V, jumps = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros((count, 3)), np.zeros(count)
-    products, moved, sweep = (np.zeros((count, size, 9)) for size in (rows, linear, 3))
-    body = np.zeros((count, rows))
-    sums = attitude, V, products, moved, sweep, body, jumps
+def _integrated(pieces: Pieces, parts: list[tuple[slice, Compensation]], own: OwnAxes) -> Moments:
+    """Moments of every piece, parts of them with compensations of their own."""
+    count, n, m, linear = len(pieces.start), len(own.gyro), len(own.accel), _kernels.LINEAR
+    # regressors: 1, ω, f; of the gyros' own axes; f f, ω ω; of the accelerometers' own axes
+    firsts = np.cumsum([0, linear, 2 * n, 6, 6, 2 * m])
+    one, of_gyros, forces_2, rates_2, of_accels = (slice(a, b) for a, b in pairwise(firsts.tolist()))
+    rows, moved_rows = (-(-width // _kernels.BLOCK) * _kernels.BLOCK for width in firsts[[-1, 2]].tolist())
+    attitude, V, jumps = np.zeros((count, 4)), np.zeros((count, 3)), np.zeros(count)
+    products, moved, sweep = np.zeros((count, 10, rows)), np.zeros((count, 9, moved_rows)), np.zeros((count, 9, 3))
     rates, forces, intervals, gyros, accels = (
         np.ascontiguousarray(each, dtype=float)
         for each in (pieces.rates, pieces.forces, pieces.intervals, own.gyro, own.accel)
     )
-    samples, axes, work = (rates, forces, intervals), (gyros, accels), _kernels.new_work(rows, linear)
-    for stretches, compensation in parts:
-        _kernels.integrate_stretches(samples, stretches, compensation._kernel_model(), axes, sums, work, _kernels.LANES)
-    C = np.empty((count, 3, 3))
-    _kernels.finish(sums, C)
-    Phi, Psi = _matrices(products), _matrices(moved)
-    of_gyros, of_accels = slice(_kernels.COMMON, _kernels.COMMON + 2 * n), slice(_kernels.COMMON + 2 * n, None)
+    samples, sums = (rates, forces, intervals), (attitude, V, products, moved, sweep, jumps)
+    number, start, stop = (
+        np.ascontiguousarray(each, dtype=np.int64) for each in (np.arange(count), pieces.start, pieces.stop)
+    )
+    for part, compensation in parts:
+        which = number[part], start[part], stop[part]
+        _kernels.integrate_pieces(samples, which, compensation._kernel_model(), (gyros, accels), sums)
+    Phi, body = products[:, :9].reshape(count, 3, 3, rows), products[:, 9]
+    Psi = _crossed(Phi[..., :moved_rows], V) - moved.reshape(count, 3, 3, moved_rows)
     return Moments(
-        C=C,
+        C=_matrices(attitude),
         V=V,
-        Phi=Phi[..., :REGRESSORS],
-        Psi=Psi[..., : _kernels.LINEAR],
-        W=Phi[..., REGRESSORS : _kernels.COMMON],
-        sweep=_matrices(sweep),
+        Phi=np.concatenate([Phi[..., one], Phi[..., forces_2]], axis=-1),
+        Psi=Psi[..., one],
+        W=Phi[..., rates_2],
+        sweep=sweep.reshape(count, 3, 3, 3),
         Phi_gyro=Phi[..., of_gyros].reshape(count, 3, 3, 2, n),
-        Psi_gyro=Psi[..., _kernels.LINEAR :].reshape(count, 3, 3, 2, n),
+        Psi_gyro=Psi[..., of_gyros].reshape(count, 3, 3, 2, n),
         Phi_accel=Phi[..., of_accels].reshape(count, 3, 3, 2, m),
-        body=body[:, :REGRESSORS],
-        body_rates=body[:, REGRESSORS : _kernels.COMMON],
+        body=np.hstack([body[:, one], body[:, forces_2]]),
+        body_rates=body[:, rates_2],
         body_gyro=body[:, of_gyros].reshape(count, 2, n),
         body_accel=body[:, of_accels].reshape(count, 2, m),
         jumps=jumps,
     )
 
 
-def _matrices(sums: Array) -> Array:
-    """(K, 3, 3, R) of the kernel's sums (K, R, 9)."""
-    return sums.reshape(*sums.shape[:2], 3, 3).transpose(0, 2, 3, 1)
+def _matrices(attitude: Array) -> Array:
+    """The matrices (K, 3, 3) of unit quaternions (K, 4), scalar first."""
+    scalar, vector = attitude[:, 0, None, None], attitude[:, 1:]
+    cross = _skews(vector)
+    return np.asarray(np.eye(3) + 2.0 * (scalar * cross + cross @ cross))
 
 
 def _crossed(matrices: Array, V: Array) -> Array:
@@ -300,7 +293,7 @@ def integrate_each(
     """The same with a compensation for each turn."""
     whole = _nothing(len(compensations), compensations[0], own)
     for pieces in batches:
-        parts = [(pieces.stretches_of(slice(i, i + 1)), compensations[turn]) for i, turn in enumerate(pieces.turn)]
+        parts = [(slice(i, i + 1), compensations[turn]) for i, turn in enumerate(pieces.turn)]
         _add(whole, pieces, _integrated(pieces, parts, own))
     return whole
 
