@@ -44,9 +44,10 @@ def integrate_pieces(
     own_axes: tuple[Array, Array],
     sums: Sums,
 ) -> None:
-    """Integrate rates (S, 3) rad/s, forces (S, 3) m/s² and intervals (S,) s over pieces, of these numbers among the
-    sums, which are zeros before, from their first samples to their ends. `own_axes` are those of the gyros (n, 3) and
-    accelerometers (m, 3) whose own-axis regressors |a·x|, and then (a·x)³, are wanted."""
+    """Carry the sums of turns on over pieces of them, by the turns' numbers, first samples and ends among rates (S, 3)
+    rad/s, forces (S, 3) m/s² and intervals (S,) s. Before the first piece attitudes are 1 and all else zero. `own_axes`
+    are those of the gyros (n, 3) and accelerometers (m, 3) whose own-axis regressors |a·x|, and then (a·x)³, are
+    wanted."""
     rates, forces, intervals = samples
     piece, start, stop = pieces
     (gyro, gyro_terms), (accel, accel_terms), G, delay = model
@@ -97,7 +98,8 @@ def _integrate(
     with cython.nogil:
         for place in range(piece.shape[0]):
             k, first = piece[place], start[place]
-            q0, q1, q2, q3, V0, V1, V2 = 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            q0, q1, q2, q3 = attitude[k, 0], attitude[k, 1], attitude[k, 2], attitude[k, 3]
+            V0, V1, V2 = V[k, 0], V[k, 1], V[k, 2]
             px, py, pz, pu, pv, pw = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # Δθ' and Δv'
             r0, r1, r2, before = 0.0, 0.0, 0.0, 0.0  # the rate that moved the force before, and its dt
             u0, u1, u2, t = 0.0, 0.0, 0.0, 0  # the force before, and the place in the group
@@ -203,8 +205,11 @@ def _integrate(
                 # products, of a group of samples at a time
                 t += 1
                 if t == GROUP or number == stop[place] - first + 1:
-                    for i in range(28 * (GROUP - t)):
-                        left[t + i // 28, i % 28] = 0.0
+                    for rest in range(t, GROUP):
+                        for i in range(28):
+                            left[rest, i] = 0.0
+                        for i in range(rows + 3):
+                            right[rest, i] = 0.0
                     _add_products(left, 0, right, 0, products, k, rows)
                     _add_products(left, 10, right, 0, moved, k, linear)
                     _add_products(left, 19, right, rows, swept, k, 3)
