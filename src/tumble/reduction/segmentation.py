@@ -34,6 +34,7 @@ from typing import Literal
 import numpy as np
 
 from tumble.earth import EARTH_RATE
+from tumble.recording.gaps import Gap
 from tumble.reduction.blocks import ChannelState, FileBlocks, Reduction
 from tumble.reduction.gyro_levels import OffLevel, Span, core, level_function, times_of
 from tumble.reduction.tuning import USUAL, Tuning
@@ -69,6 +70,20 @@ class RestSpan:
         first = int(np.searchsorted(f.edges, start - 1e-9))
         last = int(np.searchsorted(f.edges, stop + 1e-9, side="right")) - 1
         return RestSpan(file=f.file, first=first, last=last, start=float(f.edges[first]), stop=float(f.edges[last]))
+
+
+def unrecorded(before: RestSpan, after: RestSpan, samples: int, what: str, why: str) -> Gap:
+    """A turn between two rests that is taken as not recorded, for so many of its samples."""
+    return Gap(
+        file=before.file,
+        row=0,
+        time=before.stop,
+        samples=samples,
+        what=what,
+        stop=after.start,
+        integrable=False,
+        why=why,
+    )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
