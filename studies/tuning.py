@@ -104,7 +104,7 @@ def session(grade: str, situation: str, seed: int) -> Session:
             (accel, gyro)[kind][i, rng.integers(3)] += sizes[kind] * rng.choice([-1.0, 1.0])
     reducer, dt = Reducer(rate=RATE, accel=scenario.accel, gyro=scenario.gyro), np.full(len(accel), 1.0 / RATE)
     reducer.feed(Chunk(file=0, time=recording.time, dt=dt, accel=accel, gyro=gyro, temperature=None))
-    return Session(scenario=scenario, recording=recording, reduction=reducer.finish(), rests=rests, bad=bad)
+    return Session(scenario=scenario, recording=recording, reduction=reducer.now(), rests=rests, bad=bad)
 
 
 class Judge:

@@ -49,7 +49,7 @@ def reduced(
         reducer.feed(
             Chunk(file=file, time=time, dt=np.full(len(time), 1 / rate), accel=accel, gyro=gyro, temperature=None)
         )
-    return reducer.finish()
+    return reducer.now()
 
 
 def observed(reduction: Reduction, blocks: tuple[Block, Block] = TRIAD, *, gyros: bool = True) -> Observations:

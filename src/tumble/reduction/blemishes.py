@@ -50,8 +50,7 @@ def without_blemishes(reduction: Reduction) -> Reduction:
 
 def _blemishes(reduction: Reduction, samples: MotionSamples, f: FileBlocks, side: int) -> Iterator[Blemish]:
     """The blemishes of a file, the shortest first, by so many blocks on either side."""
-    assert f.gyro is not None
-    tuning, values = reduction.tuning, np.hstack([f.accel, f.gyro])
+    tuning, values = reduction.tuning, np.hstack([f.accel.means, f.gyro.means])
     if len(values) <= 2 * side:
         return
     steps = np.array([channel.step for channel in (*reduction.accel_channels, *reduction.gyro_channels)])
@@ -93,22 +92,15 @@ def _bad_samples(samples: MotionSamples, f: FileBlocks, blocks: slice, side: int
 
 def _mended(f: FileBlocks, blemishes: Sequence[Blemish], side: int) -> FileBlocks:
     """A file's blocks with those of blemishes like their neighbours, and without weight in a mean."""
-    assert f.gyro is not None
-    assert f.gyro_end is not None
-    assert f.gyro_tail is not None
-    accel, gyro, ends = f.accel.copy(), f.gyro.copy(), (f.accel_end.copy(), f.gyro_end.copy())
-    sound = np.ones(len(f.accel))
-    for one in blemishes:
-        run = slice(one.first, one.last)
-        beside = [*range(one.first - side, one.first), *range(one.last, one.last + side)]
-        accel[run], gyro[run] = f.accel[beside].mean(axis=0), f.gyro[beside].mean(axis=0)
-        for end in ends:
-            end[run] = end[one.first - 1]
-        sound[run] = 0.0
-    tails = [replace(tail, blocks=tail.blocks * sound) for tail in (f.accel_tail, f.gyro_tail)]
-    return replace(
-        f, accel=accel, gyro=gyro, accel_end=ends[0], gyro_end=ends[1], accel_tail=tails[0], gyro_tail=tails[1]
-    )
+    mended = []
+    for series in (f.accel, f.gyro):
+        means, ends, weights = series.means.copy(), series.ends.copy(), series.weights.copy()
+        for one in blemishes:
+            run = slice(one.first, one.last)
+            beside = [*range(one.first - side, one.first), *range(one.last, one.last + side)]
+            means[run], ends[run], weights[run] = series.means[beside].mean(axis=0), ends[one.first - 1], 0.0
+        mended.append(replace(series, means=means, ends=ends, weights=weights))
+    return replace(f, accel=mended[0], gyro=mended[1])
 
 
 # Turns

@@ -50,7 +50,7 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
     rests = _with_stated(reduction, segmentation.rests, spec)
     if not rests:
         return Match(rests=(), programme=listed, position=np.empty(0, dtype=np.int64))
-    means = np.array([_blocks(reduction, s).accel_mean(s.first, s.last) for s in rests])
+    means = np.array([_blocks(reduction, s).accel.mean(s.first, s.last) for s in rests])
     readings = means @ np.linalg.pinv(session.log.accel.axes).T
     verticals = _verticals(readings, listed, session.site.gravity)
     why_missing = (
@@ -105,12 +105,12 @@ def _rotation_between(session: Session, reduction: Reduction, before: RestSpan, 
     """Sum of the gyro increments (3,) between two rests, rad, less the rate at rest; None where no gyro saw it. For a
     turn about one axis it is the rotation vector."""
     blocks = _blocks(reduction, before)
-    if session.log.gyro is None or blocks.gyro is None or before.file != after.file:
+    if session.log.gyro is None or before.file != after.file:
         return None
-    level = 0.5 * (blocks.gyro_mean(before.first, before.last) + blocks.gyro_mean(after.first, after.last))
+    level = 0.5 * (blocks.gyro.mean(before.first, before.last) + blocks.gyro.mean(after.first, after.last))
     between = slice(before.last, after.first)
     seconds = np.diff(blocks.edges)[between, None]
-    turned = ((blocks.gyro[between] - level) * seconds).sum(axis=0)
+    turned = ((blocks.gyro.means[between] - level) * seconds).sum(axis=0)
     return np.asarray(np.linalg.pinv(session.log.gyro.axes) @ turned)
 
 

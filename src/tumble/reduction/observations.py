@@ -200,7 +200,7 @@ def _arrays(reduction: Reduction, rests: Rests, accel: Block, gyro: Block) -> tu
     """What the accelerometers of an array read in motion, that in turns which are left out included."""
     if reduction.samples is None:
         return ()
-    parts = [(f.first_sample, f.first_sample + f.size * len(f.accel)) for f in reduction.files]
+    parts = [(f.first_sample, f.first_sample + f.size * len(f)) for f in reduction.files]
     array = MovedArray(
         accel=accel,
         gyro=gyro,

@@ -76,11 +76,11 @@ def reduced_rests(
         file=np.array([s.file for s in spans]),
         start=np.array([s.start for s in spans]),
         stop=np.array([s.stop for s in spans]),
-        accel=np.array([f.accel_mean(s.first, s.last) for f, s in zip(blocks, spans, strict=True)]),
+        accel=np.array([f.accel.mean(s.first, s.last) for f, s in zip(blocks, spans, strict=True)]),
         accel_covariance=accel_spread,
         accel_drift=drift(accel_series),
         accel_noise=density(accel_spread, durations),
-        gyro=np.array([f.gyro_mean(s.first, s.last) for f, s in zip(blocks, spans, strict=True)]),
+        gyro=np.array([f.gyro.mean(s.first, s.last) for f, s in zip(blocks, spans, strict=True)]),
         gyro_covariance=gyro_spread,
         gyro_drift=drift(gyro_series),
         gyro_noise=density(gyro_spread, durations),
@@ -97,7 +97,7 @@ def _series(
     """Block means of the accelerometers and of the gyros in the rests at these spans, and their temperatures
     (K, T), K, where all rests have some."""
     pairs = list(zip(blocks, spans, strict=True))
-    accel, gyro = [f.accel[s.first : s.last] for f, s in pairs], [gyro_of(f)[s.first : s.last] for f, s in pairs]
+    accel, gyro = ([getattr(f, kind).means[s.first : s.last] for f, s in pairs] for kind in ("accel", "gyro"))
     kelvin = [f.temperature[s.first : s.last] for f, s in pairs if f.temperature is not None]
     return accel, gyro, kelvin if len(kelvin) == len(pairs) else None
 
@@ -120,21 +120,14 @@ def thermometers_of(reduction: Reduction) -> Thermometers:
     return Thermometers.of({f.file: (f.edges[1:], f.temperature) for f in reduction.files if f.temperature is not None})
 
 
-def gyro_of(f: FileBlocks) -> Array:
-    """Gyro block means of a file, (K, 0) without gyros."""
-    return f.gyro if f.gyro is not None else np.empty((len(f.accel), 0))
-
-
 def _magnetometer(
     reduction: Reduction, blocks: list[FileBlocks], spans: tuple[RestSpan, ...]
 ) -> tuple[Array, Array] | tuple[None, None]:
     """Mean readings (N, 3) of the magnetometer in the rests and their covariances (N, 3, 3), in its unit."""
-    series = [
-        f.magnetometer[s.first : s.last] for f, s in zip(blocks, spans, strict=True) if f.magnetometer is not None
-    ]
-    if not series:
+    if not reduction.magnetometer_channels:
         return None, None
-    mean = np.array([f.magnetometer_mean(s.first, s.last) for f, s in zip(blocks, spans, strict=True)])
+    series = [f.magnetometer.means[s.first : s.last] for f, s in zip(blocks, spans, strict=True)]
+    mean = np.array([f.magnetometer.mean(s.first, s.last) for f, s in zip(blocks, spans, strict=True)])
     noise = fit_coloured_noise(series)
     covariance = np.array([noise.covariance_of_mean(len(s), i) for i, s in enumerate(series)])
     return mean, covariance + np.diag(channel_rounding(reduction, spans, "magnetometer").of_rest ** 2)

@@ -215,10 +215,10 @@ class _SearchedLog:
     def of(reduction: Reduction, accel: Block, gyro: Block | None, tuning: Tuning) -> _SearchedLog:
         files = reduction.files
         # column after column in memory: sums over three numbers a row are slow
-        forces = [np.asfortranarray(f.accel @ np.linalg.pinv(accel.axes).T) for f in files]
+        forces = [np.asfortranarray(f.accel.means @ np.linalg.pinv(accel.axes).T) for f in files]
         rates = None
         if gyro is not None:
-            rates = [np.asfortranarray(f.gyro @ np.linalg.pinv(gyro.axes).T) for f in files if f.gyro is not None]
+            rates = [np.asfortranarray(f.gyro.means @ np.linalg.pinv(gyro.axes).T) for f in files]
         return _SearchedLog(
             files=files,
             forces=forces,

@@ -128,8 +128,11 @@ def _stacked(parts: Sequence[_Arrays]) -> _Arrays:
 
 def _rows(whole: _Arrays, rows: slice) -> _Arrays:
     """Some of the rows."""
-    values = {field.name: getattr(whole, field.name) for field in fields(whole)}
-    return replace(whole, **{name: None if value is None else value[rows] for name, value in values.items()})
+    some: dict[str, Any] = {}
+    for field in fields(whole):
+        values = getattr(whole, field.name)
+        some[field.name] = None if values is None else values[rows]
+    return replace(whole, **some)
 
 
 def _samples(sessions: Sequence[Observations]) -> TurnSamples | None:

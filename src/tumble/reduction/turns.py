@@ -20,7 +20,7 @@ from tumble.reduction.moments import (
     moments_of,
 )
 from tumble.reduction.motion_samples import MotionSamples
-from tumble.reduction.rests import Rests, gyro_of
+from tumble.reduction.rests import Rests
 from tumble.reduction.rounding import Rounding
 from tumble.reduction.segmentation import RestSpan
 from tumble.reduction.turn_samples import TurnSamples
@@ -102,7 +102,7 @@ def reduced_turns(
     duration = np.array([spans[j].start - spans[i].stop for i, j in zip(first, last, strict=True)])
     (accel, of_accel), (gyro, of_gyro) = accel_noise, gyro_noise
     files = [by_file[spans[i].file] for i in first]
-    within = tuple(np.array([f.sample_at(k * len(f.accel)) for f in files], dtype=int) for k in (0, 1))
+    within = tuple(np.array([f.sample_at(k * len(f)) for f in files], dtype=int) for k in (0, 1))
     least = _least_off(reduction, rests)
     bad = bad_samples_of_turns(stored, start, stop, (within[0], within[1]), reduction.rate, least, reduction.tuning)
     samples = TurnSamples(samples=stored, start=start, stop=stop, bad=bad)
@@ -239,7 +239,7 @@ def turn_readings(
     integral, covariance = np.zeros((len(turns), channels)), np.zeros((len(turns), channels, channels))
     for k, (i, j, T) in enumerate(zip(turns.first, turns.last, turns.duration, strict=True)):
         blocks, between = by_file[spans[i].file], slice(spans[i].last, spans[j].first)
-        integral[k] = np.diff(blocks.edges)[between] @ gyro_of(blocks)[between]
+        integral[k] = np.diff(blocks.edges)[between] @ blocks.gyro.means[between]
         covariance[k] = T**2 * noise.covariance_of_mean(max(T / block_seconds, 1.0))
     by_rounding = _by_rounding(samples, gyro, rounded)
     return TurnReadings(integral=integral, covariance=covariance + by_rounding + TURN_FLOOR**2 * np.eye(channels))
