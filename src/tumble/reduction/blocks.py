@@ -48,7 +48,7 @@ class ChannelState:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Series:
+class ChannelSeries:
     """The channels of one kind over the K blocks of a file: their `means` (K, n), the last sample of each block, which
     shows their resolution, `ends` (K, n), and the `weights` (K,) of the blocks in a mean; of the samples after the last
     whole block the weighted total (n,) and the weight. n is 0 where there are none."""
@@ -82,9 +82,9 @@ class FileBlocks:
     """Position of the file's first sample among the stored increments."""
     size: int
     edges: Array
-    accel: Series
-    gyro: Series
-    magnetometer: Series
+    accel: ChannelSeries
+    gyro: ChannelSeries
+    magnetometer: ChannelSeries
     temperature: Array | None
 
     def __len__(self) -> int:
@@ -204,9 +204,9 @@ class _Channels:
         self.weights.add(weights[:, None])
         self.ends.add(values[ends])
 
-    def series(self, seconds: float) -> Series:
+    def series(self, seconds: float) -> ChannelSeries:
         """What there is of the file; what is left after the last block takes so many `seconds`."""
-        return Series(
+        return ChannelSeries(
             means=self.means.rows,
             ends=self.ends.rows,
             weights=self.weights.rows[:, 0],
