@@ -50,7 +50,8 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
     rests = _with_stated(reduction, segmentation.rests, spec)
     if not rests:
         return Match(rests=(), programme=listed, position=np.empty(0, dtype=np.int64))
-    means = np.array([_blocks(reduction, s).accel.mean(s.first, s.last) for s in rests])
+    by_file = reduction.by_file
+    means = np.array([by_file[s.file].accel.mean(s.first, s.last) for s in rests])
     readings = means @ np.linalg.pinv(session.log.accel.axes).T
     verticals = _verticals(readings, listed, session.site.gravity)
     why_missing = (
@@ -97,14 +98,10 @@ def _with_stated(reduction: Reduction, found: tuple[RestSpan, ...], spec: Progra
     return tuple(sorted([*kept, *stated], key=lambda s: (s.file, s.start)))
 
 
-def _blocks(reduction: Reduction, span: RestSpan) -> FileBlocks:
-    return next(f for f in reduction.files if f.file == span.file)
-
-
 def _rotation_between(session: Session, reduction: Reduction, before: RestSpan, after: RestSpan) -> Array | None:
     """Sum of the gyro increments (3,) between two rests, rad, less the rate at rest; None where no gyro saw it. For a
     turn about one axis it is the rotation vector."""
-    blocks = _blocks(reduction, before)
+    blocks = reduction.by_file[before.file]
     if session.log.gyro is None or before.file != after.file:
         return None
     level = 0.5 * (blocks.gyro.mean(before.first, before.last) + blocks.gyro.mean(after.first, after.last))
@@ -177,7 +174,14 @@ def _check_order(listed: Programme, rests: list[RestSpan], verticals: Array, why
         for k, (rest, vertical) in enumerate(zip(rests, verticals, strict=True)):
             off = _off(vertical, listed.positions[k])
             if off > POSITION_LIMIT:
-                raise ProgrammeError(_misplaced(listed, k, rest, vertical, off))
+                others = [j for j, p in enumerate(listed.positions) if _off(vertical, p) <= POSITION_LIMIT]
+                like = f", which is that of {_named(listed, others[0])}" if others else ""
+                raise ProgrammeError(
+                    f"programme {listed.name}, {_named(listed, k)}: expected the vertical "
+                    f"{_seen(listed.positions[k].vertical_b)} in the body, found {_seen(vertical)} at "
+                    f"{rest.start:.1f}–{rest.stop:.1f} s, {off / DEGREE:.1f}° off{like}; at most "
+                    f"{POSITION_LIMIT / DEGREE:.0f}° can be the same position"
+                )
         return
     missing, surplus = _alignment(listed, verticals)
     counted = f"programme {listed.name}: expected {expected} rests, found {len(rests)}"
@@ -187,16 +191,6 @@ def _check_order(listed: Programme, rests: list[RestSpan], verticals: Array, why
     raise ProgrammeError(
         f"{counted}; the rest at {rest.start:.1f}–{rest.stop:.1f} s with the vertical {_seen(verticals[surplus[0]])} "
         "in the body is surplus: list the positions as they were taken under [[programme.position]]"
-    )
-
-
-def _misplaced(listed: Programme, k: int, rest: RestSpan, vertical: Array, off: float) -> str:
-    others = [j for j, p in enumerate(listed.positions) if _off(vertical, p) <= POSITION_LIMIT]
-    like = f", which is that of {_named(listed, others[0])}" if others else ""
-    return (
-        f"programme {listed.name}, {_named(listed, k)}: expected the vertical {_seen(listed.positions[k].vertical_b)} "
-        f"in the body, found {_seen(vertical)} at {rest.start:.1f}–{rest.stop:.1f} s, {off / DEGREE:.1f}° off{like}; "
-        f"at most {POSITION_LIMIT / DEGREE:.0f}° can be the same position"
     )
 
 
@@ -236,17 +230,14 @@ def _check_turns(
             continue
         axis_b = listed.positions[k].matrix.T @ move.axis
         if np.linalg.norm(turned - move.angle * axis_b) > TURN_LIMIT:
+            across = float(np.linalg.norm(turned - axis_b * (turned @ axis_b)))
             raise ProgrammeError(
                 f"programme {listed.name}, turn from {_named(listed, k)} to {_named(listed, k + 1)}: expected "
                 f"{move.angle / DEGREE:+.0f}° about body {_seen(axis_b)}, the gyros saw "
-                f"{float(turned @ axis_b) / DEGREE:+.0f}° about it and {_across(turned, axis_b) / DEGREE:.0f}° across "
+                f"{float(turned @ axis_b) / DEGREE:+.0f}° about it and {across / DEGREE:.0f}° across "
                 f"it ({before.stop:.1f}–{after.start:.1f} s); check the direction of the turn, the unit and the "
                 "signs of the gyros"
             )
-
-
-def _across(vector: Array, axis: Array) -> float:
-    return float(np.linalg.norm(vector - axis * (vector @ axis)))
 
 
 def _any_order(listed: Programme, rests: tuple[RestSpan, ...], verticals: Array, why_missing: str) -> IntArray:
@@ -263,14 +254,8 @@ def _any_order(listed: Programme, rests: tuple[RestSpan, ...], verticals: Array,
                 f"the body as in the nearest, {_named(listed, k)}, found {_seen(verticals[j])}, "
                 f"{off[k, j] / DEGREE:.1f}° off; at most {POSITION_LIMIT / DEGREE:.0f}° can be the same position"
             )
-    _check_once(listed, rests, nearest, why_missing)
-    return np.asarray(nearest)
-
-
-def _check_once(listed: Programme, rests: tuple[RestSpan, ...], position: IntArray, why_missing: str) -> None:
-    """Every position was taken, and left only once."""
     taken: dict[int, list[RestSpan]] = {}
-    for k, members in groupby(range(len(rests)), key=position.tolist().__getitem__):
+    for k, members in groupby(range(len(rests)), key=nearest.tolist().__getitem__):
         taken.setdefault(k, []).append(rests[next(members)])
     missing = [_named(listed, k) for k in range(len(listed.positions)) if k not in taken]
     doubled = [
@@ -287,3 +272,4 @@ def _check_once(listed: Programme, rests: tuple[RestSpan, ...], position: IntArr
             f"{count}; {doubled[0]}: one of these rests is surplus; cut it from the log, or leave [programme] out to "
             "use every rest as it is found"
         )
+    return np.asarray(nearest)
