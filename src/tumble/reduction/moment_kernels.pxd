@@ -14,7 +14,8 @@ cpdef enum:
     e=double, e0=double, e1=double, e2=double, e3=double, m0=double, m1=double, m2=double, m3=double, q0=double,
     q1=double, q2=double, q3=double, unit=double, d1=double, d2=double, d3=double, V0=double, V1=double, V2=double, px=double,
     py=double, pz=double, pu=double, pv=double, pw=double, r0=double, r1=double, r2=double, before=double,
-    u0=double, u1=double, u2=double,
+    u0=double, u1=double, u2=double, w0=double, w1=double, w2=double, f0=double, f1=double, f2=double, c00=double,
+    c01=double, c02=double, c10=double, c11=double, c12=double, c20=double, c21=double, c22=double,
 )
 cdef void _integrate(
     const double[:, ::1] rates, const double[:, ::1] forces, const double[:] intervals,

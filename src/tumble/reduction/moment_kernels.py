@@ -135,9 +135,10 @@ def _integrate(
                         f[2] += 0.5 * (ax * by - ay * bx) - bz
 
                 # regressors with dt
-                x, y, z, u, v, s = w[0] * dt, w[1] * dt, w[2] * dt, f[0] * dt, f[1] * dt, f[2] * dt
+                w0, w1, w2, f0, f1, f2 = w[0], w[1], w[2], f[0], f[1], f[2]
+                x, y, z, u, v, s = w0 * dt, w1 * dt, w2 * dt, f0 * dt, f1 * dt, f2 * dt
                 if number < 2:
-                    px, py, pz, pu, pv, pw, u0, u1, u2 = x, y, z, u, v, s, f[0], f[1], f[2]
+                    px, py, pz, pu, pv, pw, u0, u1, u2 = x, y, z, u, v, s, f0, f1, f2
                     continue
                 right[t, 0], right[t, 1], right[t, 2], right[t, 3], right[t, 4], right[t, 5], right[t, 6] = (
                     dt,
@@ -149,20 +150,20 @@ def _integrate(
                     s,
                 )
                 for p in range(n):
-                    own = gyros[p, 0] * w[0] + gyros[p, 1] * w[1] + gyros[p, 2] * w[2]
+                    own = gyros[p, 0] * w0 + gyros[p, 1] * w1 + gyros[p, 2] * w2
                     right[t, LINEAR + p], right[t, LINEAR + n + p] = abs(own) * dt, own * own * own * dt
                 to = LINEAR + 2 * n
-                right[t, to], right[t, to + 1], right[t, to + 2] = f[0] * u, f[0] * v, f[0] * s
-                right[t, to + 3], right[t, to + 4], right[t, to + 5] = f[1] * v, f[1] * s, f[2] * s
-                right[t, to + 6], right[t, to + 7], right[t, to + 8] = w[0] * x, w[0] * y, w[0] * z
-                right[t, to + 9], right[t, to + 10], right[t, to + 11] = w[1] * y, w[1] * z, w[2] * z
+                right[t, to], right[t, to + 1], right[t, to + 2] = f0 * u, f0 * v, f0 * s
+                right[t, to + 3], right[t, to + 4], right[t, to + 5] = f1 * v, f1 * s, f2 * s
+                right[t, to + 6], right[t, to + 7], right[t, to + 8] = w0 * x, w0 * y, w0 * z
+                right[t, to + 9], right[t, to + 10], right[t, to + 11] = w1 * y, w1 * z, w2 * z
                 to += 12
                 for p in range(m):
-                    own = accels[p, 0] * f[0] + accels[p, 1] * f[1] + accels[p, 2] * f[2]
+                    own = accels[p, 0] * f0 + accels[p, 1] * f1 + accels[p, 2] * f2
                     right[t, to + p], right[t, to + m + p] = abs(own) * dt, own * own * own * dt
-                du, dv, ds = f[0] - u0, f[1] - u1, f[2] - u2
+                du, dv, ds = f0 - u0, f1 - u1, f2 - u2
                 jumps[k] += dt * dt * (du * du + dv * dv + ds * ds)
-                u0, u1, u2 = f[0], f[1], f[2]
+                u0, u1, u2 = f0, f1, f2
 
                 # the step: e = exp([φ×]/4) and the attitudes in the middle, C_m, and at the end as quaternions
                 fx = x + (py * z - pz * y) * (1.0 / 12.0)
@@ -183,24 +184,26 @@ def _integrate(
                 m3 = q0 * e3 + q1 * e2 - q2 * e1 + q3 * e0
                 q0, q1, q2, q3 = 2.0 * e0 * m0 - q0, 2.0 * e0 * m1 - q1, 2.0 * e0 * m2 - q2, 2.0 * e0 * m3 - q3
                 d1, d2, d3 = m1 + m1, m2 + m2, m3 + m3
-                left[t, 0], left[t, 1], left[t, 2] = 1.0 - (d2 * m2 + d3 * m3), d1 * m2 - d3 * m0, d1 * m3 + d2 * m0
-                left[t, 3], left[t, 4], left[t, 5] = d1 * m2 + d3 * m0, 1.0 - (d1 * m1 + d3 * m3), d2 * m3 - d1 * m0
-                left[t, 6], left[t, 7], left[t, 8] = d1 * m3 - d2 * m0, d2 * m3 + d1 * m0, 1.0 - (d1 * m1 + d2 * m2)
-                ax = left[t, 0] * du + left[t, 1] * dv + left[t, 2] * ds
-                ay = left[t, 3] * du + left[t, 4] * dv + left[t, 5] * ds
-                az = left[t, 6] * du + left[t, 7] * dv + left[t, 8] * ds
+                c00, c01, c02 = 1.0 - (d2 * m2 + d3 * m3), d1 * m2 - d3 * m0, d1 * m3 + d2 * m0
+                c10, c11, c12 = d1 * m2 + d3 * m0, 1.0 - (d1 * m1 + d3 * m3), d2 * m3 - d1 * m0
+                c20, c21, c22 = d1 * m3 - d2 * m0, d2 * m3 + d1 * m0, 1.0 - (d1 * m1 + d2 * m2)
+                ax = c00 * du + c01 * dv + c02 * ds
+                ay = c10 * du + c11 * dv + c12 * ds
+                az = c20 * du + c21 * dv + c22 * ds
                 bx, by, bz = V0 + 0.5 * ax, V1 + 0.5 * ay, V2 + 0.5 * az
                 V0, V1, V2 = V0 + ax, V1 + ay, V2 + az
-                for c in range(3):  # C_m × (V + ½ΔV) by columns, and C_m [ω×] dt by rows
-                    left[t, 10 + c] = left[t, 3 + c] * bz - left[t, 6 + c] * by
-                    left[t, 13 + c] = left[t, 6 + c] * bx - left[t, c] * bz
-                    left[t, 16 + c] = left[t, c] * by - left[t, 3 + c] * bx
-                    left[t, 19 + 3 * c] = left[t, 3 * c + 1] * z - left[t, 3 * c + 2] * y
-                    left[t, 20 + 3 * c] = left[t, 3 * c + 2] * x - left[t, 3 * c] * z
-                    left[t, 21 + 3 * c] = left[t, 3 * c] * y - left[t, 3 * c + 1] * x
 
-                left[t, 9] = 1.0
-                right[t, rows], right[t, rows + 1], right[t, rows + 2] = f[0], f[1], f[2]
+                # C_m by rows, 1, C_m × (V + ½ΔV) by columns, and C_m [ω×] dt by rows
+                left[t, 0], left[t, 1], left[t, 2] = c00, c01, c02
+                left[t, 3], left[t, 4], left[t, 5] = c10, c11, c12
+                left[t, 6], left[t, 7], left[t, 8], left[t, 9] = c20, c21, c22, 1.0
+                left[t, 10], left[t, 11], left[t, 12] = c10 * bz - c20 * by, c11 * bz - c21 * by, c12 * bz - c22 * by
+                left[t, 13], left[t, 14], left[t, 15] = c20 * bx - c00 * bz, c21 * bx - c01 * bz, c22 * bx - c02 * bz
+                left[t, 16], left[t, 17], left[t, 18] = c00 * by - c10 * bx, c01 * by - c11 * bx, c02 * by - c12 * bx
+                left[t, 19], left[t, 20], left[t, 21] = c01 * z - c02 * y, c02 * x - c00 * z, c00 * y - c01 * x
+                left[t, 22], left[t, 23], left[t, 24] = c11 * z - c12 * y, c12 * x - c10 * z, c10 * y - c11 * x
+                left[t, 25], left[t, 26], left[t, 27] = c21 * z - c22 * y, c22 * x - c20 * z, c20 * y - c21 * x
+                right[t, rows], right[t, rows + 1], right[t, rows + 2] = f0, f1, f2
 
                 # products, of a group of samples at a time
                 t += 1
