@@ -180,7 +180,7 @@ def observed(scenario: Scenario, recording: Recording) -> Observations:
     reducer.feed(
         Chunk(file=0, time=recording.time, dt=dt, accel=recording.accel, gyro=recording.gyro, temperature=None)
     )
-    reduction = reducer.finish()
+    reduction = reducer.now()
     rests = find_rests(reduction, scenario.accel, scenario.gyro).rests
     true = scenario.site
     site = Site(latitude=true.latitude, height=true.height, gravity=true.gravity, gravity_u=0.0)

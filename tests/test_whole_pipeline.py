@@ -38,7 +38,7 @@ def observed(scenario: Scenario, recording: Recording) -> Observations:
     reducer.feed(
         Chunk(file=0, time=recording.time, dt=dt, accel=recording.accel, gyro=recording.gyro, temperature=None)
     )
-    reduction = reducer.finish()
+    reduction = reducer.now()
     rests = find_rests(reduction, scenario.accel, scenario.gyro).rests
     site = Site(
         latitude=scenario.site.latitude,

@@ -53,6 +53,7 @@ from tumble.reduction.rests import Rests as Rests
 from tumble.reduction.rounding import Rounding as Rounding
 from tumble.reduction.segmentation import Segmentation as Segmentation
 from tumble.reduction.thermometer import Thermometers as Thermometers
+from tumble.reduction.tuning import Tuning as Tuning
 from tumble.reduction.turn_samples import TurnSamples as TurnSamples
 from tumble.reduction.turns import TurnReadings as TurnReadings
 from tumble.reduction.turns import Turns as Turns

@@ -49,7 +49,7 @@ from tumble.reduction.coloured_noise import WHITE
 from tumble.reduction.moments import Moments
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests import Rests
-from tumble.reduction.segmentation import margin_of
+from tumble.reduction.tuning import USUAL
 from tumble.reduction.turns import TURN_FLOOR, VELOCITY_FLOOR, Turns
 from tumble.rotation import rotation_vector
 from tumble.sensors.grades import NoiseModel
@@ -141,7 +141,7 @@ def bound_of(course: Course, setup: Setup, *, gyros: bool = True) -> Bound:
 def stated(setup: Setup, *, gyros: bool = True) -> Bound:
     """The same with what `calibrate` does not know of a recording by a set-up's programme: what it will state on the
     average over instruments. Raises InputError."""
-    course, margin = course_of(setup), margin_of(setup.rest)
+    course, margin = course_of(setup), USUAL.margin_of(setup.rest)
     still = np.full(len(course.first), 0.5 * setup.ramp + margin)
     seen = view(course, replace(setup, rest=setup.rest - 2.0 * margin), gyros=gyros, still=still)
     problem, components = expected(seen.problem, seen.rows, seen.components)

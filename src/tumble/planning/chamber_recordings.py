@@ -27,9 +27,9 @@ from tumble.planning.bounds import Course, begins, instrument_of, observed
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme
 from tumble.reduction.observations import Observations, Together
-from tumble.reduction.segmentation import margin_of
 from tumble.reduction.thermometer import Thermometers
 from tumble.reduction.together import MOST_PARTS, SHORTEST_PART, WARMED, held
+from tumble.reduction.tuning import USUAL
 from tumble.reduction.turns import Turns
 from tumble.units import Array
 
@@ -82,7 +82,7 @@ def problem_of(
     bare = replace(instrument_of(setup, gyros), further=())
     observations = _warmed(observed(course, setup, bare)[0], setup, sessions, recorded)
     instrument, own = instruments_of(observations)
-    still = np.where(course.seconds > NO_TIME, 0.5 * setup.ramp + margin_of(setup.rest), 0.0)
+    still = np.where(course.seconds > NO_TIME, 0.5 * setup.ramp + USUAL.margin_of(setup.rest), 0.0)
     fresh, about = observed(course, setup, instrument, still)
     observations = held(replace(observations, turns=_without_time(fresh.turns, course)))
     problem = Problem.of(observations, instrument=instrument, own=own, usual=setup.further)
@@ -95,7 +95,7 @@ def problem_of(
 
 def _recorded(session: ChamberSession, course: Course, setup: Setup, *, parts: bool) -> _Recorded:
     """A session with its rests as a log has them, cut off at both ends, in `parts` where several are one estimate."""
-    start, margin = begins(course, setup, setup.ramp), margin_of(setup.rest)
+    start, margin = begins(course, setup, setup.ramp), USUAL.margin_of(setup.rest)
     time, kelvin = session.course(float(start[-1]) + setup.rest)
     begin, end = start + margin, start + setup.rest - margin
     change = np.abs(np.interp(end, time, kelvin) - np.interp(begin, time, kelvin))

@@ -18,7 +18,7 @@ from tumble.estimation.diagnosis.undetermined import (
 )
 from tumble.estimation.estimate import FIT_SIGMAS, Estimate, Outcome
 from tumble.reduction.observations import Observations
-from tumble.reduction.segmentation import STILL_SECONDS, Segmentation
+from tumble.reduction.segmentation import Segmentation
 from tumble.sensors.parameters import sensor_kind
 from tumble.units import DEGREE, G_STANDARD, BoolArray
 
@@ -142,7 +142,9 @@ def _far(sigmas: float, left_out: bool) -> str:
 
 def no_rests(segmentation: Segmentation) -> Outcome:
     """The outcome of a log in which nothing rests."""
-    reason = f"no rest found: expected the device to lie still for at least {STILL_SECONDS} s in each position"
+    reason = (
+        f"no rest found: expected the device to lie still for at least {segmentation.tuning.still} s in each position"
+    )
     reason += "".join(f"; {said}" for said in segmentation.passed_over())
     if segmentation.rejected:
         longest = max(segmentation.rejected, key=lambda r: r.stop - r.start)
