@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from calibrated import calibration, warmed
 
+from tumble.acceptance.conformity import verdicts
+from tumble.acceptance.limits import Limits, parse_limits
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.temperature_curves import curve
 from tumble.errors import InputError
-from tumble.registry.conformity import verdicts
 from tumble.registry.connect import open_registry
-from tumble.registry.limits import Limits, parse_limits
 from tumble.registry.records import Particulars, submission
 from tumble.registry.series import verdict_of
 from tumble.registry.store import add, limits_records, record, set_limits

@@ -11,6 +11,7 @@ import pytest
 from calibrated import HEXAD, calibration, warmed
 from click.testing import CliRunner
 
+from tumble.acceptance.certificate import Certificate, Party, Person
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.results import Parameter
 from tumble.cli import main
@@ -18,7 +19,6 @@ from tumble.commands import export as command
 from tumble.errors import InputError
 from tumble.estimation.estimate import Outcome
 from tumble.export import FORMATS, export_calibration
-from tumble.export.certificate import Certificate, Party, Person
 from tumble.export.exported import NO_MAGNETOMETER
 from tumble.export.kalibr import Densities, NoiseDensities
 

@@ -14,12 +14,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from registry_files import content, write
 
+from tumble.acceptance.conformity import judge, judge_value
+from tumble.acceptance.limits import Limits, parse_limits, read_limits
+from tumble.acceptance.schedule import months_later
+from tumble.calibration.results import Parameter
 from tumble.errors import InputError
 from tumble.registry.connect import open_registry
 from tumble.registry.due import due
-from tumble.registry.limits import Limits, judge, judge_value, months_later, parse_limits, read_limits
 from tumble.registry.monitor import monitored
-from tumble.registry.records import ParameterRow, Particulars, submission, utc
+from tumble.registry.records import Particulars, submission, utc
 from tumble.registry.series import verdict_of
 from tumble.registry.store import add, limits_records, record, set_limits
 from tumble.terminal.registry_lists import due_lines
@@ -48,8 +51,8 @@ def limits(text: str = ALL_FORMS, systematic: str | None = SYSTEMATIC) -> Limits
     return parse_limits(text, systematic, "limits.toml")
 
 
-def row(name: str, value: float, u: float | None = 0.0) -> ParameterRow:
-    return ParameterRow(launch=0, name=name, value=value, u=u, unit="1")
+def row(name: str, value: float, u: float | None = 0.0) -> Parameter:
+    return Parameter(name=name, value=value, u=u, unit="1")
 
 
 # -------------------- the rule --------------------
@@ -107,7 +110,7 @@ def test_limits_are_in_their_units_about_zero_or_about_the_systematic_value() ->
     assert parsed.of("accel.scale.y", "incoming") == pytest.approx((-2.1e-3, -1.9e-3))
     assert parsed.of("gyro.axis.xy", "incoming") == pytest.approx((-20 * ARCSEC, 20 * ARCSEC))
     assert parsed.of("accel.bias.x", "periodic") is None
-    assert (parsed.interval("A-0007"), parsed.interval("B")) == (6, 12)
+    assert (parsed.schedule.interval("A-0007"), parsed.schedule.interval("B")) == (6, 12)
 
 
 def test_a_whole_is_as_good_as_its_worst_parameter() -> None:

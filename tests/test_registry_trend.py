@@ -20,10 +20,10 @@ from matplotlib.figure import Figure
 from registry_files import content
 from scipy import optimize, stats
 
+from tumble.acceptance.limits import read_limits
 from tumble.errors import InputError, MissingExtraError
 from tumble.registry.connect import open_registry
 from tumble.registry.forecast import forecast
-from tumble.registry.limits import read_limits
 from tumble.registry.monitor import Monitored, monitored
 from tumble.registry.records import Particulars, State, submission, utc
 from tumble.registry.series import Series, SeriesPoint

@@ -233,8 +233,8 @@ def limits(model: str | None, file: Path | None, as_json: bool, place: str | Non
 
     Without FILE those of MODEL are shown, without MODEL those of all types are listed.
     """
+    from tumble.acceptance.limits import read_limits
     from tumble.registry.connect import open_registry
-    from tumble.registry.limits import read_limits
     from tumble.registry.store import limits_in_force, limits_records, set_limits
     from tumble.terminal.data import print_data
     from tumble.terminal.registry import limits_report, limits_table

@@ -15,8 +15,8 @@ from tumble.errors import InputError
 from tumble.export.exported import NO_MAGNETOMETER
 
 if TYPE_CHECKING:
+    from tumble.acceptance.certificate import Certificate
     from tumble.calibration.calibration_file import Calibration
-    from tumble.export.certificate import Certificate
     from tumble.export.exported import Exported
     from tumble.export.kalibr import NoiseDensities
     from tumble.files import FilePath
@@ -121,7 +121,7 @@ def _noise(given: NoiseDensities | Session | FilePath | None) -> NoiseDensities 
 
 
 def _certificate(given: Certificate | FilePath | None) -> Certificate | None:
-    from tumble.export.certificate import Certificate, read_certificate
+    from tumble.acceptance.certificate import Certificate, read_certificate
 
     return given if given is None or isinstance(given, Certificate) else read_certificate(Path(given))
 

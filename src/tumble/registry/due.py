@@ -12,8 +12,8 @@ from tumble.registry.records import Record
 from tumble.registry.store import LimitsRecord, latest_records, limits_in_force
 
 if TYPE_CHECKING:
+    from tumble.acceptance.limits import Limits
     from tumble.registry.forecast import Forecast
-    from tumble.registry.limits import Limits
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -55,15 +55,15 @@ def due(registry: Registry) -> list[Due]:
     found = []
     for record, count in latest_records(registry):
         limits = None if record.model is None else parsed.get(record.model)
-        months = None if limits is None else limits.interval(record.serial)
-        day = None if limits is None else limits.due(record.serial, record.performed.date())
+        months = None if limits is None else limits.schedule.interval(record.serial)
+        day = None if limits is None else limits.schedule.due(record.serial, record.performed.date())
         drifting = _by_drift(registry, record, limits)
         found.append(Due(record=record, calibrations=count, months=months, by_calendar=day, by_drift=drifting))
     return sorted(found, key=lambda item: (item.day or date.max, item.record.serial))
 
 
 def _parsed(limits: LimitsRecord) -> Limits:
-    from tumble.registry.limits import parse_limits  # slow to import, as all that looks into calibrations
+    from tumble.acceptance.limits import parse_limits  # slow to import, as all that looks into calibrations
 
     return parse_limits(limits.file, limits.systematic, f"limits {limits.number}")
 

@@ -20,12 +20,13 @@ from typing import IO, Any, cast
 
 from sqlalchemy import select
 
+from tumble.acceptance.limits import parse_limits
+from tumble.acceptance.schedule import OCCASIONS
 from tumble.documents import check_regular, json_of, shown
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.registry.connect import Registry
-from tumble.registry.limits import parse_limits
-from tumble.registry.records import OCCASIONS, STATES, Particulars, Submission, past, submission, utc
+from tumble.registry.records import STATES, Particulars, Submission, past, submission, utc
 from tumble.registry.schema import CALIBRATION
 from tumble.registry.store import (
     LimitsRecord,

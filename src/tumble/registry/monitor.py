@@ -10,11 +10,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 
+from tumble.acceptance.conformity import judge_value
+from tumble.acceptance.limits import Limits, parse_limits
 from tumble.calibration.compare import Comparison
 from tumble.errors import InputError
 from tumble.registry.connect import Registry
 from tumble.registry.forecast import Forecast, forecast
-from tumble.registry.limits import Limits, judge_value, parse_limits
 from tumble.registry.records import Record
 from tumble.registry.series import latest_comparison, series_of
 from tumble.registry.store import latest_record, limits_in_force
@@ -100,7 +101,7 @@ def monitored(registry: Registry, serial: str, parameter: str | None) -> Monitor
         trends=[trend_of(own) for own in chosen],
         limits={name: own for name, own in known_limits.items() if own is not None},
         comparison=latest_comparison(registry, serial, frame),
-        by_calendar=None if limits is None else limits.due(serial, latest.performed.date()),
+        by_calendar=None if limits is None else limits.schedule.due(serial, latest.performed.date()),
     )
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Literal, get_args
 
+from tumble.acceptance.schedule import Occasion
 from tumble.errors import InputError
 from tumble.files import FilePath
 
@@ -20,9 +21,7 @@ if TYPE_CHECKING:
     from tumble.calibration.calibration_file import Calibration
     from tumble.calibration.results import Parameter
 
-Occasion = Literal["incoming", "periodic"]
 State = Literal["as-found", "as-left", "unchanged"]
-OCCASIONS: tuple[Occasion, ...] = get_args(Occasion)
 STATES: tuple[State, ...] = get_args(State)
 """Before an adjustment, after it, or without one: then the device leaves as it was found."""
 

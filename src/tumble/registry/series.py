@@ -11,14 +11,14 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import TYPE_CHECKING
 
+from tumble.acceptance.conformity import Verdict, verdict_at
+from tumble.acceptance.limits import parse_limits
 from tumble.calibration.compare import Comparison, compare_calibrations
 from tumble.calibration.coverage import by_gravity
 from tumble.calibration.shared_errors import by_priors, of_time_base
 from tumble.errors import InputError
 from tumble.recording.session import Site
-from tumble.registry.conformity import verdict_at
 from tumble.registry.connect import Registry
-from tumble.registry.limits import Verdict, parse_limits
 from tumble.registry.records import Record, State
 from tumble.registry.store import LimitsRecord, file_of, records
 

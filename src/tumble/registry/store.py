@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import Row, Select, bindparam, func, insert, select
 
+from tumble.acceptance.schedule import Occasion
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.registry.connect import Registry
 from tumble.registry.records import (
     LaunchRow,
-    Occasion,
     ParameterRow,
     Particulars,
     Record,
@@ -138,8 +138,8 @@ def add_within(
 
 def _judged(submission: Submission, limits: LimitsRecord, occasion: Occasion) -> str | None:
     """What limits say of a calibration, in a word; None where they have none for such a check."""
-    from tumble.registry.conformity import verdict_at
-    from tumble.registry.limits import parse_limits
+    from tumble.acceptance.conformity import verdict_at
+    from tumble.acceptance.limits import parse_limits
 
     parsed = parse_limits(limits.file, limits.systematic, f"limits {limits.number}")
     try:

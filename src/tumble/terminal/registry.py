@@ -10,12 +10,12 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from tumble.acceptance.conformity import RULE, LimitJudgement, Verdict
 from tumble.calibration.compare import Comparison
 from tumble.calibration.coverage import expanded_of as expanded_uncertainty
 from tumble.calibration.results import Parameter
 from tumble.calibration.shown import shown_units
 from tumble.registry.forecast import Forecast
-from tumble.registry.limits import RULE, LimitJudgement, Verdict
 from tumble.registry.monitor import Monitored
 from tumble.registry.records import LaunchRow, ParameterRow, Record
 from tumble.registry.series import SeriesPoint

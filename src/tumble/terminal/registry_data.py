@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from datetime import date
 from typing import Any
 
+from tumble.acceptance.conformity import Verdict
 from tumble.registry.due import Due
-from tumble.registry.limits import Verdict
 from tumble.registry.monitor import Monitored
 from tumble.registry.records import LaunchRow, ParameterRow, Record
 from tumble.registry.store import LimitsRecord
