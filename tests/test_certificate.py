@@ -33,7 +33,7 @@ from tumble.export import export_calibration
 from tumble.planning.setup import Setup
 from tumble.recording.circumstances import AirConditions, Circumstances
 from tumble.recording.session_file import session_of
-from tumble.registry.records import Particulars, read_submission
+from tumble.registry.submission import Particulars, read_submission
 from tumble.report.certified import letterhead
 from tumble.report.write import write_report
 from tumble.simulation.session import simulate_session

@@ -129,12 +129,12 @@ def exported(folder: Path, to: str) -> str:
 def registered(folder: Path, place: str | None) -> str:
     """Add a calibration to the registry at `place`, as `tumble registry add` does; under which number, and what its
     limits say of it."""
-    from tumble.registry.connect import extra_named
+    from tumble.registry.store.connect import extra_named
 
     with extra_named():
-        from tumble.registry.connect import open_registry
-        from tumble.registry.records import Particulars, read_submission
-        from tumble.registry.store import add
+        from tumble.registry.adding import add
+        from tumble.registry.store.connect import open_registry
+        from tumble.registry.submission import Particulars, read_submission
 
         submission = read_submission(folder / CALIBRATION_FILE, Particulars())
         with open_registry(place, create=True) as opened:
