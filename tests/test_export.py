@@ -123,7 +123,7 @@ def test_what_a_format_does_not_need_is_refused() -> None:
         export_calibration(calibration(), "px4", noise=NOISE)
     with pytest.raises(InputError, match="expected certificate with dcc and only there, found none"):
         export_calibration(calibration(), "dcc")
-    with pytest.raises(InputError, match="expected sensor_ids with px4-thermal only, found it with px4"):
+    with pytest.raises(InputError, match="expected sensor_ids with px4-thermal and only there, found it with px4"):
         export_calibration(calibration(), "px4", sensor_ids=(1, 2))
     with pytest.raises(InputError, match="expected one of kalibr"):
         export_calibration(calibration(), "elsewhere")
