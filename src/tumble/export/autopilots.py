@@ -44,7 +44,7 @@ from tumble.recording.autopilot import AutopilotSensor
 from tumble.sensors.model import SensorKind
 from tumble.units import Array
 
-Sensors = Mapping[str, AutopilotSensor]
+Sensors = Mapping[SensorKind, AutopilotSensor]
 Row = tuple[str, str, bool]
 """Name and value of a parameter, and whether it is a whole number."""
 
@@ -108,7 +108,7 @@ LEAST = 0.01
 over."""
 ORIGIN, SCALE = 35.0, 1e-6
 """degC, about which ArduPilot's polynomials are, and what their coefficients are worth, SI."""
-_LETTERS = {"accel": "A", "gyro": "G"}
+_LETTERS: Mapping[SensorKind, str] = {"accel": "A", "gyro": "G"}
 """What PX4 calls the kinds of sensors that it compensates."""
 
 
@@ -146,10 +146,11 @@ def px4_thermal(
     found = thermal(calibration, "px4-thermal", PX4.thermometers)
     sensors = _sensors(calibration, imu, "px4-thermal", PX4.most_thermal)
     held, place = found.held, 0 if imu is None else imu - 1
-    given = dict(zip(_LETTERS, sensor_ids or (), strict=False)) or {k: s.id for k, s in calibration.imu.items()}
-    ids = given if None not in map(given.get, _LETTERS) else {}  # PX4 needs both
+    given: dict[SensorKind, int | None] = {kind: sensors[kind].id for kind in _LETTERS}
+    given |= dict(zip(_LETTERS, sensor_ids or (), strict=False))
+    ids = {} if None in given.values() else given  # both or none
 
-    def offsets(kind: str, temperature: Array) -> Array:
+    def offsets(kind: SensorKind, temperature: Array) -> Array:
         reference, low, high = found.ends(kind)
         d = (np.clip(temperature, low, high) - reference)[:, None]
         X = single(_px4_coefficients(found, kind))
@@ -200,7 +201,7 @@ def ardupilot_thermal(calibration: Calibration, imu: int | None = None) -> Expor
             f"{max(numbers.values())}"
         )
 
-    def offsets(kind: str, temperature: Array) -> Array:
+    def offsets(kind: SensorKind, temperature: Array) -> Array:
         reference, low, high = found.ends(kind)
         C = single(_ardupilot_coefficients(found, kind))
 
@@ -259,7 +260,7 @@ def _sensors(calibration: Calibration, imu: int | None, target: str, most: int) 
                 f"export to {target}: expected the sensors that were recorded, {kind} {sensor.number}{device}, found "
                 f"--imu {imu}; calibrate a recording of IMU {imu}, or leave --imu out"
             )
-    return {kind: AutopilotSensor(number=imu or 1, id=None) for kind in _LETTERS} | dict(calibration.imu)
+    return {kind: calibration.imu.get(kind, AutopilotSensor(number=imu or 1, id=None)) for kind in _LETTERS}
 
 
 def _whose(calibration: Calibration, imu: int | None) -> list[str]:
@@ -301,13 +302,13 @@ def _written(pilot: Autopilot, comments: list[str], rows: list[Row], losses: tup
     return commented([*comments, *pilot.heading], lines, losses)
 
 
-def _px4_coefficients(found: Thermal, kind: str) -> Array:
+def _px4_coefficients(found: Thermal, kind: SensorKind) -> Array:
     """X0, X1, X2, X3 (3, 4) of the axes."""
     zero = np.zeros((3, 1))
     return np.hstack([zero, found.slopes[kind], zero])
 
 
-def _ardupilot_coefficients(found: Thermal, kind: str) -> Array:
+def _ardupilot_coefficients(found: Thermal, kind: SensorKind) -> Array:
     """C1, C2, C3 (3, 3) of the axes: θ₁ (t − d) + θ₂ (t − d)² with d = T₀ − 35, without what does not depend on t."""
     linear, square = found.slopes[kind].T
     d = found.reference(kind) - ORIGIN

@@ -215,7 +215,7 @@ def _worked(compensator: Compensator, known: dict[SensorKind, SensorModel]) -> l
         return examples(known, "example {kind}: reading {reading} is {true} {unit}")
     reading = {kind: example(kind, model).reading for kind, model in known.items()}
     force = compensator.force(reading["accel"][None]) if "accel" in known else np.zeros((1, 3))
-    true = {"accel": force} if "accel" in known else {}
+    true: dict[SensorKind, Array] = {"accel": force} if "accel" in known else {}
     if "gyro" in known:
         true["gyro"] = compensator.rate(reading["gyro"][None], force)
     felt = "in that specific force" if "accel" in known else "without a specific force"

@@ -30,9 +30,9 @@ from tumble.calibration.coverage import PROBABILITY, degrees_of_freedom
 from tumble.calibration.further import described
 from tumble.calibration.results import FEWEST_DEGREES, Parameter, stated_factor
 from tumble.errors import InputError
-from tumble.export.exported import Exported, example, models, one_line, origin, shown
+from tumble.export.exported import UNITS, Exported, example, models, one_line, origin, shown
 from tumble.export.larger_model import NOT_IN_MATRIX, not_held
-from tumble.sensors.model import SensorModel
+from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import sensor_kind, shown_in
 from tumble.units import Array
 
@@ -83,7 +83,6 @@ U_DIGITS = 3
 _COVARIANCE_DIGITS = 10
 """Of covariances, so that a matrix of strong correlations stays positive."""
 
-_BIAS_UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
 _TITLES = {"accel": "accelerometers", "gyro": "gyros"}
 
 
@@ -216,7 +215,7 @@ def _results(
     parent: ET.Element,
     calibration: Calibration,
     certificate: Certificate,
-    known: Mapping[str, SensorModel],
+    known: Mapping[SensorKind, SensorModel],
     judged: Sequence[Verdict],
 ) -> None:
     _named(parent, "name", "calibration parameters of the inertial measurement unit")
@@ -407,10 +406,10 @@ def _region_factor(count: int, degrees: float) -> float:
     return float(np.sqrt(count * fdtri(count, degrees, REGION_PROBABILITY)))
 
 
-def _model(data: ET.Element, kind: str, model: SensorModel) -> None:
+def _model(data: ET.Element, kind: SensorKind, model: SensorModel) -> None:
     """Model equation, matrix, bias and an example."""
     _child(_child(data, "formula"), "latex", r"r = M t + b, \quad t = M^{+} (r - b)")
-    unit, worked = _BIAS_UNIT[kind], example(kind, model)
+    unit, worked = UNITS[kind], example(kind, model)
     n = len(model.bias)
     rows = [f"matrix.{p + 1}.{q + 1}" for p in range(n) for q in range(3)]
     for name, labels, values, of in (

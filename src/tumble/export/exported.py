@@ -110,9 +110,7 @@ def origin(calibration: Calibration) -> list[str]:
         readings = calibration.readings.get(kind)
         if readings is not None and readings.unit in ("count", "V"):
             scale, offset = (" ".join(f"{number:g}" for number in row) for row in (readings.scale, readings.offset))
-            lines.append(
-                f"{kind} readings in {UNITS[kind]} are (raw - offset) / scale: offset {offset}, scale {scale}"
-            )
+            lines.append(f"{kind} readings in {UNITS[kind]} are (raw - offset) / scale: offset {offset}, scale {scale}")
     lines += calibration.absent
     lines += [NO_MAGNETOMETER] if calibration.mag is not None else []
     return [one_line(line) for line in lines]

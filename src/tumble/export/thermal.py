@@ -130,11 +130,9 @@ def thermal(calibration: Calibration, target: str, together: Sequence[tuple[Sens
     rests were all at one."""
     held = diagonal(calibration, target, apart=(*HELD, *SCALES))
     measured = range_of(calibration, target)
-    seen = {kind: tuple(references(calibration, kind).tolist()) for kind in held.known}
+    seen: dict[str, tuple[float, ...]] = {kind: tuple(references(calibration, kind).tolist()) for kind in held.known}
     together = [tuple(kind for kind in of if kind in seen) for of in together]
-    seen = {
-        kind: len(own) * (float(np.mean(seen[of[0]])),) for of in together for kind, own in seen.items() if kind in of
-    }
+    seen = {kind: len(seen[kind]) * (float(np.mean(seen[of[0]])),) for of in together for kind in of}
     return Thermal(
         held=held,
         calibration=replace(calibration, references=seen),
@@ -144,7 +142,7 @@ def thermal(calibration: Calibration, target: str, together: Sequence[tuple[Sens
     )
 
 
-def _steepest(calibration: Calibration, kind: str, measured: Range) -> float:
+def _steepest(calibration: Calibration, kind: SensorKind, measured: Range) -> float:
     """The largest change of a bias per K within the range, SI."""
     linear, square = coefficients(calibration, kind, "bias").T
     ends = np.array([[measured.low], [measured.high]]) - references(calibration, kind)
@@ -193,12 +191,12 @@ def _apart(rest: RestResult, mean: Mapping[SensorKind, Array]) -> float:
     return float(np.ptp(np.concatenate(off))) if off else 0.0
 
 
-def said(errors: Mapping[str, float]) -> str:
+def said(errors: Mapping[SensorKind, float]) -> str:
     """Errors of accelerometers, m/s², and gyros, rad/s, in mg and deg/s, rounded up."""
     return " and ".join(_in_field_units(kind, error) for kind, error in errors.items())
 
 
-def _in_field_units(kind: str, error: float) -> str:
+def _in_field_units(kind: SensorKind, error: float) -> str:
     return f"{_at_most(error / (1e-3 * G_STANDARD))} mg" if kind == "accel" else f"{_at_most(error / DEGREE)} deg/s"
 
 
