@@ -19,7 +19,6 @@ import numpy as np
 import numpy.typing as npt
 
 from tumble.calibration.calibration_content import FORMAT, content_of
-from tumble.calibration.corrected_readings import corrected_readings
 from tumble.calibration.coverage import with_degrees
 from tumble.calibration.reframed import reframed
 from tumble.calibration.results import (
@@ -45,7 +44,6 @@ from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Fit, GroupFinding, HyperparameterEstimate, Integral, Outcome, ProcessBias
 from tumble.estimation.prediction import Prediction
 from tumble.files import FilePath, whole_file
-from tumble.recording.arrays import Temperatures
 from tumble.recording.autopilot import AutopilotSensor, sensors_from
 from tumble.recording.circumstances import UNKNOWN, Circumstances, circumstances_from
 from tumble.recording.session import Site
@@ -59,6 +57,8 @@ if TYPE_CHECKING:
     import pandas as pd
     import polars as pl
     from matplotlib.axes import Axes
+
+    from tumble.recording.arrays import Temperatures
 
 SensingAxes = tuple[tuple[float, ...], ...]
 """Sensing directions, a row a sensor."""
@@ -259,6 +259,8 @@ class Calibration(Mapping[str, Parameter]):
         if not any(judged):
             reasons = "; ".join(self.outcome.reasons)
             raise CalibrationError(f"calibration: expected accepted accelerometers or gyros, found: {reasons}")
+        from tumble.calibration.corrected_readings import corrected_readings  # slow to import, as the formats of logs
+
         force, rate = corrected_readings(self.compensator, accel, gyro, dt=dt, temperature=temperature)
         return (np.full_like(force, np.nan) if self.accel is None else force), rate
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tumble.acceptance.conformity import RESULTS, RULE
 from tumble.errors import InputError, needs_extra
 from tumble.files import whole_file
-from tumble.registry.limits import RESULTS, RULE
 from tumble.registry.monitor import Monitored
 from tumble.registry.trend import Trend
 from tumble.report.limits import TONES

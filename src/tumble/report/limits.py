@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from tumble.acceptance.conformity import RULE, LimitJudgement, verdicts
+from tumble.acceptance.limits import Limits
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import remarks
 from tumble.calibration.shown import shown_units
-from tumble.registry.conformity import verdicts
-from tumble.registry.limits import RULE, LimitJudgement, Limits
 from tumble.report.blocks import Block, Items, ReportTable, Section, Text, Tone
 from tumble.report.numbers import NONE, limit_of, minus
 from tumble.units import engineering, rounded

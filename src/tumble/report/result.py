@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from tumble.acceptance.conformity import RESULTS, LimitJudgement
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.further import (
     SENSORS,
@@ -24,7 +25,6 @@ from tumble.calibration.further import (
 from tumble.calibration.half import WORDS, accepted_kinds
 from tumble.calibration.results import Launch, Parameter
 from tumble.calibration.shown import shown_units
-from tumble.registry.limits import RESULTS, LimitJudgement
 from tumble.report import drawings, figures
 from tumble.report.blocks import (
     Block,

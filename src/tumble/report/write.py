@@ -47,8 +47,8 @@ def write_report(
         from tumble.report.content import document, not_accepted
         from tumble.report.page import page
         from tumble.report.pdf import pdf
-    from tumble.export.certificate import judged_by, read_certificate
-    from tumble.registry.limits import limits_of
+    from tumble.acceptance.certificate import judged_by, read_certificate
+    from tumble.acceptance.limits import limits_of
 
     stated = None if certificate is None else read_certificate(Path(certificate))
     acceptance = None if stated is None else judged_by(stated)

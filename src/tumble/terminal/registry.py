@@ -10,17 +10,17 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from tumble.acceptance.conformity import RULE, LimitJudgement, Verdict
+from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.compare import Comparison
 from tumble.calibration.coverage import expanded_of as expanded_uncertainty
 from tumble.calibration.results import Parameter
 from tumble.calibration.shown import shown_units
-from tumble.registry.forecast import Forecast
-from tumble.registry.limits import RULE, LimitJudgement, Verdict
 from tumble.registry.monitor import Monitored
-from tumble.registry.records import LaunchRow, ParameterRow, Record
 from tumble.registry.series import SeriesPoint
-from tumble.registry.store import LimitsRecord
+from tumble.registry.submission import logs_of
 from tumble.registry.trend import Change, Trend
+from tumble.registry.types import Forecast, LimitsRecord, Record
 from tumble.sensors.parameters import beyond_linear, group_name
 from tumble.terminal.comparison import judged_lines
 from tumble.terminal.table import plain_table
@@ -30,15 +30,13 @@ _BARS = "▁▂▃▄▅▆▇█"
 _LONG = 24  # points of a sparkline
 
 
-def record_report(
-    record: Record, launches: Sequence[LaunchRow], rows: Sequence[ParameterRow], verdict: Verdict | None, *, every: bool
-) -> RenderableType:
+def record_report(record: Record, calibration: Calibration, verdict: Verdict | None, *, every: bool) -> RenderableType:
     """A record with its parameters and the verdict on each; of those beyond the linear model that have no limits only
     how many there are, unless `every` one is wanted."""
     lines = [
         f"record {record.number} · device {_device(record)} · {record.occasion} check · {record.state}",
         f"performed {_day(record.performed)} · method {record.method} · frame {record.frame}",
-        *(f"launch {launch.session or 1} · log {launch.log_sha256}" for launch in launches if launch.log_sha256),
+        *(f"launch {session or 1} · log {log}" for session, log in logs_of(calibration) if log),
         f"content {record.sha256}",
     ]
     if record.supersedes is not None:
@@ -46,9 +44,8 @@ def record_report(
     if record.superseded_by is not None:
         lines.append(f"superseded by record {record.superseded_by}")
     judged = {} if verdict is None else {j.name: j for j in verdict.judgements}
-    results = [row for row in rows if row.launch == 0]
-    further = () if every else further_of((row.name for row in results), judged)
-    shown = _verdict_table([row for row in results if row.name not in further], judged)
+    further = () if every else further_of((p.name for p in calibration.parameters), judged)
+    shown = _verdict_table([p for p in calibration.parameters if p.name not in further], judged)
     return Group(Text("\n".join(lines)), Text(""), shown, *_counted(further), Text(""), Text(_verdict_line(verdict)))
 
 
@@ -65,7 +62,7 @@ def _counted(further: Collection[str]) -> list[Text]:
     return [Text(said)] if further else []
 
 
-def _verdict_table(rows: Sequence[ParameterRow], judged: Mapping[str, LimitJudgement]) -> Table:
+def _verdict_table(rows: Sequence[Parameter], judged: Mapping[str, LimitJudgement]) -> Table:
     table = _table("parameter")
     for heading in ("value", "U", *(("lowest", "highest") if judged else ())):
         table.add_column(heading, justify="right", no_wrap=True)
@@ -301,7 +298,7 @@ def _units(values: Iterable[tuple[str, str, float]]) -> Mapping[str, tuple[float
     return shown_units([Parameter(name=name, value=value, u=None, unit=unit) for name, unit, value in values])
 
 
-def expanded_of(result: SeriesPoint | ParameterRow) -> float | None:
+def expanded_of(result: SeriesPoint | Parameter) -> float | None:
     """U, SI."""
     return None if result.u is None else expanded_uncertainty(result.u, result.dof)
 

@@ -6,12 +6,13 @@ from collections.abc import Mapping, Sequence
 from datetime import date
 from typing import Any
 
+from tumble.acceptance.conformity import Verdict
+from tumble.calibration.calibration_file import Calibration
 from tumble.registry.due import Due
-from tumble.registry.limits import Verdict
 from tumble.registry.monitor import Monitored
-from tumble.registry.records import LaunchRow, ParameterRow, Record
-from tumble.registry.store import LimitsRecord
+from tumble.registry.submission import logs_of
 from tumble.registry.trend import Trend
+from tumble.registry.types import LimitsRecord, Record
 
 
 def devices_data(latest: Sequence[Due]) -> dict[str, Any]:
@@ -35,14 +36,17 @@ def records_data(records: Sequence[Record]) -> dict[str, Any]:
     return {"records": [_record(record) for record in records]}
 
 
-def record_data(
-    record: Record, launches: Sequence[LaunchRow], rows: Sequence[ParameterRow], verdict: Verdict | None
-) -> dict[str, Any]:
+def record_data(record: Record, calibration: Calibration, verdict: Verdict | None) -> dict[str, Any]:
     """A record with its launches, its parameters (of the result: launch 0), and the verdict."""
+    numbered = [(0, calibration.parameters), *((i, x.parameters) for i, x in enumerate(calibration.launches, 1))]
     return {
         "record": _record(record),
-        "launches": list(launches),
-        "parameters": list(rows),
+        "launches": [{"session": session, "log_sha256": log} for session, log in logs_of(calibration)],
+        "parameters": [
+            {"launch": launch, "name": p.name, "value": p.value, "u": p.u, "unit": p.unit, "dof": p.dof}
+            for launch, parameters in numbered
+            for p in parameters
+        ],
         "verdict": None if verdict is None else _verdict(verdict),
     }
 

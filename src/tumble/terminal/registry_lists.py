@@ -13,7 +13,7 @@ from tumble.documents import plain
 
 if TYPE_CHECKING:
     from tumble.registry.due import Due
-    from tumble.registry.records import Record
+    from tumble.registry.types import Record
 
 
 def print_lines(lines: Iterable[str]) -> None:
@@ -86,10 +86,16 @@ def _left(item: Due, today: date) -> str:
 
 def _in_columns(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
     """Rows under headings, columns two blanks apart."""
-    widths = [max(map(cell_len, column)) for column in zip(headings, *rows, strict=True)]
-    for row in (headings, *rows):
-        cells = (cell + " " * (width - cell_len(cell)) for cell, width in zip(row, widths, strict=True))
+    columns = []
+    for column in zip(headings, *rows, strict=True):
+        width = max(map(_width, column))
+        columns.append([cell.ljust(width - _width(cell) + len(cell)) for cell in column])
+    for cells in zip(*columns, strict=True):
         yield "  ".join(cells).rstrip()
+
+
+def _width(cell: str) -> int:
+    return len(cell) if cell.isascii() else cell_len(cell)
 
 
 def _day(moment: date) -> str:

@@ -24,10 +24,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
+from tumble.acceptance.limits import Limits, limits_of
+from tumble.acceptance.schedule import Occasion
 from tumble.documents import is_plain, shown, text_of_document, toml_of
 from tumble.errors import InputError, did_you_mean
-from tumble.registry.limits import Limits, limits_of
-from tumble.registry.records import Occasion
 
 if TYPE_CHECKING:
     from tumble.calibration.calibration_file import Calibration
@@ -51,14 +51,12 @@ def _without_control_characters(text: str) -> str:
 
 
 _Str = Annotated[str, AfterValidator(_without_control_characters)]
-_Text = Field(pattern=r"^\S+(\s+\S+)*$")
-_Country = Field(pattern="^[A-Z]{2}$")
-
+_Text = Annotated[_Str, Field(pattern=r"^\S+(\s+\S+)*$")]
+_Country = Annotated[_Str, Field(pattern="^[A-Z]{2}$")]
+_Path = Annotated[_Str, Field(min_length=1)]
 
 _ACCREDITED = ("procedure", "traceability", "issued")
 """Without these a certificate is not one of ISO/IEC 17025, 7.8."""
-
-_Optional = Field(default=None, pattern=r"^\S+(\s+\S+)*$")
 
 
 class _CertificateTable(BaseModel):
@@ -68,13 +66,13 @@ class _CertificateTable(BaseModel):
 class Party(_CertificateTable):
     """A laboratory or a customer: `code` is the laboratory's accreditation number, `logo` the path of its picture."""
 
-    name: _Str = _Text
-    city: _Str = _Text
-    country: _Str = _Country
-    code: _Str | None = Field(default=None, pattern=r"^\S+(\s+\S+)*$")
+    name: _Text
+    city: _Text
+    country: _Country
+    code: _Text | None = None
     email: _Str | None = Field(default=None, pattern=r"^\S+$")
-    street: _Str | None = Field(default=None, pattern=r"^\S+(\s+\S+)*$")
-    postcode: _Str | None = Field(default=None, pattern=r"^\S+(\s+\S+)*$")
+    street: _Text | None = None
+    postcode: _Text | None = None
     logo: _Str | None = Field(default=None, pattern=r"^\S.*\.(svg|png)$")
 
     @property
@@ -87,8 +85,8 @@ class Party(_CertificateTable):
 class Person(_CertificateTable):
     """Who answers for a certificate."""
 
-    name: _Str = _Text
-    role: _Str | None = Field(default=None, pattern=r"^\S+(\s+\S+)*$")
+    name: _Text
+    role: _Text | None = None
 
 
 class Certificate(_CertificateTable):
@@ -99,22 +97,22 @@ class Certificate(_CertificateTable):
     `traceability` how gravity, time and table are traced, `replaces` the
     number of a certificate that this one takes the place of."""
 
-    number: _Str = _Text
-    country: _Str = _Country
+    number: _Text
+    country: _Country
     begin: date | None = None
     end: date | None = None
     received: date | None = None
     issued: date | None = None
     place: Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"] = "laboratory"
     state: Literal["as-found", "as-left", "unchanged"] = "unchanged"
-    as_found: _Str | None = Field(default=None, min_length=1)
-    procedure: _Str | None = _Optional
-    limits: _Str | None = Field(default=None, min_length=1)
+    as_found: _Path | None = None
+    procedure: _Text | None = None
+    limits: _Path | None = None
     check: Occasion | None = None
-    agreed: _Str | None = _Optional
+    agreed: _Text | None = None
     traceability: tuple[_Str, ...] = Field(default=(), strict=False)
     remarks: tuple[_Str, ...] = Field(default=(), strict=False)
-    replaces: _Str | None = _Optional
+    replaces: _Text | None = None
     laboratory: Party
     customer: Party
     person: tuple[Person, ...] = Field(min_length=1, strict=False)

@@ -29,7 +29,7 @@ WRITERS_LOCK = 7_848_652_101
 
 FILE_NAME = "registry.sqlite"
 
-_LIBRARIES = ("alembic", "platformdirs", "psycopg", "sqlalchemy")
+_LIBRARIES = ("platformdirs", "psycopg", "sqlalchemy")
 _PLACE = "expected a file or postgresql://USER@HOST/NAME"
 
 
@@ -72,11 +72,11 @@ class Registry:
 
 @contextmanager
 def open_registry(place: FilePath | None = None, *, create: bool = False) -> Iterator[Registry]:
-    """The registry at a file or URL (default: registry.sqlite in the user's data folder), its schema up to date. With
-    `create` one that does not exist is made.
+    """The registry at a file or URL (default: registry.sqlite in the user's data folder). With `create` one that does
+    not exist is made.
 
-    Raises InputError, one line: no such registry, another program's database, a newer schema, a server that does not
-    answer; MissingExtraError without the extra.
+    Raises InputError, one line: no such registry, another program's database, a registry of another version, a server
+    that does not answer; MissingExtraError without the extra.
 
     >>> import tumble
     >>> with tumble.open_registry("registry.sqlite", create=True) as registry:
@@ -92,11 +92,11 @@ def open_registry(place: FilePath | None = None, *, create: bool = False) -> Ite
 
 
 def _connected(place: str | None, create: bool) -> Registry:
-    from tumble.registry.schema import bring_up_to_date
+    from tumble.registry.store.tables import has_tables, make_tables
 
     url = _url(place)
     file = Path(url.database or "") if _is_file(url) else None
-    new = file if file is not None and not file.exists() else None
+    new = file is not None and not file.exists()
     name = str(file) if file else url.render_as_string(hide_password=True)
     if file is not None:
         _prepare(file, create, default=place is None)
@@ -104,14 +104,31 @@ def _connected(place: str | None, create: bool) -> Registry:
         url = url.set(database=f"file:{quote(str(file.resolve()))}", query={"immutable": "1", "uri": "true"})
     registry = Registry(name=name, engine=_engine(url, name))
     try:
+        with registry.reading() as connection:
+            if has_tables(connection, name, create):
+                return registry
         with in_one_line(name):
-            bring_up_to_date(registry, create)
+            _keep_a_write_ahead_log(registry.engine)
+        with registry.writing() as connection:  # of programs that open a new registry at once, the first makes them
+            if not has_tables(connection, name, create):
+                make_tables(connection)
     except BaseException:
         registry.engine.dispose()
-        if new is not None and new.is_file() and new.stat().st_size == 0:
-            new.unlink()
+        if new and file is not None and file.is_file() and file.stat().st_size == 0:
+            file.unlink()
         raise
     return registry
+
+
+def _keep_a_write_ahead_log(engine: Engine) -> None:
+    """On SQLite readers do not wait for writers then. The file remembers it."""
+    if not _is_file(engine.url):
+        return
+    raw = engine.raw_connection()
+    try:
+        raw.cursor().execute("PRAGMA journal_mode = WAL")
+    finally:
+        raw.close()
 
 
 def extra_named() -> AbstractContextManager[None]:
