@@ -493,9 +493,7 @@ def _hyperparameter_from(content: Mapping[str, Any]) -> HyperparameterEstimate:
 
 def _integral_from(content: Mapping[str, Any]) -> Integral:
     """How the posterior was integrated."""
-    return Integral(
-        points=content["points"], effective=float(content["effective"]), pareto=float(content["pareto"])
-    )
+    return Integral(points=content["points"], effective=float(content["effective"]), pareto=float(content["pareto"]))
 
 
 def _process_bias_from(content: Mapping[str, Any]) -> ProcessBias:

@@ -8,12 +8,13 @@ rest i, the rows of rest i and of the turn that follows it are
     [ δᵢ (d) | parameters (p) | right-hand side ]             rest, (N, r, d + p + 1)
     [ δᵢ (d) | δᵢ₊₁ (d) | parameters (p) | right-hand side ]   turn, (K, t, 2d + p + 1)
 
-and `link[i]` is the turn from rest i to rest i + 1, −1 where nothing links them. A bias that is a
-Gauss–Markov process has its states among the unknowns, and its steps among the rows of the turns. The elimination is
-orthogonal (a square-root information filter): Householder reflections of what involves δᵢ leave d rows that give
-δᵢ once the rest is known, rows on δᵢ₊₁, carried on, and rows on the parameters alone, folded into one triangle. Nothing is squared, and the cost is linear in the number of rests. A column of which nothing but rounding
-is left is no information: its unknown, a heading that nothing shows, stays where it is. Sums over rows are taken for
-all columns side by side, so that the loops over columns are vector instructions.
+and `link[i]` is the turn from rest i to rest i + 1, −1 where nothing links them. A bias that is a Gauss–Markov process
+has its states among the unknowns, and its steps among the rows of the turns. The elimination is orthogonal (a square-
+root information filter): Householder reflections of what involves δᵢ leave d rows that give δᵢ once the rest is known,
+rows on δᵢ₊₁, carried on, and rows on the parameters alone, folded into one triangle. Nothing is squared, and the cost
+is linear in the number of rests. A column of which nothing but rounding is left is no information: its unknown, a
+heading that nothing shows, stays where it is. Sums over rows are taken for all columns side by side, so that the loops
+over columns are vector instructions.
 
 Sums are taken in the order that is written: a compiler that may choose another one chooses differently from one
 compilation to the next, and rows of a campaign would differ in the last digit from process to process.

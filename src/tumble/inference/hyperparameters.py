@@ -111,7 +111,7 @@ class Noise:
     kept: tuple[Array, Array] | None = None
 
     def at_rest(self, components: Components) -> tuple[Array, IntArray]:
-        """The directions of the scatter at rest, those of sensors unlike others as much longer, and of what they are."""
+        """The directions of the scatter at rest, those of sensors unlike others longer, and what they are of."""
         Z, of = self.rest_directions
         return (Z * components.unlike if len(components.unlike) else Z), of
 

@@ -11,8 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from tumble.inference.hyperparameters import Components, components_of
 from tumble.inference.likelihood import Point, Problem
-from tumble.inference.maximum import At, Maximum, maximum
+from tumble.inference.maximum import At, Maximum, likeliest, maximum
 from tumble.inference.step import Step
 from tumble.units import Array
 
@@ -25,8 +26,6 @@ LAGS_ABOUT = np.concatenate([-_APART[::-1], [0.0], _APART])
 RESOLVED, HALVINGS = 0.2, 10
 """Largest probability of one lag of a grid that resolves the likelihood, half a standard deviation of a Gaussian from
 the next, and how often steps beside likelier ones are halved at most."""
-LESS_LIKELY = 6.0
-"""−2 log of the likelihoods of two lags: the first is taken for a wrong one."""
 LAG_ROUNDS = 3
 """Solutions with a lag of which each shows the one before to be wrong, at most."""
 KEPT = 1e-3  # learned fraction of a group that the session says anything of
@@ -42,21 +41,39 @@ def maximum_with_lag(problem: Problem, at: At, iterations: int) -> tuple[Maximum
     maximum. The lag that is held in the end is its mean."""
     none = np.zeros((len(problem.instrument.names),) * 2)
     if problem.lag is None:
-        return maximum(problem, at, iterations=iterations), none
-    held, tried = _held(problem, 0.0), np.array(LAGS)
-    fitted = maximum(held, At.of(held, at.point, at.about), iterations=iterations)
+        return likeliest(problem, at, iterations), none
+    held = _held(problem, 0.0)
+    fitted = likeliest(held, At.of(held, at.point, at.about), iterations)
+    tried = {0.0}
     for _ in range(LAG_ROUNDS):
-        lag = float(fitted.point.values[problem.lag])
-        tried = np.unique([*LAGS, lag])
-        deviance, _ = _about(fitted, problem, tried)
-        if deviance[tried == lag][0] < deviance.min() + LESS_LIKELY:
+        # by the φ that the lag before has led to, which may hide another one, and by the usual
+        found = {_likeliest_lag(fitted, problem, sized) for sized in (True, False)} - tried
+        maxima = [fitted, *(_again(fitted, problem, lag, iterations) for lag in sorted(found))]
+        best = max(maxima, key=lambda each: each.best.value - 0.5 * _prior_of_lag(problem, _lag_of(each, problem)))
+        tried |= found
+        if best is fitted:
             break
-        lags, weight, _ = _resolved(fitted, problem, np.array(LAGS))
-        fitted = _again(fitted, problem, float(lags[np.argmax(weight / np.gradient(lags))]), iterations)
-    lags, weight, moved_by = _resolved(fitted, problem, fitted.point.values[problem.lag] + LAGS_ABOUT)
+        fitted = best
+    lags, weight, moved_by = _resolved(fitted, problem, _lag_of(fitted, problem) + LAGS_ABOUT)
     moved_by -= weight @ moved_by
     fitted = _again(fitted, problem, float(weight @ lags), iterations)
     return fitted, ((moved_by.T * weight) @ moved_by)[1:, 1:]
+
+
+def _lag_of(fitted: Maximum, free: Problem) -> float:
+    """The lag that a maximum holds."""
+    assert free.lag is not None
+    return float(fitted.point.values[free.lag])
+
+
+def _likeliest_lag(fitted: Maximum, free: Problem, sized: bool) -> float:
+    """The likeliest lag about a maximum, with its φ or with the usual one."""
+    best = fitted.best
+    usual = np.array([h.centre for h in fitted.entries])
+    components = fitted.components if sized else components_of(fitted.entries, usual, free.sensors)
+    about = fitted if sized else replace(fitted, best=replace(best, problem=free))
+    lags, weight, _ = _resolved(about, free, np.array(LAGS), components)
+    return float(lags[np.argmax(weight / np.gradient(lags))])
 
 
 def _again(fitted: Maximum, free: Problem, lag: float, iterations: int) -> Maximum:
@@ -89,7 +106,7 @@ def _point_of(point: Point, where: int, lag: float) -> Point:
     return replace(point, values=values)
 
 
-def _at_lag(fitted: Maximum, free: Problem, lag: float) -> Step:
+def _at_lag(fitted: Maximum, free: Problem, lag: float, components: Components) -> Step:
     """The step from the point of a maximum to the solution with a lag, φ being that of the maximum."""
     assert free.lag is not None
     held, wide = _held(free, lag), fitted.problem.measured
@@ -98,13 +115,15 @@ def _at_lag(fitted: Maximum, free: Problem, lag: float) -> Step:
     u[others] = wide[1][others]
     held = replace(held, measured=(held.measured[0], u), own_known=fitted.problem.own_known)
     at = At.of(held, _point_of(fitted.point, free.lag, lag), fitted.at.about, fitted.at.noise.kept)
-    return at.solved(held, fitted.components)
+    return at.solved(held, components)
 
 
-def _resolved(fitted: Maximum, free: Problem, lags: Array) -> tuple[Array, Array, Array]:
+def _resolved(
+    fitted: Maximum, free: Problem, lags: Array, components: Components | None = None
+) -> tuple[Array, Array, Array]:
     """Lags, their probabilities, and what the solutions move gravity and the parameters by (L, 1 + m): those of a first
     grid, and between them as many as resolve the likelihood, which may be narrow, and steep to one side."""
-    deviance, moved_by = _about(fitted, free, lags)
+    deviance, moved_by = _about(fitted, free, lags, components)
     for _ in range(HALVINGS):
         weight = _probabilities(lags, deviance)
         if weight.max() < RESOLVED:
@@ -112,17 +131,17 @@ def _resolved(fitted: Maximum, free: Problem, lags: Array) -> tuple[Array, Array
         heavy = weight > 0.1 * RESOLVED
         between = np.flatnonzero(heavy[1:] | heavy[:-1])
         more = 0.5 * (lags[between] + lags[between + 1])
-        others, moved_others = _about(fitted, free, more)
+        others, moved_others = _about(fitted, free, more, components)
         lags, deviance = np.insert(lags, between + 1, more), np.insert(deviance, between + 1, others)
         moved_by = np.insert(moved_by, between + 1, moved_others, axis=0)
     return lags, _probabilities(lags, deviance), moved_by
 
 
-def _about(fitted: Maximum, free: Problem, lags: Array) -> tuple[Array, Array]:
+def _about(fitted: Maximum, free: Problem, lags: Array, components: Components | None) -> tuple[Array, Array]:
     """−2 log of the likelihoods (L,) of lags, with the prior, and what their solutions move gravity and the parameters
     by (L, 1 + m)."""
     assert free.lag is not None
-    steps = [_at_lag(fitted, free, lag) for lag in lags.tolist()]
+    steps = [_at_lag(fitted, free, lag, components or fitted.components) for lag in lags.tolist()]
     deviance = [step.deviance + _prior_of_lag(free, lag) for step, lag in zip(steps, lags.tolist(), strict=True)]
     moved_by = np.array([step.parameters for step in steps])
     moved_by[:, 1 + free.lag] = lags

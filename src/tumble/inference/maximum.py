@@ -46,6 +46,10 @@ from tumble.units import Array, BoolArray
 
 MAX_ITERATIONS = 40
 """Linearisations at most."""
+BEYOND = 3.0
+"""Times the usual: scatter or a size for which another maximum is looked for."""
+USELESS = {"turn": 1e-2, "velocity": 0.1}
+"""rad and m/s: the scatter of turns that say nothing."""
 STEPS = 6
 """Steps over φ at one linearisation at most."""
 CONVERGED = 1e-3
@@ -161,7 +165,8 @@ class Evaluated:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Maximum:
     """The maximum: the problem with groups of usual size, the hyperparameters and ℓ there, the linearisation it is of,
-    the point after the last step, B (D, D), the changes of the parameters by linearisation, and why the iteration ended."""
+    the point after the last step, B (D, D), the changes of the parameters by linearisation, and why the iteration
+    ended."""
 
     free: Problem
     entries: tuple[Hyperparameter, ...]
@@ -242,6 +247,18 @@ def maximum(
         at = At.of(problem, point, about, kept)
 
 
+def likeliest(problem: Problem, at: At, iterations: int = MAX_ITERATIONS) -> Maximum:
+    """The likelier of two maxima: that from the usual φ, and, where it has scatter or sizes far beyond these, that from
+    turns which nothing is expected of. Where turns are spoilt, parameters and accelerometers may take the blame."""
+    first = maximum(problem, at, iterations=iterations)
+    far = [h for h, p in zip(first.entries, first.best.phi.tolist(), strict=True) if h.value(p) > BEYOND * h.usual]
+    if not any(h.place in ("scatter", "group") for h in far) or problem.observations.turns is None:
+        return first
+    phi = np.array([np.log(USELESS.get(h.name, h.usual)) if not h.bounded else 0.0 for h in first.entries])
+    second = maximum(problem, at, phi, iterations)
+    return second if second.converged and second.best.value > first.best.value else first
+
+
 def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maximum:
     """The maximum without the rests and turns that do not fit; the same where all do."""
     problem, at = fitted.free, fitted.at
@@ -259,10 +276,10 @@ def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maxim
 
 def _updated(B: Array, step: Array, change: Array) -> Array:
     """The update of Broyden, Fletcher, Goldfarb and Shanno of a curvature by the change of the gradient over a step,
-    damped by Powell so that it stays positive."""
+    damped by Powell so that it stays positive; the same where there was no step."""
     along = B @ step
     square, seen = float(step @ along), float(step @ change)
-    if square == 0.0:  # a step that a bound has taken whole
+    if square <= 0.0 or not np.isfinite(seen):
         return B
     share = 1.0 if seen >= 0.2 * square else 0.8 * square / (square - seen)
     mixed = share * change + (1.0 - share) * along

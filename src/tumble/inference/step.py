@@ -53,8 +53,8 @@ class Known:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Told:
     """What rows say without any prior: their weights, the process of the biases, the whitened rows of rests and turns,
-    those that give the unknowns of the rests (N, d, ·), and of each session, these eliminated, a triangle (q + 1 + p, q + 1 + p) of what it has of
-    its own, gravity and the common parameters."""
+    those that give the unknowns of the rests (N, d, ·), and of each session, these eliminated, a triangle
+    (q + 1 + p, q + 1 + p) of what it has of its own, gravity and the common parameters."""
 
     weights: Weights
     process: InRun | None
@@ -274,7 +274,8 @@ def _predicted(rows: Array, root: Array) -> Array:
 def scatter_score(noise: Noise, step: Step, after: Left) -> tuple[Array, Array, Array]:
     """The score (c,) of the restricted likelihood by the variances of the components of scatter, its information
     (c, c), of which the part within a rest and within a turn is taken, and the score by the variance of the scatter of
-    every sensor at rest (n,), in parts of that of its kind. Raises LinAlgError where residuals are beyond all measure."""
+    every sensor at rest (n,), in parts of that of its kind. Raises LinAlgError where residuals are beyond all
+    measure."""
     weights = step.told.weights
     (at_rest, of_rest), (in_turn, of_turn) = noise.at_rest(weights.components), noise.turn_directions
     n = len(of_rest)
