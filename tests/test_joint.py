@@ -16,7 +16,7 @@ import pytest
 from formula_setup import device_setup
 
 from tumble.calibration.calibrate import calibrate
-from tumble.inference.hyperparameters import Scatter
+from tumble.inference.hyperparameters import Components
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate
 from tumble.inference.likelihood import Prior, Problem, weights
@@ -158,7 +158,7 @@ def unscattered(session: Observations) -> Array:
     turned = found.gyro is not None and session.turns is not None
     about = TurnsAbout.of(session, problem.instrument, found.values) if turned else None
     rows = linearise(problem, replace(at.point, values=found.values), about)
-    return solve(problem, rows, weights(problem, rows, Scatter())).covariance[1:, 1:]
+    return solve(problem, rows, weights(problem, rows, Components())).covariance[1:, 1:]
 
 
 # -------------------- with noise --------------------
@@ -328,12 +328,12 @@ def test_what_does_not_fit_is_left_out_on_demand() -> None:
     session = with_rest_off(observed(chosen, 9), 4, 1e-3)
     for turn in (2, 10):
         session = with_turn_off(session, turn, 200.0 * ARCSEC)
-    found = joint(session, robust=True)
+    found = joint(session)
     assert np.flatnonzero(found.rest_sigmas > 5.0).tolist() == [4]
     assert np.flatnonzero(found.turn_sigmas > 5.0).tolist() == [2, 10]
     assert not verdict(found, session).accepted
     assert np.abs(error_of(found, chosen) / found.u).max() < 5.0
-    undisturbed = joint(observed(chosen, 9), robust=True)
+    undisturbed = joint(observed(chosen, 9))
     assert np.max(found.u / undisturbed.u) < 1.6
     assert undisturbed.values.tolist() == joint(observed(chosen, 9)).values.tolist()
 

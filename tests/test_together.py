@@ -17,9 +17,7 @@ from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.together import calibrate_together
 from tumble.cli import main
 from tumble.errors import InputError
-from tumble.inference.by_session import each_session
-from tumble.estimation.causes.projection import Projection
-from tumble.inference.hyperparameters import Scatter
+from tumble.inference.hyperparameters import Components
 from tumble.estimation.diagnosis.misfit import misfit
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.inference.likelihood import OWN, Point, Problem, noise_of
@@ -146,23 +144,18 @@ def test_rows_of_temperature_and_of_each_session_are_those_of_finite_differences
 def dense(problem: Problem, point: Point) -> Array:
     """The covariance of gravity and the parameters by ordinary least squares of everything at once."""
     rows = linearise(problem, point, TurnsAbout.of(problem.observations, problem.instrument, point.values))
-    weight = noise_of(problem, rows).weights(Scatter())
+    weight = noise_of(problem, rows).weights(Components())
     turns = problem.observations.turns
     assert turns is not None
     N, m, q, S = len(problem.link), len(point.values), len(problem.own_known), len(problem.parts)
     blocks = []
-    for i in np.flatnonzero(problem.link < 0):
-        block = np.zeros((rows.rest.shape[1], 3 * N + S * q + 1 + m))
-        own = weight.rest[i] @ rows.rest[i]
-        block[:, 3 * i : 3 * i + 3], block[:, 3 * N + S * q :] = own[:, :3], own[:, 3 : 4 + m]
-        s = problem.of_session[0][i]
-        block[:, 3 * N + s * q : 3 * N + (s + 1) * q] = own[:, 4 + m : -1]
-        blocks.append(block)
-    for k, merged in enumerate(weight.merged @ rows.merged(turns.first)):
-        block, i, s = np.zeros((len(merged), 3 * N + S * q + 1 + m)), turns.first[k], problem.of_session[1][k]
-        block[:, 3 * i : 3 * i + 6], block[:, 3 * N + S * q :] = merged[:, :6], merged[:, 6 : 7 + m]
-        block[:, 3 * N + s * q : 3 * N + (s + 1) * q] = merged[:, 7 + m : -1]
-        blocks.append(block)
+    every = (weight.rest @ rows.rest, np.arange(N), 3), (weight.turn @ rows.turn, turns.first, 6)
+    for place, (found, first, wide) in enumerate(every):
+        for own, i, s in zip(found, first, problem.of_session[place], strict=True):
+            block = np.zeros((len(own), 3 * N + S * q + 1 + m))
+            block[:, 3 * i : 3 * i + wide], block[:, 3 * N + S * q :] = own[:, :wide], own[:, wide : wide + 1 + m]
+            block[:, 3 * N + s * q : 3 * N + (s + 1) * q] = own[:, wide + 1 + m : -1]
+            blocks.append(block)
     prior = np.zeros((1 + m, 3 * N + S * q + 1 + m))
     prior[:, 3 * N + S * q :] = rows.prior[:-1, :-1]
     own_prior = np.zeros((S * q, 3 * N + S * q + 1 + m))
@@ -180,7 +173,7 @@ def test_the_step_is_that_of_everything_at_once() -> None:
     problem = problem_of(together(device("mems", SHORT, hysteresis=True), UP_AND_DOWN))
     point = somewhere(problem)
     rows = linearise(problem, point, TurnsAbout.of(problem.observations, problem.instrument, point.values))
-    step = solve(problem, rows, noise_of(problem, rows).weights(Scatter()))
+    step = solve(problem, rows, noise_of(problem, rows).weights(Components()))
     S, q = step.own.shape
     expected = dense(problem, point)
     u = np.sqrt(np.diag(expected))
