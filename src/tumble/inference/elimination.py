@@ -73,13 +73,14 @@ def eliminate(rest: Array, turn: Array, link: IntArray, factor: Array, triangle:
 def _eliminate_large(rest: Array, turn: Array, link: IntArray, factor: Array, triangle: Array) -> None:
     """The same by LAPACK, a rest at a time, for arrays, whose many states make its blocks worth their call."""
     d, p, kept = factor.shape[1], len(triangle) - 1, list[Array]()
-    carried = np.zeros((d, 2 * d + p + 1))
+    carried, square = np.zeros((d, 2 * d + p + 1)), np.zeros(2 * d)
     for i, k in enumerate(link.tolist()):
         own = np.zeros((rest.shape[1], carried.shape[1]))
         own[:, :d], own[:, 2 * d :] = rest[i, :, :d], rest[i, :, d:]
         rows = np.concatenate([carried, own, *([turn[k]] if k >= 0 else [])])
         width = 2 * d if k >= 0 else d
-        length = np.sqrt((rows[:, :width] ** 2).sum(axis=0))
+        square = np.append(square[d:], np.zeros(d)) + (rows[d:, : 2 * d] ** 2).sum(axis=0)
+        length = np.sqrt(square[:width])  # of the columns before anything was taken off them
         reduced = np.linalg.qr(rows, mode="r") if len(rows) > width else rows
         reduced = np.asarray(reduced)
         factor[i] = 0.0
