@@ -4,7 +4,7 @@ The joint method integrates over what the model does not know about itself, φ, 
 (`tumble.inference.integral`). Here φ is sampled by a random walk instead (Metropolis, with the steps of Haario's
 adaptation while it burns in), all elements of it at once, and at every draw gravity and the parameters have their exact
 conditional mean and covariance, so that of them nothing is left to chance. Compared are, of every parameter of the
-linear model, biases being the means of their processes, the means, in units of u, and u. Sessions of five kinds, two of
+linear model, biases being the means over the session, the means, in units of u, and u. Sessions of five kinds, two of
 each: by hand, on a rough table, accelerometers alone with groups three times as large as usual, biases that wander, and
 recorded ones, where the recordings are at hand.
 """
@@ -21,6 +21,7 @@ import numpy as np
 from tumble.calibration.observed import inspect_session, observations_for_calibration
 from tumble.estimation.estimate import Outcome
 from tumble.inference.hyperparameters import components_of, sized
+from tumble.inference.in_run import of_session
 from tumble.inference.integral import posterior
 from tumble.inference.likelihood import NO_PRIOR, Problem, instruments_of
 from tumble.inference.linearisation import with_priors
@@ -54,10 +55,17 @@ def conditional(fitted: Maximum, phi: Array) -> tuple[float, Array, Array]:
     problem, at = sized(fitted.free, fitted.entries, phi), fitted.at
     rows = with_priors(at.rows, problem, at.point, at.about)
     told = tell(problem, rows, at.noise.weights(components_of(fitted.entries, phi, problem.sensors)))
-    known, q = joined(problem, rows, told), len(problem.own_known)
+    known, q, biases = joined(problem, rows, told), len(problem.own_known), 1 + problem.biases
     prior = sum(h.prior(p)[0] for h, p in zip(fitted.entries, phi.tolist(), strict=True))
-    root = known.roots[0][q:]
-    return prior - 0.5 * deviance(problem, told, known), known.parameters, root @ root.T
+    change, covariance = known.parameters.copy(), known.roots[0][q:] @ known.roots[0][q:].T
+    if told.process is not None and len(problem.parts) == 1:
+        more, by, apart = of_session(problem, told, np.concatenate([known.own[0], known.parameters]))
+        to_session = np.eye(len(change))
+        to_session[biases] += by[:, q:]
+        change[biases] += more
+        covariance = to_session @ covariance @ to_session.T
+        covariance[np.ix_(biases, biases)] += apart
+    return prior - 0.5 * deviance(problem, told, known), change, covariance
 
 
 def sampled(fitted: Maximum, draws: int, seed: int) -> tuple[Array, Array, float]:
@@ -86,14 +94,12 @@ def sampled(fitted: Maximum, draws: int, seed: int) -> tuple[Array, Array, float
 
 def compared(fitted: Maximum, *, draws: int, seed: int) -> Compared:
     """The integral about a maximum and a sampler."""
-    shown, biases = posterior(fitted), 1 + fitted.free.biases
+    shown = posterior(fitted)
     mean, covariance, accepted = sampled(fitted, draws, seed)
-    step, variance = shown.step.copy(), np.diag(shown.covariance).copy()
-    step[biases], variance[biases] = shown.process_step, np.diag(shown.process_covariance)
     linear = slice(1, 1 + fitted.free.instrument.linear_count)
-    u, other = np.sqrt(np.diag(covariance))[linear], np.sqrt(variance)[linear]
+    u, other = (np.sqrt(np.diag(each))[linear] for each in (covariance, shown.covariance))
     return Compared(
-        means=float(np.abs((step - mean)[linear] / u).max()),
+        means=float(np.abs((shown.step - mean)[linear] / u).max()),
         u=float(np.abs(other / u - 1.0).max()),
         effective=shown.effective,
         accepted=accepted,

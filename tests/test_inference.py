@@ -21,12 +21,13 @@ from tumble.inference.in_run import InRun, of_session
 from tumble.inference.integral import posterior, smoothed
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import NO_PRIOR, Problem, instruments_of, noise_of, weights
-from tumble.inference.maximum import GAIN, At, Evaluated, Maximum, Status, maximum
+from tumble.inference.maximum import At, Evaluated, Maximum, Status, maximum
 from tumble.inference.start import start_of
 from tumble.inference.step import solve
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
+from tumble.rotation import unit_vector
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import usual_sizes
 from tumble.simulation.observations import simulate_observations
@@ -201,8 +202,6 @@ def everything_at_once(problem: Problem, at: At, components: Components) -> tupl
 
 
 IN_RUN = Components(
-    accel=2e-4,
-    gyro=2e-5,
     turn=1e-5,
     velocity=1e-3,
     accel_in_run=8e-4,
@@ -221,7 +220,7 @@ def test_states_of_biases_are_those_of_everything_at_once(cut: bool) -> None:
     problem, at = started(in_two_files(session, 4) if cut else session)
     step = solve(problem, at.rows, weights(problem, at.rows, IN_RUN))
     values, covariance, deviance = everything_at_once(problem, at, IN_RUN)
-    again, _, other = everything_at_once(problem, at, replace(IN_RUN, gyro_time=100.0, gyro=5e-5))
+    again, _, other = everything_at_once(problem, at, replace(IN_RUN, gyro_time=100.0, turn=5e-5))
     N, n, p = len(problem.link), problem.sensors, len(at.rows.prior) - 1
     u = np.sqrt(np.diag(covariance))
     inside, states = slice(3 * N, 3 * N + p), slice(3 * N + p, None)
@@ -234,7 +233,7 @@ def test_states_of_biases_are_those_of_everything_at_once(cut: bool) -> None:
     )
     own = np.diagonal(step.shared[0][0][:, 3:, 3:], axis1=1, axis2=2)
     np.testing.assert_allclose(np.sqrt(own).ravel() * np.tile(sigma, N), u[states], rtol=1e-5)
-    changed = solve(problem, at.rows, weights(problem, at.rows, replace(IN_RUN, gyro_time=100.0, gyro=5e-5)))
+    changed = solve(problem, at.rows, weights(problem, at.rows, replace(IN_RUN, gyro_time=100.0, turn=5e-5)))
     assert changed.deviance - step.deviance == pytest.approx(other - deviance, abs=1e-3)
     assert np.abs(again - values).max() > 0.0
     mean = np.zeros((n, len(values)))
@@ -295,10 +294,9 @@ def test_a_session_in_two_files_is_the_same_but_for_the_chain_that_begins_anew()
     np.testing.assert_allclose(steps[1][0].covariance / np.outer(u, u), steps[0][0].covariance / np.outer(u, u), atol=1e-6)
     assert steps[1][0].deviance == pytest.approx(steps[0][0].deviance, abs=1e-6)
     assert abs(steps[1][1].deviance - steps[0][1].deviance) > 1e-3
-    whole, cut = joint(session), joint(two)
-    assert np.abs((whole.values - cut.values) / cut.u).max() < 1.0
-    assert np.all(cut.u > 0.97 * whole.u)
-    assert np.all(cut.u < 1.5 * whole.u)
+    whole, cut = joint(one), joint(two)
+    assert np.abs((whole.values - cut.values) / cut.u).max() < 0.5
+    np.testing.assert_allclose(cut.u, whole.u, rtol=0.25)
 
 
 # -------------------- the maximum --------------------
@@ -306,8 +304,7 @@ def test_a_session_in_two_files_is_the_same_but_for_the_chain_that_begins_anew()
 
 @pytest.mark.parametrize("name", ["by hand", *SESSIONS])
 def test_two_starts_have_one_maximum(name: str) -> None:
-    """From above and from below everything that is likely: ℓ within twice what counts as settled, and the parameters
-    within a fifth of u."""
+    """From above and from below everything that is likely: ℓ within a tenth, and the parameters within a fifth of u."""
     problem, at = started(SESSIONS[name]() if name in SESSIONS else observed(by_hand()))
     first = maximum(problem, at)
     found = [first]
@@ -318,7 +315,7 @@ def test_two_starts_have_one_maximum(name: str) -> None:
     u = np.sqrt(first.best.step.covariance.diagonal()[1:])[linear]
     for each in found:
         assert each.converged
-        assert each.best.value == pytest.approx(first.best.value, abs=2.0 * GAIN * len(first.entries))
+        assert each.best.value == pytest.approx(first.best.value, abs=0.1)
         np.testing.assert_allclose((each.point.values - first.point.values)[linear] / u, 0.0, atol=0.2)
 
 
@@ -355,7 +352,7 @@ def test_more_rests_never_make_the_mean_of_a_process_worse() -> None:
 
 
 def test_a_spoilt_turn_is_left_out_and_named_and_moves_nothing() -> None:
-    """One of 29, by a hundred times its noise, and by ten."""
+    """One of 29, by 30 times its noise about a level axis, and by 300."""
     session = observed(by_hand(30))
     undisturbed = joint(session)
     assert undisturbed.left_out is not None
@@ -364,10 +361,11 @@ def test_a_spoilt_turn_is_left_out_and_named_and_moves_nothing() -> None:
     assert turns is not None
     assert samples is not None
     noise = float(np.sqrt(np.trace(turns.covariance[11]) / 3.0))
-    for times in (10.0, 100.0):
+    level = unit_vector(np.cross(session.rests.accel[11], [0.6, -0.48, 0.64]))
+    for times in (30.0, 300.0):
         rates, forces, dt = (each.copy() for each in samples.samples.read(0, samples.samples.count))
         own = slice(int(samples.start[11]), int(samples.stop[11]))
-        rates[own] += times * noise * np.array([0.6, -0.48, 0.64]) / dt[own].sum()
+        rates[own] += times * noise * level / dt[own].sum()
         other = type(samples.samples)()
         other.append(rates, forces, dt)
         spoilt = replace(session, turn_samples=replace(samples, samples=other, _kept=[]))
@@ -407,8 +405,8 @@ def test_the_integral_is_the_same_to_the_last_digit() -> None:
 def test_the_integral_is_that_of_a_sampler() -> None:
     """Means within 0.1 u and u within 5 % of those of a Metropolis sampler of φ with exact conditionals, accelerometers
     alone, where what is not known of the model matters the most."""
-    fitted = fitted_of(accelerometers_alone())
-    found = study().compared(fitted, draws=3000, seed=2)
+    fitted = fitted_of(without_gyros(observed(by_hand(15)), {"accel.quadratic": 5e-6}))
+    found = study().compared(fitted, draws=1500, seed=2)
     assert found.means < 0.1
     assert found.u < 0.05
 
