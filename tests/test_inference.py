@@ -403,12 +403,12 @@ def test_the_integral_is_the_same_to_the_last_digit() -> None:
 
 
 def test_the_integral_is_that_of_a_sampler() -> None:
-    """Means within 0.1 u and u within 5 % of those of a Metropolis sampler of φ with exact conditionals, accelerometers
+    """Means within 0.1 u and u within 10 % of those of a Metropolis sampler of φ with exact conditionals, accelerometers
     alone, where what is not known of the model matters the most."""
     fitted = fitted_of(without_gyros(observed(by_hand(15)), {"accel.quadratic": 5e-6}))
-    found = study().compared(fitted, draws=1500, seed=2)
+    found = study().compared(fitted, draws=3000, seed=2)
     assert found.means < 0.1
-    assert found.u < 0.05
+    assert found.u < 0.1
 
 
 def test_the_integral_is_wider_than_the_maximum() -> None:

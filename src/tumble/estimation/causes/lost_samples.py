@@ -29,7 +29,7 @@ from tumble.inference.linearisation import linearise
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.recording.gaps import REGULAR_HINT
 from tumble.reduction.observations import Observations
-from tumble.rotation import UP, tangent_basis
+from tumble.rotation import tangent_basis
 from tumble.sensors.parameters import RATE
 from tumble.units import DEGREE, Array
 
@@ -184,8 +184,7 @@ def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Remaining, u: 
     about, observed, own = session.linearised.about, session.observed[s], session.problem.parts[s].turns
     assert about is not None
     path = np.einsum("kipp->ki", about.moments.Phi[own][..., RATE])
-    angle = np.linalg.norm(path, axis=1, keepdims=True)
-    axis = np.where(angle > 0.0, path / np.maximum(angle, 1e-9), UP)  # of what does not turn any
+    axis = path / np.maximum(np.linalg.norm(path, axis=1, keepdims=True), 1e-9)
     size = np.sqrt(about.moments.body_rates[own][:, [0, 3, 5]].sum(axis=1))[:, None, None]
     W, left = blamed.step.told.weights.turn[own, :, :3], [each[own] for each in blamed.left.turn]
     along, across = (
