@@ -1,83 +1,97 @@
-"""Warm-up after power-on without a thermometer: found, contained in u and said; and not where there is none."""
+"""Biases are processes in time: a warm-up after power-on, a drift, a random walk or a chain do not spoil what is
+estimated, and what is not known of them afterwards is said."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from wandering_biases import Process, biased, drift, gauss_markov, middles, random_walk, warm_up
 
 from tumble.calibration.notes import drifted
 from tumble.calibration.observed import inspect_session, observations_for_calibration
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate, Outcome
-from tumble.inference.likelihood import WARMING, Problem
-from tumble.inference.fits import fit_of
 from tumble.inference.joint import joint
-from tumble.inference.start import start_of
-from tumble.estimation.methods.joint.time_constants import TimeConstants, settling_with, without_own
 from tumble.planning.setup import Setup
-from tumble.sensors.parameters import usual_sizes
+from tumble.reduction.observations import Observations
 from tumble.simulation.observations import simulate_observations
-from tumble.simulation.scenario import itinerary, scenario_of
-from tumble.simulation.temperature_profile import REFERENCE, REFERENCE_NAME, TemperatureProfile, truth_at
-from tumble.units import DEGREE, G_STANDARD, Array
+from tumble.simulation.scenario import scenario_of
+from tumble.units import Array
 
-START, RISE = 22.0, 15.0
-
-
-def calibrated(seed: int, settles: float, seconds: float) -> tuple[Estimate, Outcome, Array]:
-    """The estimate of a device by hand whose biases settle by ± 2 mg and ± 0.2 °/s times `settles` with a time
-    constant, what is said of it, and the errors of the linear model, for the settled device, over u."""
-    rng = np.random.default_rng([77, seed])
-    scenario = scenario_of(Setup.of(grade="mems", positions=24, rest=10.0), rng, serial="warming")
-    duration = float(itinerary(scenario, rng.spawn(1)[0]).rests[-1, 1])
-    profile = TemperatureProfile(celsius=(START,), heating=((RISE, seconds),))
-    slopes = {
-        f"{kind}.bias.{axis}.t1": float(rng.choice([-1.0, 1.0]) * settles * size / RISE)
-        for kind, size in (("accel", 2e-3 * G_STANDARD), ("gyro", 0.2 * DEGREE))
-        for axis in "xyz"
-    }
-    scenario = replace(scenario, truth=dict(scenario.truth) | slopes, climate=profile.climate(1.2 * duration))
-    truth = truth_at(dict(scenario.truth) | {REFERENCE_NAME: REFERENCE}, START + RISE)
-    seen = simulate_observations(scenario, rng)
-    blind = replace(seen, usual=usual_sizes("mems"), thermometers=None, rests=replace(seen.rests, temperatures=None))
-    found = joint(blind)
-    assert found.instrument is not None
-    linear = found.names[: found.instrument.linear_count]
-    errors = [(found.values[i] - truth[name]) / found.u[i] for i, name in enumerate(linear)]
-    return found, verdict(found, blind), np.array(errors)
+ACCEL, GYRO = 5e-3, 1e-3
+"""m/s² and rad/s: 0.5 mg and 200 °/h, several times the noise of a rest."""
+LATER = 30.0
+"""s after the last rest."""
 
 
-@pytest.mark.parametrize("seconds", [80.0, 200.0])
-def test_a_warm_up_is_said_and_u_contains_it(seconds: float) -> None:
-    found, said, errors = calibrated(1, 1.0, seconds)
-    assert said.verdict == "accepted with scatter", said.reasons
-    assert said.remarks[0].startswith("warm-up after power-on: biases of the accelerometers settle by up to ")
-    assert found.linearised is not None
-    settling = found.linearised.problem.observations.warm_up
-    assert settling == pytest.approx(seconds, rel=0.3)
-    assert np.sqrt(np.mean(errors**2)) < 1.6
-    assert np.abs(errors).max() < 4.0
+def calibrated(of: Process | None, seed: int, positions: int = 12) -> tuple[Estimate, Observations, Array, Array]:
+    """The estimate of a MEMS unit by hand whose biases are its own and a process each, its session, its true parameters
+    with the means of the biases over the session, and the true biases a while later."""
+    rng = np.random.default_rng([78, seed])
+    scenario = scenario_of(Setup.of(grade="mems", positions=positions, rest=5.0), rng)
+    session = simulate_observations(scenario, rng)
+    time = middles(session)
+    truth, later = scenario.values.copy(), np.zeros(6)
+    if of is not None:
+        path = np.array([of(rng, np.append(time, time[-1] + LATER)) for _ in range(6)]).T
+        path = path * np.repeat([ACCEL, GYRO], 3)
+        session, later = biased(session, path[:-1, :3], path[:-1, 3:]), path[-1]
+    found = joint(session)
+    biases = np.array([found.names.index(each.name) for each in found.process_bias])
+    after = truth[biases] + later
+    if of is not None:
+        truth[biases] += path[:-1].mean(axis=0)
+    return found, session, truth, after
+
+
+PROCESSES = {
+    "warm-up": warm_up(60.0),
+    "drift": drift,
+    "random walk": random_walk,
+    "AR(1)": gauss_markov(20.0),
+    "long chain": gauss_markov(300.0),
+}
+
+
+@pytest.mark.parametrize("name", PROCESSES)
+def test_what_biases_do_in_a_session_is_in_u_and_what_they_do_next_in_that_of_the_next(name: str) -> None:
+    """Over six units: errors of the 18 other parameters and of the mean biases of the session are those of u; and the
+    biases half a minute later are where the processes say."""
+    z, of_session, of_next = [], [], []
+    for seed in range(6):
+        found, session, truth, later = calibrated(PROCESSES[name], seed)
+        assert found.converged
+        assert verdict(found, session).accepted
+        errors = (found.values - truth) / found.u
+        is_bias = np.isin(found.names, [each.name for each in found.process_bias])
+        z.append(errors[~is_bias])
+        of_session.append(errors[is_bias])
+        of_next.append([(each.value - b) / each.next_u for each, b in zip(found.process_bias, later, strict=True)])
+    assert np.sqrt(np.mean(np.square(z))) < 1.5
+    assert np.abs(z).max() < 5.0
+    assert np.sqrt(np.mean(np.square(of_session))) < 1.6
+    assert np.mean(np.abs(of_next) < 2.0) > 0.8
 
 
 def test_a_device_that_does_not_warm_has_no_warm_up() -> None:
-    found, said, _ = calibrated(2, 0.0, 100.0)
-    assert found.linearised is not None
-    assert found.linearised.problem.observations.warm_up is None
-    assert not any("warm-up" in remark for remark in said.remarks)
+    found, session, truth, _ = calibrated(None, 2)
+    assert np.abs((found.values - truth) / found.u).max() < 5.0
+    assert not any("warm-up" in remark or "wander" in remark for remark in verdict(found, session).remarks)
     assert drifted(found) == ()
 
 
-def test_a_warm_up_that_passes_for_a_drift_is_noted() -> None:
-    """Over a session of about its time constant, the bias of the settled device is not in the data."""
-    found, _, errors = calibrated(3, 0.15, 400.0)
-    assert found.linearised is not None
-    assert found.linearised.problem.observations.warm_up is None
-    assert np.abs(errors).max() > 5.0
-    notes = drifted(found)
-    assert any(note.startswith("biases of the gyros drift: those given are of the middle") for note in notes)
+@pytest.mark.parametrize("of", [warm_up(60.0), drift], ids=["warm-up", "drift"])
+def test_biases_that_settle_or_drift_by_far_more_than_usual_are_said(of: Process) -> None:
+    """And u of the biases of another day is larger than that of the means over the session."""
+    found, session, _, _ = calibrated(lambda rng, time: 5.0 * of(rng, time), 1, positions=18)
+    said = verdict(found, session)
+    assert said.verdict == "accepted with scatter", said.reasons
+    for kind in ("accelerometers", "gyros"):
+        assert any(f"biases of the {kind} wander by" in remark for remark in said.remarks), said.remarks
+    u = dict(zip(found.names, found.u, strict=True))
+    assert all(each.next_u > each.u > 2.0 * u[each.name] for each in found.process_bias)
 
 
 def test_a_turn_with_clipped_gyros_is_left_out_and_named(data: Path, tmp_path: Path) -> None:
@@ -114,21 +128,3 @@ axes = {axes}
     assert said in observations.notes
     assert observed.observations is not None
     assert observations.arrays is observed.observations.arrays
-
-
-def test_one_elimination_says_the_likelihood_of_every_time_constant() -> None:
-    found, _, _ = calibrated(1, 1.0, 80.0)
-    assert found.linearised is not None
-    solved = found.linearised.problem
-    blind = replace(solved.observations, warm_up=None)
-    problem = Problem.of(blind, instrument=solved.instrument, usual=blind.usual)
-    fitted = fit_of(problem, start_of(problem)[0])
-    of_all = TimeConstants.of(fitted, problem, (10.0, 600.0))
-    steps, told = [], []
-    for settling in (30.0, 90.0, 250.0):
-        warm = replace(settling_with(problem, settling, WARMING), measured=fitted.problem.measured)
-        steps.append(without_own(warm, fitted.solved).solved(warm, fitted.scatter))
-        told.append(of_all.deviance(settling, warm))
-        change = (of_all.values(settling, warm) - steps[-1].parameters) / np.sqrt(np.diag(steps[-1].covariance))
-        assert np.abs(change).max() < 1e-2
-    assert np.diff(told) == pytest.approx(np.diff([step.deviance for step in steps]), abs=0.02)
