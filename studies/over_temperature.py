@@ -28,8 +28,8 @@ from scipy import stats
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.together import calibrate_together
-from tumble.inference.hyperparameters import Scatter
 from tumble.estimation.estimate import Estimate, Fit
+from tumble.inference.hyperparameters import Scatter
 from tumble.inference.joint import joint
 from tumble.inference.step import solve
 from tumble.planning.setup import Setup

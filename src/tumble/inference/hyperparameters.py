@@ -288,8 +288,9 @@ def components_of(entries: tuple[Hyperparameter, ...], phi: Array, sensors: int)
 
 def sized(problem: Problem, entries: tuple[Hyperparameter, ...], phi: Array) -> Problem:
     """The problem with the priors of its groups as large as φ says."""
-    expected, usual = problem.usual
-    known, own = usual.copy(), problem.own_usual.copy()
+    expected, known, own = problem.measured[0], problem.usual[1].copy(), problem.own_usual.copy()
+    if problem.lag_known and problem.lag is not None:
+        known[1 + problem.lag] = problem.measured[1][1 + problem.lag]
     for h, p in zip(entries, phi.tolist(), strict=True):
         if h.place == "group":
             known[1:][h.members] *= h.value(p)

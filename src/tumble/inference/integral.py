@@ -151,7 +151,7 @@ def _axes(fitted: Maximum) -> tuple[list[_Axis], Array]:
             axes.append(_axis(i, best.phi[i], sorted(knots), size, h.within if at_bound else 0.0))
             bends.append(np.zeros(len(best.phi)) if at_bound else (scores[0] - scores[1]) / (2.0 * size))
     elements = [axis.element for axis in axes]
-    curvature = np.array(bends).reshape(len(axes), -1)[:, elements]
+    curvature = np.array(bends).reshape(len(axes), len(best.phi))[:, elements]
     curvature = 0.5 * (curvature + curvature.T)
     alone = np.array([bool(bounded[i] and best.phi[i] <= 0.0) for i in elements], dtype=bool)
     curvature[alone], curvature[:, alone] = 0.0, 0.0
