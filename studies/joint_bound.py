@@ -1,7 +1,7 @@
 """Does the joint estimate reach the Cramér–Rao bound, are its chi-square and its uncertainties right, and how far from
 the bound are the other methods?
 
-The set-up of §8 of the turntable method: programme rough-table, rests of 120 s, half turns of 20 s, table and mounting
+The set-up of the turntable paper: programme rough-table, rests of 120 s, half turns of 20 s, table and mounting
 ±1°, N_a = 10⁻⁴ m/s²/√Hz, N_g = 0.003 °/√h; errors of the instrument drawn anew in every run. Observations are made
 directly from the truth, so that their noise is known. The bound is that of the same observations at the true values.
 

@@ -8,7 +8,7 @@ instructions. A pass that did everything at once would not be: beyond some fifty
     _fill  readings of nominal sensors and dt          → rows y_g (3), y_a (3), dt
     _compensate  sensor model, delay                   → rows ω (3), f (3), dt
     _regress  products with dt                         → `right`: dt, ω, f, f f, ω ω and |a·ω|, (a·ω)³, |a·f|, (a·f)³
-    _turn  the step (A1) with the attitude C_m in its middle → `left`: C_m, and C_m × V by columns
+    _turn  the step with the attitude C_m in its middle → `left`: C_m, and C_m × V by columns
     _turn_about  C_m [ω×] dt                           → `swept`
     _add_products  left ⊗ right                        → `sums`
 
@@ -406,7 +406,8 @@ def _regress_axis(
 
 
 def _turn(right: Array, steps: int, lanes: int, state: Array, left: Array) -> None:
-    """Carry attitude and velocity of the lanes through the tile, with primes for the sample before (A1):
+    """Carry attitude and velocity of the lanes through the tile, docs/mathematics.md (6), with primes for the sample
+    before:
 
         φ = Δθ + Δθ'×Δθ/12,   C ← C exp([φ×]),   C_m = C exp([φ×]/2)
         V += C_m (Δv + φ×(φ×Δv)/24 + (Δθ'×Δv + Δv'×Δθ)/12)
