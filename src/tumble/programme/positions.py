@@ -6,9 +6,9 @@ U, E by the right-hand rule (N × U = E) and are applied in order. A block on it
 axes above (+) and below (−) the horizon by 35.26° each; in which azimuth, turns may say: "corner +X-Y+Z U+120".
 
 The rough-table programme is programme "A" of the turntable paper (docs/equations.md); its directions of rotation are
-not in the paper. They matter: with (+N, +U, −N) the accelerometer biases cancel in the gyro scale factors. The body turns
-in one sense about each of its horizontal axes there, the turn about U having reversed it; with +N once more at the end
-of a series in both, which shows whether gyros have the same scale factor in both.
+not in the paper. They matter: with (+N, +U, −N) the accelerometer biases cancel in the gyro scale factors. The body
+turns in one sense about each of its horizontal axes there, the turn about U having reversed it; with +N once more at
+the end of a series in both, which shows whether gyros have the same scale factor in both.
 """
 
 from __future__ import annotations
