@@ -7,8 +7,7 @@ directly from the truth, so that their noise is known. The bound is that of the 
 
 Ratio: rms error over runs and over the parameters of a group, over the rms bound. Chi-square: of all residuals against
 the noise within rests, before any scatter is estimated. Coverage: how often |value − truth| < 1.96 u, by parameter,
-with the u that the method gives, scatter included where it has estimated one (it does in about half of the runs, for
-chance exceeds its median in half of them).
+with the u that the method gives, in which scatter and in-run biases are integrated over, although there are none.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from formulas_against_simulation import DEVICE
 
-from tumble.inference.hyperparameters import Scatter
+from tumble.inference.hyperparameters import Components
 from tumble.estimation.estimate import Estimate
 from tumble.inference.likelihood import Point, Problem, weights
 from tumble.inference.linearisation import linearise
@@ -95,7 +94,7 @@ def _bound(scenario: Scenario, observations: Observations, truth: Array, number:
     point = Point(values=truth, gravity=scenario.site.gravity, attitudes=way.attitudes)
     problem = Problem.of(observations)
     rows = linearise(problem, point, TurnsAbout.of(observations, problem.instrument, truth))
-    step = solve(problem, rows, weights(problem, rows, Scatter()))
+    step = solve(problem, rows, weights(problem, rows, Components()))
     return np.sqrt(np.diag(step.covariance)[1:])
 
 
