@@ -160,7 +160,7 @@ def everything_at_once(problem: Problem, at: At, components: Components) -> tupl
     estimates and covariance of the angles of all rests, of gravity and the parameters, and of the biases (SI) rest by
     rest, and twice the negative logarithm of the restricted likelihood."""
     observations, rows = problem.observations, at.rows
-    turns, n, (N, r, _) = observations.turns, problem.sensors, rows.rest.shape
+    turns, n, N = observations.turns, problem.sensors, len(rows.rest)
     assert turns is not None
     p, noise = len(rows.prior) - 1, noise_of(problem, rows)
     lines, residual, determinant = [], [], 0.0
