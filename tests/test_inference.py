@@ -164,7 +164,10 @@ def everything_at_once(problem: Problem, at: At, components: Components) -> tupl
     assert turns is not None
     p, noise = len(rows.prior) - 1, noise_of(problem, rows)
     lines, residual, determinant = [], [], 0.0
-    for which, own, directions in (("rest", rows.rest, noise.rest_directions), ("turn", rows.turn, noise.turn_directions)):
+    for which, own, directions in (
+        ("rest", rows.rest, noise.rest_directions),
+        ("turn", rows.turn, noise.turn_directions),
+    ):
         Z, of = directions
         for k, row in enumerate(own):
             V = getattr(noise, which)[k] + (Z[k] * components.variances[of]) @ Z[k].T
@@ -291,7 +294,9 @@ def test_a_session_in_two_files_is_the_same_but_for_the_chain_that_begins_anew()
         assert np.all(begins == 0.0) == (each is two)
     u = np.sqrt(np.diag(steps[0][0].covariance))
     np.testing.assert_allclose(steps[1][0].parameters / u, steps[0][0].parameters / u, atol=1e-6)
-    np.testing.assert_allclose(steps[1][0].covariance / np.outer(u, u), steps[0][0].covariance / np.outer(u, u), atol=1e-6)
+    np.testing.assert_allclose(
+        steps[1][0].covariance / np.outer(u, u), steps[0][0].covariance / np.outer(u, u), atol=1e-6
+    )
     assert steps[1][0].deviance == pytest.approx(steps[0][0].deviance, abs=1e-6)
     assert abs(steps[1][1].deviance - steps[0][1].deviance) > 1e-3
     whole, cut = joint(one), joint(two)
@@ -356,7 +361,9 @@ def test_a_spoilt_turn_is_left_out_and_named_and_moves_nothing() -> None:
     session = observed(by_hand(30))
     undisturbed = joint(session)
     assert undisturbed.left_out is not None
-    assert not any(each.any() for each in (undisturbed.left_out.accel, undisturbed.left_out.gyro, undisturbed.left_out.turn))
+    assert not any(
+        each.any() for each in (undisturbed.left_out.accel, undisturbed.left_out.gyro, undisturbed.left_out.turn)
+    )
     turns, samples = session.turns, session.turn_samples
     assert turns is not None
     assert samples is not None
