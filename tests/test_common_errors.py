@@ -10,9 +10,9 @@ import pytest
 
 import tumble
 from tumble.estimation.common_errors import by_time_base, clocked, common_rounding
+from tumble.inference.joint import joint
 from tumble.inference.likelihood import Problem, noise_of
 from tumble.inference.linearisation import linearise
-from tumble.inference.joint import joint
 from tumble.inference.start import start_of
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations

@@ -16,17 +16,17 @@ import pytest
 from formula_setup import device_setup
 
 from tumble.calibration.calibrate import calibrate
-from tumble.inference.hyperparameters import Components
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate
+from tumble.estimation.methods.staged.method import staged
+from tumble.estimation.turns_about import TurnsAbout
+from tumble.inference.fits import TOTAL
+from tumble.inference.hyperparameters import Components
+from tumble.inference.joint import QUICK_STEPS, joint
 from tumble.inference.likelihood import Prior, Problem, weights
 from tumble.inference.linearisation import linearise
-from tumble.inference.fits import TOTAL
-from tumble.inference.joint import QUICK_STEPS, joint
 from tumble.inference.start import start_of
-from tumble.estimation.methods.staged.method import staged
 from tumble.inference.step import solve
-from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes
 from tumble.reduction.motion_samples import MotionSamples

@@ -17,15 +17,15 @@ from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.together import calibrate_together
 from tumble.cli import main
 from tumble.errors import InputError
-from tumble.inference.hyperparameters import Components
 from tumble.estimation.causes.projection import Remaining, projections
 from tumble.estimation.diagnosis.misfit import misfit
 from tumble.estimation.diagnosis.verdict import verdict
+from tumble.estimation.turns_about import TurnsAbout
+from tumble.inference.hyperparameters import Components
+from tumble.inference.joint import joint
 from tumble.inference.likelihood import OWN, Point, Problem, noise_of
 from tumble.inference.linearisation import linearise
-from tumble.inference.joint import joint
 from tumble.inference.step import solve
-from tumble.estimation.turns_about import TurnsAbout
 from tumble.inference.variables import variables_of
 from tumble.planning.setup import Setup
 from tumble.recording.log import open_log

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tumble.estimation.estimate import Estimate
-from tumble.inference.joint import joint
 from tumble.estimation.methods.staged.method import staged
+from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.recording.session import Site
