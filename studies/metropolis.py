@@ -155,9 +155,8 @@ def main() -> None:
         print(f"{name:18s} {line}", flush=True)
         worst = [max(worst[0], found.means), max(worst[1], found.u)]
     agrees = "Yes" if worst[0] < 0.1 and worst[1] < 0.05 else "No"
-    print(
-        f"Is the posterior what a sampler finds? {agrees}: means within {worst[0]:.2f} u, u within {100 * worst[1]:.0f} %"
-    )
+    by = f"means within {worst[0]:.2f} u, u within {100 * worst[1]:.0f} %"
+    print(f"Is the posterior what a sampler finds? {agrees}: {by}")
 
 
 if __name__ == "__main__":

@@ -160,7 +160,7 @@ def everything_at_once(problem: Problem, at: At, components: Components) -> tupl
     estimates and covariance of the angles of all rests, of gravity and the parameters, and of the biases (SI) rest by
     rest, and twice the negative logarithm of the restricted likelihood."""
     observations, rows = problem.observations, at.rows
-    turns, n, (N, r, _) = observations.turns, problem.sensors, rows.rest.shape
+    turns, n, (N, *_) = observations.turns, problem.sensors, rows.rest.shape
     assert turns is not None
     p, noise = len(rows.prior) - 1, noise_of(problem, rows)
     lines, residual, determinant = [], [], 0.0
@@ -309,7 +309,7 @@ def test_a_session_in_two_files_is_the_same_but_for_the_chain_that_begins_anew()
 
 @pytest.mark.parametrize("name", ["by hand", *SESSIONS])
 def test_two_starts_have_one_maximum(name: str) -> None:
-    """From above and from below everything that is likely: ℓ within a tenth, and the parameters within a fifth of u."""
+    """From above and from below everything that is likely: ℓ within a fifth, and the parameters within a fifth of u."""
     problem, at = started(SESSIONS[name]() if name in SESSIONS else observed(by_hand()))
     first = maximum(problem, at)
     found = [first]
@@ -320,7 +320,7 @@ def test_two_starts_have_one_maximum(name: str) -> None:
     u = np.sqrt(first.best.step.covariance.diagonal()[1:])[linear]
     for each in found:
         assert each.converged
-        assert each.best.value == pytest.approx(first.best.value, abs=0.1)
+        assert each.best.value == pytest.approx(first.best.value, abs=0.2)
         np.testing.assert_allclose((each.point.values - first.point.values)[linear] / u, 0.0, atol=0.2)
 
 
@@ -410,7 +410,7 @@ def test_the_integral_is_the_same_to_the_last_digit() -> None:
 
 
 def test_the_integral_is_that_of_a_sampler() -> None:
-    """Means within 0.1 u and u within 10 % of those of a Metropolis sampler of φ with exact conditionals, accelerometers
+    """Means within 0.1 u, u within 10 % of those of a Metropolis sampler of φ with exact conditionals: accelerometers
     alone, where what is not known of the model matters the most."""
     fitted = fitted_of(without_gyros(observed(by_hand(15)), {"accel.quadratic": 5e-6}))
     found = study().compared(fitted, draws=3000, seed=2)
