@@ -59,7 +59,7 @@ def conditional(fitted: Maximum, phi: Array) -> tuple[float, Array, Array]:
     prior = sum(h.prior(p)[0] for h, p in zip(fitted.entries, phi.tolist(), strict=True))
     change, covariance = known.parameters.copy(), known.roots[0][q:] @ known.roots[0][q:].T
     if told.process is not None and len(problem.parts) == 1:
-        more, by, apart = of_session(problem, told, np.concatenate([known.own[0], known.parameters]))
+        more, by, apart = of_session(told, np.concatenate([known.own[0], known.parameters]))
         to_session = np.eye(len(change))
         to_session[biases] += by[:, q:]
         change[biases] += more

@@ -243,7 +243,7 @@ def test_states_of_biases_are_those_of_everything_at_once(cut: bool) -> None:
     mean[np.arange(n), 3 * N + 1 + problem.biases] = 1.0
     for s in range(n):
         mean[s, 3 * N + p + s + n * np.arange(N)] = 1.0 / N
-    more, by, apart = of_session(problem, step.told, step.parameters)
+    more, by, apart = of_session(step.told, step.parameters)
     to_session = np.eye(n, p, 1)
     to_session[:] = 0.0
     to_session[np.arange(n), 1 + problem.biases] = 1.0

@@ -99,7 +99,7 @@ class InRun:
         return by_size, by_time, told
 
 
-def of_session(problem: Problem, told: Told, parameters: Array) -> tuple[Array, Array, Array]:
+def of_session(told: Told, parameters: Array) -> tuple[Array, Array, Array]:
     """By how much the means of the biases over the rests of a session differ from their parameters, once a step of
     these (q + 1 + m,), its own before them, is done: values (n,), what they change with them (n, q + 1 + m), and the
     covariance (n, n) of the rest. A session's states are a chain, u_i = A_i u_{i+1} + B_i x + a_i + e_i, along which

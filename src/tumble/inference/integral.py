@@ -198,7 +198,7 @@ def _at(fitted: Maximum, phi: Array) -> tuple[float, Array, Array, Array, Array]
     change, covariance = known.parameters.copy(), known.roots[0][q:, q:] @ known.roots[0][q:, q:].T
     process = change[biases], covariance[np.ix_(biases, biases)]
     if told.process is not None and len(problem.parts) == 1:
-        more, by, apart = of_session(problem, told, np.concatenate([known.own[0], known.parameters]))
+        more, by, apart = of_session(told, np.concatenate([known.own[0], known.parameters]))
         to_session = np.eye(len(change))
         to_session[biases] += by[:, q:]
         change[biases] += more
