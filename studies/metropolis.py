@@ -59,7 +59,7 @@ def conditional(fitted: Maximum, phi: Array) -> tuple[float, Array, Array]:
     prior = sum(h.prior(p)[0] for h, p in zip(fitted.entries, phi.tolist(), strict=True))
     change, covariance = known.parameters.copy(), known.roots[0][q:] @ known.roots[0][q:].T
     if told.process is not None and len(problem.parts) == 1:
-        more, by, apart = of_session(problem, told, np.concatenate([known.own[0], known.parameters]))
+        more, by, apart = of_session(told, np.concatenate([known.own[0], known.parameters]))
         to_session = np.eye(len(change))
         to_session[biases] += by[:, q:]
         change[biases] += more
@@ -155,9 +155,8 @@ def main() -> None:
         print(f"{name:18s} {line}", flush=True)
         worst = [max(worst[0], found.means), max(worst[1], found.u)]
     agrees = "Yes" if worst[0] < 0.1 and worst[1] < 0.05 else "No"
-    print(
-        f"Is the posterior what a sampler finds? {agrees}: means within {worst[0]:.2f} u, u within {100 * worst[1]:.0f} %"
-    )
+    by = f"means within {worst[0]:.2f} u, u within {100 * worst[1]:.0f} %"
+    print(f"Is the posterior what a sampler finds? {agrees}: {by}")
 
 
 if __name__ == "__main__":

@@ -243,7 +243,7 @@ def test_states_of_biases_are_those_of_everything_at_once(cut: bool) -> None:
     mean[np.arange(n), 3 * N + 1 + problem.biases] = 1.0
     for s in range(n):
         mean[s, 3 * N + p + s + n * np.arange(N)] = 1.0 / N
-    more, by, apart = of_session(problem, step.told, step.parameters)
+    more, by, apart = of_session(step.told, step.parameters)
     to_session = np.eye(n, p, 1)
     to_session[:] = 0.0
     to_session[np.arange(n), 1 + problem.biases] = 1.0
@@ -309,7 +309,7 @@ def test_a_session_in_two_files_is_the_same_but_for_the_chain_that_begins_anew()
 
 @pytest.mark.parametrize("name", ["by hand", *SESSIONS])
 def test_two_starts_have_one_maximum(name: str) -> None:
-    """From above and from below everything that is likely: ℓ within a tenth, and the parameters within a fifth of u."""
+    """From above and from below everything that is likely: ℓ within a fifth, and the parameters within a fifth of u."""
     problem, at = started(SESSIONS[name]() if name in SESSIONS else observed(by_hand()))
     first = maximum(problem, at)
     found = [first]
@@ -320,7 +320,7 @@ def test_two_starts_have_one_maximum(name: str) -> None:
     u = np.sqrt(first.best.step.covariance.diagonal()[1:])[linear]
     for each in found:
         assert each.converged
-        assert each.best.value == pytest.approx(first.best.value, abs=0.1)
+        assert each.best.value == pytest.approx(first.best.value, abs=0.2)
         np.testing.assert_allclose((each.point.values - first.point.values)[linear] / u, 0.0, atol=0.2)
 
 
@@ -410,7 +410,7 @@ def test_the_integral_is_the_same_to_the_last_digit() -> None:
 
 
 def test_the_integral_is_that_of_a_sampler() -> None:
-    """Means within 0.1 u and u within 10 % of those of a Metropolis sampler of φ with exact conditionals, accelerometers
+    """Means within 0.1 u, u within 10 % of those of a Metropolis sampler of φ with exact conditionals: accelerometers
     alone, where what is not known of the model matters the most."""
     fitted = fitted_of(without_gyros(observed(by_hand(15)), {"accel.quadratic": 5e-6}))
     found = study().compared(fitted, draws=3000, seed=2)

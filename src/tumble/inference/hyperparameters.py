@@ -37,8 +37,9 @@ OF_TURNS = SCATTER[2:]
 """Those that concern turns alone."""
 CORRELATION_TIME = 300.0
 """s: the usual correlation time of an in-run bias."""
-IN_RUN_WITHIN = float(np.log(5.0))
-"""Standard deviation of the logarithms of its size and of its correlation time about the usual ones."""
+IN_RUN_WITHIN = float(np.log(5.0) / 1.645)
+"""Standard deviation of the logarithms of its size and of its correlation time about the usual ones: nine of ten are
+within ÷× 5. A wider one would make the mean square of sizes that a session does not show that of the few largest."""
 SHEET, STATED, GUESSED = 2.0, 3.0, 10.0
 """The factor by which a usual size may be too small where it is from a data sheet, from a grade that is stated, or from
 one that is guessed."""
