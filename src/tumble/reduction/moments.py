@@ -188,7 +188,7 @@ class Pieces:
 
 
 def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
-    """Moments of every piece, by the step about the middle attitude docs/mathematics.md (6).
+    """Moments of every piece, by the step about the middle attitude, docs/mathematics.md (6).
 
     Errors of arithmetic are below 1e-12 while a sample turns by less than 0.5 rad."""
     return _integrated(pieces, [(pieces.stretches, compensation)], own)
