@@ -2,12 +2,15 @@
 
 | φ | what | prior |
 |---|---|---|
-| ln σ of a component of scatter | rests, turns, velocities … | σ exponential, its mean the noise it stands beside |
+| ln σ of a component of scatter | rests | σ exponential, its mean m the noise it stands beside |
+| | turns, velocities … | σ of density m/(m + σ)² |
 | ln σ_b, ln τ_b of a kind | in-run bias, a Gauss–Markov process | log-normal about the grade's size and 300 s, ÷× 5 |
 | p of a sensor | its scatter and in-run bias are exp(max(p, 0)) times those of its kind | N(0, ln 3) |
 | p of a group | its size is exp(max(p, 0)) times the usual one | N(0, ln k) |
 
-A component of scatter may be small, and is never excluded: no test decides whether it is there. With λ = exp(max(p, 0))
+A component of scatter may be small, and is never excluded: no test decides whether it is there. That of
+turns falls by a power: with an exponential one turns that are spoilt a hundred times their noise are so unlikely that
+sound accelerometers take the blame. With λ = exp(max(p, 0))
 half of the prior says that the sheet holds, the other half that it is too small by a factor of the order k: 2 for a
 data sheet, 3 for a grade that is stated, 10 for one that is guessed. A prior is never narrowed.
 
@@ -141,8 +144,8 @@ Place = Literal["scatter", "in-run", "time", "unlike", "group", "own group"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Hyperparameter:
-    """An element of φ: its name, unit and words; where it enters; its prior: about `usual`, SI, exponential of that
-    mean (`scatter`), or normal in the logarithm with the standard deviation `within`."""
+    """An element of φ: its name, unit and words; where it enters; its prior: about `usual`, SI, exponential or of
+    density m/(m + σ)² (`scatter`), or normal in the logarithm with the standard deviation `within`."""
 
     name: str
     unit: str
@@ -169,8 +172,10 @@ class Hyperparameter:
     def prior(self, phi: float) -> tuple[float, float, float]:
         """Logarithm of the density of φ, less a constant, its derivative, and the curvature of its negative."""
         if self.place == "scatter":
-            x = np.exp(phi) / self.usual
-            return float(phi - np.log(self.usual) - x), float(1.0 - x), float(x)
+            x = float(np.exp(phi) / self.usual)
+            if self.name not in OF_TURNS:
+                return float(np.log(x) - x), 1.0 - x, x
+            return float(np.log(x) - 2.0 * np.log1p(x)), (1.0 - x) / (1.0 + x), 2.0 * x / (1.0 + x) ** 2
         z = (phi - self.centre) / self.within
         return float(-0.5 * z * z), float(-z / self.within), self.within**-2
 

@@ -49,7 +49,7 @@ MAX_ITERATIONS = 40
 """Linearisations at most."""
 BEYOND = 3.0
 """Times the usual: scatter or a size for which another maximum is looked for."""
-USELESS = {"turn": 1e-2, "velocity": 0.1}
+USELESS = {"turn": 0.3, "velocity": 3.0}
 """rad and m/s: the scatter of turns that say nothing."""
 STEPS = 6
 """Steps over φ at one linearisation at most."""

@@ -87,7 +87,7 @@ def _integrate(
     w: Array,
     f: Array,
 ) -> None:
-    """The same without tuples. With primes for the sample before (A1):
+    """The same without tuples. With primes for the sample before, docs/mathematics.md (6):
 
         φ = Δθ + Δθ'×Δθ/12,   C ← C exp([φ×]),   C_m = C exp([φ×]/2)
         V += C_m (Δv + φ×(φ×Δv)/24 + (Δθ'×Δv + Δv'×Δθ)/12)

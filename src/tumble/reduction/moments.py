@@ -187,7 +187,8 @@ def integrate(
     compensation: Compensation | Sequence[Compensation],
     own: OwnAxes = NO_OWN_AXES,
 ) -> Moments:
-    """Moments of turns by the step about the middle attitude (docs/mathematics.md (6)), with one compensation or one for each; every batch
+    """Moments of turns by the step about the middle attitude (docs/mathematics.md (6)), with one compensation or one
+    for each; every batch
     holds at most one piece of a turn, in order of time.
 
     Errors of arithmetic are below 1e-12 while a sample turns by less than 0.5 rad."""

@@ -196,7 +196,7 @@ def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Remaining, u: 
         damage = share / float(u[instrument.group_columns("gyro.scale")].min())
     return Cause(
         name="lost samples",
-        concerns="both",
+        concerns="gyro",
         probability=along.chance_beside(across),
         damage=damage,
         sentence="turns that err about their own axis, with their angle: samples are missing or held in the log; "

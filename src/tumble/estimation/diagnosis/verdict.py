@@ -23,7 +23,7 @@ from tumble.sensors.parameters import sensor_kind
 from tumble.units import DEGREE, G_STANDARD, BoolArray
 
 SCATTER_LIMIT, TURN_SCATTER_LIMIT = 1e-3 * G_STANDARD, 1.0 * DEGREE
-"""Of the methods that have one scatter and leave nothing out."""
+"""Of readings at rest by the methods that have one scatter and leave nothing out, and of turns by all."""
 MOST_LEFT_OUT = 1.0 / 3.0
 """Of the rests or turns: where more do not fit, it is not they that are wrong."""
 FEWEST_POINTS, POOR = 10.0, 0.7
@@ -46,8 +46,7 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
         reasons.append(("both", said))
     if not gravity_confirmed:
         reasons += (("accel", said) for said in gravity_refused(observations.site))
-    if estimate.left_out is None:
-        reasons += _scattering(estimate, observations)
+    reasons += _scattering(estimate, observations)
     spoilt, apart = _not_fitting(estimate, observations)
     reasons += spoilt
     reasons += judged.reasons
@@ -75,7 +74,7 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
 def _scattering(estimate: Estimate, observations: Observations) -> Iterator[_Said]:
     """Accelerometers at rest and turns that scatter beyond anything a sensor does."""
     rests, turns = estimate.fits.get("accelerometers"), estimate.fits.get("gyro turns")
-    if rests is not None and rests.scatter > SCATTER_LIMIT:
+    if rests is not None and rests.scatter > SCATTER_LIMIT and estimate.left_out is None:
         yield (
             "accel",
             f"the rests scatter by {rests.scatter / G_STANDARD * 1e3:.2g} mg, more than 1 mg: the device moved at "
