@@ -137,7 +137,7 @@ def test_rows_lost_at_the_start_of_a_turn_are_named(unstamped: Samples, terms: T
 
 def test_a_loss_that_does_little_harm_is_named(tmp_path: Path) -> None:
     """One row: its turn stands out, and no parameter errs by three times its u."""
-    whole, lost = _lost_in_turn(_unstamped(tmp_path / "session", 10), 2, 1)
+    whole, lost = _lost_in_turn(_unstamped(tmp_path / "session", 11), 2, 1)
     assert whole.outcome.verdict == "accepted"
     assert lost.outcome.verdict == "accepted with scatter"
     assert any("the turn from rest 3 to rest 4" in remark for remark in lost.outcome.remarks)

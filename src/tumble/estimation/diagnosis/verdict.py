@@ -127,7 +127,8 @@ def _not_fitting(estimate: Estimate, observations: Observations) -> tuple[list[_
         said += (" by its gyros" if gyros else "") + f": {_far(estimate.rest_sigmas[i], bool(left))}"
         said += "" if gyros else f", residual {estimate.rest_residual[i]:.2g} m/s^2"
         (reasons if out is None else remarks).append(("gyro" if gyros else "both", said))
-    for k in np.flatnonzero((estimate.turn_sigmas > FIT_SIGMAS) | turn) if turns is not None else ():
+    judged = np.flatnonzero((estimate.turn_sigmas > FIT_SIGMAS) | turn) if len(estimate.turn_sigmas) else ()
+    for k in judged:
         said = f"{observations.turn_named(int(k))} {'was left out' if turn[k] else 'does not fit'}: "
         said += _far(estimate.turn_sigmas[k], bool(turn[k]))
         (reasons if out is None else remarks).append(("gyro" if out is not None else "both", said))
