@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 from tumble import cli, compiled, uncompiled
 from tumble.campaigns import triads
-from tumble.estimation import elimination, residual_loops, row_loops
+from tumble.inference import elimination, residual_loops, row_loops
 from tumble.reduction import kernels, moment_kernels, moments
 from tumble.reduction.moments import BlockCompensation, Compensation, OwnAxes, Pieces, moments_of
 from tumble.sensors import fixed_point, triad_axes
@@ -62,7 +62,7 @@ def chain(module: ModuleType) -> list[Array]:
 
 
 def test_elimination_is_that_of_python_to_the_bit() -> None:
-    for found, expected in zip(chain(elimination), chain(as_python("estimation/elimination")), strict=True):
+    for found, expected in zip(chain(elimination), chain(as_python("inference/elimination")), strict=True):
         np.testing.assert_array_equal(found, expected)
 
 
@@ -81,7 +81,7 @@ def residuals(module: ModuleType) -> list[Array]:
 
 
 def test_residuals_are_those_of_python_to_the_bit() -> None:
-    every = residuals(as_python("estimation/residual_loops"))
+    every = residuals(as_python("inference/residual_loops"))
     for found, expected in zip(residuals(residual_loops), every, strict=True):
         np.testing.assert_array_equal(found, expected)
 
@@ -110,7 +110,7 @@ def likelihood_rows(module: ModuleType) -> list[Array]:
 
 
 def test_rows_of_the_likelihood_are_those_of_python() -> None:
-    expected = likelihood_rows(as_python("estimation/row_loops"))
+    expected = likelihood_rows(as_python("inference/row_loops"))
     for found, each in zip(likelihood_rows(row_loops), expected, strict=True):
         np.testing.assert_allclose(found, each, rtol=1e-12, atol=1e-12)
 

@@ -366,11 +366,12 @@ def test_truth_is_shown_in_its_own_frame_only(folder: Path, tmp_path: Path) -> N
     assert json.loads((folder / "truth.json").read_text())
 
 
-WITH_THE_FRAME = {"frame", "parameters", "covariance", "accel", "gyro", "iterations", "launches"}
+WITH_THE_FRAME = {"frame", "parameters", "covariance", "accel", "gyro", "iterations", "launches", "process_bias"}
 WHATEVER_THE_FRAME = {
     "absent", "serial", "model", "method", "outcome", "mag", "rests", "turns", "fits", "site", "programme", "readings",
     "notes", "provenance", "groups", "prediction", "axes", "reference_temperature", "references", "thermometers",
     "measured_between", "circumstances", "imu", "sample_rate", "clock_u", "together",
+    "hyperparameters", "integral",
 }  # fmt: skip
 
 

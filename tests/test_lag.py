@@ -18,7 +18,7 @@ def test_mean_and_spread_of_a_lag_are_those_of_its_likelihood(
     """The likelihood of a ramp, from a lag that is held at −20 s, be it much narrower than the grid and away from it;
     the parameters move with the lag."""
 
-    def about(_fitted: object, _free: object, lags: Array) -> tuple[Array, Array]:
+    def about(_fitted: object, _free: object, lags: Array, _components: object) -> tuple[Array, Array]:
         return ((lags - centre) / spread) ** 2, np.column_stack([np.zeros_like(lags), 2.0 * lags])
 
     monkeypatch.setattr(of_lag, "_about", about)

@@ -18,7 +18,10 @@ from tumble.campaigns.summary import SummaryLine as SummaryLine
 from tumble.drafting.new_session import Given as Given
 from tumble.estimation.ellipsoid import WorstPosition as WorstPosition
 from tumble.estimation.estimate import GroupFinding as GroupFinding
+from tumble.estimation.estimate import HyperparameterEstimate as HyperparameterEstimate
+from tumble.estimation.estimate import Integral as Integral
 from tumble.estimation.estimate import Judgement as Judgement
+from tumble.estimation.estimate import ProcessBias as ProcessBias
 from tumble.estimation.field_check import CheckResult as CheckResult
 from tumble.estimation.observability import Refusal as Refusal
 from tumble.estimation.prediction import Prediction as Prediction

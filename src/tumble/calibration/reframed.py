@@ -53,6 +53,7 @@ def reframed(calibration: Calibration, frame: Frame) -> Calibration:
         covariance=mean.covariance,
         accel=mean.framed.accel,
         gyro=mean.framed.gyro,
+        process_bias=(),
         iterations=tuple(_increments(calibration, mean, step) for step in calibration.iterations),
         launches=tuple(
             replace(launch, parameters=each.parameters, covariance=each.covariance)

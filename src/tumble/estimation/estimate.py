@@ -208,7 +208,7 @@ class ProcessBias:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class LeftOut:
+class Omitted:
     """What was left out because it does not fit: rests by their accelerometers (N,), by their gyros (N,), and turns
     (K,)."""
 
@@ -268,7 +268,7 @@ class Estimate(Brief):
     """How that was integrated over."""
     process_bias: tuple[ProcessBias, ...] = ()
     """The biases as the means of their processes; the parameters are those of the session."""
-    left_out: LeftOut | None = None
+    left_out: Omitted | None = None
     """What was left out because it does not fit, where the method leaves out."""
 
     @property

@@ -49,7 +49,7 @@ LEAST_CHANCE = 1e-300
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Residuals:
+class Falls:
     """By group of a rest's accelerometers, its gyros (N,) and of the turns (K,): falls of chi-square without each, and
     the directions in which it has residuals; of what is left out, the chi-square of its readings about what all others
     predict."""
@@ -58,13 +58,13 @@ class Residuals:
     counts: tuple[Array, Array, Array]
 
 
-def residuals(problem: Problem, noise: Noise, weights: Weights, after: Left) -> Residuals:
+def residuals(problem: Problem, noise: Noise, weights: Weights, after: Left) -> Falls:
     """How far rests and turns are from a fit by what it leaves of the rows of these weights."""
     rest_kept, turn_kept = kept(noise)
     rest = weights.rest, after.rest, rest_kept
     groups = *((*rest, rows) for rows in _of_sensors(problem)), (weights.turn, after.turn, turn_kept, slice(None))
     falls, counts = zip(*(_falls(*group) for group in groups), strict=True)
-    return Residuals(falls=falls, counts=counts)
+    return Falls(falls=falls, counts=counts)
 
 
 def _of_sensors(problem: Problem) -> tuple[slice, slice]:
@@ -104,7 +104,7 @@ def _falls(W: Array, after: tuple[Array, Array], kept: Array, rows: slice) -> tu
     return fall, count
 
 
-def student(shown: Residuals) -> list[Array]:
+def student(shown: Falls) -> list[Array]:
     """The weights of Student-t rows: of the accelerometers and of the gyros at rest, by rest, and of the turns."""
     every = zip(shown.falls, shown.counts, strict=True)
     return [np.minimum((NU + count) / (NU + fall), 1.0) for fall, count in every]

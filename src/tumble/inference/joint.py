@@ -24,7 +24,7 @@ from tumble.estimation.estimate import (
     GroupFinding,
     HyperparameterEstimate,
     Integral,
-    LeftOut,
+    Omitted,
     OwnEstimate,
     ProcessBias,
 )
@@ -66,7 +66,7 @@ def joint(
     if fitted.converged and not quick:
         fitted = without_outliers(fitted)
     shown = posterior(fitted, 1 if quick else POINTS)
-    return _estimate(problem, fitted, shown, first + fitted.increments, by_lag)
+    return _estimate(problem, fitted, shown, (*first, *fitted.increments[:-1], shown.step[1:]), by_lag)
 
 
 def _estimate(
@@ -82,7 +82,7 @@ def _estimate(
     spread = problem.spread[:linear]
     observable = np.ones(len(values), dtype=bool)
     observable[:linear] = np.sqrt(np.diag(covariance)[:linear]) < spread / DETERMINED
-    findings = tuple(_findings(fitted, covariance))
+    findings = tuple(_findings(fitted))
     for finding in findings:
         observable[instrument.members[finding.name]] = finding.kept
     accel = problem.accel_model(values)
@@ -96,7 +96,7 @@ def _estimate(
         null=_undetermined(covariance[:linear, :linear] / np.outer(spread, spread)),
         accel=accel,
         gyro=None if observations.gyro_block is None else problem.gyro_model(values),
-        rest_residual=np.linalg.norm(_force(fitted), axis=1) - observations.site.gravity,
+        rest_residual=np.linalg.norm(_force(fitted, values), axis=1) - observations.site.gravity,
         rest_sigmas=np.maximum(accel_sigmas, gyro_sigmas),
         gyro_rest_sigmas=gyro_sigmas,
         turn_sigmas=turn_sigmas,
@@ -118,7 +118,7 @@ def _estimate(
         hyperparameters=tuple(_hyperparameters(fitted, shown)),
         integral=Integral(points=shown.points, effective=shown.effective, pareto=shown.pareto),
         process_bias=tuple(_process_bias(fitted, shown, common)),
-        left_out=LeftOut(**dict(zip(("accel", "gyro", "turn"), left_out(problem, noise), strict=True))),
+        left_out=Omitted(**dict(zip(("accel", "gyro", "turn"), left_out(problem, noise), strict=True))),
     )
 
 
@@ -177,13 +177,13 @@ def _usual_rate(about: TurnsAbout | None) -> float | None:
     return float(np.sqrt(moments.body_rates[:, [0, 3, 5]].sum() / moments.T.sum()))
 
 
-def _force(fitted: Maximum) -> Array:
-    """Specific forces (N, 3) at rest by the whole model."""
+def _force(fitted: Maximum, values: Array) -> Array:
+    """Specific forces (N, 3) at rest by the whole model with these parameters."""
     problem, at = fitted.problem, fitted.at
     accel = problem.observations.rests.accel
     if "temperature" in problem.variables:
         accel = at_reference(problem, at.point, at.rows)
-    return specific_force(problem.instrument, fitted.point.values, accel)
+    return specific_force(problem.instrument, values, accel)
 
 
 def _own(fitted: Maximum) -> OwnEstimate | None:
@@ -202,14 +202,15 @@ def _own(fitted: Maximum) -> OwnEstimate | None:
     )
 
 
-def _findings(fitted: Maximum, covariance: Array) -> Iterator[GroupFinding]:
-    """What the session says of each further group."""
+def _findings(fitted: Maximum) -> Iterator[GroupFinding]:
+    """What the session says of each further group, beside a prior of the size at the maximum."""
+    known = fitted.best.step.covariance.diagonal()[1:]
     problem = fitted.problem
     instrument, sized, usual = problem.instrument, problem.measured[1][1:], problem.usual[1][1:]
     for group in instrument.further:
         own = instrument.members[group.name]
         size = usual[own] if group.variable == "lag" else sized[own]
-        learned = np.clip(1.0 - np.diag(covariance)[own] / size**2, 0.0, 1.0)
+        learned = np.clip(1.0 - known[own] / size**2, 0.0, 1.0)
         yield GroupFinding(
             name=group.name,
             kept=bool(learned.max() > KEPT),
