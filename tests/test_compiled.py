@@ -43,7 +43,7 @@ def rows(rests: int, angles: int, parameters: int, seed: int) -> tuple[tuple[npt
     rest = rng.standard_normal((rests, 3, angles + parameters + 1))
     turn = rng.standard_normal((rests - 1, 6, 2 * angles + parameters + 1))
     factor = np.zeros((rests, angles, 2 * angles + parameters + 1))
-    return (rest, turn, link, link < 0), factor, np.zeros((parameters + 1, parameters + 1))
+    return (rest, turn, link), factor, np.zeros((parameters + 1, parameters + 1))
 
 
 def chain(module: ModuleType) -> list[Array]:

@@ -265,7 +265,7 @@ def test_a_corrected_log_is_a_session_of_a_perfect_device(
     assert again.outcome.accepted, again.outcome.reasons
     for p in again.parameters:
         assert p.u is not None
-        assert abs(p.value) < 0.01 * p.u, p.name
+        assert abs(p.value) < 0.05 * p.u, p.name  # the integral of another session is over other points
 
 
 def test_one_rest_with_gyros_far_off_has_an_outcome() -> None:

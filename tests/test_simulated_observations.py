@@ -110,6 +110,9 @@ def normalised(error: Array, covariance: Array) -> Array:
     return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), error[:, :, None]))[:, :, 0]
 
 
+WHITE_IN_RUN = NoiseModel(accel_instability=1e-3, instability_time=0.0)
+
+
 def test_instability_is_a_bias_of_each_rest() -> None:
     scenario = scenario_of(
         replace(SETUP, noise=NoiseModel(accel_instability=1e-3, instability_time=0.0)), np.random.default_rng(1)
