@@ -8,6 +8,7 @@ import sys
 from dataclasses import fields, replace
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -139,7 +140,7 @@ def with_turns(session: Observations, keep: BoolArray, rests: int) -> Observatio
     turns, samples, every = session.turns, session.turn_samples, session.rests
     assert turns is not None
     assert samples is not None
-    values = {field.name: getattr(every, field.name) for field in fields(every)}
+    values: dict[str, Any] = {field.name: getattr(every, field.name) for field in fields(every)}
     return replace(
         session,
         rests=type(every)(**{name: None if v is None else v[:rests] for name, v in values.items()}),
@@ -191,8 +192,8 @@ def everything_at_once(problem: Problem, at: At, components: Components) -> tupl
     sigma, tau = components.in_run(problem.instrument.accel.size, n - problem.instrument.accel.size)
     for s in range(n):
         C = sigma[s] ** 2 * np.exp(-np.abs(time[:, None] - time) / tau[s]) * (file[:, None] == file)
-        own = 3 * N + p + s + n * np.arange(N)
-        information[np.ix_(own, own)] += np.linalg.inv(C)
+        states = 3 * N + p + s + n * np.arange(N)
+        information[np.ix_(states, states)] += np.linalg.inv(C)
         determinant += np.linalg.slogdet(C)[1]
     scale = np.sqrt(np.diag(information))
     scaled = information / np.outer(scale, scale)

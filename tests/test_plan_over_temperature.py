@@ -111,7 +111,7 @@ def test_u_is_that_by_the_rows_of_logs(text: str, grade: str) -> None:
         made.append(replace(stated(observations, setup), usual=with_all_groups(setup).further))
     numbers = [np.arange(len(each.rests)) for each in made]
     whole = made[0] if len(made) == 1 else joined(made, [str(i) for i in range(len(made))], numbers)
-    truth = devices(setup, sessions, 1)[0].truth | {"temperature.lag": LAG}
+    truth = {**devices(setup, sessions, 1)[0].truth, "temperature.lag": LAG}
     whole = replace(whole, start=truth)
     instrument, of_each = instruments_of(whole)
     own = Problem.of(whole, instrument=instrument, own=of_each, usual=whole.usual)

@@ -274,9 +274,9 @@ def test_a_projection_is_that_of_all_unknowns_at_once() -> None:
     Q, R = np.linalg.qr(unknowns)
     B, e = columns - Q @ (Q.T @ columns), residual - Q @ (Q.T @ residual)
     projection = _projected(estimate, rest, turn)
-    own, length = projection.triangle, projection.length
-    np.testing.assert_allclose(own.T @ own, B.T @ B / np.outer(length, length), rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(own.T @ projection.along, B.T @ e / length, rtol=1e-5, atol=1e-6)
+    block, length = projection.triangle, projection.length
+    np.testing.assert_allclose(block.T @ block, B.T @ B / np.outer(length, length), rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(block.T @ projection.along, B.T @ e / length, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(projection.chi_square, e @ e, rtol=1e-6)
     assert projection.degrees == pytest.approx(len(A) - unknowns.shape[1])
     u = np.sqrt(np.linalg.inv(R.T @ R).diagonal())[3 * N :]
