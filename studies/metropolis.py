@@ -145,7 +145,7 @@ def every(count: int) -> Iterator[tuple[str, Observations]]:
             yield name, observations
 
 
-def main() -> None:
+def main() -> int:
     short = "--short" in sys.argv
     worst = [0.0, 0.0]
     print("session            means, u   u, parts   points   accepted")
@@ -157,7 +157,8 @@ def main() -> None:
     agrees = "Yes" if worst[0] < 0.1 and worst[1] < 0.05 else "No"
     by = f"means within {worst[0]:.2f} u, u within {100 * worst[1]:.0f} %"
     print(f"Is the posterior what a sampler finds? {agrees}: {by}")
+    return 0 if agrees == "Yes" else 1
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -29,7 +29,7 @@ from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.together import calibrate_together
 from tumble.estimation.estimate import Estimate, Fit
-from tumble.inference.hyperparameters import Scatter
+from tumble.inference.hyperparameters import Components
 from tumble.inference.joint import joint
 from tumble.inference.step import solve
 from tumble.planning.setup import Setup
@@ -306,7 +306,7 @@ def without_scatter(estimate: Estimate) -> tuple[Array, Array]:
     """Values and u of an estimate with the noise within rests alone, whatever the residuals are."""
     likelihood = estimate.linearised
     assert likelihood is not None
-    step = solve(likelihood.problem, likelihood.rows, likelihood.noise.weights(Scatter()))
+    step = solve(likelihood.problem, likelihood.rows, likelihood.noise.weights(Components()))
     return likelihood.point.values + step.parameters[1:], np.sqrt(np.diag(step.covariance)[1:])
 
 

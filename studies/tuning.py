@@ -22,8 +22,8 @@ from dataclasses import dataclass, fields, replace
 from functools import cache
 
 import numpy as np
-from tumble.estimation.methods.joint.method import joint
 
+from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.reduction.blemishes import without_blemishes
