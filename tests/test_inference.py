@@ -140,10 +140,11 @@ def with_turns(session: Observations, keep: BoolArray, rests: int) -> Observatio
     turns, samples, every = session.turns, session.turn_samples, session.rests
     assert turns is not None
     assert samples is not None
-    values: dict[str, Any] = {field.name: getattr(every, field.name) for field in fields(every)}
+    values = {field.name: getattr(every, field.name) for field in fields(every)}
+    first: dict[str, Any] = {name: value[:rests] for name, value in values.items() if value is not None}
     return replace(
         session,
-        rests=type(every)(**{name: None if v is None else v[:rests] for name, v in values.items()}),
+        rests=replace(every, **first),
         turns=type(turns)(**{field.name: getattr(turns, field.name)[keep] for field in fields(turns)}),
         turn_samples=replace(samples, start=samples.start[keep], stop=samples.stop[keep], _kept=[]),
     )
