@@ -26,11 +26,11 @@ from tumble.registry.connect import open_registry
 from tumble.registry.monitor import monitored
 from tumble.registry.records import Particulars, read_submission
 from tumble.registry.store import add
-from tumble.report.control_chart import write_chart
 from tumble.sensors.frames import Frame
 from tumble.sensors.model import Block
 from tumble.simulation.session import simulate_session
 from tumble.units import Array
+from tumble.views.control_chart import write_chart
 
 
 def moved(made: Calibration, by: dict[str, float]) -> Calibration:

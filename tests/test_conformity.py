@@ -19,8 +19,8 @@ from tumble.registry.limits import Limits, parse_limits
 from tumble.registry.records import Particulars, submission
 from tumble.registry.series import verdict_of
 from tumble.registry.store import add, limits_records, record, set_limits
-from tumble.report.limits import section
 from tumble.units import G_STANDARD
+from tumble.views.report.limits import section
 
 MADE = warmed(calibration())
 """Rests from −18.5 to 57.25 °C."""

@@ -29,10 +29,10 @@ from tumble.registry.records import Particulars, State, submission, utc
 from tumble.registry.series import Series, SeriesPoint
 from tumble.registry.store import add, set_limits
 from tumble.registry.trend import YEAR, Trend, trend_of
-from tumble.report.chart_panel import draw_panel
-from tumble.report.control_chart import write_chart
-from tumble.terminal.registry import sparkline
 from tumble.units import Array
+from tumble.views.chart_panel import draw_panel
+from tumble.views.control_chart import write_chart
+from tumble.views.registry import sparkline
 
 START = datetime(2020, 1, 1, tzinfo=UTC)
 

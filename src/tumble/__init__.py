@@ -111,12 +111,12 @@ if TYPE_CHECKING:
     from tumble.registry.store import records as records
     from tumble.registry.type_launches import device_launches as device_launches
     from tumble.registry.type_launches import type_spread as type_spread
-    from tumble.report.sheet import write_sheet as write_sheet
-    from tumble.report.write import write_report as write_report
     from tumble.selftest import run_selftest as run_selftest
     from tumble.sensors.model import Block as Block
     from tumble.sensors.model import SensorModel as SensorModel
     from tumble.simulation.session import simulate_session as simulate_session
+    from tumble.views.report.write import write_report as write_report
+    from tumble.views.sheet import write_sheet as write_sheet
 
 __version__ = "0.1.0"
 
