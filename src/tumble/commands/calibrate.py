@@ -71,7 +71,7 @@ if TYPE_CHECKING:
     help="Several launches: their instability together with that of all devices of the type in this registry.",
 )
 @JSON
-@click.option("--all", "every", is_flag=True, help="Show every parameter, not a line for each further group.")
+@click.option("--all", "every", is_flag=True, help="Show every parameter, and tables of groups, rests and fits.")
 def calibrate(
     sessions: tuple[Path, ...],
     methods: tuple[Method, ...],

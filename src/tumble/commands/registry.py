@@ -233,7 +233,8 @@ def limits(model: str | None, file: Path | None, as_json: bool, place: str | Non
     from tumble.registry.connect import open_registry
     from tumble.registry.limits import read_limits
     from tumble.registry.store import limits_in_force, limits_records, set_limits
-    from tumble.views.registry_lists import limits_blocks, limits_table
+    from tumble.views.registry import limits_blocks
+    from tumble.views.registry_lists import limits_table
     from tumble.views.render.data import limits_data, print_data
     from tumble.views.render.terminal import print_blocks
 

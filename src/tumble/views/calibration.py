@@ -330,7 +330,7 @@ def _truth_line(calibration: Calibration, truth: Mapping[str, float]) -> str:
 
 def as_text(calibration: Calibration) -> str:
     """The headline, the reasons against it and the remarks, all parameters, and the notes."""
-    return text_of(_short(calibration)).rstrip("\n")
+    return "\n".join(filter(None, text_of(_short(calibration)).splitlines()))
 
 
 def as_html(calibration: Calibration) -> str:
@@ -340,9 +340,9 @@ def as_html(calibration: Calibration) -> str:
 
 def _short(calibration: Calibration) -> list[Block]:
     outcome = calibration.outcome
-    said = (*outcome.reasons, *outcome.remarks)
+    said, notes = (*outcome.reasons, *outcome.remarks), tuple(f"note: {note}" for note in calibration.notes)
     blocks: list[Block] = [Text(text=headline(calibration)), *([Items(items=said)] if said else [])]
-    return [*blocks, whole_table(calibration), *([Items(items=calibration.notes)] if calibration.notes else [])]
+    return [*blocks, whole_table(calibration), *([Items(items=notes)] if notes else [])]
 
 
 _GROUPS = {"accel": "#1f4e79", "gyro": "#c0561a", "mag": "#3d7d52"}

@@ -15,6 +15,7 @@ from tumble.registry.limits import RULE, LimitJudgement, Verdict
 from tumble.registry.monitor import Monitored
 from tumble.registry.records import LaunchRow, ParameterRow, Record
 from tumble.registry.series import SeriesPoint
+from tumble.registry.store import LimitsRecord
 from tumble.registry.trend import Change, Trend
 from tumble.sensors.parameters import beyond_linear, group_name
 from tumble.units import two_digits
@@ -89,6 +90,13 @@ def _verdict_table(parameters: Sequence[ParameterRow], judged: Mapping[str, Limi
             row |= {"lowest": low, "highest": high, "unit": unit, "verdict": own.result if own else ""}
         rows.append(row | {"unit": unit})
     return table(rows, words=("parameter", "unit", "verdict"), columns=() if rows else ("parameter", "value", "U"))
+
+
+def limits_blocks(limits: LimitsRecord) -> list[Block]:
+    """Limits as they were given."""
+    named = "" if limits.systematic is None else " · systematic values kept with them"
+    head = f"limits {limits.number} · type {limits.model} · in force from {day_of(limits.added)}{named}"
+    return [Text(text=head), Items(items=(limits.file.rstrip(),)), Text(text=RULE)]
 
 
 # -------------------- trend --------------------

@@ -6,8 +6,7 @@ from collections.abc import Iterable, Mapping
 from datetime import date
 from typing import TYPE_CHECKING
 
-from tumble.registry.limits import RULE
-from tumble.views.blocks import Block, Items, Table, Text
+from tumble.views.blocks import Table
 
 if TYPE_CHECKING:
     from tumble.registry.due import Due
@@ -18,13 +17,6 @@ if TYPE_CHECKING:
 def day_of(moment: date) -> str:
     """A day by ISO 8601."""
     return f"{moment:%Y-%m-%d}"
-
-
-def limits_blocks(limits: LimitsRecord) -> list[Block]:
-    """Limits as they were given."""
-    named = "" if limits.systematic is None else " · systematic values kept with them"
-    head = f"limits {limits.number} · type {limits.model} · in force from {day_of(limits.added)}{named}"
-    return [Text(text=head), Items(items=(limits.file.rstrip(),)), Text(text=RULE)]
 
 
 def limits_table(records: Iterable[LimitsRecord], in_force: Mapping[str, LimitsRecord]) -> Table:

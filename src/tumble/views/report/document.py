@@ -32,6 +32,28 @@ class Source:
     calibration: Calibration
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Reported:
+    """A calibration with all that it is reported with: its verdicts by the limits, where there are any, certificate,
+    and the calibration before an adjustment."""
+
+    source: Source
+    acceptance: Limits | None
+    checks: tuple[Verdict, ...]
+    certificate: Certificate | None
+    as_found: Calibration | None
+
+    @property
+    def calibration(self) -> Calibration:
+        return self.source.calibration
+
+    @property
+    def limits_elsewhere(self) -> bool:
+        """Whether the table of results cannot hold the limits with all that is to be said of them."""
+        limits = self.acceptance
+        return limits is not None and (limits.frame != self.calibration.frame or limits.temperatures is not None)
+
+
 def document(
     sources: Sequence[Source],
     acceptance: Limits | None = None,
@@ -44,39 +66,48 @@ def document(
     _check_one_device(sources)
     if certificate is not None and len(sources) > 1:
         raise InputError(f"--certificate: expected one calibration, found {len(sources)}")
-    calibrations = [source.calibration for source in sources]
-    if as_found is not None and (as_found.serial, as_found.frame) != (calibrations[0].serial, calibrations[0].frame):
+    first, *others = [source.calibration for source in sources]
+    if as_found is not None and (as_found.serial, as_found.frame) != (first.serial, first.frame):
         raise InputError(
-            f"certificate: as_found: expected a calibration of device {calibrations[0].serial!r} in the frame "
-            f"{calibrations[0].frame!r}, found {as_found.serial!r} in {as_found.frame!r}"
+            f"certificate: as_found: expected a calibration of device {first.serial!r} in the frame "
+            f"{first.frame!r}, found {as_found.serial!r} in {as_found.frame!r}"
         )
     if certificate is not None:
-        check_certificate(certificate, calibrations[0], as_found)
-    titles = _titles(sources)
-    given = ReportBasis(acceptance=acceptance, certificate=certificate, as_found=as_found)
+        check_certificate(certificate, first, as_found)
+    reported = [
+        _Reported(
+            source=source,
+            acceptance=acceptance,
+            checks=_checks(source, acceptance),
+            certificate=certificate,
+            as_found=as_found,
+        )
+        for source in sources
+    ]
+    titles, of_all = _titles(sources), _for_the_laboratory if certificate is None else _for_customers
     parts = [
         Part(
-            title=title if len(sources) > 1 else "",
-            sections=_sections(source, f"c{i}", given),
-            customer=0 if len(sources) > 1 else 1,
+            title=title if others else "",
+            sections=tuple(section for section in of_all(one, f"c{i}") if section is not None),
+            customer=0 if others else 1,
         )
-        for i, (source, title) in enumerate(zip(sources, titles, strict=True), 1)
+        for i, (one, title) in enumerate(zip(reported, titles, strict=True), 1)
     ]
-    if len(sources) > 1:
-        together = compare.compared(titles, calibrations, "compared")
+    if others:
+        together = compare.compared(titles, [first, *others], "compared")
         parts.insert(0, Part(title="Comparison", sections=(together,)))
-    first = calibrations[0]
+    badge, tone, verdict = _verdict(reported)
     return Document(
         title="Calibration report" if certificate is None else "Calibration certificate",
         device=device_name(first.serial, first.model),
-        tone=_tone(sources, given),
-        verdict=_badge(sources, given),
+        tone=tone,
+        verdict=badge,
         facts=(
             *(() if certificate is None else certified.facts(certificate, first)),
-            *_front(sources, titles),
-            *((("verdict", _verdict(sources, given)),) if acceptance is not None else ()),
+            *_front(first, titles),
+            *((("verdict", verdict),) if acceptance is not None else ()),
         ),
-        created=max(calibration.provenance.get("created", "") for calibration in calibrations),
+        created=max(calibration.provenance.get("created", "") for calibration in [first, *others]),
         parts=tuple(parts),
         statements=certified.statements(certificate, judged=acceptance is not None),
         signatures=certified.signatures(certificate),
@@ -86,71 +117,38 @@ def document(
     )
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ReportBasis:
-    """What a report is made with beside the calibrations."""
-
-    acceptance: Limits | None
-    certificate: Certificate | None
-    as_found: Calibration | None
+def _checks(source: Source, acceptance: Limits | None) -> tuple[Verdict, ...]:
+    """A calibration against the limits of every check."""
+    return () if acceptance is None else tuple(verdicts(source.calibration, acceptance))
 
 
-def _tone(sources: Sequence[Source], given: ReportBasis) -> Tone:
-    """The colour of the worst verdict."""
-    badge = _badge(sources, given)
-    if badge in TONES:
-        return TONES[badge]
-    if badge == "not accepted":
-        return "bad"
-    return "doubt" if any(source.calibration.outcome.remarks for source in sources) else "good"
-
-
-def _badge(sources: Sequence[Source], given: ReportBasis) -> str:
-    """One verdict: the worst outcome of the checks where there are limits, else whether the calibrations are
-    accepted."""
-    outcomes = [source.calibration.outcome for source in sources]
+def _verdict(reported: Sequence[_Reported]) -> tuple[str, Tone, str]:
+    """The worst verdict, with its colour: of the checks where there are limits, else whether the calibrations are
+    accepted; and both in a few words."""
+    outcomes = [one.calibration.outcome for one in reported]
     if not all(outcome.accepted for outcome in outcomes):
-        *of_kinds, _ = further.verdicts(sources[0].calibration)
-        return "; ".join(of_kinds) if of_kinds and len(sources) == 1 else "not accepted"
-    found = _outcomes(sources, given)
-    if found:
-        return min((each for _, each in found), key=RESULTS.index)
-    return "accepted with scatter" if any(outcome.remarks for outcome in outcomes) else "accepted"
-
-
-def _outcomes(sources: Sequence[Source], given: ReportBasis) -> list[tuple[str, Result]]:
-    """The outcome of every check, with its name."""
-    found = [verdict for _, verdict in _checks(sources, given.acceptance)]
-    return [(verdict.occasion, verdict.result) for verdict in found]
-
-
-def _verdict(sources: Sequence[Source], given: ReportBasis) -> str:
-    """The verdict in a few words: of the calibrations, and where there are limits, of every check."""
-    outcomes = [source.calibration.outcome for source in sources]
-    if not all(outcome.accepted for outcome in outcomes):
-        return "not accepted"
-    accepted = "accepted with scatter" if any(outcome.remarks for outcome in outcomes) else "accepted"
-    results: dict[str, list[Result]] = {}
-    for occasion, outcome in _outcomes(sources, given):
-        results.setdefault(occasion, []).append(outcome)
-    worst = [f"{check}: {min(found, key=RESULTS.index)}" for check, found in results.items()]
-    return ", ".join([accepted, *worst])
-
-
-def _checks(sources: Sequence[Source], acceptance: Limits | None) -> Iterator[tuple[Source, Verdict]]:
-    """Every calibration against the limits of every check."""
-    if acceptance is not None:
-        for source in sources:
-            for verdict in verdicts(source.calibration, acceptance):
-                yield source, verdict
+        *of_kinds, _ = further.verdicts(reported[0].calibration)
+        if not of_kinds or len(reported) > 1:
+            return "not accepted", "bad", "not accepted"
+        return "; ".join(of_kinds), "doubt", "not accepted"
+    accepted, tone = ("accepted with scatter", "doubt") if any(o.remarks for o in outcomes) else ("accepted", "good")
+    worst: dict[str, Result] = {}
+    for check in (check for one in reported for check in one.checks):
+        worst[check.occasion] = min(check.result, worst.get(check.occasion, "pass"), key=RESULTS.index)
+    said = ", ".join([accepted, *(f"{occasion}: {result}" for occasion, result in worst.items())])
+    if not worst:
+        return accepted, tone, said
+    badge = min(worst.values(), key=RESULTS.index)
+    return badge, TONES[badge], said
 
 
 def not_accepted(sources: Sequence[Source], acceptance: Limits | None) -> list[str]:
     """Why a calibration is not accepted or not within limits, each with its file."""
     reasons = [f"{source.file}: {reason}" for source in sources for reason in source.calibration.outcome.reasons]
-    for source, verdict in _checks(sources, acceptance):
-        if verdict.result != "pass":
-            reasons.append(f"{source.file}: {verdict.occasion} check: {'; '.join(verdict.reasons())}")
+    for source in sources:
+        for verdict in _checks(source, acceptance):
+            if verdict.result != "pass":
+                reasons.append(f"{source.file}: {verdict.occasion} check: {'; '.join(verdict.reasons())}")
     return reasons
 
 
@@ -173,14 +171,13 @@ def _titles(sources: Sequence[Source]) -> list[str]:
     return [f"{i}: {method} {date}".rstrip() for i, (method, date) in enumerate(zip(methods, dates, strict=True), 1)]
 
 
-def _front(sources: Sequence[Source], titles: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    first = sources[0].calibration
-    rows = [("serial number", first.serial), ("model", first.model or NONE)]
-    if len(sources) > 1:
-        rows.append(("calibrations", ", ".join(titles)))
-        return tuple(rows)
+def _front(first: Calibration, titles: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    device = (("serial number", first.serial), ("model", first.model or NONE))
+    if len(titles) > 1:
+        return (*device, ("calibrations", ", ".join(titles)))
     recordings = recording.recordings(first)
-    rows += [
+    return (
+        *device,
         ("recorded", _recorded(first)),
         ("method", f"{first.method}, frame “{first.frame}”"),
         ("programme", first.programme or "none"),
@@ -188,8 +185,7 @@ def _front(sources: Sequence[Source], titles: Sequence[str]) -> tuple[tuple[str,
         *(recording.site_facts(recordings[0].site) if first.site is not None else ()),
         ("temperature", recording.temperature(recordings)),
         *certified.circumstances(first.circumstances),
-    ]
-    return tuple(rows)
+    )
 
 
 def _recorded(calibration: Calibration) -> str:
@@ -205,20 +201,14 @@ def _computed(calibration: Calibration) -> str:
     return calibration.provenance.get("created", NONE).replace("T", " ").replace("+00:00", " UTC")
 
 
-def _sections(source: Source, key: str, given: ReportBasis) -> tuple[Section, ...]:
-    """All sections of one calibration; `key` begins the names of its figures."""
-    of_all = _for_customers if given.certificate is not None else _for_the_laboratory
-    return tuple(section for section in of_all(source, key, given) if section is not None)
-
-
-def _for_the_laboratory(source: Source, key: str, given: ReportBasis) -> Iterator[Section | None]:
-    """Everything that is known of a calibration."""
-    calibration = source.calibration
+def _for_the_laboratory(one: _Reported, key: str) -> Iterator[Section | None]:
+    """Everything that is known of a calibration; `key` begins the names of its figures."""
+    calibration = one.calibration
     recordings = recording.recordings(calibration)
-    yield _result(calibration, given)
+    yield _result(one)
     yield result.beyond(calibration)
     yield over_temperature.section(calibration, f"{key}-temperature")
-    yield limits.section(calibration, given.acceptance)
+    yield limits.section(calibration, one.acceptance, one.checks)
     yield _notes((*remarks(calibration), *calibration.notes))
     yield result.launches(calibration) if calibration.launches else None
     yield result.application(calibration)
@@ -229,17 +219,16 @@ def _for_the_laboratory(source: Source, key: str, given: ReportBasis) -> Iterato
     yield result.correlations(calibration)
     yield result.convergence(calibration, f"{key}-convergence")
     yield from (recording.noise(r, f"{key}-noise{i}") for i, r in enumerate(recordings))
-    yield _provenance(source)
+    yield _provenance(one.source)
 
 
-def _for_customers(source: Source, key: str, given: ReportBasis) -> Iterator[Section | None]:
+def _for_customers(one: _Reported, key: str) -> Iterator[Section | None]:
     """What a certificate states: results and how they are applied, conformity, what was measured, and where all of it
     is as data; no causes and no advice."""
-    calibration = source.calibration
+    calibration = one.calibration
     recordings = recording.recordings(calibration)
-    yield _result(calibration, given)
-    if given.acceptance is not None and not _on_the_first_page(calibration, given.acceptance):
-        yield limits.section(calibration, given.acceptance)
+    yield _result(one)
+    yield limits.section(calibration, one.acceptance, one.checks) if one.limits_elsewhere else None
     yield _notes((*remarks(calibration), *map(_without_advice, calibration.notes)))
     yield result.launches(calibration) if calibration.launches else None
     yield result.beyond_for_customers(calibration)
@@ -250,12 +239,7 @@ def _for_customers(source: Source, key: str, given: ReportBasis) -> Iterator[Sec
         yield recording.site(recordings)
     yield from (recording.measured(each) for each in recordings)
     yield result.correlations(calibration)
-    yield _provenance(source)
-
-
-def _on_the_first_page(calibration: Calibration, acceptance: Limits) -> bool:
-    """Whether the table of results has the limits with all that is to be said of them."""
-    return acceptance.frame == calibration.frame and acceptance.temperatures is None
+    yield _provenance(one.source)
 
 
 _FOR_THE_OPERATOR = ("[", "`", "--", "tumble ", "let ")
@@ -268,19 +252,21 @@ def _without_advice(note: str) -> str:
     return "; ".join(clauses)
 
 
-def _result(calibration: Calibration, given: ReportBasis) -> Section:
-    certified_result = given.certificate is not None
+def _result(one: _Reported) -> Section:
+    calibration, certified_result = one.calibration, one.certificate is not None
     blocks: list[Block] = result.verdict(calibration, opinions=not certified_result)
     if calibration.parameters:
-        table = result.parameter_table(
-            calibration, given.as_found, _by_parameter(calibration, given), with_degrees=certified_result
-        )
+        judged: dict[str, list[LimitJudgement]] = {}
+        if one.acceptance is not None and one.acceptance.frame == calibration.frame:
+            for judgement in (judgement for check in one.checks for judgement in check.judgements):
+                judged.setdefault(judgement.name, []).append(judgement)
         said = (
             "U = k u is the expanded uncertainty, which covers 95.45 %: k = 2 where u is known, more, by Student's t "
             "with ν degrees of freedom, where it was estimated from few residuals. "
             f"{_of_which_power_on(calibration)} "
             '1 µg is 9.80665·10⁻⁶ m/s², " a second of arc.'
         )
+        table = result.parameter_table(calibration, one.as_found, judged, with_degrees=certified_result)
         blocks += [table, Text(text=said, tone="small")]
     if calibration.prediction is not None:
         left = left_by_matrix(calibration)
@@ -289,7 +275,7 @@ def _result(calibration: Calibration, given: ReportBasis) -> Section:
         blocks.append(Text(text=f"Known to (standard uncertainty): {known_to}."))
     if calibration.outcome.unobservable:
         blocks.append(Text(text=f"Not determined: {', '.join(calibration.outcome.unobservable)}."))
-    if given.acceptance is not None and not _on_the_first_page(calibration, given.acceptance):
+    if one.limits_elsewhere:
         blocks.append(Text(text="Limits, and the verdict on every parameter: section “Limits and verdict”."))
     return Section(title="Result", blocks=tuple(blocks))
 
@@ -304,16 +290,6 @@ def _of_which_power_on(calibration: Calibration) -> str:
     if calibration.together:
         return "It is of all recorded power-ons together; what changes at the next one comes on top."
     return "It is of the one power-on that was recorded; what changes at the next one is not in it."
-
-
-def _by_parameter(calibration: Calibration, given: ReportBasis) -> dict[str, list[LimitJudgement]]:
-    """What the checks say of every parameter that has a limit, where the table has room for all there is to say."""
-    if given.acceptance is None or given.acceptance.frame != calibration.frame:
-        return {}
-    judged: dict[str, list[LimitJudgement]] = {}
-    for judgement in (j for verdict in verdicts(calibration, given.acceptance) for j in verdict.judgements):
-        judged.setdefault(judgement.name, []).append(judgement)
-    return judged
 
 
 def _notes(notes: Iterable[str]) -> Section | None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import remarks
-from tumble.registry.conformity import verdicts
-from tumble.registry.limits import RULE, LimitJudgement, Limits
+from tumble.registry.limits import RULE, LimitJudgement, Limits, Verdict
 from tumble.units import engineering
 from tumble.views.blocks import Block, Items, Section, Text, table
 from tumble.views.numbers import Units, cells, limit_cell, shown_units
@@ -20,8 +20,8 @@ OVER_TEMPERATURE = (
 _CHECKS = {"incoming": "Incoming inspection", "periodic": "Periodic check"}
 
 
-def section(calibration: Calibration, limits: Limits | None) -> Section:
-    """Limits, verdict and decision rule."""
+def section(calibration: Calibration, limits: Limits | None, checks: Sequence[Verdict]) -> Section:
+    """Limits, the verdicts of all checks and the decision rule."""
     if limits is None:
         said = "No acceptance limits were given: this report states values and uncertainties, not conformity."
         return Section(title="Limits and verdict", blocks=(Text(text=said),))
@@ -30,7 +30,7 @@ def section(calibration: Calibration, limits: Limits | None) -> Section:
     if notes := remarks(calibration):
         blocks.append(Items(items=notes))
     units = shown_units(calibration.parameters)
-    for verdict in verdicts(calibration, limits):
+    for verdict in checks:
         reasons = f" ({'; '.join(verdict.reasons())})" if verdict.reasons() else ""
         over = f", {verdict.over}" if verdict.over else ""
         said = f"{_CHECKS[verdict.occasion]}: {verdict.result}{over}{reasons}."
