@@ -120,7 +120,7 @@ class Formula:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Panel:
+class ChartPanel:
     """A small picture under a name, with a verdict on what it shows, where there is one, and a line in words."""
 
     name: str
@@ -134,7 +134,7 @@ class Panel:
 class Panels:
     """Small pictures in columns."""
 
-    panels: tuple[Panel, ...]
+    panels: tuple[ChartPanel, ...]
     kind: Literal["panels"] = "panels"
 
 
@@ -147,6 +147,11 @@ class Section:
 
     title: str
     blocks: tuple[Block, ...]
+
+
+def section(title: str, *blocks: Block | None) -> Section:
+    """A section of the blocks that there are."""
+    return Section(title=title, blocks=tuple(block for block in blocks if block is not None))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -26,11 +26,11 @@ from tumble.calibration.further import (
     verdicts,
 )
 from tumble.calibration.launches import difference_percent
-from tumble.calibration.results import Parameter, RestResult, TurnResult
+from tumble.calibration.results import Parameter
 from tumble.estimation.diagnosis.site_gravity import gravity_said
 from tumble.estimation.estimate import Fit
 from tumble.sensors.parameters import sensor_kind
-from tumble.units import G_STANDARD, engineering
+from tumble.units import engineering
 from tumble.views.blocks import Block, Items, Table, Text, table
 from tumble.views.numbers import (
     cells,
@@ -46,6 +46,7 @@ from tumble.views.numbers import (
 )
 from tumble.views.render.notebook import fragment
 from tumble.views.render.terminal import text_of
+from tumble.views.report.recording import checked, recordings, rests_said, tables_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,10 +91,9 @@ def calibration_blocks(
     if parameters:
         blocks += [method_table(calibration, other, parameters) for other in others]
     if every:
-        blocks += [rest_table(calibration.rests)] if calibration.rests else []
-        blocks += [fit_table(calibration.fits)] if calibration.fits else []
+        blocks += [shown for one in recordings(calibration) for shown in tables_of(one) if shown and not several]
     lines = [] if every else _groups_line(calibration)
-    lines += [rests_said(calibration.rests, calibration.turns)] if calibration.rests else []
+    lines += [rests_said(one) for one in recordings(calibration) if one.rests and not several]
     lines += [] if every else _fits_line(calibration.fits)
     if truth is not None:
         lines.append(_truth_line(calibration, truth))
@@ -238,47 +238,6 @@ def method_table(calibration: Calibration, other: Calibration, parameters: Seque
     return table(rows)
 
 
-def rest_table(rests: Sequence[RestResult]) -> Table:
-    """Residual of every rest."""
-    return table(
-        [
-            {
-                "rest": str(i),
-                "start s": f"{rest.start:z.1f}",
-                "stop s": f"{rest.stop:z.1f}",
-                "residual µg": f"{rest.residual / G_STANDARD * 1e6:+z.1f}",
-                "sigmas": f"{rest.sigmas:.1f}",
-            }
-            for i, rest in enumerate(rests, 1)
-        ],
-        words=(),
-    )
-
-
-def fit_table(fits: Mapping[str, Fit]) -> Table:
-    """What chi-square says of each kind of residuals, and the scatter that was added."""
-    return table(
-        [
-            {
-                "residuals of": name,
-                "chi-square": f"{fit.chi_square:.1f}",
-                "degrees of freedom": f"{fit.degrees:.1f}",
-                "probability": f"{fit.probability:.2f}" if _checked(fit) else "",
-                "scatter added": in_engineering(fit.scatter_unit, fit.scatter) if fit.scatter > 0.0 else "none",
-            }
-            for name, fit in fits.items()
-        ],
-        words=("residuals of",),
-        caption="Probability: of a larger chi-square by chance alone. Scatter added: what the residuals show beyond "
-        "the noise within rests; it is in every uncertainty.",
-    )
-
-
-def _checked(fit: Fit) -> bool:
-    """Whether there are more data than unknowns."""
-    return fit.degrees >= 0.5
-
-
 # -------------------- lines --------------------
 
 
@@ -291,25 +250,11 @@ def _groups_line(calibration: Calibration) -> list[str]:
     return [f"groups beyond bias, scale and axes, learned: {', '.join(said)}; --all shows them"] if said else []
 
 
-def rests_said(rests: Sequence[RestResult], turns: Sequence[TurnResult]) -> str:
-    """How far the corrected readings at rest are from g, and turns from the fit."""
-    rms = math.sqrt(sum(rest.residual**2 for rest in rests) / len(rests))
-    worst = max(range(len(rests)), key=lambda i: abs(rests[i].residual))
-    size, unit = engineering("m/s^2", rms)
-    said = (
-        f"{len(rests)} rests: corrected readings miss g by {rms / size:.3g} {unit} (rms), at most by "
-        f"{abs(rests[worst].residual) / size:.3g} {unit} (rest {worst + 1})"
-    )
-    if not turns:
-        return said
-    return f"{said}; {len(turns)} turns, the worst {max(turn.sigmas for turn in turns):z.1f} sigma from the fit"
-
-
 def _fits_line(fits: Mapping[str, Fit]) -> list[str]:
     """Chi-square of each kind of residuals, with its degrees of freedom and the scatter added, in a line."""
     said = []
     for name, fit in fits.items():
-        if not _checked(fit):
+        if not checked(fit):
             said.append(f"{name}: no more data than unknowns, so that nothing checks the fit")
         else:
             scatter = f", scatter {in_engineering(fit.scatter_unit, fit.scatter)}" if fit.scatter > 0.0 else ""

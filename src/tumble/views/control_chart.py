@@ -17,7 +17,7 @@ from tumble.registry.limits import RESULTS, RULE
 from tumble.registry.monitor import Monitored
 from tumble.registry.trend import Trend
 from tumble.sensors.parameters import group_name, group_of
-from tumble.views.blocks import Document, Items, Panel, Panels, Part, Section, Table, Text, Tone
+from tumble.views.blocks import ChartPanel, Document, Items, Panels, Part, Section, Table, Text, Tone, section
 from tumble.views.numbers import Units, cells, device_name, limit_cell, minus
 from tumble.views.registry import (
     TONES,
@@ -85,9 +85,9 @@ def _page(found: Monitored) -> str:
         ("due", _due(found)),
     )
     sections = (
-        Section(title="What has changed", blocks=tuple(_findings(found))),
+        section("What has changed", *_findings(found)),
         *_parts(found, units_of(found)),
-        Section(title="How to read the pictures", blocks=tuple(Text(text=note, tone="small") for note in _NOTES)),
+        section("How to read the pictures", *(Text(text=note, tone="small") for note in _NOTES)),
     )
     document = Document(
         title="Control chart",
@@ -164,13 +164,13 @@ def _parts(found: Monitored, units: Units) -> Iterator[Section]:
         trends = [trend for trend in found.trends if (trend.series.name in further) == beyond]
         if not trends:
             continue
-        yield Section(title=title, blocks=(_number_table(found, trends, units),))
-        by_group: dict[str, list[Panel]] = {}
+        yield section(title, _number_table(found, trends, units))
+        by_group: dict[str, list[ChartPanel]] = {}
         for trend in trends:
             panel = _panel(f"t{found.trends.index(trend)}", found, trend, units[trend.series.name])
             by_group.setdefault(group_name(trend.series.name), []).append(panel)
         for group, panels in by_group.items():
-            yield Section(title=_title(group), blocks=(Panels(panels=tuple(panels)),))
+            yield section(_title(group), Panels(panels=tuple(panels)))
 
 
 def _number_table(found: Monitored, trends: Sequence[Trend], units: Units) -> Table:
@@ -212,13 +212,13 @@ def _title(group: str) -> str:
     return words[:1].upper() + words[1:]
 
 
-def _panel(name: str, found: Monitored, trend: Trend, unit: tuple[float, str]) -> Panel:
+def _panel(name: str, found: Monitored, trend: Trend, unit: tuple[float, str]) -> ChartPanel:
     said, verdict = [], found.latest_verdicts().get(trend.series.name, "")
     if trend.drift is not None and trend.drift.expanded is not None:
         said.append(f"drift {_drift(trend, *unit)}")
     if trend.run_to_run is not None:
         said.append(f"run to run {deviation_cell(trend.run_to_run, unit[0])} {unit[1]}")
-    return Panel(
+    return ChartPanel(
         name=trend.series.name,
         verdict=verdict,
         tone=TONES.get(verdict, ""),

@@ -11,7 +11,7 @@ from tumble.calibration.coverage import expanded
 from tumble.calibration.further import further_parameters, linear_parameters
 from tumble.calibration.results import Parameter
 from tumble.errors import CalibrationError
-from tumble.views.blocks import Block, Figure, Section, Table, Text
+from tumble.views.blocks import Block, Figure, Section, Table, Text, section
 from tumble.views.numbers import NONE, shown_units, to_digits_of, with_expanded
 from tumble.views.report import figures
 
@@ -23,9 +23,9 @@ def compared(titles: Sequence[str], calibrations: Sequence[Calibration], name: s
     try:
         alike = [c.in_frame(first.frame) for c in calibrations]
     except CalibrationError as error:
-        return Section(title=title, blocks=(Text(text=f"They cannot be compared: {error}"),))
+        return section(title, Text(text=f"They cannot be compared: {error}"))
     if not first.parameters:
-        return Section(title=title, blocks=(Text(text="The first calibration has no parameters to compare."),))
+        return section(title, Text(text="The first calibration has no parameters to compare."))
     said = "The spread is the standard deviation of the values."
     if _one_log(calibrations):
         said = (
@@ -42,7 +42,7 @@ def compared(titles: Sequence[str], calibrations: Sequence[Calibration], name: s
     ]
     if further := further_parameters(alike[0].parameters):
         blocks += [Text(text="Beyond the linear model:"), _side_by_side(titles, alike, further, dense=True)]
-    return Section(title=title, blocks=tuple(blocks))
+    return section(title, *blocks)
 
 
 def _one_log(calibrations: Sequence[Calibration]) -> bool:

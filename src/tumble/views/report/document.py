@@ -14,7 +14,7 @@ from tumble.errors import InputError
 from tumble.export.certificate import Certificate, check_certificate, recorded_on
 from tumble.registry.conformity import verdicts
 from tumble.registry.limits import RESULTS, LimitJudgement, Limits, Result, Verdict
-from tumble.views.blocks import Block, Document, Facts, Items, Part, Section, Text, Tone
+from tumble.views.blocks import Block, Document, Facts, Items, Part, Section, Text, Tone, section
 from tumble.views.numbers import NONE, device_name
 from tumble.views.registry import TONES
 from tumble.views.report import certified, compare, limits, over_temperature, recording, result
@@ -131,13 +131,14 @@ def _verdict(reported: Sequence[_Reported]) -> tuple[str, Tone, str]:
         if not of_kinds or len(reported) > 1:
             return "not accepted", "bad", "not accepted"
         return "; ".join(of_kinds), "doubt", "not accepted"
-    accepted, tone = ("accepted with scatter", "doubt") if any(o.remarks for o in outcomes) else ("accepted", "good")
+    remarked = any(outcome.remarks for outcome in outcomes)
+    accepted = "accepted with scatter" if remarked else "accepted"
     worst: dict[str, Result] = {}
     for check in (check for one in reported for check in one.checks):
         worst[check.occasion] = min(check.result, worst.get(check.occasion, "pass"), key=RESULTS.index)
     said = ", ".join([accepted, *(f"{occasion}: {result}" for occasion, result in worst.items())])
     if not worst:
-        return accepted, tone, said
+        return accepted, "doubt" if remarked else "good", said
     badge = min(worst.values(), key=RESULTS.index)
     return badge, TONES[badge], said
 
@@ -231,7 +232,7 @@ def _for_customers(one: _Reported, key: str) -> Iterator[Section | None]:
     yield limits.section(calibration, one.acceptance, one.checks) if one.limits_elsewhere else None
     yield _notes((*remarks(calibration), *map(_without_advice, calibration.notes)))
     yield result.launches(calibration) if calibration.launches else None
-    yield result.beyond_for_customers(calibration)
+    yield result.beyond(calibration, for_customers=True)
     yield over_temperature.section(calibration, f"{key}-temperature")
     yield result.application(calibration)
     yield result.frame(calibration, f"{key}-frame")
@@ -277,7 +278,7 @@ def _result(one: _Reported) -> Section:
         blocks.append(Text(text=f"Not determined: {', '.join(calibration.outcome.unobservable)}."))
     if one.limits_elsewhere:
         blocks.append(Text(text="Limits, and the verdict on every parameter: section “Limits and verdict”."))
-    return Section(title="Result", blocks=tuple(blocks))
+    return section("Result", *blocks)
 
 
 def _of_which_power_on(calibration: Calibration) -> str:
@@ -295,7 +296,7 @@ def _of_which_power_on(calibration: Calibration) -> str:
 def _notes(notes: Iterable[str]) -> Section | None:
     """What is to be known of the recording and of U."""
     said = tuple(note for note in notes if note)
-    return Section(title="Notes", blocks=(Items(items=said),)) if said else None
+    return section("Notes", Items(items=said)) if said else None
 
 
 def _provenance(source: Source) -> Section:
@@ -308,4 +309,4 @@ def _provenance(source: Source) -> Section:
         ("computed", _computed(source.calibration)),
         ("method", source.calibration.method),
     ]
-    return Section(title="Provenance", blocks=(Facts(rows=tuple(rows)),))
+    return section("Provenance", Facts(rows=tuple(rows)))

@@ -19,12 +19,12 @@ from tumble.recording.session import Site
 from tumble.rotation import unit_vector
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, G_STANDARD, Array, engineering
-from tumble.views.blocks import Block, Facts, Figure, Section, Table, Text, table
-from tumble.views.calibration import fit_table
-from tumble.views.numbers import NONE, fixed, significant
+from tumble.views.blocks import Block, Facts, Figure, Section, Table, Text, section, table
+from tumble.views.numbers import NONE, fixed, in_engineering, significant
 from tumble.views.recording_picture import overview
 from tumble.views.report import drawings, figures
 
+MICRO_G = 1e-6 * G_STANDARD
 _MOST_TURNS = 8
 """Rows of the table of turns from which on it stands in halves."""
 
@@ -82,11 +82,11 @@ def site_facts(site: Site | None) -> tuple[tuple[str, str], ...]:
 def site(all_of_them: Sequence[RecordedSession]) -> Section:
     """The site of the recordings, once where they share it."""
     if all(recording.site == all_of_them[0].site for recording in all_of_them):
-        return Section(title="Site", blocks=(Facts(rows=site_facts(all_of_them[0].site)),))
+        return section("Site", Facts(rows=site_facts(all_of_them[0].site)))
     blocks: list[Block] = []
     for recording in all_of_them:
         blocks += [Text(text=recording.title, tone="small"), Facts(rows=site_facts(recording.site))]
-    return Section(title="Sites", blocks=tuple(blocks))
+    return section("Sites", *blocks)
 
 
 # Programme and what was found
@@ -96,48 +96,41 @@ def found(recording: RecordedSession, name: str) -> Section | None:
     """Every rest and every turn against the programme, and where the vertical was in the body."""
     if not recording.rests:
         return None
-    positions = [_position(rest.attitude) for rest in recording.rests]
-    verticals = _verticals(recording)
-    blocks: list[Block] = [Text(text=_programme_said(recording))]
+    time, sphere, verticals = None, None, _verticals(recording)
     if all(rest.accel is not None for rest in recording.rests):
         columns = recording.readings["accel"].columns if "accel" in recording.readings else ()
-        blocks.append(
-            Figure(
-                svg=overview(f"{name}-time", recording.rests, recording.turns, columns),
-                caption="The recording: mean readings of the accelerometers at its numbered rests, and between them "
-                "the turns, with their angles as the gyros saw them.",
-            )
+        time = Figure(
+            svg=overview(f"{name}-time", recording.rests, recording.turns, columns),
+            caption="The recording: mean readings of the accelerometers at its numbered rests, and between them "
+            "the turns, with their angles as the gyros saw them.",
         )
-    blocks.append(_rest_table(recording, positions, verticals))
     if verticals is not None:
+        positions = (_position(rest.attitude) for rest in recording.rests)
         nominal = np.array([p.vertical_b for p in positions if p is not None]).reshape(-1, 3)
         gap = drawings.farthest_from(verticals) / DEGREE
-        blocks.append(
-            Figure(
-                svg=drawings.sphere(name, drawings.Directions(found=verticals, nominal=nominal)),
-                caption="Orientation coverage: where the vertical was in the body at each rest, on both sides of the "
-                f"sphere. The direction farthest from any rest is {gap:.0f}° away from the nearest.",
-                width=drawings.SPHERE,
-            )
+        sphere = Figure(
+            svg=drawings.sphere(name, drawings.Directions(found=verticals, nominal=nominal)),
+            caption="Orientation coverage: where the vertical was in the body at each rest, on both sides of the "
+            f"sphere. The direction farthest from any rest is {gap:.0f}° away from the nearest.",
+            width=drawings.SPHERE,
         )
-    if recording.turns:
-        blocks.append(_turn_table(recording.turns))
-    return Section(title=_titled("Programme and what was found", recording), blocks=tuple(blocks))
+    title, said = _titled("Programme and what was found", recording), Text(text=_programme_said(recording))
+    return section(title, said, time, _rest_table(recording), sphere, _turn_table(recording.turns))
 
 
 def measured(recording: RecordedSession) -> Section | None:
     """Every rest and every turn as numbers, and how they agree with the result."""
     if not recording.rests:
         return residuals(recording, "")
-    positions = [_position(rest.attitude) for rest in recording.rests]
-    blocks: list[Block] = [
-        Text(text=_programme_said(recording)),
-        _rest_table(recording, positions, _verticals(recording)),
-        *([_turn_table(recording.turns)] if recording.turns else []),
-        Text(text=_residuals_said(recording)),
-        *([fit_table(recording.fits)] if recording.fits else []),
-    ]
-    return Section(title=_titled("What was measured", recording), blocks=tuple(blocks))
+    rests, turns, *fits = tables_of(recording)
+    said, residual = Text(text=_programme_said(recording)), Text(text=f"{rests_said(recording)}.")
+    return section(_titled("What was measured", recording), said, rests, turns, residual, *fits)
+
+
+def tables_of(recording: RecordedSession) -> list[Table | None]:
+    """Rests, turns and fits."""
+    rests = _rest_table(recording) if recording.rests else None
+    return [rests, _turn_table(recording.turns), _fit_table(recording.fits)]
 
 
 def _titled(title: str, recording: RecordedSession) -> str:
@@ -176,22 +169,23 @@ def _verticals(recording: RecordedSession) -> Array | None:
     return unit_vector(force)
 
 
-def _rest_table(recording: RecordedSession, positions: Sequence[Position | None], verticals: Array | None) -> Table:
-    several = len({rest.file for rest in recording.rests}) > 1
+def _rest_table(recording: RecordedSession) -> Table:
+    several, verticals = len({rest.file for rest in recording.rests}) > 1, _verticals(recording)
     warm = any(rest.temperature is not None for rest in recording.rests)
     programmed = any(rest.attitude is not None for rest in recording.rests)
     rows = []
-    for i, (rest, position) in enumerate(zip(recording.rests, positions, strict=True)):
+    for i, rest in enumerate(recording.rests):
+        position = _position(rest.attitude)
         row = {"rest": str(i + 1)} | ({"file": str(rest.file + 1)} if several else {})
         if programmed:
             row["position"] = NONE if position is None else position.label
             row["code"] = NONE if rest.attitude is None else short_code(rest.attitude)
-        row |= {"start s": fixed(rest.start, 1), "stop s": fixed(rest.stop, 1)}
+        row |= {"start s": f"{rest.start:z.1f}", "stop s": f"{rest.stop:z.1f}"}
         if verticals is not None:
-            row |= {axis: fixed(float(v), 3) for axis, v in zip("XYZ", verticals[i], strict=True)}
+            row |= {axis: f"{v:z.3f}" for axis, v in zip("XYZ", verticals[i], strict=True)}
             row |= {"off °": _off(position, verticals[i])} if programmed else {}
-        row |= {"residual µg": fixed(_micro_g(rest.residual), 1), "sigmas": fixed(rest.sigmas, 1)}
-        row |= {"T °C": "" if rest.temperature is None else fixed(rest.temperature, 1)} if warm else {}
+        row |= {"residual µg": f"{rest.residual / MICRO_G:z.1f}", "sigmas": f"{rest.sigmas:.1f}"}
+        row |= {"T °C": "" if rest.temperature is None else f"{rest.temperature:z.1f}"} if warm else {}
         rows.append(row)
     caption = "Rests." if verticals is None else "Rests. X, Y, Z: the vertical in the body as it was found."
     return table(rows, words=("position", "code"), caption=caption, dense=True)
@@ -204,19 +198,20 @@ def _off(position: Position | None, vertical: Array) -> str:
     return fixed(math.atan2(np.linalg.norm(np.cross(nominal, vertical)), nominal @ vertical) / DEGREE, 2)
 
 
-def _turn_table(turns: Sequence[TurnResult]) -> Table:
+def _turn_table(turns: Sequence[TurnResult]) -> Table | None:
     programmed = any(turn.programmed is not None for turn in turns)
     rows = []
     for turn in turns:
-        row = {"turn from rest": f"{turn.first + 1} to {turn.last + 1}", "duration s": fixed(turn.duration, 1)}
+        row = {"turn from rest": f"{turn.first + 1} to {turn.last + 1}", "duration s": f"{turn.duration:.1f}"}
         row |= {"programme °": _degrees(turn.programmed, 0)} if programmed else {}
-        rows.append(row | {"found °": _degrees(turn.angle, 2), "sigmas": fixed(turn.sigmas, 1)})
+        rows.append(row | {"found °": _degrees(turn.angle, 2), "sigmas": f"{turn.sigmas:.1f}"})
     caption = "Turns. Found is the whole angle between two rests as the calibrated gyros saw it (0 to 180°)."
-    return table(rows, words=("turn from rest",), caption=caption, dense=True, halves=len(rows) > _MOST_TURNS)
+    halves = len(rows) > _MOST_TURNS
+    return table(rows, words=("turn from rest",), caption=caption, dense=True, halves=halves) if rows else None
 
 
 def _degrees(angle: float | None, digits: int) -> str:
-    return "" if angle is None else fixed(angle / DEGREE, digits)
+    return "" if angle is None else f"{angle / DEGREE:z.{digits}f}"
 
 
 # Residuals
@@ -224,33 +219,55 @@ def _degrees(angle: float | None, digits: int) -> str:
 
 def residuals(recording: RecordedSession, name: str) -> Section | None:
     """The plot of residuals, and what chi-square says of them."""
+    title, fits = _titled("Residuals", recording), _fit_table(recording.fits)
     if not recording.rests:
-        table = (fit_table(recording.fits),) if recording.fits else ()
-        return Section(title=_titled("Residuals", recording), blocks=table) if table else None
-    blocks: list[Block] = [
-        Text(text=_residuals_said(recording)),
-        Figure(
-            svg=figures.residuals(name, recording.rests, recording.turns),
-            caption="Residual of every rest, and how far rests and turns are from the fit.",
-        ),
-    ]
-    if recording.fits:
-        blocks.append(fit_table(recording.fits))
-    return Section(title=_titled("Residuals", recording), blocks=tuple(blocks))
+        return section(title, fits) if fits else None
+    picture = Figure(
+        svg=figures.residuals(name, recording.rests, recording.turns),
+        caption="Residual of every rest, and how far rests and turns are from the fit.",
+    )
+    return section(title, Text(text=f"{rests_said(recording)}."), picture, fits)
 
 
-def _residuals_said(recording: RecordedSession) -> str:
-    rms = math.sqrt(sum(rest.residual**2 for rest in recording.rests) / len(recording.rests))
-    worst = max(recording.rests, key=lambda rest: abs(rest.residual))
-    return (
-        f"The corrected readings of the accelerometers at rest miss g by {significant(_micro_g(rms), 3)} µg (rms), at "
-        f"most by {significant(_micro_g(abs(worst.residual)), 3)} µg (rest {recording.rests.index(worst) + 1})."
+def rests_said(recording: RecordedSession) -> str:
+    """How far the corrected readings at rest are from g, and turns from the fit."""
+    rests, turns = recording.rests, recording.turns
+    rms = math.sqrt(sum(rest.residual**2 for rest in rests) / len(rests))
+    worst = max(range(len(rests)), key=lambda i: abs(rests[i].residual))
+    size, unit = engineering("m/s^2", rms)
+    said = (
+        f"{len(rests)} rests: corrected readings miss g by {rms / size:.3g} {unit} (rms), at most by "
+        f"{abs(rests[worst].residual) / size:.3g} {unit} (rest {worst + 1})"
+    )
+    if not turns:
+        return said
+    return f"{said}; {len(turns)} turns, the worst {max(turn.sigmas for turn in turns):z.1f} sigma from the fit"
+
+
+def _fit_table(fits: Mapping[str, Fit]) -> Table | None:
+    """What chi-square says of each kind of residuals, and the scatter that was added."""
+    if not fits:
+        return None
+    return table(
+        [
+            {
+                "residuals of": name,
+                "chi-square": f"{fit.chi_square:.1f}",
+                "degrees of freedom": f"{fit.degrees:.1f}",
+                "probability": f"{fit.probability:.2f}" if checked(fit) else "",
+                "scatter added": in_engineering(fit.scatter_unit, fit.scatter) if fit.scatter > 0.0 else "none",
+            }
+            for name, fit in fits.items()
+        ],
+        words=("residuals of",),
+        caption="Probability: of a larger chi-square by chance alone. Scatter added: what the residuals show beyond "
+        "the noise within rests; it is in every uncertainty.",
     )
 
 
-def _micro_g(value: float) -> float:
-    """An acceleration (m/s²) in µg."""
-    return value / G_STANDARD * 1e6
+def checked(fit: Fit) -> bool:
+    """Whether there are more data than unknowns."""
+    return fit.degrees >= 0.5
 
 
 # Noise and drift
@@ -275,7 +292,7 @@ def noise(recording: RecordedSession, name: str) -> Section | None:
             caption="Noise and drift at every rest" + _warmth(recording.rests) + ".",
         ),
     ]
-    return Section(title=_titled("Noise and drift of the rests", recording), blocks=tuple(blocks))
+    return section(_titled("Noise and drift of the rests", recording), *blocks)
 
 
 def _seen(recording: RecordedSession, kind: str) -> list[SensorsAtRest]:

@@ -16,7 +16,6 @@ from tumble.calibration.further import (
     decided_by_priors,
     described,
     further_parameters,
-    group_lines,
     left_by_matrix,
     left_said,
     linear_parameters,
@@ -41,6 +40,7 @@ from tumble.views.blocks import (
     Table,
     Text,
     Tone,
+    section,
     table,
 )
 from tumble.views.calibration import group_table, launch_table
@@ -123,36 +123,27 @@ def parameter_table(
     return table(rows, words=words, dense=count > _MOST_LARGE, halves=len(rows) > _MOST_ROWS)
 
 
-def beyond(calibration: Calibration) -> Section | None:
-    """A line for each group beyond the linear model, what its prior decides, and all its parameters."""
-    if not group_lines(calibration):
-        return None
-    blocks: list[Block] = [
-        Text(
-            text="Each group has a prior, the standard deviation over instruments of its grade or that of the data "
-            "sheet; where the data exceed it, it was widened. Learned is how much of the prior's variance the "
-            "recording has taken off: at 0 % only the prior is known."
-        ),
-        group_table(calibration, of_a_page=True),
-    ]
-    if decided := decided_by_priors(calibration):
-        blocks.append(Text(text=f"{decided[0].upper()}{decided[1:]}."))
-    if further := further_parameters(calibration.parameters):
-        blocks.append(_further_table(further))
-    return Section(title="Beyond the linear model", blocks=tuple(blocks))
-
-
-def beyond_for_customers(calibration: Calibration) -> Section | None:
-    """The parameters beyond the linear model with their uncertainties."""
+def beyond(calibration: Calibration, *, for_customers: bool = False) -> Section | None:
+    """What is beyond the linear model: a line for each group, what its prior decides, and all parameters;
+    `for_customers` the parameters alone."""
     further = further_parameters(calibration.parameters)
-    if not further:
-        return None
+    parameters = _further_table(further) if further else None
+    if for_customers:
+        said = (
+            "What a reading has beside bias, scale factors and axes. Of each there was a prior, a standard deviation "
+            "over such instruments; learned is how much of its variance the recording has taken off: at 0 % only the "
+            "prior is known."
+        )
+        return section("Beyond bias, scale factors and axes", Text(text=said), parameters) if further else None
     said = (
-        "What a reading has beside bias, scale factors and axes. Of each there was a prior, a standard deviation over "
-        "such instruments; learned is how much of its variance the recording has taken off: at 0 % only the prior is "
-        "known."
+        "Each group has a prior, the standard deviation over instruments of its grade or that of the data sheet; where "
+        "the data exceed it, it was widened. Learned is how much of the prior's variance the recording has taken off: "
+        "at 0 % only the prior is known."
     )
-    return Section(title="Beyond bias, scale factors and axes", blocks=(Text(text=said), _further_table(further)))
+    decided = decided_by_priors(calibration)
+    left = Text(text=f"{decided[0].upper()}{decided[1:]}.") if decided else None
+    groups = group_table(calibration, of_a_page=True)
+    return section("Beyond the linear model", Text(text=said), groups, left, parameters) if groups.rows else None
 
 
 def _further_table(parameters: Sequence[Parameter]) -> Table:
@@ -188,7 +179,7 @@ def launches(calibration: Calibration) -> Section:
         (f"log of {launch.session}", f"SHA-256 {launch.log_sha256}" if launch.log_sha256 else NONE)
         for launch in calibration.launches
     )
-    return Section(title="Launches", blocks=(*blocks, Facts(rows=digests)))
+    return section("Launches", *blocks, Facts(rows=digests))
 
 
 # How to apply
@@ -217,7 +208,7 @@ def application(calibration: Calibration) -> Section:
         blocks += _applied(kind, model, _unit(calibration, kind))
     if left is not None:
         blocks += _whole_correction(calibration)
-    return Section(title="How to apply it", blocks=tuple(blocks))
+    return section("How to apply it", *blocks)
 
 
 def _axes_in_words(calibration: Calibration, sizes: Sequence[int]) -> Iterator[Block]:
@@ -382,7 +373,7 @@ def frame(calibration: Calibration, name: str) -> Section:
             caption = f"{caption[:-1]}, their deviations from the body axes drawn {times:.0f} times larger."
         svg = drawings.frame(name, calibration.accel, calibration.gyro)
         blocks.append(Figure(svg=svg, caption=caption, width=drawings.FRAME))
-    return Section(title="The frame", blocks=tuple(blocks))
+    return section("The frame", *blocks)
 
 
 # Uncertainty
@@ -415,7 +406,7 @@ def correlations(calibration: Calibration) -> Section | None:
             "the calibration file, which is the data annex. The strongest:"
         )
         blocks += [Text(text=said), table(rows, words=("parameter", "with"))]
-    return Section(title="Covariance and correlations", blocks=tuple(blocks))
+    return section("Covariance and correlations", *blocks)
 
 
 def _not_contained(calibration: Calibration) -> str:
@@ -448,12 +439,12 @@ def convergence(calibration: Calibration, name: str) -> Section | None:
         rows.append(row)
     caption = "Increments, root mean square of each kind of parameter."
     increments = table(rows, words=("iteration",), dense=len(kinds) > 5, caption=caption)
-    blocks: list[Block] = []
+    picture = None
     if any(p.u for p in parameters):
         svg = figures.convergence(name, calibration.iterations, parameters)
         caption = "The largest increment of each kind of parameter, in units of its standard uncertainty u."
-        blocks.append(Figure(svg=svg, caption=caption))
-    return Section(title="Convergence", blocks=(*blocks, increments))
+        picture = Figure(svg=svg, caption=caption)
+    return section("Convergence", picture, increments)
 
 
 def verdict(calibration: Calibration, *, opinions: bool = True) -> list[Block]:
