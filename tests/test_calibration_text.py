@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 from tumble.calibration.calibrate import calibrate
@@ -32,7 +34,7 @@ from tumble.views.calibration import (
     launch_table,
     method_table,
 )
-from tumble.views.numbers import shown_units
+from tumble.views.numbers import quantity_table, shown_units
 from tumble.views.render.terminal import print_blocks, text_of
 
 REQUEST = Setup.of(rest=10.0, sample_rate=50.0)
@@ -307,3 +309,63 @@ def test_sentences_are_not_broken_in_a_pipe_and_tables_are(capsys: pytest.Captur
     assert lines[:2] == [sentence, ""]
     assert len(lines) > 4
     assert max(map(len, lines[1:])) <= 160
+
+
+# -------------------- blocks of any result --------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Hyperparameter:
+    """What an inference says of what its model does not know about itself."""
+
+    name: str
+    value: float
+    u: float | None
+    unit: str
+    words: str
+
+
+def test_anything_with_a_name_a_value_and_a_unit_is_shown_by_one_table() -> None:
+    quantities = [
+        Hyperparameter(
+            name="scatter.accel", value=44e-6 * G_STANDARD, u=6e-6 * G_STANDARD, unit="m/s^2", words="rests"
+        ),
+        Hyperparameter(name="scatter.turns", value=6e-4, u=None, unit="rad", words="turns"),
+        Hyperparameter(name="lag", value=12.3, u=2.0, unit="s", words="of the thermometer"),
+    ]
+    shown = quantity_table(quantities, after=lambda q, _: {"what it is": q.words})
+    assert shown.columns == ("parameter", "value", "u (k=1)", "unit", "what it is")
+    assert shown.rows == (
+        ("scatter.accel", "44.0", "6.0", "µg", "rests"),
+        ("scatter.turns", "0.6", "", "mrad", "turns"),
+        ("lag", "12.3", "2.0", "s", "of the thermometer"),
+    )
+    assert shown.text == (0, 3, 4)
+    assert quantity_table([]).columns == ("parameter", "value", "u (k=1)", "unit")
+
+
+def test_the_verdict_is_first_and_the_length_does_not_grow_with_the_rests(
+    full: Calibration, by_method: dict[str, Calibration]
+) -> None:
+    rests = by_method["scalar"].launches[0].rests
+    lines, longer = (lines_of(calibration_blocks(replace(full, rests=rests * times))) for times in (1, 3))
+    assert lines[0].startswith("device ")
+    assert lines[1] == full.outcome.verdict
+    assert sum(line.startswith(("accel.", "gyro.")) for line in lines) == 21
+    assert len(longer) == len(lines)
+    whole, more = (lines_of(calibration_blocks(replace(full, rests=rests * n), every=True)) for n in (1, 3))
+    assert len(more) - len(whole) == 2 * len(rests)
+
+
+@pytest.mark.parametrize("width", [20, 40, 80])
+@given(data=st.data())
+def test_a_table_keeps_every_number_and_the_width(width: int, data: st.DataObject) -> None:
+    """Words may be broken into lines, numbers never; nothing is lost."""
+    word = st.lists(st.text("abcdefgh", min_size=1, max_size=7), max_size=5).map(" ".join)
+    number = st.integers(-99999, 99999).map(str)
+    rows = data.draw(st.lists(st.tuples(word, number, word, number), min_size=1, max_size=4))
+    shown = text_of([Table(columns=("name", "first", "said", "last"), rows=tuple(rows), text=(0, 2))], width)
+    assert {row[i] for row in rows for i in (1, 3)} <= set(shown.split())
+    assert max(map(len, shown.splitlines())) <= width
+    for _, _, said, _ in rows:
+        assert set(said.split()) <= set(shown.split())

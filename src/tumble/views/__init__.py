@@ -6,7 +6,7 @@ as PDF.
     render/      terminal, notebook, page (HTML), pdf, data (JSON), pictures (files)
     calibration, readings, inspection, checks, noise, planning, campaign, registry, sheet
                  the blocks and pictures of each kind of result
-    control_chart, chart_panel
-                 the page of a device over its calibrations
+    registry_lists, control_chart, chart_panel
+                 lists of the registry, the page of a device over its calibrations
     report/      the document that a laboratory signs
 """
