@@ -26,7 +26,7 @@ from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, rounded, two_digits
-from tumble.views.blocks import Block, Table, Text
+from tumble.views.blocks import Block, Items, Table, Text
 from tumble.views.calibration import (
     WHAT_AN_INCREMENT_SAYS,
     calibration_blocks,
@@ -369,3 +369,8 @@ def test_a_table_keeps_every_number_and_the_width(width: int, data: st.DataObjec
     assert max(map(len, shown.splitlines())) <= width
     for _, _, said, _ in rows:
         assert set(said.split()) <= set(shown.split())
+
+
+def test_lines_of_a_file_stay_lines_on_a_terminal() -> None:
+    text = '[incoming]\n"accel.bias" = "5 mg"\n\n[periodic]'
+    assert text_of([Items(items=(text,))], 40) == text_of([Items(items=(text,))]) == f"{text}\n"

@@ -36,7 +36,7 @@ def print_blocks(*blocks: Block) -> None:
 def text_of(blocks: Iterable[Block], width: int | None = None) -> str:
     """Blocks as lines of text, tables and lists apart from others by a blank one; without `width` sentences are not
     broken."""
-    shown = [(block, list(_lines(block, width))) for block in blocks]
+    shown = [(block, own) for block in blocks if (own := list(_lines(block, width)))]
     lines: list[str] = []
     for i, (block, own) in enumerate(shown):
         apart = isinstance(block, Table | Items) or (i > 0 and isinstance(shown[i - 1][0], Table | Items))
@@ -51,7 +51,7 @@ def _lines(block: Block, width: int | None) -> Iterator[str]:
     elif isinstance(block, Text):
         sentences = block.text.split("\n")
     elif isinstance(block, Items):
-        sentences = block.items
+        sentences = [line for item in block.items for line in item.split("\n")]
     elif isinstance(block, Facts):
         sentences = [f"{name}: {value}" for name, value in block.rows]
     else:
