@@ -75,6 +75,10 @@ GRADES = {
 }  # fmt: skip
 
 
+RAIL = {"accel": 16.0 * G0, "gyro": 2000.0 * DEG}
+"""Where the ranges of the sensors of a spiked recording end."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Spec:
     """What is recorded, with which device, and what goes wrong."""
@@ -99,7 +103,9 @@ class Spec:
     """m/s²: steps of the x accelerometer from rest to rest."""
     spikes: int = 0
     spike: float = 0.0
-    """So many single samples in turns are off by so much, m/s²; where it is infinite they are at the rail of 16 g."""
+    spiked: str = "accel"
+    """So many single samples in turns, of accelerometers or gyros, are off by so much, m/s² or rad/s; where it is
+    infinite they are at the rail of 16 g or 2000 °/s."""
     held: int = 0
     """So many samples in turns repeat the one before."""
     clock_ppm: float = 0.0
@@ -352,9 +358,9 @@ def record(spec: Spec, seed: int) -> Recording:
     gyro += biases["gyro"] + drift["gyro"] + grade.white[1] * np.sqrt(spec.rate) * rng.normal(size=gyro.shape)
     moving = np.flatnonzero(~resting & (np.roll(resting, 20) == resting) & (np.roll(resting, -20) == resting))
     for i in rng.choice(moving, spec.spikes, replace=False) if spec.spikes else ():
-        size = 16.0 * G0 if np.isinf(spec.spike) else spec.spike
-        p = rng.integers(3)
-        accel[i, p] = size if np.isinf(spec.spike) else accel[i, p] + size * rng.choice([-1.0, 1.0])
+        readings, p = {"accel": accel, "gyro": gyro}[spec.spiked], rng.integers(3)
+        spiked = readings[i, p] + spec.spike * rng.choice([-1.0, 1.0])
+        readings[i, p] = RAIL[spec.spiked] if np.isinf(spec.spike) else spiked
     for i in rng.choice(moving, spec.held, replace=False) if spec.held else ():
         accel[i], gyro[i] = accel[i - 1], gyro[i - 1]
     if spec.dead_zone:

@@ -43,9 +43,12 @@ KINDS: dict[str, Spec] = {
     **{f"lag-{lag}-{warm}K": replace(HAND, warming=(float(warm), 100.0, float(lag)))
        for lag in (0, 15, 30, 60) for warm in (2, 8, 14)},
     "lag-300-6K-table": replace(TABLE, warming=(6.0, 300.0, 300.0)),
-    **{f"spike-{g}g": replace(HAND, spikes=1, spike=g * G0) for g in (1, 5, 20, 50)},
+    **{f"spike-{g}g": replace(HAND, spikes=1, spike=g * G0) for g in (0.5, 1, 5, 20, 50)},
     "spike-rail": replace(HAND, spikes=1, spike=np.inf),
+    **{f"gyro-spike-{rate}": replace(HAND, spikes=1, spike=rate * DEG, spiked="gyro") for rate in (3, 10, 100, 500)},
+    "gyro-spike-rail": replace(HAND, spikes=1, spike=np.inf, spiked="gyro"),
     "held": replace(HAND, held=1),
+    "held-table": replace(TABLE, held=1),
     **{f"clock-{ppm}-table": replace(TABLE, clock_ppm=float(ppm), stated=UNSTATED) for ppm in (0, 5, 50, 500)},
     **{f"dead-zone-{zone}": replace(HAND, dead_zone=zone * DEG) for zone in (0.02, 0.1, 0.15, 0.3, 0.5)},
     **{f"jump-{jump}": replace(HAND, jump=jump * DEG) for jump in (0.05, 0.3, 3.0)},

@@ -25,18 +25,10 @@ import numpy as np
 from paper_device import SETUP
 from scipy.optimize import minimize
 
-from tumble.estimation.methods.paper.compensation import (
-    ACCEL_ANGLES,
-    compensated,
-    composed,
-    perfect,
-    triad_model,
-    triad_parameters,
-)
-from tumble.estimation.methods.paper.levelling import vertical
 from tumble.estimation.methods.paper.scalar import scalar_fit, scalar_rows
 from tumble.programme.positions import programme
-from tumble.rotation import rotation_matrix
+from tumble.rotation import rotation_matrix, unit_vector
+from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, triad_model, triad_parameters
 from tumble.units import DEGREE, Array
 
 PARAMETERS = ("b_x", "b_y", "b_z", "k_x", "k_y", "k_z", "γ_yx", "γ_zx", "γ_zy")
@@ -53,16 +45,16 @@ def most_sensitive(j: int, rng: np.random.Generator) -> Array:
     """Directions (M, 3) in which |h_j| has its largest value."""
 
     def insensitivity(x: Array) -> float:
-        return -abs(float(scalar_rows(vertical(x))[j]))
+        return -abs(float(scalar_rows(unit_vector(x))[j]))
 
     found = [minimize(insensitivity, rng.standard_normal(3), tol=1e-12) for _ in range(60)]
     best = min(f.fun for f in found)
     kept: list[Array] = []
     for f in found:
-        u = vertical(f.x)
+        u = unit_vector(f.x)
         if f.fun < best + SAME**2 and all(np.linalg.norm(u - other) > 1e2 * SAME for other in kept):
             kept.append(u.round(3))
-    return vertical(np.array(kept))
+    return unit_vector(np.array(kept))
 
 
 def sets_of_nine(choices: list[Array]) -> Array:
@@ -88,16 +80,16 @@ def jointly_best(starts: int, rng: np.random.Generator) -> Array:
     """Nine positions (9, 3) with the smallest sum of variances."""
 
     def size(x: Array) -> float:
-        return math.log(variance(vertical(x.reshape(9, 3))))
+        return math.log(variance(unit_vector(x.reshape(9, 3))))
 
     found = [minimize(size, rng.standard_normal(27)) for _ in range(starts)]
-    return vertical(min(found, key=lambda f: f.fun).x.reshape(9, 3))
+    return unit_vector(min(found, key=lambda f: f.fun).x.reshape(9, 3))
 
 
 def cube() -> Array:
     """Six faces and twelve edges (18, 3)."""
     every = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))
-    return vertical(every[np.isin(np.abs(every).sum(axis=1), (1, 2))])
+    return unit_vector(every[np.isin(np.abs(every).sum(axis=1), (1, 2))])
 
 
 # -------------------- what it is worth --------------------
@@ -113,10 +105,10 @@ def errors(nominal: Array, launches: int) -> Array:
     model = triad_model(truth[:, :3], truth[:, 3:6], truth[:, 6:])
     readings = SETUP.gravity * u @ np.swapaxes(model.matrix, -1, -2) + model.bias[:, None]
     readings += SETUP.noise.accel_white / math.sqrt(REST) * rng.standard_normal(readings.shape)
-    found = perfect()
+    found = PERFECT_TRIAD
     for _ in range(2):
-        w = compensated(found, readings)
-        found = composed(found, scalar_fit(w, vertical(w), np.array(SETUP.gravity)))
+        w = found.apply(readings)
+        found = found.composed(scalar_fit(w, unit_vector(w), np.array(SETUP.gravity)))
     bias, scale, angles = triad_parameters(found)
     error = np.concatenate([bias, scale, angles[..., ACCEL_ANGLES]], axis=-1) - truth
     return 100.0 * np.sqrt(((error / SPREAD) ** 2).mean(axis=0).reshape(3, 3).mean(axis=1))

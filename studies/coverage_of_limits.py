@@ -18,12 +18,12 @@ from math import inf, sqrt
 
 import numpy as np
 
+from tumble.acceptance.conformity import judge_value
 from tumble.calibration.coverage import by_gravity, degrees_of_mean, expanded
 from tumble.calibration.results import Parameter
 from tumble.calibration.type_spread import KnownLaunches, TypeSpread, pooled
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
-from tumble.registry.limits import judge_value
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import Scenario, scenario_of
 from tumble.units import Array

@@ -24,7 +24,7 @@ from tumble.earth import earth_rate, normal_gravity
 from tumble.estimation.diagnosis.misfit import misfit
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Outcome
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.joint import joint
 from tumble.programme.positions import programme
 from tumble.recording.session import Site
 from tumble.reduction.blocks import ChannelState
@@ -461,7 +461,7 @@ def said_of(setting: Setting, off: Departure, seed: int) -> Said:
     observations, truth = session(setting, off, seed)
     estimate = joint(observations)
     outcome = verdict(estimate, observations)
-    found = misfit(estimate, observations) if outcome.verdict == "accepted with scatter" else None
+    found = misfit(estimate) if outcome.verdict == "accepted with scatter" else None
     count = len(ACCEL.names) + len(GYRO.names)
     true = np.array([truth[name] for name in estimate.names[:count]])
     return Said(

@@ -21,7 +21,7 @@ from tumble.calibration.check import known_before
 from tumble.calibration.results import Parameter
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.field_check import CheckResult, field_check
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
 from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.simulation.observations import simulate_observations

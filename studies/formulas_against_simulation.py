@@ -27,6 +27,8 @@ from tumble.estimation.methods.paper.accuracy_formulas import (
     scalar_scale_error,
     up_down_errors,
 )
+from tumble.inference.hyperparameters import CORRELATION_TIME
+from tumble.planning.bounds import begins, course_of
 from tumble.planning.budget import GROUPS, budget
 from tumble.planning.error_propagation import NAMES, BudgetedMethod
 from tumble.planning.requirements import require
@@ -101,9 +103,9 @@ def readings(setup: Setup, truth: Array, attitudes: Array, rng: np.random.Genera
     up = np.swapaxes(attitudes, -1, -2) @ [0.0, 1.0, 0.0]
     earth = np.swapaxes(attitudes, -1, -2) @ np.array(earth_rate(setup.latitude))
     dwell = math.sqrt(setup.rest)
-    changes = setup.noise.gyro_instability * rng.standard_normal(earth.shape)
+    changes = setup.noise.gyro_instability * in_run(setup, earth.shape, rng)
     accel = setup.gravity * up @ S_a.swapaxes(1, 2) + b_a[:, None]
-    accel += setup.noise.accel_instability * rng.standard_normal(up.shape)
+    accel += setup.noise.accel_instability * in_run(setup, up.shape, rng)
     accel += setup.noise.accel_white / dwell * rng.standard_normal(up.shape)
     gyro = earth @ S_g.swapaxes(1, 2) + b_g[:, None] + changes
     gyro += setup.noise.gyro_white / dwell * rng.standard_normal(up.shape)
@@ -112,7 +114,8 @@ def readings(setup: Setup, truth: Array, attitudes: Array, rng: np.random.Genera
     true = true_rates(start, vector, duration, setup.latitude)
     step = duration / STEPS
     noise = setup.noise.gyro_white / np.sqrt(step)[:, None, None] * rng.standard_normal((*true.shape[:3], 3))
-    rates = true @ S_g[:, None, None].swapaxes(-1, -2) + (b_g[:, None] + changes[:, first])[:, :, None, None]
+    between = b_g[:, None] + 0.5 * (changes[:, first] + changes[:, first + 1])
+    rates = true @ S_g[:, None, None].swapaxes(-1, -2) + between[:, :, None, None]
     return Launches(
         setup=setup,
         truth=truth,
@@ -125,6 +128,14 @@ def readings(setup: Setup, truth: Array, attitudes: Array, rng: np.random.Genera
         duration=duration,
         nominal=np.array([position.matrix for position in setup.programme.positions]),
     )
+
+
+def in_run(setup: Setup, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+    """In-run biases (T, N, 3) at the rests: Gauss–Markov processes of unit variance, about their means."""
+    start = begins(course_of(setup), setup)
+    root = np.linalg.cholesky(np.exp(-np.abs(start[:, None] - start) / CORRELATION_TIME))
+    drawn = root @ rng.standard_normal(shape)
+    return np.asarray(drawn - drawn.mean(axis=1, keepdims=True))
 
 
 def matrices(X: Array) -> tuple[Array, Array, Array, Array]:

@@ -20,17 +20,17 @@ from dataclasses import dataclass
 import numpy as np
 from formulas_against_simulation import DEVICE
 
-from tumble.estimation.components import Scatter
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.likelihood import Point, Problem, weights
-from tumble.estimation.linearisation import linearise
-from tumble.estimation.methods.joint.fit import TOTAL
-from tumble.estimation.methods.joint.method import joint
 from tumble.estimation.methods.paper.scalar import scalar
 from tumble.estimation.methods.paper.sequential import sequential
 from tumble.estimation.methods.staged.method import staged
-from tumble.estimation.step import solve
 from tumble.estimation.turns_about import TurnsAbout
+from tumble.inference.fits import TOTAL
+from tumble.inference.hyperparameters import Scatter
+from tumble.inference.joint import joint
+from tumble.inference.likelihood import Point, Problem, weights
+from tumble.inference.linearisation import linearise
+from tumble.inference.step import solve
 from tumble.planning.budget import GROUPS
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations

@@ -34,9 +34,9 @@ import numpy as np
 from paper_device import INSTABILITY
 
 from tumble.earth import earth_rate
-from tumble.estimation.methods.joint.method import joint
 from tumble.estimation.methods.paper.levelling import triad
 from tumble.estimation.methods.staged.method import staged
+from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.recording.session import Site
@@ -180,7 +180,7 @@ def observed(scenario: Scenario, recording: Recording) -> Observations:
     reducer.feed(
         Chunk(file=0, time=recording.time, dt=dt, accel=recording.accel, gyro=recording.gyro, temperature=None)
     )
-    reduction = reducer.finish()
+    reduction = reducer.now()
     rests = find_rests(reduction, scenario.accel, scenario.gyro).rests
     true = scenario.site
     site = Site(latitude=true.latitude, height=true.height, gravity=true.gravity, gravity_u=0.0)

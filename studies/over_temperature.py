@@ -28,10 +28,10 @@ from scipy import stats
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.together import calibrate_together
-from tumble.estimation.components import Scatter
 from tumble.estimation.estimate import Estimate, Fit
-from tumble.estimation.methods.joint.method import joint
-from tumble.estimation.step import solve
+from tumble.inference.hyperparameters import Scatter
+from tumble.inference.joint import joint
+from tumble.inference.step import solve
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme, programme
 from tumble.reduction.observations import Observations

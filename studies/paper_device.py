@@ -31,13 +31,6 @@ from tumble.calibration.results import Launch, Parameter
 from tumble.earth import earth_rate, normal_gravity
 from tumble.estimation.estimate import Outcome
 from tumble.estimation.methods.paper.accuracy_formulas import scalar_scale_error
-from tumble.estimation.methods.paper.compensation import (
-    ACCEL_ANGLES,
-    compensated,
-    perfect,
-    triad_model,
-    triad_parameters,
-)
 from tumble.estimation.methods.paper.four_stages import (
     PaperMethod,
     ProgrammeCourse,
@@ -53,7 +46,7 @@ from tumble.planning.setup import Setup
 from tumble.programme.positions import Programme
 from tumble.rotation import rotation_matrix
 from tumble.sensors.grades import NoiseModel
-from tumble.sensors.model import SensorModel
+from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, SensorModel, triad_model, triad_parameters
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 from tumble.views.calibration import calibration_blocks
 from tumble.views.render.terminal import print_blocks
@@ -160,12 +153,12 @@ def passes(
     """Accelerometer and gyro models after each pass of the four stages, or without stage 3; with `accel` given the
     accelerometers are known."""
     gravity, known = np.array(launches.setup.gravity), accel is not None
-    accel, gyro = accel or perfect(), perfect()
+    accel, gyro = accel or PERFECT_TRIAD, PERFECT_TRIAD
     out = []
     for _ in range(iterations):
         if not known:
             accel = accelerometer_pass(method, COURSE, launches.accel, gravity, accel)
-        force = compensated(accel, launches.accel)
+        force = accel.apply(launches.accel)
         if gyro_bias:
             gyro = gyro_bias_pass(COURSE, launches.gyro, force, gyro)
         C = rotations(launches, gyro)

@@ -30,9 +30,9 @@ import numpy as np
 
 from tumble.earth import earth_rate, normal_gravity
 from tumble.estimation.methods.paper.gyro_bias import invariant_bias, scalar_bias, vertical_bias
-from tumble.estimation.methods.paper.levelling import carried, triad, vertical
+from tumble.estimation.methods.paper.levelling import carried, triad
 from tumble.planning.setup import Setup
-from tumble.rotation import rotation_matrix
+from tumble.rotation import rotation_matrix, unit_vector
 from tumble.sensors.grades import NoiseModel
 from tumble.units import DEGREE, DEGREE_PER_HOUR, Array
 
@@ -61,7 +61,7 @@ def drift_about_north(rate: Array, force: Array) -> tuple[Array, Array]:
     for k in range(K):
         turned = rotation_matrix(0.5 * rate[..., k, :])  # half a second to the middle of the sample, and half on
         attitude = carried(attitude, turned, EARTH, 0.5)
-        east.append((attitude @ vertical(force[..., k, :])[..., None])[..., 2, 0])
+        east.append((attitude @ unit_vector(force[..., k, :])[..., None])[..., 2, 0])
         attitude = carried(attitude, turned, EARTH, 0.5)
     t = np.arange(K) - 0.5 * (K - 1)
     return np.tensordot(np.array(east), t, (0, 0)) / (t @ t), start[..., 0, :]
@@ -96,7 +96,7 @@ def by_both(rate: Array, force: Array, nominal: Array) -> Array:
     del nominal
     rate, force = rate.mean(axis=-2), force.mean(axis=-2)
     north, right = north_rows(rate, force)
-    up = vertical(force)
+    up = unit_vector(force)
     rows = np.concatenate([north, up], axis=-2)
     return solved(rows, np.concatenate([right, (up * rate).sum(axis=-1) - EARTH[1]], axis=-1))
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
 from tumble.sensors.parameters import group_name
 from tumble.simulation.observations import simulate_observations

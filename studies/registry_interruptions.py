@@ -24,20 +24,21 @@ from datetime import UTC, datetime
 from itertools import count
 from multiprocessing.connection import Connection
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 from sqlalchemy import func, select, text
 
-from tumble.registry.connect import open_registry
-from tumble.registry.records import LaunchRow, Particulars, Submission, content_sha256
-from tumble.registry.schema import CALIBRATION, CONTENT, LAUNCH
-from tumble.registry.store import add
+from tumble.registry.adding import add
+from tumble.registry.store.connect import open_registry
+from tumble.registry.store.tables import CALIBRATION, CONTENT, LOG
+from tumble.registry.submission import Particulars, Submission, content_sha256
 
 PARAMETERS = 21
 LONGEST = 0.3  # s from the start of a writer, or from its first record, to the kill
 KILLS_OF_A_FILE = 50
-IMPORTED = ["numpy", "sqlalchemy.dialects.sqlite", "psycopg", "alembic.command", "tumble.registry.store"]
+IMPORTED = ["numpy", "sqlalchemy.dialects.sqlite", "psycopg", "tumble.registry.adding"]
 
 
 def submissions(seed: int) -> Iterator[Submission]:
@@ -46,18 +47,21 @@ def submissions(seed: int) -> Iterator[Submission]:
     for i in count():
         values = rng.standard_normal(PARAMETERS).tolist()
         file = json.dumps({"log": f"{seed}-{i}", "values": values, "filling": "x" * 20_000})
-        yield Submission(
-            name=f"{seed}-{i}",
-            sha256=content_sha256(file),
+        calibration = SimpleNamespace(  # what the registry asks of one; of no type, so that nothing is judged
             serial=f"device-{seed}",
             model=None,
             method="none",
             frame="accelerometer",
+            launches=(),
+            provenance={"log_sha256": f"{seed}-{i}"},
+        )
+        yield Submission(
+            name=f"{seed}-{i}",
+            sha256=content_sha256(file),
             performed=datetime(2026, 1, 1, tzinfo=UTC),
             particulars=Particulars(),
-            launches=(LaunchRow(session=None, log_sha256=f"{seed}-{i}"),),
             file=file,
-            calibration=cast(Any, None),  # of no type, so that nothing is judged
+            calibration=cast(Any, calibration),
         )
 
 
@@ -106,7 +110,7 @@ def look(place: str, contents: bool) -> Found:
             said = connection.execute(text("PRAGMA integrity_check")).scalars().all()
             faults += [line for line in said if line != "ok"]
         records = {r.number: r.sha256 for r in connection.execute(select(CALIBRATION.c.number, CALIBRATION.c.sha256))}
-        for table, expected in ((CONTENT, 1), (LAUNCH, 1)):
+        for table, expected in ((CONTENT, 1), (LOG, 1)):
             counts = select(table.c.calibration, func.count().label("rows")).group_by(table.c.calibration)
             found = {row.calibration: row.rows for row in connection.execute(counts)}
             faults += [

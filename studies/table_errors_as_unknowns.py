@@ -30,20 +30,11 @@ import numpy as np
 from paper_device import SETUP
 
 from tumble.estimation.methods.paper.accuracy_formulas import accelerometer_errors
-from tumble.estimation.methods.paper.compensation import (
-    ACCEL_ANGLES,
-    compensated,
-    composed,
-    perfect,
-    triad_model,
-    triad_parameters,
-)
-from tumble.estimation.methods.paper.levelling import vertical
 from tumble.estimation.methods.paper.scalar import scalar_fit
 from tumble.estimation.methods.paper.sequential import accelerometers as sequential
-from tumble.rotation import tangent_basis
+from tumble.rotation import tangent_basis, unit_vector
 from tumble.sensors.grades import NoiseModel
-from tumble.sensors.model import SensorModel
+from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, SensorModel, triad_model, triad_parameters
 from tumble.units import ARCSEC, DEGREE, Array
 
 GROUPS = {
@@ -63,7 +54,7 @@ Pass = Callable[[Array, Array], SensorModel]
 def scalar_norm(readings: Array, nominal: Array) -> SensorModel:
     """The scalar method in norm form with the estimated orientation."""
     del nominal
-    return scalar_fit(readings, vertical(readings), np.array(SETUP.gravity), "norm")
+    return scalar_fit(readings, unit_vector(readings), np.array(SETUP.gravity), "norm")
 
 
 def vector(readings: Array, nominal: Array) -> SensorModel:
@@ -73,9 +64,9 @@ def vector(readings: Array, nominal: Array) -> SensorModel:
 
 def iterated(method: Pass, readings: Array, nominal: Array, passes: int) -> SensorModel:
     """The model after so many passes, each on readings compensated by those before."""
-    model = perfect()
+    model = PERFECT_TRIAD
     for _ in range(passes):
-        model = composed(model, method(compensated(model, readings), nominal))
+        model = model.composed(method(model.apply(readings), nominal))
     return model
 
 
@@ -83,16 +74,16 @@ def with_tilts(readings: Array, nominal: Array, passes: int) -> tuple[SensorMode
     """The model and the tilts (T, N, 2), rad, after so many Gauss-Newton steps from perfect sensors and the programmed
     verticals: every step solves for the errors left in compensated readings, in units of g, and for all tilts."""
     across = np.swapaxes(tangent_basis(nominal), -1, -2)
-    model, tilts = perfect(), np.zeros((*readings.shape[:-1], 2))
+    model, tilts = PERFECT_TRIAD, np.zeros((*readings.shape[:-1], 2))
     for _ in range(passes):
         leaning = nominal + (across @ tilts[..., None])[..., 0]
-        u = vertical(leaning)
-        residual = compensated(model, readings) / SETUP.gravity - u
+        u = unit_vector(leaning)
+        residual = model.apply(readings) / SETUP.gravity - u
         by_tilt = across - u[..., None] * (u[..., None, :] @ across)
         by_tilt = by_tilt / np.linalg.norm(leaning, axis=-1)[..., None, None]
         x = (np.linalg.pinv(rows(u, by_tilt)) @ residual.reshape(len(residual), -1, 1))[..., 0]
         found = triad_model(SETUP.gravity * x[:, :3], x[:, 3:6], x[:, 6:9])
-        model, tilts = composed(model, found), tilts + x[:, 9:].reshape(tilts.shape)
+        model, tilts = model.composed(found), tilts + x[:, 9:].reshape(tilts.shape)
     return model, tilts
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from scipy import stats
 
 from tumble.calibration.from_estimate import references_of
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.reduction.thermometer import Thermometers

@@ -13,9 +13,8 @@ from tumble.estimation.methods.paper.indirect import (
     Series,
     carried_attitudes,
 )
-from tumble.estimation.methods.paper.levelling import vertical
 from tumble.reduction.turns import Turns
-from tumble.rotation import rotation_matrix
+from tumble.rotation import rotation_matrix, unit_vector
 from tumble.units import Array
 
 _GYRO_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
@@ -52,7 +51,7 @@ def logged_jacobian(
 
     It uses measured quantities, so that one pass errs in second order of the sensor errors, whatever the table did."""
     rows = []
-    u = vertical(force)
+    u = unit_vector(force)
     accel = accelerometer_errors(u)
     for series in course:
         L = carried_attitudes(series, attitude, turns.C, turns.duration, earth_rate)
@@ -100,7 +99,7 @@ def two_position_bias(rates: Array, forces: Array, earth_rate: Array) -> Array:
     """Bias (..., 3) by two-position gyrocompassing: half the sum of the rates (..., 2, 3) before and after a turn by
     exactly 180° about the vertical, less Ω sin B times the levelled vertical. It holds for the horizontal gyros; a
     turn by 180° + Δ leaves them ±½ Ω cos B Δ, which on a rough table is as large as the bias."""
-    return np.asarray(rates.mean(axis=-2) - earth_rate[1] * vertical(forces).mean(axis=-2))
+    return np.asarray(rates.mean(axis=-2) - earth_rate[1] * unit_vector(forces).mean(axis=-2))
 
 
 def turned_bias(rates: Array, forces: Array, C: Array, earth_rate: Array) -> Array:
@@ -109,7 +108,7 @@ def turned_bias(rates: Array, forces: Array, C: Array, earth_rate: Array) -> Arr
     dot-product invariant. Not in the paper: it needs no exact 180°.
 
     It is exact that ω₁ = C ω₂ in the non-rotating frame, since the Earth's rate is the axis of the Earth's turn."""
-    u = vertical(forces)
+    u = unit_vector(forces)
     rows = np.concatenate([np.eye(3) - C, u], axis=-2)
     turned = rates[..., 0, :] - (C @ rates[..., 1, :, None])[..., 0]
     right = np.concatenate([turned, (u * rates).sum(axis=-1) - earth_rate[1]], axis=-1)

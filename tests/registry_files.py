@@ -10,6 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from tumble.registry.store import rows
+from tumble.registry.store.connect import Registry
+from tumble.registry.types import LimitsRecord, Record
 from tumble.sensors.model import Block
 
 ACCEL = Block(kind="accel", axes=np.eye(3))
@@ -79,3 +82,21 @@ def write(path: Path, whole: Mapping[str, Any]) -> Path:
     """A calibration file with this content."""
     path.write_text(json.dumps(whole), encoding="utf-8")
     return path
+
+
+def record(registry: Registry, number: int) -> Record:
+    """The record of a number."""
+    with registry.reading() as connection:
+        return rows.record_of(connection, number)
+
+
+def file_of(registry: Registry, number: int) -> str:
+    """The text of the calibration file of a record."""
+    with registry.reading() as connection:
+        return rows.file_of(connection, number)
+
+
+def limits_records(registry: Registry) -> list[LimitsRecord]:
+    """All limits of all types in the order in which they came in force."""
+    with registry.reading() as connection:
+        return rows.every_limits(connection)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tumble.registry.connect import open_registry
-from tumble.registry.records import Submission
-from tumble.registry.store import add
+from tumble.registry.adding import add
+from tumble.registry.store.connect import open_registry
+from tumble.registry.submission import Submission
 
 
 def write_all(place: str, submissions: Sequence[Submission]) -> None:

@@ -14,13 +14,6 @@ from preintegrated import preintegrate
 from scipy.spatial.transform import Rotation
 
 from tumble.earth import earth_rate, normal_gravity
-from tumble.estimation.methods.paper.compensation import (
-    ACCEL_ANGLES,
-    compensated,
-    perfect,
-    triad_model,
-    triad_parameters,
-)
 from tumble.estimation.methods.paper.four_stages import (
     PaperMethod,
     ProgrammeCourse,
@@ -33,7 +26,7 @@ from tumble.programme.positions import programme
 from tumble.reduction.coloured_noise import WHITE
 from tumble.reduction.turns import Turns
 from tumble.rotation import rotation_matrix, skew
-from tumble.sensors.model import SensorModel
+from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, SensorModel, triad_model, triad_parameters
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
 PROGRAMME = programme("rough-table")
@@ -90,7 +83,7 @@ class Launches:
         """The turns integrated about a gyro model, as `Observations.turns_about` does it."""
         dt = TURN_SECONDS / STEPS
         n, k = self.increments.shape[:2]
-        angle = compensated(SensorModel(matrix=model.matrix, bias=model.bias * dt), self.increments.reshape(n, -1, 3))
+        angle = SensorModel(matrix=model.matrix, bias=model.bias * dt).apply(self.increments.reshape(n, -1, 3))
         angle = angle.reshape(n, k, STEPS, 3)
         angle = np.concatenate([angle[:, :, :1], angle], axis=2)  # the sample before the first
         start = np.arange(n * k) * (STEPS + 1) + 1
@@ -184,12 +177,12 @@ def passes(
     found: Launches, method: PaperMethod, iterations: int, *, accel: SensorModel | None = None
 ) -> list[tuple[SensorModel, SensorModel]]:
     """Models after each pass of the four stages; with `accel` given the accelerometers are known."""
-    before, gyro = perfect() if accel is None else accel, perfect()
+    before, gyro = PERFECT_TRIAD if accel is None else accel, PERFECT_TRIAD
     out = []
     for _ in range(iterations):
         if accel is None:
             before = accelerometer_pass(method, COURSE, found.force, np.array(GRAVITY), before)
-        force = compensated(before, found.force)
+        force = before.apply(found.force)
         gyro = gyro_bias_pass(COURSE, found.rate, force, gyro)
         gyro = gyro_matrix_pass(COURSE, found.rate, force, found.turns(gyro).C, gyro)
         out.append((before, gyro))

@@ -12,7 +12,13 @@ from tumble.calibration.calibrate import calibrate
 from tumble.calibration.observed import inspect_session
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
-from tumble.reduction.blemishes import BadSamples, bad_samples_of_turns, blemish_notes, without_blemishes
+from tumble.reduction.blemishes import (
+    BadSamples,
+    bad_sample_notes,
+    bad_samples_of_turns,
+    blemish_notes,
+    without_blemishes,
+)
 from tumble.reduction.blocks import Reducer, Reduction
 from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.segmentation import RestSpan
@@ -36,7 +42,7 @@ def reduced(values: Array, rate: float = 100.0) -> Reduction:
     reducer = Reducer(rate=rate, accel=ACCEL, gyro=GYRO)
     dt = np.full(len(values), 1.0 / rate)
     reducer.feed(Chunk(file=0, time=np.cumsum(dt), dt=dt, accel=values[:, :3], gyro=values[:, 3:], temperature=None))
-    return reducer.finish()
+    return reducer.now()
 
 
 @pytest.mark.parametrize(("column", "size"), [(0, 1.0), (2, -2000.0), (3, 0.2), (5, 30.0)])
@@ -49,10 +55,10 @@ def test_the_block_of_a_bad_sample_has_no_weight(column: int, size: float, width
     found = without_blemishes(reduced(values))
     assert sum(one.samples for one in found.blemishes) == width
     kept = np.delete(np.arange(200), range(100, 100 + width))
-    of_kept = (sound.files[0].accel[kept].mean(axis=0), sound.files[0].gyro[kept].mean(axis=0))  # type: ignore[index]
-    np.testing.assert_allclose(found.files[0].accel_mean(0, 200), of_kept[0], rtol=1e-12)
-    np.testing.assert_allclose(found.files[0].gyro_mean(0, 200), of_kept[1], rtol=1e-9)
-    assert np.abs(found.files[0].accel - [0.0, 0.0, 9.81]).max() < 0.03
+    of_kept = (sound.files[0].accel.means[kept].mean(axis=0), sound.files[0].gyro.means[kept].mean(axis=0))
+    np.testing.assert_allclose(found.files[0].accel.mean(0, 200), of_kept[0], rtol=1e-12)
+    np.testing.assert_allclose(found.files[0].gyro.mean(0, 200), of_kept[1], rtol=1e-9)
+    assert np.abs(found.files[0].accel.means - [0.0, 0.0, 9.81]).max() < 0.03
     span = RestSpan(file=0, first=0, last=200, start=0.0, stop=20.0)
     assert blemish_notes(found, [span])[0].startswith(f"{width} bad sample")
     assert blemish_notes(found, [RestSpan(file=0, first=0, last=90, start=0.0, stop=9.0)]) == ()
@@ -122,7 +128,7 @@ def test_a_packet_that_was_misread_and_one_gyro_are_found() -> None:
     values[230, 2] += 1.0
     found = bad_in(values)
     np.testing.assert_array_equal(found.at, [150, 230])
-    assert found.note(np.array([6])) == (
+    assert bad_sample_notes(found, np.array([6])) == (
         "2 bad samples, far off those beside them, replaced by what is between these in the turn 7 to 8",
     )
 

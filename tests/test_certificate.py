@@ -18,6 +18,8 @@ from calibrated import calibration
 from click.testing import CliRunner
 from test_report import Page, opened, pdf_text
 
+from tumble.acceptance.certificate import Party, read_certificate
+from tumble.acceptance.conformity import judge_value
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import read_calibration
 from tumble.calibration.coverage import expanded
@@ -28,12 +30,10 @@ from tumble.cli import main
 from tumble.errors import InputError
 from tumble.estimation.estimate import Outcome
 from tumble.export import export_calibration
-from tumble.export.certificate import Party, read_certificate
 from tumble.planning.setup import Setup
 from tumble.recording.circumstances import AirConditions, Circumstances
 from tumble.recording.session_file import session_of
-from tumble.registry.limits import judge_value
-from tumble.registry.records import Particulars, read_submission
+from tumble.registry.submission import Particulars, read_submission
 from tumble.simulation.session import simulate_session
 from tumble.views.report.certified import letterhead
 from tumble.views.report.write import write_report

@@ -24,16 +24,16 @@ from tumble.cli import main
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Outcome
 from tumble.estimation.field_check import CHANCE, CheckResult, _student, field_check
-from tumble.estimation.likelihood import Point, Prior, Problem
-from tumble.estimation.linearisation import linearise
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.joint import joint
+from tumble.inference.likelihood import Point, Prior, Problem
+from tumble.inference.linearisation import linearise
 from tumble.planning.setup import Setup
 from tumble.recording.circumstances import Circumstances
 from tumble.recording.session_file import read_session
 from tumble.reduction.observations import Observations
-from tumble.registry.connect import open_registry
-from tumble.registry.records import Particulars, submission
-from tumble.registry.store import add
+from tumble.registry.adding import add
+from tumble.registry.store.connect import open_registry
+from tumble.registry.submission import Particulars, submission
 from tumble.registry.type_launches import device_launches
 from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.simulation.observations import simulate_observations

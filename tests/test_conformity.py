@@ -9,16 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from calibrated import calibration, warmed
+from registry_files import record
 
+from tumble.acceptance.conformity import verdicts
+from tumble.acceptance.limits import Limits, parse_limits
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.temperature_curves import curve
 from tumble.errors import InputError
-from tumble.registry.conformity import verdicts
-from tumble.registry.connect import open_registry
-from tumble.registry.limits import Limits, parse_limits
-from tumble.registry.records import Particulars, submission
+from tumble.registry.adding import add, set_limits
 from tumble.registry.series import verdict_of
-from tumble.registry.store import add, limits_records, record, set_limits
+from tumble.registry.store.connect import open_registry
+from tumble.registry.submission import Particulars, submission
 from tumble.units import G_STANDARD
 from tumble.views.report.limits import section
 
@@ -105,7 +106,6 @@ def test_the_registry_judges_a_record_over_temperature(tmp_path: Path) -> None:
     with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
         set_limits(registry, "test", text, None)
         number = add(registry, submission(json.dumps(MADE.content()), "file", Particulars())).record.number
-        known = {own.number: own for own in limits_records(registry)}
-        verdict = verdict_of(registry, record(registry, number), known)
+        verdict = verdict_of(registry, record(registry, number))
         assert verdict is not None
         assert verdict.over == "within limits from −18 to 57 °C"

@@ -13,6 +13,8 @@ from scipy import stats
 from test_ellipsoid import FOURTEEN, placed
 from test_export import CERTIFICATE
 
+from tumble.acceptance.conformity import judge_value
+from tumble.acceptance.limits import parse_limits
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import (
     degrees_of_freedom,
@@ -29,7 +31,6 @@ from tumble.calibration.readings_table import ReadingsTable, read_table
 from tumble.calibration.results import coverage_factor
 from tumble.estimation.estimate import Fit
 from tumble.export import export_calibration
-from tumble.registry.limits import judge_value, parse_limits
 from tumble.units import Array
 from tumble.views.numbers import with_expanded
 from tumble.views.report.document import Source, document

@@ -35,6 +35,7 @@ from tumble.calibration.observed import inspect_session
 from tumble.cli import main
 from tumble.recording.log import open_log
 from tumble.recording.session_file import read_session
+from tumble.reduction.tuning import USUAL
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
 
 ROOT = Path(__file__).parents[1]
@@ -269,11 +270,21 @@ SI = {"": 1.0, "s": 1.0, "rad": 1.0, "°": DEGREE, "°/s": DEGREE, "mg": 1e-3 * 
 def test_the_thresholds_of_the_method_are_those_of_the_code() -> None:
     text = (ROOT / "docs/method-staged.md").read_text(encoding="utf-8")
     rows = THRESHOLD.findall(text)
-    assert len(rows) == 21
+    assert len(rows) == 12
     for name, module, value, unit in rows:
         assert getattr(import_module(f"tumble.{module}"), name) == pytest.approx(float(value) * SI[unit]), name
     for name in re.findall(r"`([A-Z][A-Z_]+)`", text):
         assert name in {row[0] for row in rows}, f"{name} is not in the table of thresholds"
+
+
+def test_every_threshold_of_the_reduction_is_on_its_page() -> None:
+    """With its value, what it means and what justifies it, as the record has them."""
+    text = (ROOT / "docs/tuning.md").read_text(encoding="utf-8")
+    rows = [
+        f"| `{each.name}` | {f'{each.value:.3g} {each.unit}'.strip()} | {each.words} | {each.why} |"
+        for each in USUAL.thresholds()
+    ]
+    assert re.findall(r"^\| `.*$", text.partition("\n## ")[0], re.M) == rows
 
 
 # -------------------- the figures of the real recording --------------------

@@ -16,11 +16,11 @@ from calibrated import HEXAD, calibration
 from click.testing import CliRunner
 from test_export import CERTIFICATE
 
+from tumble.acceptance.certificate import read_certificate
 from tumble.calibration.calibration_file import Calibration
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import export_calibration
-from tumble.export.certificate import read_certificate
 from tumble.export.dcc import d_si
 from tumble.recording.circumstances import AirConditions, Circumstances
 from tumble.recording.session import Site

@@ -11,7 +11,7 @@ import pytest
 from calibrated import calibration
 
 from tumble.export import export_calibration
-from tumble.export.matlab_imu import part_name
+from tumble.export.json_files import part_name
 from tumble.units import Array
 
 TRUE = {"accel": np.array([[0.5, -1.0, 9.7], [9.8, 0.1, 0.0]]), "gyro": np.array([[0.1, -0.2, 0.3], [3.0, 0.0, 1.0]])}

@@ -104,8 +104,8 @@ def assert_equal(a: object, b: object) -> None:
 )
 def test_asking_changes_nothing(session: Recording, sizes: list[int], asked: set[int], file_at: int) -> None:
     """Any chunks, asked at any moments: reduction, rests, turns and covariances are those of one piece, to the bit."""
-    at_once = fed(chunks(session, [], file_at=file_at)).finish()
-    bit_by_bit = fed(chunks(session, sizes, file_at=file_at), asked=sorted(asked)).finish()
+    at_once = fed(chunks(session, [], file_at=file_at)).now()
+    bit_by_bit = fed(chunks(session, sizes, file_at=file_at), asked=sorted(asked)).now()
     assert_equal(bit_by_bit, at_once)
     assert find_rests(bit_by_bit, ACCEL, GYRO) == find_rests(at_once, ACCEL, GYRO)
     assert_equal(batch(bit_by_bit), batch(at_once))
@@ -115,7 +115,7 @@ def test_asking_changes_nothing(session: Recording, sizes: list[int], asked: set
 @given(sizes=st.lists(st.integers(1, 700), max_size=10), stop=st.integers(100, 3000))
 def test_what_is_known_now_is_the_reduction_of_the_log_so_far(session: Recording, sizes: list[int], stop: int) -> None:
     now = fed(chunks(session, sizes, stop=stop)).now()
-    ended = fed(chunks(session, [], stop=stop)).finish()
+    ended = fed(chunks(session, [], stop=stop)).now()
     assert_equal(now, replace(ended, samples=now.samples))
 
 
@@ -123,10 +123,10 @@ def test_a_reduction_stays_as_it_was_while_the_log_grows(session: Recording) -> 
     parts = chunks(session, [97] * 100)
     reducer = fed(parts[:8])
     before = reducer.now()
-    copied = [np.array(values) for values in (before.files[0].accel, before.files[0].edges)]
+    copied = [np.array(values) for values in (before.files[0].accel.means, before.files[0].edges)]
     for chunk in parts[8:]:
         reducer.feed(chunk)
-    assert_equal([before.files[0].accel, before.files[0].edges], copied)
+    assert_equal([before.files[0].accel.means, before.files[0].edges], copied)
 
 
 # -------------------- lost and held samples --------------------
@@ -176,4 +176,4 @@ def test_blocks_are_not_copied(session: Recording) -> None:
     reducer = fed(chunks(session, []))
     one, other = (reducer.now().files[0] for _ in range(2))
     assert isinstance(one, FileBlocks)
-    assert np.shares_memory(one.accel, other.accel)
+    assert np.shares_memory(one.accel.means, other.accel.means)

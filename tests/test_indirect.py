@@ -9,7 +9,6 @@ from rough_launches import COURSE, EARTH, GRAVITY, PROGRAMME, SIZES, TURN_SECOND
 
 from tumble.errors import ProgrammeError
 from tumble.estimation.methods.paper.accuracy_formulas import accelerometer_leakage
-from tumble.estimation.methods.paper.compensation import perfect
 from tumble.estimation.methods.paper.indirect import (
     check_directions,
     horizontal_differences,
@@ -18,6 +17,7 @@ from tumble.estimation.methods.paper.indirect import (
 )
 from tumble.estimation.methods.paper.levelling import triad
 from tumble.programme.positions import ANY_MOVE, Move, Position, Programme, attitude
+from tumble.sensors.model import PERFECT_TRIAD
 from tumble.units import DEGREE, Array
 
 AXES = {"N": np.array([1.0, 0.0, 0.0]), "U": np.array([0.0, 1.0, 0.0])}
@@ -54,7 +54,7 @@ def jacobian_at_the_programme() -> Array:
 
 def differences_of(found: Launches) -> Array:
     """y (n, 18) of launches, from readings as they are."""
-    C = found.turns(perfect()).C
+    C = found.turns(PERFECT_TRIAD).C
     return horizontal_differences(COURSE.series, triad(found.force, found.rate), found.force, C, COURSE.duration, EARTH)
 
 
@@ -96,7 +96,7 @@ def test_the_logged_jacobian_is_that_of_the_nonlinear_simulation_whatever_the_ta
         triad(perfect_launch.force, perfect_launch.rate),
         perfect_launch.force,
         perfect_launch.rate,
-        perfect_launch.turns(perfect()),
+        perfect_launch.turns(PERFECT_TRIAD),
         EARTH,
     )[0]
     expected = finite_differences(attitudes)

@@ -2,7 +2,7 @@
 
 Nothing of the likelihood, its moments or its elimination is used: readings of perfect sensors are integrated sample by
 sample with a chain of matrix products, derivatives are differences of that, the in-run biases of every rest are
-unknowns of their own, and the information matrix is dense."""
+unknowns of their own, which their covariance joins, and the information matrix is dense."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from tumble.earth import earth_rate
+from tumble.inference.hyperparameters import CORRELATION_TIME
 from tumble.planning.bounds import Course, bound_of, course_of
 from tumble.planning.setup import Setup
 from tumble.rotation import axes_matrix, rotation_matrix, rotation_vector
@@ -93,15 +94,30 @@ def information(course: Course, setup: Setup, velocity: bool) -> Array:
             jacobian[:, c] = (both[0] - both[1]) / (2.0 * STEP)
         sigma = np.repeat([noise.accel_white, noise.gyro_white], 3) / np.sqrt(setup.rest)
         total += (jacobian / sigma[:, None]).T @ (jacobian / sigma[:, None])
-        u = np.repeat([noise.accel_instability, noise.gyro_instability], 3)
-        total[biases(i), biases(i)] += np.diag(u**-2.0)
+    add_process(total, course, setup, biases)
     for first, move, T in zip(course.first, course.moves, course.seconds, strict=True):
         add_turn(total, course, setup, (int(first), move, float(T)), with_bias, angles, biases, p, velocity)
     if velocity:
         usual = usual_sizes(setup.instrument)
         total[LEVERS, LEVERS] += np.eye(6) / usual["accel.lever"] ** 2
         total[DELAY, DELAY] += usual["accel.delay"] ** -2.0
-    return np.asarray(np.linalg.pinv(total, rcond=1e-20)[:p, :p], dtype=float)
+    asked = np.eye(p, unknowns)  # of biases the mean over the rests
+    for i in range(len(course.attitudes)):
+        asked[[0, 1, 2, 9, 10, 11], biases(i)] += np.eye(6) / len(course.attitudes)
+    return np.asarray(asked @ np.linalg.pinv(total, rcond=1e-20) @ asked.T, dtype=float)
+
+
+def add_process(total: Array, course: Course, setup: Setup, biases: Callable[[int], slice]) -> None:
+    """Add that in-run biases are Gauss–Markov processes between the middles of the rests."""
+    N, noise = len(course.attitudes), setup.noise
+    moved = np.zeros(N)
+    moved[course.first + 1] = course.seconds
+    middle = setup.rest * np.arange(N) + np.cumsum(moved)
+    alike = np.linalg.inv(np.exp(-np.abs(middle[:, None] - middle) / CORRELATION_TIME))
+    u = np.repeat([noise.accel_instability, noise.gyro_instability], 3)
+    for i in range(N):
+        for j in range(N):
+            total[biases(i), biases(j)] += alike[i, j] * np.diag(u**-2.0)
 
 
 def add_turn(
@@ -129,7 +145,8 @@ def add_turn(
     _, V0, middle = integrated(np.zeros(28), rates, forces, dt, velocity)
 
     def residual(x: Array) -> Array:
-        C, V, _ = integrated(with_bias(x, first), rates, forces, dt, velocity)
+        between = 0.5 * (with_bias(x, first) + with_bias(x, first + 1))
+        C, V, _ = integrated(between, rates, forces, dt, velocity)
         L, M = start @ rotation_matrix(x[angles(first)]), end @ rotation_matrix(x[angles(first + 1)])
         r = rotation_vector(C @ M.T @ rotation_matrix(-T * earth) @ L)
         away = T * earth
@@ -137,9 +154,8 @@ def add_turn(
         predicted = L.T @ turning @ np.array([0.0, setup.gravity * T, 0.0])
         return np.concatenate([r, V - predicted]) if velocity else r
 
-    own = [*range(p)] + [
-        c for s in (angles(first), biases(first), angles(first + 1)) for c in range(*s.indices(unknowns))
-    ]
+    of_rests = (angles(first), biases(first), angles(first + 1), biases(first + 1))
+    own = [*range(p)] + [c for s in of_rests for c in range(*s.indices(unknowns))]
     jacobian = np.zeros((6 if velocity else 3, unknowns))
     for c in own:
         x = np.zeros(unknowns)

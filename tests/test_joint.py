@@ -16,17 +16,17 @@ import pytest
 from formula_setup import device_setup
 
 from tumble.calibration.calibrate import calibrate
-from tumble.estimation.components import Scatter
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.likelihood import Prior, Problem, weights
-from tumble.estimation.linearisation import linearise
-from tumble.estimation.methods.joint.fit import TOTAL
-from tumble.estimation.methods.joint.method import QUICK_STEPS, joint
-from tumble.estimation.methods.joint.start import start_of
 from tumble.estimation.methods.staged.method import staged
-from tumble.estimation.step import solve
 from tumble.estimation.turns_about import TurnsAbout
+from tumble.inference.fits import TOTAL
+from tumble.inference.hyperparameters import Scatter
+from tumble.inference.joint import QUICK_STEPS, joint
+from tumble.inference.likelihood import Prior, Problem, weights
+from tumble.inference.linearisation import linearise
+from tumble.inference.start import start_of
+from tumble.inference.step import solve
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes
 from tumble.reduction.motion_samples import MotionSamples
@@ -248,6 +248,7 @@ def test_scatter_is_found_where_there_is_some() -> None:
         SETUP.noise,
         accel_instability=5.0 * SETUP.noise.accel_white / np.sqrt(SETUP.rest),
         gyro_instability=5.0 * SETUP.noise.gyro_white / np.sqrt(SETUP.rest),
+        instability_time=0.0,
     )
     z, scatter = [], []
     for seed in range(30):

@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from tumble.estimation.methods.joint import lag as of_lag
+from tumble.inference import lag as of_lag
 from tumble.units import Array
 
 

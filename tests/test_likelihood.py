@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from formula_setup import device_setup
 
-from tumble.estimation.components import Scatter
-from tumble.estimation.likelihood import NO_PRIOR, Point, Prior, Problem, Rows, bases, noise_of, weights
-from tumble.estimation.linearisation import linearise
-from tumble.estimation.methods.joint.iteration import heading_information
-from tumble.estimation.row_loops import inverse_left_jacobian
-from tumble.estimation.step import left, solve, variance_slopes
 from tumble.estimation.turns_about import TurnsAbout
+from tumble.inference.hyperparameters import Scatter
+from tumble.inference.likelihood import NO_PRIOR, Point, Prior, Problem, Rows, bases, noise_of, weights
+from tumble.inference.linearisation import linearise
+from tumble.inference.maximum import heading_information
+from tumble.inference.row_loops import inverse_left_jacobian
+from tumble.inference.step import left, solve, variance_slopes
 from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
 from tumble.rotation import rotation_matrix, rotation_vector

@@ -12,7 +12,7 @@ import pytest
 
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import read_calibration
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.joint import joint
 from tumble.planning.bounds import bound
 from tumble.planning.setup import Setup
 from tumble.sensors import parameters

@@ -90,7 +90,7 @@ def reduced(recording: Recording, accel: Array | None = None, *, gyros: bool = T
             temperature=None,
         )
     )
-    return reducer.finish()
+    return reducer.now()
 
 
 def matched(recording: Recording, spec: ProgrammeSpec | None, *, gyros: bool = True) -> Match:

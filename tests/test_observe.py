@@ -23,7 +23,7 @@ from tumble.reduction import turn_samples
 from tumble.reduction.blocks import Reducer, Reduction
 from tumble.reduction.matching import Match
 from tumble.reduction.observations import Observations, observe
-from tumble.reduction.segmentation import find_rests, stated_rest
+from tumble.reduction.segmentation import RestSpan, find_rests
 from tumble.reduction.turn_samples import TurnSamples
 from tumble.reduction.turns import rotations_of_independent
 from tumble.rotation import rotation_matrix, tangent_basis
@@ -49,7 +49,7 @@ def reduced(
         reducer.feed(
             Chunk(file=file, time=time, dt=np.full(len(time), 1 / rate), accel=accel, gyro=gyro, temperature=None)
         )
-    return reducer.finish()
+    return reducer.now()
 
 
 def observed(reduction: Reduction, blocks: tuple[Block, Block] = TRIAD, *, gyros: bool = True) -> Observations:
@@ -62,7 +62,7 @@ def between(
     reduction: Reduction, times: Iterable[tuple[float, float]], blocks: tuple[Block, Block] = TRIAD
 ) -> Observations:
     """Observations of rests stated by their times."""
-    rests = tuple(stated_rest(reduction, start, stop) for start, stop in times)
+    rests = tuple(RestSpan.between(reduction.files[0], start, stop) for start, stop in times)
     return observe(reduction, Match(rests=rests, programme=None, position=None), *blocks, SITE)
 
 

@@ -11,9 +11,10 @@ from formula_setup import device_setup
 
 from tumble.cli import main
 from tumble.errors import InputError
-from tumble.estimation.elimination import eliminate
+from tumble.inference.elimination import eliminate, fold
 from tumble.planning.best_positions import (
     Aim,
+    Criterion,
     candidates,
     compared,
     next_positions,
@@ -21,7 +22,7 @@ from tumble.planning.best_positions import (
     optimised,
     value_of,
 )
-from tumble.planning.bounds import Bound, Course, bound, bound_of, course_of, course_through
+from tumble.planning.bounds import Bound, Course, bound, bound_of, course_of, course_through, view
 from tumble.planning.reachable_attitudes import Places, TurnTable
 from tumble.programme.positions import Programme, from_attitudes, programme
 from tumble.rotation import rotation_vector
@@ -64,6 +65,21 @@ def test_what_a_candidate_shows_is_the_bound_with_it(letter: str, gyros: bool, t
     best = next_positions(NINE, aim, table, count=1)[0]
     assert best.ratio == pytest.approx(min(whole) / before, rel=1e-6)
     assert value(best.bound, letter) == pytest.approx(min(whole), rel=1e-6)
+
+
+@pytest.mark.parametrize("gyros", [True, False], ids=["gyros", "accelerometers"])
+def test_what_a_candidate_shows_has_the_states_of_in_run_biases(gyros: bool) -> None:
+    """Of some candidates, against the elimination of a whole course; biases are the means of their processes."""
+    aim, setup = Aim(gyros=gyros), replace(NINE, noise=GRADES["mems"].noise)
+    criterion, places = Criterion.of(aim, setup), Places.of(HELD, setup, gyros=gyros, last=NINE.programme.positions[-1])
+    before, values, legs = candidates(setup, aim, places)
+    courses = [course_of(setup)]
+    for place, move in zip(legs.places[:6, 0], legs.moves[:6, 0], strict=True):
+        courses.append(added(courses[0], places.attitudes[place], move))
+    for course, found in zip(courses, [before, *values[:6]], strict=True):
+        triangle = criterion.known.copy()
+        fold(view(course, setup, gyros=gyros).told().sessions[0], triangle)
+        assert found == pytest.approx(float(criterion.of_triangles(triangle[None])[0]), rel=1e-6)
 
 
 def added(course: Course, attitude: np.ndarray, move: np.ndarray) -> Course:
@@ -147,7 +163,7 @@ def test_nine_positions_for_accelerometers_come_near_the_best_there_are() -> Non
     """§3 of the turntable method: of all sets of nine directions the least tr (HᵀH)⁻¹ is 7.98; the nine have 24.
     What is found on a table with stops of 15°, 8.986, is also the best of twenty random starts there."""
     sigma = 1e-4
-    setup = replace(SETUP, noise=NoiseModel(accel_instability=sigma * SETUP.gravity))
+    setup = replace(SETUP, noise=NoiseModel(accel_white=sigma * SETUP.gravity * np.sqrt(SETUP.rest)))
     wanted = {"accel.bias": SETUP.gravity, "accel.scale": 1.0, "accel.axis": 1.0}
     aim = Aim(wanted=wanted, gyros=False)
     found = optimised(setup, 9, aim, TurnTable(step=15.0 * DEGREE))

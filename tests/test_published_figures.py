@@ -30,19 +30,19 @@ from rough_launches import (
 
 from tumble.earth import EARTH_RATE
 from tumble.estimation.methods.paper.accuracy_formulas import accelerometer_leakage
-from tumble.estimation.methods.paper.compensation import compensated, composed, perfect, triad_model, triad_parameters
 from tumble.estimation.methods.paper.four_stages import PaperMethod
 from tumble.estimation.methods.paper.gyro_bias import invariant_bias
 from tumble.estimation.methods.paper.indirect import (
     horizontal_differences,
     programme_matrix,
 )
-from tumble.estimation.methods.paper.levelling import triad, vertical
+from tumble.estimation.methods.paper.levelling import triad
 from tumble.estimation.methods.paper.scalar import accelerometers as scalar_accelerometers
 from tumble.estimation.methods.paper.scalar import scalar_differences, scalar_fit, scalar_rows
 from tumble.estimation.methods.paper.sequential import accelerometers as sequential_accelerometers
 from tumble.estimation.methods.paper.sequential import check_positions
-from tumble.sensors.model import SensorModel
+from tumble.rotation import unit_vector
+from tumble.sensors.model import PERFECT_TRIAD, SensorModel, triad_model, triad_parameters
 from tumble.units import ARCSEC, DEGREE, Array
 
 N = 600
@@ -82,12 +82,12 @@ def nine() -> Launches:
 
 def scalar_passes(found: Launches, orientation: str, count: int) -> list[SensorModel]:
     """What each pass of the scalar method finds in readings compensated by the passes before."""
-    total, out = perfect(), []
+    total, out = PERFECT_TRIAD, []
     for _ in range(count):
-        readings = compensated(total, found.force[:, NINE])
-        u = vertical(readings) if orientation == "estimated" else COURSE.nominal[NINE]
+        readings = total.apply(found.force[:, NINE])
+        u = unit_vector(readings) if orientation == "estimated" else COURSE.nominal[NINE]
         out.append(scalar_fit(readings, u, np.array(GRAVITY)))
-        total = composed(total, out[-1])
+        total = total.composed(out[-1])
     return out
 
 
@@ -106,9 +106,9 @@ def scalar_passes(found: Launches, orientation: str, count: int) -> list[SensorM
     ],
 )
 def test_table_of_section_4(nine: Launches, orientation: str, iterations: int, column: str, published: float) -> None:
-    total = perfect()
+    total = PERFECT_TRIAD
     for found in scalar_passes(nine, orientation, iterations):
-        total = composed(total, found)
+        total = total.composed(found)
     assert_published(percent(values_of(total, PERFECT_GYROS), nine.values, column), published)
 
 
@@ -120,7 +120,7 @@ def test_published_second_iterations_of_section_4_are_sums_of_the_increments(
     both increments errs by; composed exactly, as here, 100 times less is left."""
     first, second = scalar_passes(nine, "estimated", 2)
     added = values_of(first, PERFECT_GYROS) + values_of(second, PERFECT_GYROS)
-    exact = values_of(composed(first, second), PERFECT_GYROS)
+    exact = values_of(first.composed(second), PERFECT_GYROS)
     assert_published(percent(added, nine.values, column), published, within=0.6)
     assert np.sqrt(percent(exact, nine.values, column).mean()) < 0.01 * published
 
@@ -128,7 +128,7 @@ def test_published_second_iterations_of_section_4_are_sums_of_the_increments(
 def test_the_vector_method_uses_nothing_but_the_modulus(nine: Launches) -> None:
     """The identity of §4: k̂_p = (W₁û₁ − W₂û₂)/(g(û₁ − û₂)) − 1, δŵ_p = û₁û₂ (W₂ − W₁)/(û₁ − û₂), W = |ŵ|."""
     readings = nine.force[:, NINE]
-    W, u = np.linalg.norm(readings, axis=-1), vertical(readings)
+    W, u = np.linalg.norm(readings, axis=-1), unit_vector(readings)
     bias, scale, _ = triad_parameters(sequential_accelerometers(readings, COURSE.nominal[NINE], np.array(GRAVITY)))
     for p, (up, down) in enumerate(((0, 1), (2, 3), (4, 5))):
         W1, W2, u1, u2 = W[:, up], W[:, down], u[:, up, p], u[:, down, p]
@@ -154,13 +154,13 @@ def test_stage_1_alone_stalls_where_both_stages_converge(nine: Launches) -> None
     """§2: k 3.6 % → 0.05 % … with the angles corrected between the passes; 1.8 % (k), 0.9 % (b) without. We find 0.16 %
     after the second pass, since stage 2 is then 8 % wrong; 0.05 % is what is left with the angles known."""
     readings, nominal, gravity = nine.force[:, NINE], COURSE.nominal[NINE], np.array(GRAVITY)
-    both, alone = perfect(), perfect()
+    both, alone = PERFECT_TRIAD, PERFECT_TRIAD
     errors: dict[str, list[float]] = {"both": [], "alone b": [], "alone k": []}
     for _ in range(4):
-        both = composed(both, sequential_accelerometers(compensated(both, readings), nominal, gravity))
-        found = sequential_accelerometers(compensated(alone, readings), nominal, gravity)
+        both = both.composed(sequential_accelerometers(both.apply(readings), nominal, gravity))
+        found = sequential_accelerometers(alone.apply(readings), nominal, gravity)
         bias, scale, _ = triad_parameters(found)
-        alone = composed(alone, triad_model(bias, scale, np.zeros_like(bias)))
+        alone = alone.composed(triad_model(bias, scale, np.zeros_like(bias)))
         errors["both"].append(np.sqrt(percent(values_of(both, PERFECT_GYROS), nine.values, "k").mean()))
         for column in ("b", "k"):
             error = percent(values_of(alone, PERFECT_GYROS), nine.values, column)
@@ -285,8 +285,8 @@ def joint_linear(found: Launches) -> tuple[SensorModel, SensorModel]:
     """One weighted linear solution for all 21 parameters (§8): from readings as they are, rows for |ŵ|, û·ω̂ and |ω̂|
     of every rest and the 18 differences with the logged Jacobian. Weights: 120 s of 1e-4 m/s²/√Hz and 0.003 °/√h,
     0.80″ a turn."""
-    force, rate, turns, n = found.force, found.rate, found.turns(perfect()), len(found.values)
-    u, attitude, Ω = vertical(force), triad(force, rate), np.linalg.norm(rate, axis=-1)
+    force, rate, turns, n = found.force, found.rate, found.turns(PERFECT_TRIAD), len(found.values)
+    u, attitude, Ω = unit_vector(force), triad(force, rate), np.linalg.norm(rate, axis=-1)
     A = accelerometer_errors(u)
     G = np.concatenate([np.broadcast_to(np.eye(3), (n, 15, 3, 3)), gyro_errors(rate)], axis=-1)
     across = rate - u * (u * rate).sum(axis=-1, keepdims=True)
@@ -331,16 +331,16 @@ def test_scalar_dot_product_and_logged_jacobian_in_one_pass() -> None:
     stage 3; it is 0.023 % and 0.29 % with the biases put in through the Jacobian, 0.046 % and 0.32 % with the
     accelerometer errors as well, so that the published pass will have been one of these."""
     found = rough_launches(N, 5, mounting_deg=1.0, position_deg=1.0)
-    accel = scalar_fit(found.force, vertical(found.force), np.array(GRAVITY))
-    force = compensated(accel, found.force)
+    accel = scalar_fit(found.force, unit_vector(found.force), np.array(GRAVITY))
+    force = accel.apply(found.force)
     bias = invariant_bias(found.rate, force, EARTH)
     stage_3 = SensorModel(matrix=np.broadcast_to(np.eye(3), (N, 3, 3)), bias=bias)
-    rate, turns = compensated(stage_3, found.rate), found.turns(stage_3)
+    rate, turns = stage_3.apply(found.rate), found.turns(stage_3)
     attitude = triad(force, rate)
     y = horizontal_differences(COURSE.series, attitude, force, turns.C, turns.duration, EARTH)
     J = logged_jacobian(COURSE.series, attitude, force, rate, turns, EARTH)[..., 12:]
     x = (np.linalg.pinv(J) @ y[..., None])[..., 0]
-    gyro = composed(stage_3, triad_model(np.zeros((N, 3)), x[:, :3], x[:, 3:]))
+    gyro = stage_3.composed(triad_model(np.zeros((N, 3)), x[:, :3], x[:, 3:]))
     values = values_of(accel, gyro)
     assert np.sqrt(percent(values, found.values, "k gyro").mean()) == pytest.approx(0.023, rel=0.15)
     assert np.sqrt(percent(values, found.values, "γ gyro").mean()) == pytest.approx(0.20, rel=0.15)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -85,9 +86,9 @@ def test_the_command_prints_a_row_for_every_sensor_and_draws(session: Path, tmp_
     assert picture.read_text().startswith("<?xml")
 
 
-def test_a_session_without_rest_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = simulate_session(tmp_path / "s", Setup.of(grade="mems", positions=3), seed=3)
-    monkeypatch.setattr("tumble.reduction.segmentation.MIN_REST_SECONDS", 1e6)
+def test_a_session_without_rest_is_refused(tmp_path: Path) -> None:
+    setup = replace(Setup.of(grade="mems", positions=3, rest=1.0), first_rest=1.0)
+    folder = simulate_session(tmp_path / "s", setup, seed=3)
     with pytest.raises(InputError, match="expected a rest"):
         longest_rest(read_session(folder))
 

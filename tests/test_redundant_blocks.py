@@ -19,13 +19,11 @@ from test_staged import COARSE, FINE, NAVIGATION, PYRAMID, error_of, in_the_hand
 from tumble.calibration.calibrate import calibrate
 from tumble.earth import earth_rate
 from tumble.estimation.methods.paper.accuracy_formulas import angle_variance, best_elevations
-from tumble.estimation.methods.paper.levelling import triad, vertical
+from tumble.estimation.methods.paper.levelling import triad
 from tumble.estimation.methods.paper.sequential import angle_between, bias_and_scale
-from tumble.estimation.methods.staged import accelerometers as staged_accelerometers
-from tumble.estimation.methods.staged import gyros as staged_gyros
 from tumble.estimation.methods.staged.method import staged
 from tumble.planning.setup import Setup
-from tumble.rotation import rotation_matrix
+from tumble.rotation import rotation_matrix, unit_vector
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block
 from tumble.simulation.scenario import draw_parameters, scenario_of
@@ -82,8 +80,7 @@ def test_normalised_errors_of_six_have_unit_rms(monkeypatch: pytest.MonkeyPatch)
     """20 sessions with noise of navigation grade, no scatter looked for: rms of (value − truth)/u of biases, scale
     factors and angles of either kind, each group taken for as informative as three independent errors a session, and
     the distance of all 45 errors in units of their covariance."""
-    for stage in (staged_accelerometers, staged_gyros):
-        monkeypatch.setattr(stage, "SCATTER_PROBABILITY", 0.0)
+    monkeypatch.setattr("tumble.estimation.agreement.SCATTER_PROBABILITY", 0.0)
     rng = np.random.default_rng(103)
     normalised, distance = [], []
     for _ in range(20):
@@ -119,7 +116,7 @@ def test_a_session_with_redundant_blocks_is_calibrated(axes: Array, tmp_path: Pa
     assert np.abs(z).max() < 5.5
     assert 0.5 < np.sqrt((z**2).mean()) < 1.5
     assert found.accel is not None
-    up = vertical(rng.standard_normal((100, 3)))
+    up = unit_vector(rng.standard_normal((100, 3)))
     read = accel.model(np.array([truth[name] for name in accel.names])).predict(g * up)
     np.testing.assert_allclose(found.accel.apply(read), g * up, atol=5e-4)
 
@@ -141,7 +138,7 @@ class Directions:
         oblique = []
         for p, q in combinations(range(len(axes)), 2):
             φ = float(np.arccos(axes[p] @ axes[q]))
-            along = vertical(axes[q] - np.cos(φ) * axes[p])
+            along = unit_vector(axes[q] - np.cos(φ) * axes[p])
             α, _ = best_elevations(φ)
             oblique.append(np.cos(α) * axes[p] - np.sin(α) * along)
         return Directions(axes=axes, nominal=np.array(standing + oblique))
@@ -166,8 +163,8 @@ class Sequential:
 def one_pass(block: Block, readings: Array, values: Array) -> Sequential:
     """Stage 1 for every axis, stage 2 for every pair, levelled with the model of the pass before."""
     n, model = block.size, block.model(values)
-    u = vertical(model.apply(readings))
-    sensing = vertical(model.matrix)
+    u = unit_vector(model.apply(readings))
+    sensing = unit_vector(model.matrix)
     found = []
     for p in range(n):
         standing = [2 * p, 2 * p + 1]
@@ -175,7 +172,7 @@ def one_pass(block: Block, readings: Array, values: Array) -> Sequential:
     bias, scale = (np.array(each) for each in zip(*found, strict=True))
     w, between = (readings - bias) / (1.0 + scale), []
     for rest, (p, q) in enumerate(combinations(range(n), 2), start=2 * n):
-        across = g * u[rest] @ vertical(np.cross(sensing[p], sensing[q]))
+        across = g * u[rest] @ unit_vector(np.cross(sensing[p], sensing[q]))
         angle = angle_between if block.axes[p] @ block.axes[q] >= 0.0 else angle_astride
         between.append(angle(w[rest, p], w[rest, q], across, g))
     angles = angles_of(block, np.array(between), values[2 * n :])
@@ -242,7 +239,7 @@ def test_errors_axis_by_axis_and_pair_by_pair_are_those_of_their_formulas(axes: 
             found = one_pass(block, readings, found.values)
         z["bias"].append((found.bias - truth[:n]) / (σ / np.sqrt(2.0)))
         z["scale"].append((found.scale - truth[n : 2 * n]) / (σ / g / np.sqrt(2.0)))
-        z["between"].append((found.between - between_axes(vertical(model.matrix))) / u_between)
+        z["between"].append((found.between - between_axes(unit_vector(model.matrix))) / u_between)
     for values in z.values():
         assert np.sqrt(np.mean(np.square(values))) == pytest.approx(1.0, abs=5.5 / np.sqrt(2.0 * 20 * n / 2))
 
@@ -256,7 +253,7 @@ def test_gyro_biases_of_a_redundant_block_are_found_axis_by_axis(axes: Array) ->
     bias = 0.3 * DEGREE_PER_HOUR * rng.standard_normal(n)
     model = block.model(np.concatenate([bias, np.zeros(3 * n)]))
     u = Directions.of(axes).tilted(rng)[: 2 * n]
-    north = vertical(np.cross(u, rng.standard_normal(u.shape)))
+    north = unit_vector(np.cross(u, rng.standard_normal(u.shape)))
     attitude = np.stack([north, u, np.cross(north, u)], axis=1)
     readings = model.predict(np.einsum("nij,i->nj", attitude, Ω))
     levelled = triad(g * u, block.nominal().apply(readings))

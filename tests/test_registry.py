@@ -16,32 +16,24 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, cast
 
-import alembic.autogenerate
-import alembic.migration
 import pytest
 from postgresql_server import Server, postgresql_server
-from registry_files import NAMES, content, digest, write
+from registry_files import NAMES, content, digest, file_of, limits_records, record, write
 from registry_writer import write_all
 from sqlalchemy import text
 
 from tumble.errors import InputError, MissingExtraError
-from tumble.registry import connect, exchange
-from tumble.registry.connect import Registry, open_registry
+from tumble.registry import exchange
+from tumble.registry.adding import Added, add, set_limits
 from tumble.registry.due import due
 from tumble.registry.exchange import Imported, export_lines, import_file
-from tumble.registry.records import LaunchRow, Particulars, Submission, read_submission, submission
-from tumble.registry.schema import METADATA, VERSION, VERSION_TABLE
-from tumble.registry.store import (
-    Added,
-    add,
-    file_of,
-    limits_in_force,
-    limits_records,
-    parameters_of,
-    record,
-    records,
-    set_limits,
-)
+from tumble.registry.records import records
+from tumble.registry.series import calibration_in
+from tumble.registry.store import connect
+from tumble.registry.store.connect import Registry, open_registry
+from tumble.registry.store.tables import METADATA, VERSION
+from tumble.registry.submission import Particulars, Submission, read_submission, submission
+from tumble.registry.types import LimitsRecord
 
 ROOT = Path(__file__).parents[1]
 LIMITS = 'format = 1\n[periodic]\n"accel.bias" = "5 mg"\n'
@@ -76,9 +68,9 @@ def file_registry(tmp_path: Path) -> Iterator[Registry]:
         yield opened
 
 
-def log(name: str) -> LaunchRow:
-    """A launch whose log is called so."""
-    return LaunchRow(session=None, log_sha256=digest(name))
+def in_force(registry: Registry) -> dict[str, LimitsRecord]:
+    """The limits in force, by device type."""
+    return {limits.model: limits for limits in limits_records(registry)}
 
 
 def added(registry: Registry, particulars: Particulars | None = None, **what: Any) -> Added:
@@ -89,17 +81,16 @@ def added(registry: Registry, particulars: Particulars | None = None, **what: An
 # -------------------- records are kept as they were added --------------------
 
 
-def test_a_record_keeps_the_whole_file_and_its_parameters_as_rows(registry: Registry, tmp_path: Path) -> None:
+def test_a_record_keeps_the_whole_file(registry: Registry, tmp_path: Path) -> None:
     values = {"accel.bias.x": 0.1 + 0.2, "gyro.axis.zy": -1e-300}  # every bit of them
     launches = [{"accel.bias.x": 0.25}, {"accel.bias.x": 0.35}]
     file = write(tmp_path / "calibration.json", content(values=values, launches=launches))
-    number = add(registry, read_submission(file, Particulars())).record.number
-    assert file_of(registry, number) == file.read_text(encoding="utf-8")
-    rows = parameters_of(registry, [number])[number]
-    assert [row.name for row in rows] == [*NAMES] * 3
-    found = {(row.launch, row.name): row.value for row in rows}
-    assert {name: found[0, name] for name in values} == values
-    assert [found[launch, "accel.bias.x"] for launch in (1, 2)] == [0.25, 0.35]
+    kept = add(registry, read_submission(file, Particulars())).record
+    assert file_of(registry, kept.number) == file.read_text(encoding="utf-8")
+    calibration = calibration_in(registry, kept, "accelerometer")
+    assert [p.name for p in calibration.parameters] == [*NAMES]
+    assert {p.name: p.value for p in calibration.parameters if p.name in values} == values
+    assert [launch.parameters[0].value for launch in calibration.launches] == [0.25, 0.35]
 
 
 def test_the_same_calibration_is_one_record_however_its_file_is_laid_out(registry: Registry) -> None:
@@ -114,11 +105,11 @@ def test_the_same_calibration_is_one_record_however_its_file_is_laid_out(registr
 
 def test_a_correction_supersedes_and_what_it_corrects_stays(registry: Registry) -> None:
     added(registry, values={"accel.bias.x": 1.0})
-    before = record(registry, 1), file_of(registry, 1), parameters_of(registry, [1])
+    before = record(registry, 1), file_of(registry, 1)
     corrected = added(registry, CORRECTION, values={"accel.bias.x": 2.0}).record
     assert (corrected.number, corrected.supersedes, corrected.reason) == (2, 1, "wrong gravity")
     assert corrected.occasion == before[0].occasion == "incoming"
-    after = record(registry, 1), file_of(registry, 1), parameters_of(registry, [1])
+    after = record(registry, 1), file_of(registry, 1)
     assert after == (replace(before[0], superseded_by=2), *before[1:])
     with pytest.raises(InputError, match="record 1: expected one that is in force, found one superseded by 2"):
         added(registry, CORRECTION, values={"accel.bias.x": 3.0})
@@ -141,7 +132,9 @@ def test_the_database_itself_refuses_changes(registry: Registry) -> None:
     added(registry)
     set_limits(registry, "BCHE-501", LIMITS, None)
     before = list(export_lines(registry))
-    for table, column in (("calibration", "serial"), ("content", "file"), ("launch", "session"), ("limits", "file")):
+    kept = (("calibration", "serial"), ("content", "file"), ("log", "sha256"), ("limits", "file"), ("forecast", "name"))
+    assert {table for table, _ in kept} == set(METADATA.tables) - {"schema_version"}
+    for table, column in kept:
         for statement in (f"UPDATE {table} SET {column} = 'x'", f"DELETE FROM {table}"):
             with pytest.raises(InputError, match="a registry is added to, never changed"), registry.writing() as c:
                 c.execute(text(statement))
@@ -245,16 +238,15 @@ def test_a_number_too_large_for_a_float_is_refused(tmp_path: Path) -> None:
 def test_eight_writers_at_once_lose_nothing(place: str) -> None:
     """They also make the registry at once, and all add the same calibrations of a common device."""
     writers, each = 8, 10
-    template = submission(json.dumps(content()), "file", Particulars())
 
     def several(serial: str) -> list[Submission]:
         return [
-            replace(template, serial=serial, sha256=digest(f"{serial}-{i}"), launches=(log(f"{serial}-{i}"),))
+            submission(json.dumps(content(serial=serial, log=f"{serial}-{i}")), "file", Particulars())
             for i in range(each)
         ]
 
     context = multiprocessing.get_context("forkserver")  # of a process that has imported no more than this
-    context.set_forkserver_preload(["pytest", "alembic.command", "psycopg", "registry_writer"])
+    context.set_forkserver_preload(["pytest", "psycopg", "registry_writer"])
     mixed = [[*several(f"device-{i}")[:5], *several("common"), *several(f"device-{i}")[5:]] for i in range(writers)]
     processes = [context.Process(target=write_all, args=(place, own)) for own in mixed]
     for process in processes:
@@ -264,11 +256,12 @@ def test_eight_writers_at_once_lose_nothing(place: str) -> None:
     assert [process.exitcode for process in processes] == [0] * writers
     with open_registry(place) as registry:
         found = records(registry)
-        rows = parameters_of(registry, [r.number for r in found])
+        files = {file_of(registry, r.number) for r in found}
     serials = [f"device-{i}" for i in range(writers)] + ["common"]
-    assert {r.sha256 for r in found} == {own.sha256 for serial in serials for own in several(serial)}
+    expected = [own for serial in serials for own in several(serial)]
+    assert {r.sha256 for r in found} == {own.sha256 for own in expected}
+    assert files == {own.file for own in expected}
     assert len(found) == len({r.number for r in found}) == 90
-    assert all([row.name for row in own] == list(NAMES) for own in rows.values())
     assert sorted(r.serial for r in found if r.occasion == "incoming") == sorted(serials)
 
 
@@ -342,7 +335,7 @@ def test_an_export_is_imported_whole_and_only_once(
             assert import_file(other, file) == Imported(added=3, known=0)
             assert import_file(other, file) == Imported(added=0, known=3)
             assert [r.superseded_by is None for r in records(other, "A-0007")] == [False, True]
-            assert limits_in_force(other) == limits_in_force(registry)
+            assert in_force(other) == in_force(registry)
     assert import_file(file_registry, file).added == 3
     assert exported(file_registry, tmp_path / "again.jsonl").read_text() == file.read_text()
 
@@ -418,7 +411,7 @@ def test_limits_of_an_older_export_are_kept_but_not_put_in_force(registry: Regis
     set_limits(registry, "BCHE-501", limits_of(1), None)
     old = export_with((limits_of(500), "2019-03-01T12:00:00+00:00"), tmp_path / "old.jsonl")
     assert import_file(registry, old) == Imported(added=1, known=0)
-    assert limits_in_force(registry)["BCHE-501"].file == limits_of(1)
+    assert in_force(registry)["BCHE-501"].file == limits_of(1)
     by = {own.number: own.file for own in limits_records(registry)}
     assert by[records(registry)[0].limits or 0] == limits_of(500)  # by which it was judged then
     now = added(registry, Particulars(occasion="periodic"), log="now")
@@ -430,9 +423,9 @@ def test_limits_of_a_newer_export_come_in_force_and_others_after_them(file_regis
     set_limits(file_registry, "BCHE-501", limits_of(1), None)
     ahead = (datetime.now(UTC) + timedelta(hours=12)).isoformat()  # the other registry's clock
     import_file(file_registry, export_with((limits_of(2), ahead), tmp_path / "new.jsonl"))
-    assert limits_in_force(file_registry)["BCHE-501"].file == limits_of(2)
+    assert in_force(file_registry)["BCHE-501"].file == limits_of(2)
     assert set_limits(file_registry, "BCHE-501", limits_of(3), None)[1]
-    assert limits_in_force(file_registry)["BCHE-501"].file == limits_of(3)
+    assert in_force(file_registry)["BCHE-501"].file == limits_of(3)
     beyond = export_with((limits_of(4), "2199-01-01T00:00:00+00:00"), tmp_path / "beyond.jsonl")
     with pytest.raises(InputError, match="line 2: added: expected a date that is past"):
         import_file(file_registry, beyond)
@@ -483,24 +476,20 @@ def test_an_export_that_cannot_be_imported_adds_nothing(
         assert str(file) in str(refused.value)
         assert "\n" not in str(refused.value)
         assert records(other) == []
-        assert limits_in_force(other) == {}
+        assert in_force(other) == {}
 
 
 # -------------------- the schema --------------------
 
 
-def test_the_migrations_make_the_tables_that_the_program_knows(registry: Registry) -> None:
-    with registry.reading() as connection:
-        options = {"version_table": VERSION_TABLE, "compare_type": True}
-        context = alembic.migration.MigrationContext.configure(connection, opts=options)
-        assert alembic.autogenerate.compare_metadata(context, METADATA) == []
-        assert context.get_current_revision() == VERSION
-
-
-def test_an_older_program_says_that_the_registry_is_newer(registry: Registry, place: str) -> None:
+@pytest.mark.parametrize("version", ["v0001", "v0999"])
+def test_a_registry_of_another_version_says_what_to_do(version: str, registry: Registry, place: str) -> None:
     with registry.writing() as connection:
-        connection.execute(text(f"UPDATE {VERSION_TABLE} SET version_num = 'v0999'"))
-    said = "expected a registry of schema v0001 or older, found v0999, written by a newer tumble than this one"
+        connection.execute(text(f"UPDATE schema_version SET version_num = '{version}'"))
+    said = (
+        f"expected a registry of version {VERSION}, found {version}, written by another tumble; with that one `tumble "
+        "registry export -o FILE`, with this one `tumble registry import FILE"
+    )
     with pytest.raises(InputError, match=said), open_registry(place):
         pass
 
@@ -532,18 +521,6 @@ def test_a_registry_on_a_medium_that_nobody_can_write_to_is_read(
         assert [path.name for path in place.parent.iterdir()] == ["r.sqlite"]  # none beside it
         with pytest.raises(InputError, match="the registry cannot be used: attempt to write a readonly database"):
             added(registry, log="b")
-
-
-def test_an_open_registry_needs_no_alembic(tmp_path: Path) -> None:
-    """Only the making of tables does, which takes half a second more."""
-    place = str(tmp_path / "registry.sqlite")
-    code = (
-        "import sys; from tumble.registry.connect import open_registry\n"
-        f"with open_registry({place!r}, create=True): print('alembic' in sys.modules)"
-    )
-    command = [sys.executable, "-c", code]
-    said = [subprocess.run(command, capture_output=True, text=True, check=True).stdout for _ in range(2)]
-    assert said == ["True\n", "False\n"]
 
 
 # -------------------- places that cannot be used --------------------
@@ -611,13 +588,13 @@ def test_the_default_is_a_file_in_the_users_data_folder(tmp_path: Path, monkeypa
     assert (tmp_path / "tumble" / "registry.sqlite").exists()
 
 
-@pytest.mark.parametrize("module", ["sqlalchemy", "alembic", "psycopg", "platformdirs"])
+@pytest.mark.parametrize("module", ["sqlalchemy", "psycopg", "platformdirs"])
 def test_without_the_extra_it_is_named(module: str, tmp_path: Path) -> None:
     place = {"psycopg": "postgresql://localhost/x", "platformdirs": None}.get(module, str(tmp_path / "r.sqlite"))
     code = (
         f"import sys; sys.modules[{module!r}] = None\n"
         "from tumble.errors import MissingExtraError\n"
-        "from tumble.registry.connect import open_registry\n"
+        "from tumble.registry.store.connect import open_registry\n"
         "try:\n"
         f"    with open_registry({place!r}, create=True): pass\n"
         "except MissingExtraError as error: print(error)\n"

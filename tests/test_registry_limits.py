@@ -12,16 +12,22 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from registry_files import content, write
+from registry_files import content, limits_records, record, write
 
+from tumble.acceptance.conformity import judge, judge_value
+from tumble.acceptance.limits import Limits, parse_limits, read_limits
+from tumble.acceptance.schedule import months_later
+from tumble.calibration.results import Parameter
 from tumble.errors import InputError
-from tumble.registry.connect import open_registry
-from tumble.registry.due import due
-from tumble.registry.limits import Limits, judge, judge_value, months_later, parse_limits, read_limits
+from tumble.registry import adding
+from tumble.registry.adding import add, set_limits
+from tumble.registry.due import Due, due
+from tumble.registry.exchange import export_lines, import_file
 from tumble.registry.monitor import monitored
-from tumble.registry.records import ParameterRow, Particulars, submission, utc
 from tumble.registry.series import verdict_of
-from tumble.registry.store import add, limits_records, record, set_limits
+from tumble.registry.store import rows
+from tumble.registry.store.connect import Registry, open_registry
+from tumble.registry.submission import Particulars, submission, utc
 from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD
 from tumble.views.registry_lists import due_table
 
@@ -48,8 +54,8 @@ def limits(text: str = ALL_FORMS, systematic: str | None = SYSTEMATIC) -> Limits
     return parse_limits(text, systematic, "limits.toml")
 
 
-def row(name: str, value: float, u: float | None = 0.0) -> ParameterRow:
-    return ParameterRow(launch=0, name=name, value=value, u=u, unit="1")
+def row(name: str, value: float, u: float | None = 0.0) -> Parameter:
+    return Parameter(name=name, value=value, u=u, unit="1")
 
 
 # -------------------- the rule --------------------
@@ -107,15 +113,15 @@ def test_limits_are_in_their_units_about_zero_or_about_the_systematic_value() ->
     assert parsed.of("accel.scale.y", "incoming") == pytest.approx((-2.1e-3, -1.9e-3))
     assert parsed.of("gyro.axis.xy", "incoming") == pytest.approx((-20 * ARCSEC, 20 * ARCSEC))
     assert parsed.of("accel.bias.x", "periodic") is None
-    assert (parsed.interval("A-0007"), parsed.interval("B")) == (6, 12)
+    assert (parsed.schedule.interval("A-0007"), parsed.schedule.interval("B")) == (6, 12)
 
 
 def test_a_whole_is_as_good_as_its_worst_parameter() -> None:
     good, guard, bad = row("accel.bias.x", 0.0), row("accel.bias.y", 5 * MG, 1e-6), row("gyro.axis.xy", 21 * ARCSEC)
     others = [row("gyro.bias.x", 0.0), row("accel.scale.x", 1e-3), row("accel.bias.z", 0.0), row("gyro.axis.yx", 1.0)]
     inside = row("gyro.axis.xy", 0.0)
-    for rows, result in (([good, inside], "pass"), ([guard, inside], "conditional pass"), ([guard, bad], "fail")):
-        verdict = judge(limits(), "incoming", [*rows, *others])
+    for several, result in (([good, inside], "pass"), ([guard, inside], "conditional pass"), ([guard, bad], "fail")):
+        verdict = judge(limits(), "incoming", [*several, *others])
         assert verdict is not None
         assert verdict.result == result
     last = judge(limits(), "incoming", [guard, bad, *others])
@@ -197,8 +203,7 @@ def added(registry: Any, particulars: Particulars | None = None, **what: Any) ->
 
 
 def result(registry: Any, number: int) -> str | None:
-    known = {own.number: own for own in limits_records(registry)}
-    verdict = verdict_of(registry, record(registry, number), known)
+    verdict = verdict_of(registry, record(registry, number))
     said = None if verdict is None else verdict.result
     assert record(registry, number).verdict == said  # as it was when it was added
     return said
@@ -294,14 +299,20 @@ def test_limits_of_a_further_group_are_in_its_units_and_a_bias_limit_is_not_for_
     assert found.of("accel.bias.x.drift", "incoming") is None
 
 
-def test_a_drift_towards_a_limit_is_due_before_the_calendar_says_so(tmp_path: Path) -> None:
+DRIFT_LIMITS = 'format = 1\ninterval_months = 36\n[periodic]\n"accel.bias" = "5 mg"'
+
+
+def add_drifting(registry: Registry) -> None:
     """0.4 mg a year from 3 mg, the limit at 5 mg: it is met after five years, one after the last calibration."""
-    text = 'format = 1\ninterval_months = 36\n[periodic]\n"accel.bias" = "5 mg"'
+    for year, off in enumerate((0.01, -0.01, 0.0, -0.01, 0.01)):
+        values = {"accel.bias.x": (3.0 + 0.4 * year + off) * MG}
+        added(registry, Particulars(performed=utc(f"{2020 + year}-03-01", "")), log=str(year), values=values)
+
+
+def test_a_drift_towards_a_limit_is_due_before_the_calendar_says_so(tmp_path: Path) -> None:
     with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
-        set_limits(registry, "BCHE-501", text, None)
-        for year, off in enumerate((0.01, -0.01, 0.0, -0.01, 0.01)):
-            values = {"accel.bias.x": (3.0 + 0.4 * year + off) * MG}
-            added(registry, Particulars(performed=utc(f"{2020 + year}-03-01", "")), log=str(year), values=values)
+        set_limits(registry, "BCHE-501", DRIFT_LIMITS, None)
+        add_drifting(registry)
         (item,) = due(registry)
     assert str(item.by_calendar) == "2027-03-01"
     assert item.by_drift is not None
@@ -310,3 +321,53 @@ def test_a_drift_towards_a_limit_is_due_before_the_calendar_says_so(tmp_path: Pa
     assert abs((item.by_drift.expected.date() - date(2025, 3, 1)).days) < 20
     assert str(item.day) < str(item.by_drift.expected.date())
     assert "by the drift of accel.bias.x" in due_table([item], date(2024, 6, 1)).rows[0][-1]
+
+
+def due_anew(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> list[Due]:
+    """What is due, with every forecast found from the files of the calibrations."""
+    latest = rows.latest_records
+    with monkeypatch.context() as without:
+        without.setattr(rows, "latest_records", lambda c: [replace(each, is_kept=False) for each in latest(c)])
+        return due(registry)
+
+
+def test_what_is_due_by_drift_is_known_without_opening_a_calibration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever came last: calibrations, limits, a correction, one that was of another device, an import."""
+
+    def kept(registry: Registry) -> list[Due]:
+        with monkeypatch.context() as closed:
+            closed.setattr(rows, "file_of", lambda *_: pytest.fail("opened a calibration file"))
+            return due(registry)
+
+    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
+        add_drifting(registry)
+        set_limits(registry, "BCHE-501", DRIFT_LIMITS, None)
+        every = [kept(registry)]
+        assert every[0] == due_anew(registry, monkeypatch)
+        set_limits(registry, "BCHE-501", DRIFT_LIMITS.replace("5 mg", "6 mg"), None)
+        every.append(kept(registry))
+        corrected = Particulars(supersedes=5, reason="g", performed=utc("2024-03-01", ""))
+        added(registry, corrected, log="4", values={"accel.bias.x": 4.5 * MG})
+        every.append(kept(registry))
+        corrected = Particulars(supersedes=6, reason="of another device", performed=utc("2024-03-01", ""))
+        added(registry, corrected, log="4", serial="B", values={"accel.bias.x": 4.6 * MG})
+        every.append(kept(registry))
+        assert every[-1] == due_anew(registry, monkeypatch)
+        assert len({str(items[0].by_drift) for items in every}) == 4
+        export = tmp_path / "export.jsonl"
+        export.write_text("".join(f"{line}\n" for line in export_lines(registry)), encoding="utf-8")
+        with open_registry(str(tmp_path / "other.sqlite"), create=True) as other:
+            import_file(other, export)
+            assert [item.by_drift for item in kept(other)] == [item.by_drift for item in every[-1]]
+
+
+def test_what_an_interrupted_writer_has_not_kept_is_found_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
+        with monkeypatch.context() as interrupted:
+            interrupted.setattr(adding, "keep_forecasts", lambda *_: None)
+            set_limits(registry, "BCHE-501", DRIFT_LIMITS, None)
+            add_drifting(registry)
+        (item,) = due(registry)
+    assert item.drifts

@@ -20,15 +20,16 @@ from matplotlib.figure import Figure
 from registry_files import content
 from scipy import optimize, stats
 
+from tumble.acceptance.limits import read_limits
 from tumble.errors import InputError, MissingExtraError
-from tumble.registry.connect import open_registry
+from tumble.registry.adding import add, set_limits
 from tumble.registry.forecast import forecast
-from tumble.registry.limits import read_limits
 from tumble.registry.monitor import Monitored, monitored
-from tumble.registry.records import Particulars, State, submission, utc
 from tumble.registry.series import Series, SeriesPoint
-from tumble.registry.store import add, set_limits
+from tumble.registry.store.connect import open_registry
+from tumble.registry.submission import Particulars, submission, utc
 from tumble.registry.trend import YEAR, Trend, trend_of
+from tumble.registry.types import State
 from tumble.units import Array
 from tumble.views.chart_panel import draw_panel
 from tumble.views.control_chart import write_chart

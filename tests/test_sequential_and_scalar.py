@@ -25,7 +25,6 @@ from rough_launches import (
 
 from tumble.errors import InputError, ProgrammeError, SessionError
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.methods.paper.compensation import compensated, composed, triad_model, triad_parameters
 from tumble.estimation.methods.paper.scalar import scalar
 from tumble.estimation.methods.paper.sequential import sequential
 from tumble.programme.positions import programme
@@ -40,7 +39,7 @@ from tumble.reduction.rests import Rests
 from tumble.reduction.segmentation import find_rests
 from tumble.reduction.turn_samples import TurnSamples
 from tumble.rotation import axes_matrix
-from tumble.sensors.model import Block
+from tumble.sensors.model import Block, triad_model, triad_parameters
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array, IntArray
 
 Pipeline = Callable[..., Estimate]
@@ -115,10 +114,8 @@ def test_models_compose_exactly_and_stay_in_the_frame_of_the_accelerometers(seed
         for _ in range(2)
     )
     readings = 10.0 * rng.normal(size=(2, 5, 3))
-    both = composed(first, second)
-    np.testing.assert_allclose(
-        compensated(both, readings), compensated(second, compensated(first, readings)), atol=1e-12
-    )
+    both = first.composed(second)
+    np.testing.assert_allclose(both.apply(readings), second.apply(first.apply(readings)), atol=1e-12)
     np.testing.assert_allclose(both.matrix, np.tril(both.matrix), atol=1e-17)
 
 
@@ -333,7 +330,7 @@ def test_the_turntable_recording_is_recovered(data: Path, pipeline: Pipeline) ->
 
 def test_scatter_between_rests_is_found_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "tumble.estimation.methods.paper.iterations.SCATTER_PROBABILITY", 1e-3
+        "tumble.estimation.agreement.SCATTER_PROBABILITY", 1e-3
     )  # beyond doubt, so that quiet means none
     rng = np.random.default_rng(9)
     values = drawn_values(1, rng)[0]

@@ -339,8 +339,8 @@ def test_white_noise_has_its_density() -> None:
         assert abs((z[:, 0] * z[:, 1]).mean()) < 5 / math.sqrt(n)
 
 
-def test_instability_is_a_bias_for_a_rest_and_the_move_after_it() -> None:
-    noise = NoiseModel(accel_instability=2e-3, gyro_instability=3e-4)
+def test_instability_without_a_correlation_time_is_a_bias_for_a_rest_and_the_move_after_it() -> None:
+    noise = NoiseModel(accel_instability=2e-3, gyro_instability=3e-4, instability_time=0.0)
     made = scenario(HandHeld(positions=300), profile=replace(SHORT, sample_rate=5.0), noise=noise)
     found, quiet = run(made), run(replace(made, noise=QUIET))
     first = np.array([inside(found, i, 5.0).start for i in range(300)])
@@ -351,6 +351,29 @@ def test_instability_is_a_bias_for_a_rest_and_the_move_after_it() -> None:
         z = drawn / sigma
         assert np.abs((z**2).mean(axis=0) - 1.0).max() < 5 * math.sqrt(2 / 300)
         assert np.abs(z.mean(axis=0)).max() < 5 / math.sqrt(300)
+
+
+def test_in_run_biases_stay_for_a_rest_and_go_straight_to_the_next() -> None:
+    noise = NoiseModel(accel_instability=2e-3, gyro_instability=3e-4, instability_time=5.0)
+    made = scenario(HandHeld(positions=6), profile=replace(SHORT, sample_rate=20.0), noise=noise)
+    found, quiet = run(made), run(replace(made, noise=QUIET))
+    for noisy, clean in ((found.accel, quiet.accel), (found.gyro, quiet.gyro)):
+        bias = noisy - clean
+        for i in range(6):
+            assert np.ptp(bias[inside(found, i, 20.0)], axis=0).max() < 1e-13
+        for i in range(5):
+            move = bias[inside(found, i, 20.0).stop - 1 : inside(found, i + 1, 20.0).start + 1]
+            assert np.abs(np.diff(move[2:-2], 2, axis=0)).max() < 1e-13
+            assert (
+                np.abs(move.mean(axis=0) - 0.5 * (move[0] + move[-1])).max() < 0.05 * np.abs(move[-1] - move[0]).max()
+            )
+
+
+def test_sessions_without_in_run_bias_do_not_depend_on_its_correlation_time() -> None:
+    white = replace(GRADES["mems"].noise, accel_instability=0.0, gyro_instability=0.0)
+    first, second = (run(scenario(noise=replace(white, instability_time=time))) for time in (0.0, 300.0))
+    np.testing.assert_array_equal(first.accel, second.accel)
+    np.testing.assert_array_equal(first.gyro, second.gyro)
 
 
 def test_noise_leaves_attitudes_and_times_as_they_are() -> None:

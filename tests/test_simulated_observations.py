@@ -18,6 +18,7 @@ from tumble.sensors.grades import NoiseModel
 from tumble.sensors.model import Block, SensorModel
 from tumble.simulation.observations import SAMPLES, _mean_verticals, simulate_observations
 from tumble.simulation.scenario import HandHeld, OnTable, Scenario, Vibration, itinerary, scenario_of
+from tumble.simulation.sensors import SimulatedBlock
 from tumble.units import DEGREE, Array
 
 SETUP = device_setup(latitude=56.8 * DEGREE, gravity=9.815817, rest=120.0)
@@ -117,6 +118,34 @@ def test_instability_is_a_bias_of_each_rest() -> None:
         calm = replace(scenario, noise=NoiseModel())
         spread.append(noisy - simulate_observations(calm, np.random.default_rng(seed)).rests.accel)
     assert np.std(spread) == pytest.approx(1e-3, rel=5.0 / np.sqrt(2.0 * np.size(spread)))
+
+
+@pytest.mark.parametrize("time", [0.0, 30.0, 300.0, 3000.0])
+def test_in_run_biases_are_alike_as_the_correlation_time_says(time: float) -> None:
+    """20 000 sensors: a covariance is known to 0.01 σ² at most, and 0.055 is more than five of its standard errors."""
+    noise = NoiseModel(gyro_instability=2.0, instability_time=time)
+    scenario = scenario_of(replace(SETUP, noise=noise), np.random.default_rng(1))
+    sensors = SimulatedBlock.of(scenario.gyro, scenario, 0.0)
+    rests = np.array([[0.0, 60.0], [80.0, 100.0], [120.0, 200.0], [500.0, 510.0]])
+    values = sensors.bias(np.random.default_rng(2).standard_normal((4, 20_000)), rests).values
+    apart = np.abs(np.subtract.outer(rests.mean(axis=1), rests.mean(axis=1)))
+    expected = np.exp(-apart / time) if time > 0.0 else np.eye(4)
+    np.testing.assert_allclose(values @ values.T / 20_000, 4.0 * expected, atol=4.0 * 0.055)
+
+
+def test_the_turns_have_the_mean_of_the_biases_of_their_rests() -> None:
+    noise = NoiseModel(accel_instability=1e-3, gyro_instability=1e-4)
+    scenario = scenario_of(replace(SETUP, noise=noise), np.random.default_rng(1))
+    noisy = simulate_observations(scenario, np.random.default_rng(3))
+    calm = simulate_observations(replace(scenario, noise=NoiseModel()), np.random.default_rng(3))
+    assert noisy.turn_samples is not None
+    assert calm.turn_samples is not None
+    assert noisy.turns is not None
+    bias = noisy.rests.gyro - calm.rests.gyro
+    for k, (start, stop) in enumerate(zip(noisy.turn_samples.start, noisy.turn_samples.stop, strict=True)):
+        rates = [each.samples.read(int(start), int(stop))[0] for each in (noisy.turn_samples, calm.turn_samples)]
+        expected = 0.5 * (bias[noisy.turns.first[k]] + bias[noisy.turns.last[k]])
+        np.testing.assert_allclose((rates[0] - rates[1]).mean(axis=0), expected, atol=1e-12)
 
 
 def test_only_programmed_turns_are_kept_on_demand() -> None:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from tumble.campaigns.triads import LANES, STEPS, fit_statics
-from tumble.estimation.components import Scatter
-from tumble.estimation.likelihood import Point, Problem, weights
-from tumble.estimation.linearisation import linearise
-from tumble.estimation.step import solve
+from tumble.inference.hyperparameters import Components
+from tumble.inference.likelihood import Point, Problem, weights
+from tumble.inference.linearisation import linearise
+from tumble.inference.step import solve
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests import Rests
@@ -80,7 +80,7 @@ def test_the_variance_is_the_bound_of_the_joint_likelihood_with_free_attitudes()
         problem = Problem.of(of_rests(readings[i], sigma))
         point = Point(values=truth[i], gravity=GRAVITY, attitudes=L[i])
         rows = linearise(problem, point, None)
-        step = solve(problem, rows, weights(problem, rows, Scatter()))
+        step = solve(problem, rows, weights(problem, rows, Components()))
         information = np.linalg.inv(step.covariance[1:, 1:]) - np.diag(1.0 / problem.spread**2)  # without the prior
         np.testing.assert_allclose(sigma**2 * variance[i], np.diag(np.linalg.inv(information)), rtol=1e-9)
 

@@ -38,6 +38,7 @@ ANSWERS = {
     "sequential_against_scalar.py": "When is the scalar method better? After one pass from ±",
     "table_errors_as_unknowns.py": "Is anything gained by the tilts as unknowns? No: converged, it is the scalar",
     "thermometers_apart.py": "Does each chip need its own thermometer? Yes",
+    "tuning.py": "and u honest, with the thresholds as they are? Yes",
     "warm_up_of_mems.py": "Does a thermometer take the warm-up off, and is it named without one? Yes",
     "which_method_when.py": "Which method, when? joint wherever there are gyros and turns",
 }

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
 from tumble.reduction.coloured_noise import fit_coloured_noise
 from tumble.reduction.thermometer import STEP, Thermometers, Warmth, followed

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.methods.joint.method import joint
 from tumble.estimation.methods.staged.method import staged
+from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.recording.session import Site
@@ -38,7 +38,7 @@ def observed(scenario: Scenario, recording: Recording) -> Observations:
     reducer.feed(
         Chunk(file=0, time=recording.time, dt=dt, accel=recording.accel, gyro=recording.gyro, temperature=None)
     )
-    reduction = reducer.finish()
+    reduction = reducer.now()
     rests = find_rests(reduction, scenario.accel, scenario.gyro).rests
     site = Site(
         latitude=scenario.site.latitude,

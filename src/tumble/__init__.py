@@ -100,17 +100,17 @@ if TYPE_CHECKING:
     from tumble.recording.session_file import write_session as write_session
     from tumble.reduction.allan_deviation import allan_deviation as allan_deviation
     from tumble.reduction.observations import Observations as Observations
-    from tumble.registry.connect import Registry as Registry
-    from tumble.registry.connect import open_registry as open_registry
+    from tumble.registry.adding import add_calibration as add_calibration
     from tumble.registry.due import Due as Due
     from tumble.registry.due import due as due
     from tumble.registry.monitor import Monitored as Monitored
     from tumble.registry.monitor import monitored as monitored
-    from tumble.registry.records import Record as Record
-    from tumble.registry.store import add_calibration as add_calibration
-    from tumble.registry.store import records as records
+    from tumble.registry.records import records as records
+    from tumble.registry.store.connect import Registry as Registry
+    from tumble.registry.store.connect import open_registry as open_registry
     from tumble.registry.type_launches import device_launches as device_launches
     from tumble.registry.type_launches import type_spread as type_spread
+    from tumble.registry.types import Record as Record
     from tumble.selftest import run_selftest as run_selftest
     from tumble.sensors.model import Block as Block
     from tumble.sensors.model import SensorModel as SensorModel
@@ -171,15 +171,15 @@ _PUBLIC = {
     "Exported": "export.exported",
     "export_calibration": "export",
     "write_report": "views.report.write",
-    "Registry": "registry.connect",
-    "open_registry": "registry.connect",
-    "add_calibration": "registry.store",
-    "records": "registry.store",
+    "Registry": "registry.store.connect",
+    "open_registry": "registry.store.connect",
+    "add_calibration": "registry.adding",
+    "records": "registry.records",
     "due": "registry.due",
     "Due": "registry.due",
     "monitored": "registry.monitor",
     "Monitored": "registry.monitor",
-    "Record": "registry.records",
+    "Record": "registry.types",
     "KnownLaunches": "calibration.type_spread",
     "TypeSpread": "calibration.type_spread",
     "device_launches": "registry.type_launches",

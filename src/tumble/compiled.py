@@ -14,9 +14,9 @@ FOLDER = Path(__file__).parent
 LOOPS = (
     "reduction/kernels",
     "reduction/moment_kernels",
-    "estimation/elimination",
-    "estimation/row_loops",
-    "estimation/residual_loops",
+    "inference/elimination",
+    "inference/row_loops",
+    "inference/residual_loops",
     "campaigns/triads",
     "sensors/fixed_point",
     "sensors/triad_axes",

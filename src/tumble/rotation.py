@@ -36,9 +36,9 @@ def _onto_body(axes: bytes) -> Array:
 
 
 def left_inverse(matrix: Array) -> Array:
-    """The matrix (3, n) that takes readings of sensors, less their biases, to the vector in the body, by least squares,
-    of their sensitivities (n, 3). Raises LinAlgError where those of a triad are in one plane."""
-    square = matrix.shape[0] == matrix.shape[1]
+    """The matrix (..., 3, n) that takes readings of sensors, less their biases, to the vector in the body, by least
+    squares, of their sensitivities (..., n, 3). Raises LinAlgError where those of a triad are in one plane."""
+    square = matrix.shape[-2] == matrix.shape[-1]
     return np.asarray(np.linalg.inv(matrix) if square else np.linalg.pinv(matrix), dtype=float)
 
 

@@ -20,9 +20,9 @@ from tumble.estimation.ellipsoid import WorstPosition as WorstPosition
 from tumble.estimation.estimate import GroupFinding as GroupFinding
 from tumble.estimation.estimate import Judgement as Judgement
 from tumble.estimation.field_check import CheckResult as CheckResult
-from tumble.estimation.likelihood import Linearised as Linearised
 from tumble.estimation.observability import Refusal as Refusal
 from tumble.estimation.prediction import Prediction as Prediction
+from tumble.inference.likelihood import Linearised as Linearised
 from tumble.planning.best_positions import Aim as Aim
 from tumble.planning.best_positions import Compared as Compared
 from tumble.planning.best_positions import Next as Next
@@ -53,6 +53,7 @@ from tumble.reduction.rests import Rests as Rests
 from tumble.reduction.rounding import Rounding as Rounding
 from tumble.reduction.segmentation import Segmentation as Segmentation
 from tumble.reduction.thermometer import Thermometers as Thermometers
+from tumble.reduction.tuning import Tuning as Tuning
 from tumble.reduction.turn_samples import TurnSamples as TurnSamples
 from tumble.reduction.turns import TurnReadings as TurnReadings
 from tumble.reduction.turns import Turns as Turns

@@ -36,5 +36,8 @@ class Pace:
 ON_TABLE = Pace(first_rest=0.0, rest=60.0, rate_deg_s=10.0, ramp=1.0)
 BY_HAND = Pace(first_rest=40.0, rest=5.0, rate_deg_s=80.0, ramp=0.5)
 
+INSTABILITY_TIME = 300.0
+"""s, correlation time of in-run biases."""
+
 MOVE = 30.0
 """s, what the operator's sheet allows for a move that is not a turn of the table."""

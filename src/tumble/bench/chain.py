@@ -10,7 +10,7 @@ import numpy as np
 
 from tumble.bench.follow import BRIDGED, SoundSamples
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.joint import joint
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk
 from tumble.recording.session import Exclusion, Session
@@ -98,14 +98,14 @@ class Chain:
         file = reduction.files[-1]
         return Blocks(
             edges=file.edges,
-            force=_in_body(file.accel, self._to_body[0]),
-            rate=None if file.gyro is None else _in_body(file.gyro, self._to_body[1]),
+            force=_in_body(file.accel.means, self._to_body[0]),
+            rate=None if self.session.gyro_block is None else _in_body(file.gyro.means, self._to_body[1]),
             temperature=None if file.temperature is None else file.temperature.mean(axis=1),
         )
 
     def rests(self, reduction: Reduction, excluded: tuple[Exclusion, ...]) -> Segmentation | None:
         """The rests so far, without the times that are left out; None while there is too little."""
-        if not reduction.files or len(reduction.files[-1].accel) < _LEAST_BLOCKS:
+        if not reduction.files or len(reduction.files[-1]) < _LEAST_BLOCKS:
             return None
         reduction = without_blemishes(reduction)
         found = find_rests(reduction, self.session.accel_block, self.session.gyro_block)
@@ -117,10 +117,10 @@ def known(reduction: Reduction, first: int, last: int) -> MeanUncertainty | None
     if last - first < 10:
         return None
     file = reduction.files[-1]
-    accel, twice_accel = _uncertain(file.accel[first:last])
-    if file.gyro is None:
+    accel, twice_accel = _uncertain(file.accel.means[first:last])
+    if not reduction.gyro_channels:
         return MeanUncertainty(accel=accel, gyro=None, twice=twice_accel / accel)
-    gyro, twice_gyro = _uncertain(file.gyro[first:last])
+    gyro, twice_gyro = _uncertain(file.gyro.means[first:last])
     return MeanUncertainty(accel=accel, gyro=gyro, twice=max(twice_accel / accel, twice_gyro / gyro))
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tumble.errors import CalibrationError
+from tumble.export import FORMATS, FROM_THE_CALIBRATION_ALONE, export_calibration
 from tumble.files import whole_file
 from tumble.sensors.parameters import group_name
 from tumble.units import rounded
@@ -23,7 +24,6 @@ REPORT_FILE = "report.html"
 _VERDICTS = {0: True, 1: False}
 """Whether a calibration is accepted, by the exit status of `tumble calibrate`; any other is no verdict."""
 _LOOK_SECONDS = 0.05
-_ENDINGS = {"c": ".h", "px4": ".params", "ardupilot": ".parm", "csv": ".csv", "mat": ".mat", "dcc": ".xml"}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -60,8 +60,8 @@ class Results:
         return replace(self, registered=said)
 
     def shown(self) -> dict[str, Any]:
-        """For the page."""
-        return asdict(self)
+        """For the page, with the formats that it may be exported to."""
+        return {**asdict(self), "formats": list(FROM_THE_CALIBRATION_ALONE)}
 
 
 def calibrated(folder: Path, stopped: threading.Event) -> Calibration:
@@ -117,10 +117,9 @@ def report_of(folder: Path, stopped: threading.Event) -> str:
 def exported(folder: Path, to: str) -> str:
     """Write a calibration as another program reads it, beside it; the name of the file."""
     from tumble.calibration.calibration_file import read_calibration
-    from tumble.export import export_calibration
 
     found = export_calibration(read_calibration(folder / CALIBRATION_FILE), to)
-    name = f"export-{to}{_ENDINGS.get(to, '.txt')}"
+    name = f"export-{to}{FORMATS[to].ending}"
     with whole_file(folder / name) as temporary:
         temporary.write_bytes(found.content)
     return name
@@ -129,12 +128,12 @@ def exported(folder: Path, to: str) -> str:
 def registered(folder: Path, place: str | None) -> str:
     """Add a calibration to the registry at `place`, as `tumble registry add` does; under which number, and what its
     limits say of it."""
-    from tumble.registry.connect import extra_named
+    from tumble.registry.store.connect import extra_named
 
     with extra_named():
-        from tumble.registry.connect import open_registry
-        from tumble.registry.records import Particulars, read_submission
-        from tumble.registry.store import add
+        from tumble.registry.adding import add
+        from tumble.registry.store.connect import open_registry
+        from tumble.registry.submission import Particulars, read_submission
 
         submission = read_submission(folder / CALIBRATION_FILE, Particulars())
         with open_registry(place, create=True) as opened:

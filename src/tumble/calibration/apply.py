@@ -32,8 +32,8 @@ from tumble.calibration.half import accepted_accelerometers, accepted_part
 from tumble.calibration.observed import inspect_session
 from tumble.calibration.thermometers import check_thermometers
 from tumble.errors import InputError, LogError
-from tumble.estimation.variables import sensors_at
 from tumble.files import FilePath
+from tumble.inference.variables import sensors_at
 from tumble.recording.ahead import one_ahead
 from tumble.recording.arrays import SI
 from tumble.recording.clock import times_of

@@ -25,17 +25,19 @@ from tumble.estimation.diagnosis.linear_model import judged, left_out, taken_as_
 from tumble.estimation.diagnosis.undetermined import one_attitude
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.methods.ellipsoid import ellipsoid
-from tumble.estimation.methods.joint.method import joint
 from tumble.estimation.methods.paper.scalar import scalar
 from tumble.estimation.methods.paper.sequential import sequential
 from tumble.estimation.methods.staged.method import staged
 from tumble.files import FilePath
+from tumble.inference.hyperparameters import GUESSED, SHEET, STATED
+from tumble.inference.joint import joint
 from tumble.recording.arrays import Temperatures, session_of_arrays
 from tumble.recording.log import Log
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.sensors.frames import Convention, Frame
+from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.grades import guessed_grade
 from tumble.sensors.parameters import usual_sizes
 
@@ -231,15 +233,23 @@ def systematic_of(session: Session) -> Mapping[str, float]:
     return {p.name: p.value for p in passport.parameters}
 
 
-def _usual(session: Session, observations: Observations, terms: Terms) -> tuple[dict[str, float], tuple[str, ...]]:
-    """The usual sizes of the groups beyond the linear model in instruments of this grade, and where the grade is from,
-    as a note; none for the linear model."""
-    if terms == "linear":
-        return {}, ()
+def with_grade(session: Session, observations: Observations, terms: Terms) -> Observations:
+    """The observations with what is usual for instruments of the grade of a session's device: sizes of the groups
+    beyond the linear model, none where that is meant, and the factor by which they may be too small by where they are
+    from, and of in-run biases; and with a note of the grade."""
     grade, guessed_from = grade_of(session, observations)
+    sheet, noise = session.device.prior, grade_named(grade).noise
+    usual = {} if terms == "linear" else usual_sizes(grade, sheet)
+    by_grade = GUESSED if guessed_from else STATED
     said = f"what is not bias, scale or axis angle is taken to be of the size usual for the grade {grade}"
     origin = f", guessed from {guessed_from}; state another as [device] grade" if guessed_from else ""
-    return usual_sizes(grade, session.device.prior), (said + origin,)
+    return replace(
+        observations,
+        usual=usual,
+        too_small={name: SHEET if name in sheet else by_grade for name in usual},
+        in_run={"accel": noise.accel_instability, "gyro": noise.gyro_instability},
+        notes=observations.notes + ((said + origin,) if usual else ()),
+    )
 
 
 def grade_of(session: Session, observations: Observations) -> tuple[str, str]:
@@ -262,10 +272,10 @@ def estimated(
     terms: Terms,
 ) -> tuple[Estimate, Observations] | Outcome:
     """The estimate and what it was made from, or why there is none."""
-    usual, said = _usual(session, observations, terms)
     by_clock = clocked(session.log.time_base_u, session.log.increments)
-    notes, unstamped = observations.notes + said + _time_base(session, by_clock), session.log.unstamped
-    observations = replace(observations, start=start, usual=usual, notes=notes, by_clock=by_clock, unstamped=unstamped)
+    observations = with_grade(session, observations, terms)
+    notes, unstamped = observations.notes + _time_base(session, by_clock), session.log.unstamped
+    observations = replace(observations, start=start, notes=notes, by_clock=by_clock, unstamped=unstamped)
     try:
         with np.errstate(over="ignore"):  # damaged samples, of which it breaks down
             estimate = _with_time_base(method(observations), observations)
@@ -275,7 +285,7 @@ def estimated(
             return judged(estimate, observations, observations), replace(
                 observations, notes=(*notes, *taken_as_nothing(estimate))
             )
-        whole = replace(observations, usual=_usual(session, observations, "full")[0])
+        whole = with_grade(session, observations, "full")
         estimate = judged(estimate, observations, whole)
         return estimate, replace(observations, notes=notes + left_out(estimate, observations, whole))
     except np.linalg.LinAlgError as error:

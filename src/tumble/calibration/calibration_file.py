@@ -19,7 +19,6 @@ import numpy as np
 import numpy.typing as npt
 
 from tumble.calibration.calibration_content import FORMAT, content_of
-from tumble.calibration.corrected_readings import corrected_readings
 from tumble.calibration.coverage import with_degrees
 from tumble.calibration.data_frames import pandas_frame, polars_frame
 from tumble.calibration.further import headline
@@ -43,10 +42,9 @@ from tumble.calibration.results import (
 )
 from tumble.documents import json_of, shown, text_of_document
 from tumble.errors import CalibrationError, InputError
-from tumble.estimation.estimate import Fit, GroupFinding, Outcome
+from tumble.estimation.estimate import Fit, GroupFinding, HyperparameterEstimate, Integral, Outcome, ProcessBias
 from tumble.estimation.prediction import Prediction
 from tumble.files import FilePath, whole_file
-from tumble.recording.arrays import Temperatures
 from tumble.recording.autopilot import AutopilotSensor, sensors_from
 from tumble.recording.circumstances import UNKNOWN, Circumstances, circumstances_from
 from tumble.recording.session import Site
@@ -60,6 +58,8 @@ if TYPE_CHECKING:
     import pandas as pd
     import polars as pl
     from matplotlib.axes import Axes
+
+    from tumble.recording.arrays import Temperatures
 
 SensingAxes = tuple[tuple[float, ...], ...]
 """Sensing directions, a row a sensor."""
@@ -95,6 +95,13 @@ class Calibration(Mapping[str, Parameter]):
     provenance: Mapping[str, str] = field(default_factory=dict)
     groups: tuple[GroupFinding, ...] = ()
     """What the session says of the groups of parameters beyond the linear model."""
+    hyperparameters: tuple[HyperparameterEstimate, ...] = ()
+    """What the model did not know about itself: scatter, in-run biases, sizes of groups."""
+    integral: Integral | None = None
+    """How the posterior was integrated over them."""
+    process_bias: tuple[ProcessBias, ...] = ()
+    """The biases as the means of their processes, what the next minute's are about; the parameters are those of the
+    session. In the frame of the accelerometers alone."""
     prediction: Prediction | None = None
     """What corrected readings are known to."""
     axes: Mapping[str, SensingAxes] = field(default_factory=dict)
@@ -259,6 +266,8 @@ class Calibration(Mapping[str, Parameter]):
         if not any(judged):
             reasons = "; ".join(self.outcome.reasons)
             raise CalibrationError(f"calibration: expected accepted accelerometers or gyros, found: {reasons}")
+        from tumble.calibration.corrected_readings import corrected_readings  # slow to import, as the formats of logs
+
         force, rate = corrected_readings(self.compensator, accel, gyro, dt=dt, temperature=temperature)
         return (np.full_like(force, np.nan) if self.accel is None else force), rate
 
@@ -416,6 +425,9 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         mag=model(content.get("mag")),
         outcome=_outcome_from(content["outcome"]),
         groups=tuple(_group_from(group) for group in content.get("groups", ())),
+        hyperparameters=tuple(_hyperparameter_from(each) for each in content.get("hyperparameters", ())),
+        integral=optional(_integral_from, content.get("integral")),
+        process_bias=tuple(_process_bias_from(each) for each in content.get("process_bias", ())),
         prediction=optional(_prediction_from, content.get("prediction")),
         axes={kind: tuple(tuple(map(float, axis)) for axis in axes) for kind, axes in content.get("axes", {}).items()},
         reference_temperature=optional(float, temperature.get("reference")),
@@ -478,6 +490,22 @@ def _group_from(content: Mapping[str, Any]) -> GroupFinding:
         widened=float(content["prior_widened"]),
         learned=tuple(map(float, content["learned"])),
     )
+
+
+def _hyperparameter_from(content: Mapping[str, Any]) -> HyperparameterEstimate:
+    """Something that the model did not know about itself."""
+    sizes = {key: float(content[key]) for key in ("value", "low", "high", "usual")}
+    return HyperparameterEstimate(name=content["name"], unit=content["unit"], words=content["words"], **sizes)
+
+
+def _integral_from(content: Mapping[str, Any]) -> Integral:
+    """How the posterior was integrated."""
+    return Integral(points=content["points"], effective=float(content["effective"]), pareto=float(content["pareto"]))
+
+
+def _process_bias_from(content: Mapping[str, Any]) -> ProcessBias:
+    """A bias as the mean of its process."""
+    return ProcessBias(name=content["name"], **{key: float(content[key]) for key in ("value", "u", "next_u")})
 
 
 def _prediction_from(content: Mapping[str, Any]) -> Prediction:

@@ -188,6 +188,29 @@ class _GroupKeys(_Keys):
     learned: Vector
 
 
+class _HyperparameterKeys(_Keys):
+    name: Text
+    unit: Text
+    words: Text
+    value: Size
+    low: Size
+    high: Size
+    usual: Size
+
+
+class _IntegralKeys(_Keys):
+    points: int
+    effective: Number
+    pareto: Number
+
+
+class _ProcessBiasKeys(_Keys):
+    name: Text
+    value: Number
+    u: Size
+    next_u: Size
+
+
 class _PredictionKeys(_Keys):
     force_u: Size
     rate_u: Size | None
@@ -374,6 +397,9 @@ class _CalibrationKeys(_ResultKeys, _FormatKeys):
     mag: _ModelKeys | None = None
     outcome: _OutcomeKeys
     groups: list[_GroupKeys] = Field(default=[], max_length=MOST_PARAMETERS)
+    hyperparameters: list[_HyperparameterKeys] = Field(default=[], max_length=MOST_PARAMETERS)
+    integral: _IntegralKeys | None = None
+    process_bias: list[_ProcessBiasKeys] = Field(default=[], max_length=MOST_PARAMETERS)
     prediction: _PredictionKeys | None = None
     axes: dict[Text, list[_Direction]] = {}
     temperature: _TemperatureKeys = _TemperatureKeys()

@@ -19,13 +19,14 @@ and the session have temperatures, parameters are taken to that of the session b
 usual size of those that are not known. Where both use the same stated gravity, its error is in the scale factors too,
 with the opposite sign.
 
-Rests scatter as they did in the calibration, at least by the in-run instability of the grade.
+Rests and turns scatter as they did in the calibration, and in-run biases are as large as is usual of the grade.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -40,12 +41,13 @@ from tumble.calibration.results import Parameter
 from tumble.calibration.thermometers import check_thermometers
 from tumble.calibration.type_spread import KnownLaunches, known_launches
 from tumble.errors import CalibrationError, InputError
-from tumble.estimation.components import Scatter
 from tumble.estimation.estimate import Outcome
 from tumble.estimation.field_check import ChangedParameter, CheckResult, KnownBefore, field_check
 from tumble.estimation.prediction import prediction
-from tumble.estimation.variables import variables_of
 from tumble.files import FilePath
+from tumble.inference.hyperparameters import Components
+from tumble.inference.variables import variables_of
+from tumble.planning.bounds import components_of
 from tumble.recording.circumstances import Circumstances
 from tumble.recording.session import Session, Site
 from tumble.recording.session_file import session_from
@@ -272,7 +274,7 @@ def known_before(
         values=J[1:, 1:] @ values,
         covariance=known + np.diag(np.append(0.0, turned_on)),
         doubt=root[:, None] * known * root + np.diag(np.append(0.0, turned_on * np.sqrt(inverse_degrees))),
-        scatter=_scatter(calibration, grade),
+        components=_components(calibration, grade),
     )
 
 
@@ -332,12 +334,12 @@ def _turned_on(
     return variance, inverse_degrees
 
 
-def _scatter(calibration: Calibration, grade: str) -> Scatter:
-    """The scatter of the rests and turns of the calibration, at least the in-run instability of the grade."""
-    found = {name: calibration.fits[fit].scatter for name, fit in _FITS.items() if fit in calibration.fits}
-    noise = GRADES[grade].noise
-    least = {"accel": noise.accel_instability, "gyro": noise.gyro_instability}
-    return Scatter(**{name: max(found.get(name, 0.0), least.get(name, 0.0)) for name in _FITS})
+def _components(calibration: Calibration, grade: str) -> Components:
+    """The scatter of the rests and turns of the calibration, and the in-run instability of the grade."""
+    scatter: dict[str, Any] = {
+        name: calibration.fits[fit].scatter for name, fit in _FITS.items() if fit in calibration.fits
+    }
+    return replace(components_of(GRADES[grade].noise), **scatter)
 
 
 # The updated calibration

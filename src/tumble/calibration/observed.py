@@ -33,6 +33,7 @@ from tumble.reduction.matching import Match, match_rests
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests
 from tumble.reduction.together import held, in_parts
+from tumble.reduction.tuning import USUAL, Tuning
 from tumble.reduction.turns import torn_turns
 from tumble.reduction.unknown_turns import without_unknown_turns
 from tumble.rotation import onto_body
@@ -84,9 +85,12 @@ LARGEST_SQUARED = 1e100
 """SI: of larger numbers sums of products are none."""
 
 
-def inspect_session(session: Session | FilePath, *, progress: Progress = Log.chunks) -> Observed:
+def inspect_session(
+    session: Session | FilePath, *, progress: Progress = Log.chunks, tuning: Tuning = USUAL
+) -> Observed:
     """The rests and turns of a session, a `Session` or the path of its folder, without matching them to a programme,
-    and what is wrong with the recording. Raises InputError for a session or a log that cannot be read.
+    and what is wrong with the recording, by the thresholds of a `tuning`. Raises InputError for a session or a log that
+    cannot be read.
 
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=4), seed=1)
@@ -95,13 +99,13 @@ def inspect_session(session: Session | FilePath, *, progress: Progress = Log.chu
     (4, ())
     """
     with ThreadPoolExecutor(max_workers=1) as beside:
-        return inspected(session_from(session), progress, beside)
+        return inspected(session_from(session), progress, beside, tuning)
 
 
-def inspected(session: Session, progress: Progress, beside: Executor) -> Observed:
+def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tuning = USUAL) -> Observed:
     """The same; the content of a log that was read is hashed `beside` what follows, which needs one core alone."""
     log = open_log(session)
-    reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log))
+    reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log), tuning)
     digest = beside.submit(log.sha256)
     faults = (
         channel_faults(reduction, session.log)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 GRAVITY, TIME_BASE, PRIORS = "gravity", "the time base", "what only priors say"
 
-_OF_A_SESSION: tuple[Variable, ...] = ("time", "warm-up", "warm-up²")
+_OF_A_SESSION: tuple[Variable, ...] = ("time",)
 """What parameters change with that is another in every session, and so no property of the device."""
 
 

@@ -23,8 +23,8 @@ from tumble.calibration.results import Member, Parameter
 from tumble.calibration.same_recording import Means, check_recordings
 from tumble.errors import InputError
 from tumble.estimation.estimate import Estimate, Outcome, OwnEstimate
-from tumble.estimation.methods.joint.method import joint
 from tumble.files import FilePath
+from tumble.inference.joint import joint
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Log
 from tumble.recording.session import Session

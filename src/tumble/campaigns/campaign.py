@@ -36,7 +36,7 @@ from tumble.planning.bounds import instrument_of
 from tumble.planning.setup import Terms
 from tumble.programme.positions import BUILT_IN
 from tumble.sensors.grades import GRADES
-from tumble.usual_setup import GRADE, LATITUDE_DEG, MOUNTING_ERROR_DEG, PROGRAMME, TABLE_ERROR_DEG
+from tumble.usual_setup import GRADE, INSTABILITY_TIME, LATITUDE_DEG, MOUNTING_ERROR_DEG, PROGRAMME, TABLE_ERROR_DEG
 
 ESTIMATORS = (*METHODS, *ITERATED_METHODS)
 AXES = (
@@ -50,6 +50,7 @@ AXES = (
     "sample_rate",
     "latitude_deg",
     "noise_factor",
+    "instability_time",
     "terms",
 )
 """The axes of the grid apart from the method, outermost first."""
@@ -219,6 +220,9 @@ class _GridKeys(_CampaignTable):
     )
     noise_factor: list[Annotated[float, Field(ge=0.0, le=1000.0)]] = Field(
         default=[1.0], min_length=1, description="numbers from 0 to 1000"
+    )
+    instability_time: list[Annotated[float, Field(ge=0.0, le=86_400.0)]] = Field(
+        default=[INSTABILITY_TIME], min_length=1, description="numbers from 0 to 86400 (s)"
     )
     terms: list[str] = Field(default=["linear"], min_length=1, description=_one_of(TERMS))
 

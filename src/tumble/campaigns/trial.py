@@ -22,20 +22,19 @@ from tumble.calibration.calibrate import ITERATED_METHODS, METHODS, Method, cali
 from tumble.campaigns.engine import Row
 from tumble.campaigns.triads import fit_statics
 from tumble.errors import InputError
-from tumble.estimation.components import Scatter
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import DETERMINED, Estimate
-from tumble.estimation.likelihood import Point, Problem, weights
-from tumble.estimation.linearisation import linearise
-from tumble.estimation.methods.paper.compensation import triad_model
-from tumble.estimation.step import solve
 from tumble.estimation.turns_about import TurnsAbout
+from tumble.inference.likelihood import Point, Problem, weights
+from tumble.inference.linearisation import linearise
+from tumble.inference.step import joined, tell
+from tumble.planning.bounds import components_of, over_session
 from tumble.planning.setup import Setup
 from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.sensors.grades import Spread
-from tumble.sensors.model import Block
+from tumble.sensors.model import Block, triad_model
 from tumble.sensors.parameters import limits_of
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import HandHeld, Scenario, itinerary, scenario_of
@@ -97,10 +96,9 @@ def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> d
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
     about = TurnsAbout.of(observations, instrument, truth)
     point = Point(values=truth, gravity=scenario.site.gravity, attitudes=attitudes)
-    scatter = Scatter(accel=scenario.noise.accel_instability, gyro=scenario.noise.gyro_instability)
     rows = linearise(problem, point, about)
-    step = solve(problem, rows, weights(problem, rows, scatter))
-    found = np.sqrt(np.diag(step.covariance)[1:])
+    told = tell(problem, rows, weights(problem, rows, components_of(scenario.noise)))
+    found = np.linalg.norm(over_session(problem, told, joined(problem, rows, told).roots[0]), axis=1)
     determined = problem.spread / DETERMINED
     determined[instrument.linear_count :] = np.inf  # by their priors
     return {n: float(u) for n, u, s in zip(instrument.names, found, determined, strict=True) if u < s}

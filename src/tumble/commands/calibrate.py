@@ -214,12 +214,12 @@ def _numbers(text: str) -> tuple[int, ...]:
 
 def _of_type(place: str, model: str | None, frame: Frame) -> TypeSpread:
     """The launches of all devices of a type in a registry."""
-    from tumble.registry.connect import extra_named
+    from tumble.registry.store.connect import extra_named
 
     if model is None:
         raise InputError("--registry: expected the type of the device, `model` under [device], found none")
     with extra_named():
-        from tumble.registry.connect import open_registry
+        from tumble.registry.store.connect import open_registry
         from tumble.registry.type_launches import type_spread
 
         with open_registry(place) as opened:

@@ -60,10 +60,10 @@ def check(calibration: Path, session: Path, out: Path | None, force: bool, place
 
 def _launches(place: str, serial: str) -> tuple[KnownLaunches, ...]:
     """The launches of a device in a registry."""
-    from tumble.registry.connect import extra_named
+    from tumble.registry.store.connect import extra_named
 
     with extra_named():
-        from tumble.registry.connect import open_registry
+        from tumble.registry.store.connect import open_registry
         from tumble.registry.type_launches import device_launches
 
         with open_registry(place) as opened:

@@ -8,17 +8,12 @@ import click
 
 from tumble.commands.arguments import EXISTING_FOLDER, FILE, say
 from tumble.errors import InputError
-
-FORMATS = [
-    "kalibr", "ros-imu-calib", "px4", "px4-thermal", "ardupilot", "ardupilot-thermal", "imucal", "depthai",
-    "matlab-imu", "c", "mat", "csv",
-    "csv-thermal", "dcc",
-]  # fmt: skip
+from tumble.export import FORMATS
 
 
 @click.command()
 @click.argument("calibration", type=FILE)
-@click.option("--to", type=click.Choice(FORMATS), required=True, help="What to write.")
+@click.option("--to", type=click.Choice(list(FORMATS)), required=True, help="What to write.")
 @click.option("-o", "--out", type=FILE, required=True, help="File to write.")
 @click.option(
     "--noise", metavar="SESSION", type=EXISTING_FOLDER, help="kalibr: noise from this session's longest rest."
@@ -42,12 +37,12 @@ def export(
     What that format has no place for is said on standard error, and in the file where it has comments.
     """
     from tumble.export import export_calibration
-    from tumble.export.px4_thermal import sensor_ids as ids_of
+    from tumble.export.autopilots import sensor_ids_of
     from tumble.files import whole_file
 
     if out.exists() and not force:
         raise InputError(f"{out}: expected a new file, found one that exists; give --force to replace it")
-    ids = None if sensor_ids is None else ids_of(sensor_ids)
+    ids = None if sensor_ids is None else sensor_ids_of(sensor_ids)
     exported = export_calibration(calibration, to, noise=noise, certificate=certificate, imu=imu, sensor_ids=ids)
     with whole_file(out) as temporary:
         temporary.write_bytes(exported.content)

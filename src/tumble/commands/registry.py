@@ -16,7 +16,8 @@ from tumble.commands.arguments import FILE, JSON, say, warn
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
-    from tumble.registry.records import Record
+    from tumble.registry.store.connect import Registry
+    from tumble.registry.types import Record
 
 
 _DAY = click.DateTime(["%Y-%m-%d"])
@@ -35,7 +36,7 @@ def _place(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def with_extra(*args: Any, **options: Any) -> None:
-        from tumble.registry.connect import extra_named
+        from tumble.registry.store.connect import extra_named
 
         with extra_named():
             command(*args, **options)
@@ -87,9 +88,9 @@ def add(
     place: str | None,
 ) -> None:
     """Add a CALIBRATION file, judge it by the limits in force, and say so. Exit status 1 if it does not pass."""
-    from tumble.registry.connect import open_registry
-    from tumble.registry.records import Particulars, read_submission
-    from tumble.registry.store import add as add_to
+    from tumble.registry.adding import add as add_to
+    from tumble.registry.store.connect import open_registry
+    from tumble.registry.submission import Particulars, read_submission
 
     particulars = Particulars(
         performed=None if day is None else day.replace(tzinfo=UTC),
@@ -107,22 +108,18 @@ def add(
     sys.exit(0 if passed else 1)
 
 
-def _print_record(opened: Any, record: Record, as_json: bool, every: bool) -> bool:
+def _print_record(opened: Registry, record: Record, as_json: bool, every: bool) -> bool:
     """Print a record with the verdict on it, and whether it passes."""
-    from tumble.registry.series import verdict_of
-    from tumble.registry.store import launches_of, limits_records, parameters_of
+    from tumble.registry.series import calibration_in, verdict_of
     from tumble.views.registry import record_blocks
     from tumble.views.render.data import print_data, record_data
     from tumble.views.render.terminal import print_blocks
 
-    verdict = verdict_of(opened, record, {own.number: own for own in limits_records(opened)})
-    rows = parameters_of(opened, [record.number])[record.number]
-    with opened.reading() as connection:
-        launches = launches_of(connection, record.number)
+    verdict, calibration = verdict_of(opened, record), calibration_in(opened, record, record.frame)
     if as_json:
-        print_data(record_data(record, launches, rows, verdict))
+        print_data(record_data(record, calibration, verdict))
     else:
-        print_blocks(*record_blocks(record, launches, rows, verdict, every=every))
+        print_blocks(*record_blocks(record, calibration, verdict, every=every))
     if verdict is None or verdict.result == "pass":
         return True
     for reason in verdict.reasons():
@@ -136,9 +133,9 @@ def _print_record(opened: Any, record: Record, as_json: bool, every: bool) -> bo
 @_place
 def list_(serial: str | None, as_json: bool, place: str | None) -> None:
     """All devices with their latest record, or the records of the device SERIAL."""
-    from tumble.registry.connect import open_registry
     from tumble.registry.due import due as due_of
-    from tumble.registry.store import records
+    from tumble.registry.records import records
+    from tumble.registry.store.connect import open_registry
     from tumble.views.registry_lists import device_table, record_table
     from tumble.views.render.terminal import print_blocks
 
@@ -170,18 +167,20 @@ def list_(serial: str | None, as_json: bool, place: str | None) -> None:
 def show(number: int, out: Path | None, as_json: bool, every: bool, place: str | None) -> None:
     """The record NUMBER with the verdict on each parameter. Exit status 1 if it does not pass."""
     from tumble.files import whole_file
-    from tumble.registry.connect import open_registry
-    from tumble.registry.store import file_of, record
+    from tumble.registry.store.connect import open_registry
+    from tumble.registry.store.rows import file_of, record_of
 
     with open_registry(place) as opened:
-        found = record(opened, number)
+        with opened.reading() as connection:
+            record = record_of(connection, number)
+            text = file_of(connection, number)
         if out is not None:
             if out.exists():
                 raise InputError(f"{out}: expected a new file for the calibration, found one that exists")
             with whole_file(out) as temporary:
-                temporary.write_text(file_of(opened, number), encoding="utf-8")
+                temporary.write_text(text, encoding="utf-8")
             say(f"written to {out}")
-        passed = _print_record(opened, found, as_json, every)
+        passed = _print_record(opened, record, as_json, every)
     sys.exit(0 if passed else 1)
 
 
@@ -198,9 +197,8 @@ def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, e
     Exit status 1 if the device has changed since the calibration before by more than chance makes, in a parameter or
     in all together, as `tumble compare` says it of both.
     """
-    from tumble.registry.connect import open_registry
     from tumble.registry.monitor import monitored
-    from tumble.views.control_chart import write_chart
+    from tumble.registry.store.connect import open_registry
     from tumble.views.registry import history_blocks, trend_blocks
     from tumble.views.render.data import print_data, trend_data
     from tumble.views.render.terminal import print_blocks
@@ -208,6 +206,8 @@ def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, e
     with open_registry(place) as opened:
         found = monitored(opened, serial, parameter)
     if out is not None:
+        from tumble.views.control_chart import write_chart
+
         write_chart(out, found)
         say(f"written to {out}")
     if as_json:
@@ -230,9 +230,10 @@ def limits(model: str | None, file: Path | None, as_json: bool, place: str | Non
 
     Without FILE those of MODEL are shown, without MODEL those of all types are listed.
     """
-    from tumble.registry.connect import open_registry
-    from tumble.registry.limits import read_limits
-    from tumble.registry.store import limits_in_force, limits_records, set_limits
+    from tumble.acceptance.limits import read_limits
+    from tumble.registry.adding import set_limits
+    from tumble.registry.store.connect import open_registry
+    from tumble.registry.store.rows import every_limits
     from tumble.views.registry import limits_blocks
     from tumble.views.registry_lists import limits_table
     from tumble.views.render.data import limits_data, print_data
@@ -245,15 +246,17 @@ def limits(model: str | None, file: Path | None, as_json: bool, place: str | Non
             said = "in force for" if new else "were in force already for"
             say(f"limits {own.number} {said} {own.model} in {opened.name}")
             return
-        in_force = limits_in_force(opened)
-        if model is not None and model not in in_force:
-            raise InputError(f"type {model!r}: expected a device type with limits, found none for it")
-        if as_json:
-            print_data(limits_data(limits_records(opened) if model is None else [in_force[model]], in_force))
-        elif model is None:
-            print_blocks(limits_table(limits_records(opened), in_force))
-        else:
-            print_blocks(*limits_blocks(in_force[model]))
+        with opened.reading() as connection:
+            every = every_limits(connection)
+    in_force = {each.model: each for each in every}
+    if model is not None and model not in in_force:
+        raise InputError(f"type {model!r}: expected a device type with limits, found none for it")
+    if as_json:
+        print_data(limits_data(every if model is None else [in_force[model]], in_force))
+    elif model is None:
+        print_blocks(limits_table(every, in_force))
+    else:
+        print_blocks(*limits_blocks(in_force[model]))
 
 
 @registry.command()
@@ -265,8 +268,8 @@ def due(day: datetime | None, as_json: bool, place: str | None) -> None:
 
     The most urgent first. Exit status 1 if anything is overdue.
     """
-    from tumble.registry.connect import open_registry
     from tumble.registry.due import due as due_of
+    from tumble.registry.store.connect import open_registry
     from tumble.views.registry_lists import due_table
     from tumble.views.render.terminal import print_blocks
 
@@ -291,8 +294,8 @@ def due(day: datetime | None, as_json: bool, place: str | None) -> None:
 def export(out: Path | None, place: str | None) -> None:
     """Everything in the registry as JSON lines."""
     from tumble.files import whole_file
-    from tumble.registry.connect import open_registry
     from tumble.registry.exchange import export_lines
+    from tumble.registry.store.connect import open_registry
 
     if out is not None and out.exists():
         raise InputError(f"{out}: expected a new file for the export, found one that exists")
@@ -311,8 +314,8 @@ def export(out: Path | None, place: str | None) -> None:
 @_place
 def import_(file: Path, place: str | None) -> None:
     """Add what FILE, an export, holds and the registry does not; nothing of a file that is no whole export."""
-    from tumble.registry.connect import open_registry
     from tumble.registry.exchange import import_export, read_export
+    from tumble.registry.store.connect import open_registry
 
     with read_export(file) as export, open_registry(place, create=True) as opened:
         done = import_export(opened, export)

@@ -18,7 +18,7 @@ from tumble.recording.formats.columns import ACCEL, Columns, is_no_sensor
 from tumble.recording.gaps import is_reading
 from tumble.recording.log_source import LogSource
 from tumble.recording.readers import source_of
-from tumble.reduction.segmentation import MIN_REST_SECONDS
+from tumble.reduction.tuning import USUAL
 from tumble.units import Array
 
 LONGEST = 2_000_000
@@ -28,7 +28,7 @@ SAMPLE_ROWS = 200
 _HEAD = 20_000
 _FUSED = re.compile(r"grav|user_?acc|linear_?acc(?!.*cov)|\blacc", re.IGNORECASE)
 SHOWN = 12
-_SHORTEST_SESSION = 4 * MIN_REST_SECONDS
+_SHORTEST_SESSION = 4 * USUAL.rest
 """s: what four rests alone take, and fewer tell nothing."""
 _FILLED = 50
 """Rows that are alike in all sensors, at the end of a log, are no samples if they are as many."""

@@ -15,14 +15,17 @@ is nothing.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tumble.reduction.observations import Observations
-from tumble.reduction.rounding import Rounding
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_name
 from tumble.units import Array
+
+if TYPE_CHECKING:
+    from tumble.reduction.observations import Observations
+    from tumble.reduction.rounding import Rounding
 
 _HARMONICS = np.arange(1, 40)
 

@@ -32,14 +32,17 @@ Plans, ch. 3; by blocks Künsch (1989), The Annals of Statistics 17, 1217-1241.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from scipy.special import fdtri, ndtri, stdtr
 
 from tumble.brief import Brief
 from tumble.errors import InputError
-from tumble.estimation.estimate import SCATTER_PROBABILITY, Fit, Solution, chance_of, least_squares, scatter_of, sigmas
-from tumble.estimation.gauss_newton import gauss_newton, negligible
+from tumble.estimation.estimate import Fit, Solution, least_squares, sigmas
+from tumble.estimation.gauss_newton import negligible, with_scatter
 from tumble.estimation.observability import Refusal, undetermined
 from tumble.estimation.quadric import fit_many
 from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
@@ -157,35 +160,53 @@ def fit_ellipsoid(
         covariance=np.broadcast_to(noise + (FLOOR * modulus) ** 2 * np.eye(3), (len(readings), 3, 3)),
         block=block,
     )
-    used = np.ones(len(readings), dtype=bool)
-    found = _found(task, used)
-    worst = _worst_position(task, used, found) if blocks is None else None
-    while worst is not None and worst.sigmas > bad_sigmas and not worst.rivals and _may_leave_out(used):
+    found = _fitted(task, np.ones(len(readings), dtype=bool))
+    worst = _worst_position(task, found) if blocks is None else None
+    while worst is not None and worst.sigmas > bad_sigmas and not worst.rivals:
+        if (~found.used).sum() + 1 > max(1, int(MOST_BAD * len(readings))):
+            break
+        used = found.used.copy()
         used[worst.position] = False
-        found = _found(task, used)
-        worst = _worst_position(task, used, found)
-    if found is None:
+        found = _fitted(task, used)
+        worst = _worst_position(task, found)
+    solution = found.solution
+    if solution is None:
         reason = (
-            f"the {len(used)} readings do not lie on an ellipsoid, with whichever of them left out: look for exchanged "
-            "channels, clipped readings or a vector whose length changed"
+            f"the {len(readings)} readings do not lie on an ellipsoid, with whichever of them left out: look for "
+            "exchanged channels, clipped readings or a vector whose length changed"
         )
         return Refusal(reason=reason, null=np.empty((0, 9)))
-    bad = worst is not None and worst.sigmas > bad_sigmas
-    doubtful = (worst.position, *worst.rivals) if worst is not None and bad else ()
-    finished = _finished(task, used, found, worst, modulus_u, unknown_noise=covariance is None, blocks=blocks)
-    return replace(finished, doubtful=doubtful, sigmas=_raised(finished.sigmas, doubtful, worst))
-
-
-def _may_leave_out(used: BoolArray) -> bool:
-    return int((~used).sum()) < max(1, int(MOST_BAD * len(used)))
-
-
-def _raised(each: Array, doubtful: tuple[int, ...], worst: WorstPosition | None) -> Array:
-    """Sigmas of the positions where those of the doubtful ones are not less than that of the worst."""
-    out = each.copy()
-    if worst is not None and doubtful:
+    doubtful = (worst.position, *worst.rivals) if worst is not None and worst.sigmas > bad_sigmas else ()
+    out = found.sigmas
+    if worst is not None:
         out[list(doubtful)] = np.maximum(out[list(doubtful)], worst.sigmas)
-    return out
+    noise_covariance, noise_degrees = solution.covariance, float(found.degrees) if found.scatter > 0.0 else np.inf
+    if blocks is not None:
+        noise_covariance, noise_degrees = _jackknife(found, blocks, task.spread), float(blocks.max())
+        modulus_u = float(np.hypot(modulus_u, found.scatter**2 / modulus))
+    by_modulus = -modulus_u * (solution.gain / found.sigma[found.used]).sum(axis=1)
+    return EllipsoidFit(
+        values=found.values,
+        covariance=None
+        if covariance is None and found.degrees == 0
+        else noise_covariance + np.outer(by_modulus, by_modulus),
+        by_modulus=by_modulus,
+        noise_degrees=noise_degrees,
+        model=block.model(found.values),
+        residual=found.residual,
+        leverage=np.where(found.used, found.leverage, 0.0),
+        leave_one_out=found.leave_one_out,
+        leave_one_out_u=found.leave_one_out_u,
+        sigmas=out,
+        used=found.used,
+        doubtful=doubtful,
+        chi_square=found.chi_square(found.scatter),
+        degrees=found.degrees,
+        scatter=found.scatter,
+        worst=worst,
+        increments=found.increments,
+        converged=negligible(solution, FLOOR * task.spread),
+    )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -199,161 +220,133 @@ class _Task:
     def spread(self) -> Array:
         return np.asarray(SPREAD * np.repeat([self.modulus, 1.0, 1.0], 3))
 
+    def start(self, used: BoolArray) -> Array | None:
+        """Parameter values of the algebraic fit; None where there is none."""
+        found = fit_many(self.readings[None, used])
+        if not found.found[0]:
+            return None
+        some = found.models(self.modulus)
+        handed = np.diag([1.0, 1.0, np.sign(np.linalg.det(self.block.axes))])
+        own, _ = to_accelerometer_frame(
+            self.block, SensorModel(matrix=some.matrix[0] @ handed, bias=some.bias[0]), None
+        )
+        return np.asarray(self.block.parameters(own))
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _EllipsoidRows:
-    """Of each reading: the residual |t| − m, minus its derivatives with respect to the values (N, 9), its variance
-    from noise, and what a unit variance of scatter adds."""
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Fitted:
+    """Residuals |t| − m (N,) at `values`, minus their derivatives (N, 9), their variance from noise and what a unit
+    variance of scatter adds; the step that the `used` determine, None where they do not."""
+
+    values: Array
+    used: BoolArray
     residual: Array
     jacobian: Array
     noise: Array
     by_scatter: Array
+    scatter: float = 0.0
+    increments: tuple[Array, ...] = ()
+    solution: Solution | None = None
 
-    def solution(self, used: BoolArray, scatter: float, spread: Array) -> Solution:
-        sigma = self.sigma(scatter)[used]
-        return least_squares(self.jacobian[used] / sigma[:, None], self.residual[used] / sigma, spread)
+    @staticmethod
+    def at(task: _Task, values: Array, used: BoolArray) -> _Fitted:
+        """Linearised about values."""
+        model = task.block.model(values)
+        true = model.apply(task.readings)
+        length = np.linalg.norm(true, axis=1)
+        normal = (true / length[:, None]) @ model.inverse()
+        homogeneous = np.concatenate([true, np.ones((len(true), 1))], axis=1)
+        return _Fitted(
+            values=values,
+            used=used,
+            residual=length - task.modulus,
+            jacobian=np.einsum("ip,pqm,iq->im", normal, task.block.jacobian(values), homogeneous),
+            noise=np.einsum("ip,ipq,iq->i", normal, task.covariance, normal),
+            by_scatter=np.einsum("ip,ip->i", normal, normal),
+        )
 
-    def sigma(self, scatter: float) -> Array:
-        return np.sqrt(self.noise + scatter**2 * self.by_scatter)
+    def step(self, scatter: float, spread: Array) -> Solution:
+        sigma = np.sqrt(self.noise + scatter**2 * self.by_scatter)[self.used]
+        return least_squares(self.jacobian[self.used] / sigma[:, None], self.residual[self.used] / sigma, spread)
+
+    def chi_square(self, scatter: float) -> float:
+        variance = self.noise + scatter**2 * self.by_scatter
+        return float(np.sum(self.residual[self.used] ** 2 / variance[self.used]))
+
+    @property
+    def degrees(self) -> int:
+        return int(self.used.sum()) - 9
+
+    @cached_property
+    def sigma(self) -> Array:
+        """Standard deviations (N,) of the residuals, scatter included."""
+        return np.sqrt(self.noise + self.scatter**2 * self.by_scatter)
+
+    @cached_property
+    def leverage(self) -> Array:
+        """Variances (N,) of what the fit predicts, in parts of those of the residuals."""
+        assert self.solution is not None
+        whitened = self.jacobian / self.sigma[:, None]
+        return np.asarray(np.einsum("im,mn,in->i", whitened, self.solution.covariance, whitened))
+
+    @cached_property
+    def free(self) -> Array:
+        """The variance of a residual over that against the fit through all others; NaN of one that these do not
+        determine, which shows nothing."""
+        free = np.where(self.used, np.maximum(1.0 - self.leverage, 0.0), 1.0 / (1.0 + self.leverage))
+        return np.where(free > 1e-6, free, np.nan)
+
+    @property
+    def leave_one_out(self) -> Array:
+        """Residuals (N,) against the fit through all others."""
+        return np.where(self.used & np.isfinite(self.free), self.residual / self.free, self.residual)
+
+    @property
+    def leave_one_out_u(self) -> Array:
+        return np.asarray(self.sigma / np.sqrt(np.nan_to_num(self.free, nan=1.0)))
+
+    @property
+    def normalised(self) -> Array:
+        """How far each position (N,) is from the fit through all others, in standard uncertainties."""
+        return np.where(np.isnan(self.free), 0.0, np.abs(self.leave_one_out) / self.leave_one_out_u)
+
+    @property
+    def sigmas(self) -> Array:
+        """The same in Gaussian sigmas of equal probability."""
+        z, scaled = self.normalised, self.scatter > 0.0
+        out = np.where(self.used, sigmas(z, self.degrees, scaled), z)
+        if scaled:
+            out[~self.used] = -ndtri(np.maximum(stdtr(self.degrees, -z[~self.used]), 1e-300))
+        return out
 
 
-def _rows(task: _Task, values: Array) -> _EllipsoidRows:
-    model = task.block.model(values)
-    true = model.apply(task.readings)
-    length = np.linalg.norm(true, axis=1)
-    normal = (true / length[:, None]) @ model.inverse()
-    homogeneous = np.concatenate([true, np.ones((len(true), 1))], axis=1)
-    return _EllipsoidRows(
-        residual=length - task.modulus,
-        jacobian=np.einsum("ip,pqm,iq->im", normal, task.block.jacobian(values), homogeneous),
-        noise=np.einsum("ip,ipq,iq->i", normal, task.covariance, normal),
-        by_scatter=np.einsum("ip,ip->i", normal, normal),
-    )
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Found:
-    values: Array
-    rows: _EllipsoidRows
-    solution: Solution
-    chi_square: float
-    degrees: int
-    scatter: float
-    increments: tuple[Array, ...]
-
-
-def _found(task: _Task, used: BoolArray) -> _Found | None:
-    """The geometric fit through the used readings with the scatter that explains its residuals; None where the
-    algebraic fit finds no ellipsoid to start from, or where what it finds is not determined."""
-    start = _algebraic(task, used)
+def _fitted(task: _Task, used: BoolArray) -> _Fitted:
+    """The geometric fit through the used readings with the scatter that explains its residuals; without a solution
+    where the algebraic fit finds no ellipsoid to start from, or where what it finds is not determined."""
+    start = task.start(used)
     if start is None:
-        return None
-    scatter, degrees = 0.0, int(used.sum()) - 9
-    values, rows, increments = _iterated(task, start, used, scatter)
-    if degrees > 0 and chance_of(_chi_square(rows, used, scatter), degrees) < SCATTER_PROBABILITY:
-        for _ in range(3):
-            size = float(np.sqrt(np.mean(rows.residual[used] ** 2 / rows.by_scatter[used])))
+        return _Fitted.at(task, np.zeros(9), used)
 
-            def excess(trial: float, at: _EllipsoidRows = rows) -> float:
-                return _chi_square(at, used, trial) - degrees
+    def agreement_at(values: Array) -> tuple[Callable[[float], float], float, float]:
+        at = _Fitted.at(task, values, used)
+        return at.chi_square, at.degrees, float(np.sqrt(np.mean(at.residual[used] ** 2 / at.by_scatter[used])))
 
-            scatter = scatter_of(excess, size)
-            values, rows, more = _iterated(task, values, used, scatter)
-            increments += more
-    solution = rows.solution(used, scatter, task.spread)
-    if len(solution.null):
-        return None
-    chi_square = _chi_square(rows, used, scatter)
-    return _Found(
-        values=values,
-        rows=rows,
-        solution=solution,
-        chi_square=chi_square,
-        degrees=degrees,
-        scatter=scatter,
-        increments=(start, *increments),
+    values, scatter, steps = with_scatter(
+        lambda at, scatter: _Fitted.at(task, at, used).step(scatter, task.spread),
+        agreement_at,
+        start,
+        task.spread,
+        FLOOR * task.spread,
     )
+    found = _Fitted.at(task, values, used)
+    solution = found.step(scatter, task.spread)
+    determined = not len(solution.null)
+    return replace(found, scatter=scatter, increments=(start, *steps), solution=solution if determined else None)
 
 
-def _algebraic(task: _Task, used: BoolArray) -> Array | None:
-    """Parameter values of the algebraic fit."""
-    found = fit_many(task.readings[None, used])
-    if not found.found[0]:
-        return None
-    some = found.models(task.modulus)
-    handed = np.diag([1.0, 1.0, np.sign(np.linalg.det(task.block.axes))])
-    own, _ = to_accelerometer_frame(task.block, SensorModel(matrix=some.matrix[0] @ handed, bias=some.bias[0]), None)
-    return np.asarray(task.block.parameters(own))
-
-
-def _iterated(
-    task: _Task, values: Array, used: BoolArray, scatter: float
-) -> tuple[Array, _EllipsoidRows, tuple[Array, ...]]:
-    """Gauss–Newton at a given scatter."""
-    values, increments = gauss_newton(
-        lambda at: _rows(task, at).solution(used, scatter, task.spread), values, task.spread, FLOOR * task.spread
-    )
-    return values, _rows(task, values), increments
-
-
-def _chi_square(rows: _EllipsoidRows, used: BoolArray, scatter: float) -> float:
-    """Of the residuals of a fit that has converged."""
-    return float(np.sum((rows.residual[used] / rows.sigma(scatter)[used]) ** 2))
-
-
-def _finished(
-    task: _Task,
-    used: BoolArray,
-    found: _Found,
-    worst: WorstPosition | None,
-    modulus_u: float,
-    *,
-    unknown_noise: bool,
-    blocks: IntArray | None,
-) -> EllipsoidFit:
-    sigma, residual = found.rows.sigma(found.scatter), found.rows.residual
-    whitened = found.rows.jacobian / sigma[:, None]
-    leverage = np.einsum("im,mn,in->i", whitened, found.solution.covariance, whitened)
-    free = np.where(used, np.maximum(1.0 - leverage, 0.0), 1.0 / (1.0 + leverage))
-    told = free > 1e-6  # a position that the others do not determine shows no residual
-    leave_one_out = np.where(used & told, residual / np.where(told, free, 1.0), residual)
-    judged = np.where(told, residual / (sigma * np.sqrt(np.where(told, free, 1.0))), 0.0)
-    judged[~used] = residual[~used] / (sigma[~used] * np.sqrt(1.0 + leverage[~used]))
-    out = np.empty(len(used))
-    out[used] = sigmas(judged[used], found.degrees, found.scatter > 0.0)
-    out[~used] = [_predicted_sigmas(found, int(i)) for i in np.flatnonzero(~used)]
-    covariance, degrees = found.solution.covariance, float(found.degrees) if found.scatter > 0.0 else np.inf
-    if blocks is not None:
-        covariance, degrees = _jackknife(whitened, residual / sigma, blocks, task.spread), float(blocks.max())
-        modulus_u = float(np.hypot(modulus_u, found.scatter**2 / task.modulus))
-    by_modulus = -modulus_u * (found.solution.gain / sigma[used]).sum(axis=1)
-    covariance = covariance + np.outer(by_modulus, by_modulus)
-    return EllipsoidFit(
-        values=found.values,
-        covariance=None if unknown_noise and found.degrees == 0 else covariance,
-        by_modulus=by_modulus,
-        noise_degrees=degrees,
-        model=task.block.model(found.values),
-        residual=residual,
-        leverage=np.where(used, leverage, 0.0),
-        leave_one_out=leave_one_out,
-        leave_one_out_u=sigma / np.sqrt(np.where(told, free, 1.0)),
-        sigmas=out,
-        used=used,
-        doubtful=(),
-        chi_square=found.chi_square,
-        degrees=found.degrees,
-        scatter=found.scatter,
-        worst=worst,
-        increments=found.increments,
-        converged=negligible(found.solution, FLOOR * task.spread),
-    )
-
-
-def _jackknife(whitened: Array, residual: Array, blocks: IntArray, spread: Array) -> Array:
-    """Covariance (9, 9) of the module docstring, of rows (N, 9) and residuals (N,) in units of their noise."""
-    scaled = whitened * spread
+def _jackknife(found: _Fitted, blocks: IntArray, spread: Array) -> Array:
+    """Covariance (9, 9) of the module docstring, of samples judged by blocks."""
+    scaled, residual = found.jacobian / found.sigma[:, None] * spread, found.residual / found.sigma
     normal, B = scaled.T @ scaled, int(blocks.max()) + 1
     change = np.empty((B, scaled.shape[1]))
     for b in range(B):
@@ -363,47 +356,29 @@ def _jackknife(whitened: Array, residual: Array, blocks: IntArray, spread: Array
     return np.asarray((B - 1.0) / B * away.T @ away)
 
 
-# -------------------- bad positions --------------------
-
-
-def _worst_position(task: _Task, used: BoolArray, found: _Found | None) -> WorstPosition | None:
+def _worst_position(task: _Task, found: _Fitted) -> WorstPosition | None:
     """The worst of the used positions: that with the largest residual for its leverage, or, since a gross error bends
     the fit towards itself, that without which the algebraic fit through the others is best. None where nothing would
     check the fit through the others."""
+    used = found.used
     if used.sum() < 11:
         return None
-    numbers = np.flatnonzero(used)
-    without = np.full(len(used), np.inf)
-    suspects = set()
-    if found is not None:
-        suspects.add(int(numbers[np.argmax(_studentised(found, used))]))
-    if found is None or len(numbers) <= _LEFT_OUT_EACH:
+    without, suspects = np.full(len(used), np.inf), set()
+    if found.solution is not None:
+        suspects.add(int(np.argmax(np.where(used, found.normalised, -1.0))))
+    if found.solution is None or used.sum() <= _LEFT_OUT_EACH:
         without[used] = _rms_without_each(task.readings[used])
         suspects |= {int(np.argmin(without))} if np.isfinite(without).any() else set()
-    judged = [each for i in suspects if (each := _judged(task, used, i, without)) is not None]
+    judged = []
+    for i in suspects:
+        others = used & (np.arange(len(used)) != i)
+        left = _fitted(task, others)
+        if left.solution is not None:
+            ratio = fdtri(left.degrees, left.degrees, 1.0 - RIVAL_CHANCE)
+            alike = np.isfinite(without) & others & (without**2 < ratio * without[i] ** 2)
+            rivals = tuple(np.flatnonzero(alike).tolist())
+            judged.append(WorstPosition(position=i, sigmas=float(left.sigmas[i]), scatter=left.scatter, rivals=rivals))
     return max(judged, key=lambda each: each.sigmas, default=None)
-
-
-def _judged(task: _Task, used: BoolArray, i: int, without: Array) -> WorstPosition | None:
-    from scipy.special import fdtri
-
-    others = used.copy()
-    others[i] = False
-    found = _found(task, others)
-    if found is None:
-        return None
-    ratio = fdtri(found.degrees, found.degrees, 1.0 - RIVAL_CHANCE)
-    alike = np.isfinite(without) & others & (without**2 < ratio * without[i] ** 2)
-    rivals = tuple(np.flatnonzero(alike).tolist())
-    return WorstPosition(position=i, sigmas=_predicted_sigmas(found, i), scatter=found.scatter, rivals=rivals)
-
-
-def _studentised(found: _Found, used: BoolArray) -> Array:
-    """Residuals of the used positions in units of their own standard uncertainties, but for a common factor."""
-    jacobian, sigma = found.rows.jacobian[used], found.rows.sigma(found.scatter)[used]
-    leverage = np.einsum("im,mn,in->i", jacobian, found.solution.covariance, jacobian) / sigma**2
-    free = np.where(1.0 - leverage > 1e-6, 1.0 - leverage, np.inf)
-    return np.asarray(np.abs(found.rows.residual[used]) / sigma / np.sqrt(free))
 
 
 def _rms_without_each(readings: Array) -> Array:
@@ -414,15 +389,3 @@ def _rms_without_each(readings: Array) -> Array:
     away = without - found.centre[:, None]
     length = np.sqrt(np.einsum("uni,uij,unj->un", away, found.shape, away))
     return np.where(found.found & found.determined, np.sqrt(((length - 1.0) ** 2).mean(axis=1)), np.inf)
-
-
-def _predicted_sigmas(found: _Found, i: int) -> float:
-    """How far reading i is from a fit in which it took no part, in Gaussian sigmas of equal probability."""
-    from scipy.special import ndtri, stdtr
-
-    row = found.rows.jacobian[i]
-    variance = found.rows.sigma(found.scatter)[i] ** 2 + row @ found.solution.covariance @ row
-    z = abs(float(found.rows.residual[i])) / float(np.sqrt(variance))
-    if found.scatter == 0.0:
-        return z
-    return float(-ndtri(max(stdtr(found.degrees, -z), 1e-300)))

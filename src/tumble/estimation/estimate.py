@@ -20,7 +20,7 @@ from tumble.sensors.model import SensorModel
 from tumble.units import Array, BoolArray
 
 if TYPE_CHECKING:
-    from tumble.estimation.likelihood import Linearised
+    from tumble.inference.likelihood import Linearised
 
 DETERMINED = 10.0
 """How many times better than the spreads the data must know a combination of parameters for it to count as seen. One
@@ -172,6 +172,56 @@ class OwnEstimate:
     priors: Array
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HyperparameterEstimate:
+    """What the session says of something that the model does not know about itself: name, SI unit and words, the value
+    and the limits of its middle 68 %, and the usual value, about which its prior is."""
+
+    name: str
+    unit: str
+    words: str
+    value: float
+    low: float
+    high: float
+    usual: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Integral:
+    """How the posterior was integrated over the hyperparameters: at how many points, their effective number, and the
+    shape of the Pareto distribution of their weights, of which more than 0.7 is not to be relied on."""
+
+    points: int
+    effective: float
+    pareto: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ProcessBias:
+    """The bias of a sensor as the mean of its process, about which that of the next minute or of another day is: its
+    value and standard uncertainty, SI, and u of the bias that is met next, the process's own spread included."""
+
+    name: str
+    value: float
+    u: float
+    next_u: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class LeftOut:
+    """What was left out because it does not fit: rests by their accelerometers (N,), by their gyros (N,), and turns
+    (K,)."""
+
+    accel: BoolArray
+    gyro: BoolArray
+    turn: BoolArray
+
+    @property
+    def any(self) -> bool:
+        """Whether something was."""
+        return bool(self.accel.any() or self.gyro.any() or self.turn.any())
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Estimate(Brief):
     """Parameter values with covariance in the order of `names`; `observable` marks those the data determine, and
@@ -212,6 +262,14 @@ class Estimate(Brief):
     """The likelihood about the estimate, or where the method has none, that by which it is judged."""
     own: OwnEstimate | None = None
     """Of several sessions, what each has of its own."""
+    hyperparameters: tuple[HyperparameterEstimate, ...] = ()
+    """What the model did not know about itself."""
+    integral: Integral | None = None
+    """How that was integrated over."""
+    process_bias: tuple[ProcessBias, ...] = ()
+    """The biases as the means of their processes; the parameters are those of the session."""
+    left_out: LeftOut | None = None
+    """What was left out because it does not fit, where the method leaves out."""
 
     @property
     def unobservable(self) -> tuple[str, ...]:

@@ -1,7 +1,8 @@
 """Whether a calibration still holds, from a few rests in any attitude and the turns between them.
 
 The likelihood is that of the method joint, with all that is known of the parameters as one prior. With x the deviation
-of gravity and the parameters from what was known, of covariance P, and the attitudes eliminated, the session leaves
+of gravity and the parameters from what was known, of covariance P, and attitudes and in-run biases eliminated, the
+session leaves
 
     d = R x + n,   n of unit variance,   S = 1 + R P Rᵀ = L Lᵀ,   z = L⁻¹ d,   G = L⁻¹ R                         (1)
 
@@ -32,15 +33,14 @@ from functools import cache
 import numpy as np
 from scipy import special
 
-from tumble.estimation.components import Scatter, Weights
-from tumble.estimation.elimination import eliminate
 from tumble.estimation.estimate import DETERMINED, Fit
-from tumble.estimation.likelihood import Point, Prior, Problem, weights
-from tumble.estimation.linearisation import linearise
-from tumble.estimation.methods.joint.iteration import integrated, moved
-from tumble.estimation.methods.joint.start import headings
-from tumble.estimation.step import solve
 from tumble.estimation.turns_about import TurnsAbout
+from tumble.inference.hyperparameters import Components
+from tumble.inference.likelihood import Point, Prior, Problem, weights
+from tumble.inference.linearisation import linearise
+from tumble.inference.maximum import integrated, moved
+from tumble.inference.start import headings
+from tumble.inference.step import solve, tell
 from tumble.reduction.observations import Observations
 from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument
@@ -65,14 +65,13 @@ MAX_ITERATIONS = 12
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class KnownBefore:
     """What was known before: values (m,) of the parameters of an instrument, the covariance (1 + m, 1 + m) of gravity
-    and of them, SI, in how far that is known itself, D of Eq. (3), and the scatter from rest to rest and turn to turn.
-    """
+    and of them, SI, in how far that is known itself, D of Eq. (3), and the components of variance beside its noise."""
 
     instrument: Instrument
     values: Array
     covariance: Array
     doubt: Array
-    scatter: Scatter
+    components: Components
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -182,13 +181,12 @@ class _Reduced:
 
 
 def _iterated(at: _Where, known: KnownBefore, covariance: Array) -> tuple[_Where, _Reduced]:
-    """Gauss–Newton with a covariance of the prior, and what the session leaves at the end."""
+    """Gauss–Newton with a covariance of the prior, and what the session's own rows leave at the end."""
     problem = replace(at.problem, prior=Prior(covariance=covariance))
     point, about = at.point, at.about
     for _ in range(MAX_ITERATIONS):
         rows = linearise(problem, point, about)
-        weight = weights(problem, rows, known.scatter)
-        step = solve(problem, rows, weight)
+        step = solve(problem, rows, weights(problem, rows, known.components))
         new, change = moved(problem, point, step)
         integral = integrated(problem, new, about)
         u = np.sqrt(np.diag(step.covariance)[1:])
@@ -196,21 +194,14 @@ def _iterated(at: _Where, known: KnownBefore, covariance: Array) -> tuple[_Where
             break
         point, about = new, integral
     rows = linearise(problem, point, about)
-    weight = weights(problem, rows, known.scatter)
-    reduced = _reduced(problem, (rows.rest, rows.merged(problem.before_turn)), weight)
+    told = tell(problem, rows, weights(problem, rows, known.components))
+    R, d, left = told.sessions[0][:-1, :-1], told.sessions[0][:-1, -1], told.sessions[0][-1, -1]
     off = np.append(point.gravity, point.values) - problem.measured[0]
-    return _Where(problem=problem, point=point, about=about), replace(reduced, d=reduced.d + reduced.R @ off)
-
-
-def _reduced(problem: Problem, rows: tuple[Array, Array], weight: Weights) -> _Reduced:
-    """The session's own rows, without a prior, with the attitudes eliminated."""
-    rest, merged = weight.rest @ rows[0], weight.merged @ rows[1]
-    p, last = rest.shape[2] - 4, problem.unlinked
-    factor, triangle = np.empty((len(rest), 3, 7 + p)), np.zeros((p + 1, p + 1))
-    eliminate(rest, merged, problem.link, last, factor, triangle)
-    count = int(last.sum()) * rest.shape[1] + merged.shape[0] * merged.shape[1]
-    angles = int(np.count_nonzero(np.diagonal(factor, axis1=1, axis2=2)))
-    return _Reduced(R=triangle[:p, :p], d=triangle[:p, p], squares=triangle[p, p] ** 2, degrees=count - angles)
+    angles = int(np.count_nonzero(np.diagonal(told.factor, axis1=1, axis2=2)[:, :3]))
+    count = sum(each.shape[0] * each.shape[1] for each in told.whitened) - angles
+    return _Where(problem=problem, point=point, about=about), _Reduced(
+        R=R, d=d + R @ off, squares=left**2, degrees=count
+    )
 
 
 # Tests

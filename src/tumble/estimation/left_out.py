@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tumble.estimation.estimate import Estimate, GroupFinding
-from tumble.estimation.likelihood import Problem, instruments_of
 from tumble.estimation.prediction import prediction
+from tumble.inference.likelihood import Problem, instruments_of
 from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis, unit_vector
 from tumble.sensors.instrument import Instrument, functions

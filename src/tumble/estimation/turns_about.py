@@ -85,7 +85,7 @@ class TurnsAbout:
             moments = observations.moments_about(about, own)
         else:
             K = K + changes
-            moments = observations.moments_about_each(list(map(compensation, K)), own)
+            moments = observations.moments_about(list(map(compensation, K)), own)
         lefts = about.gyro.left_inverse, about.accel.left_inverse
         turns = observations.turns
         assert turns is not None

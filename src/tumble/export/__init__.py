@@ -1,4 +1,4 @@
-"""Exports: a calibration as other programs read it, a file for each format.
+"""Exports: a calibration as other programs read it.
 
 `export_calibration` makes the bytes; nothing is written. What a target cannot hold comes with them in sentences.
 """
@@ -6,41 +6,53 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tumble.errors import InputError
-from tumble.export.exported import NO_MAGNETOMETER
 
 if TYPE_CHECKING:
+    from tumble.acceptance.certificate import Certificate
     from tumble.calibration.calibration_file import Calibration
-    from tumble.export.certificate import Certificate
     from tumble.export.exported import Exported
     from tumble.export.kalibr import NoiseDensities
     from tumble.files import FilePath
     from tumble.recording.session import Session
 
-_PLAIN = {
-    "ros-imu-calib": "ros_imu_calib",
-    "px4": "px4",
-    "ardupilot": "ardupilot",
-    "ardupilot-thermal": "ardupilot_thermal",
-    "imucal": "imucal",
-    "depthai": "depthai",
-    "matlab-imu": "matlab_imu",
-    "c": "c_header",
-    "mat": "mat",
-    "csv": "csv_table",
-    "csv-thermal": "csv_thermal",
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Target:
+    """A format: the module and the function that make it, what that takes beside the calibration, and the ending of a
+    file of it."""
+
+    module: str
+    function: str
+    takes: tuple[str, ...] = ()
+    ending: str = ".txt"
+
+
+FORMATS: Mapping[str, Target] = {
+    "kalibr": Target(module="kalibr", function="kalibr", takes=("noise",)),
+    "ros-imu-calib": Target(module="ros_imu_calib", function="ros_imu_calib"),
+    "px4": Target(module="autopilots", function="px4", takes=("imu",), ending=".params"),
+    "px4-thermal": Target(module="autopilots", function="px4_thermal", takes=("imu", "sensor-ids"), ending=".params"),
+    "ardupilot": Target(module="autopilots", function="ardupilot", takes=("imu",), ending=".parm"),
+    "ardupilot-thermal": Target(module="autopilots", function="ardupilot_thermal", takes=("imu",), ending=".parm"),
+    "imucal": Target(module="json_files", function="imucal"),
+    "depthai": Target(module="json_files", function="depthai"),
+    "matlab-imu": Target(module="json_files", function="matlab_imu"),
+    "c": Target(module="c_header", function="c_header", ending=".h"),
+    "mat": Target(module="tables", function="mat", ending=".mat"),
+    "csv": Target(module="tables", function="csv_table", ending=".csv"),
+    "csv-thermal": Target(module="tables", function="csv_thermal", ending=".csv"),
+    "dcc": Target(module="dcc", function="dcc", takes=("certificate",), ending=".xml"),
 }
-"""Formats that need nothing but the calibration: module, and function of the same name."""
+"""Every format by its name; the only list of them."""
 
-FORMATS = ("kalibr", *_PLAIN, "px4-thermal", "dcc")
-
-AUTOPILOTS = ("px4", "ardupilot")
-"""Formats with parameters of several IMUs, as they are and over temperature."""
+FROM_THE_CALIBRATION_ALONE = tuple(name for name, target in FORMATS.items() if "certificate" not in target.takes)
+"""Formats that can do without anything beside the calibration."""
 
 
 def export_calibration(
@@ -69,67 +81,39 @@ def export_calibration(
     """
     from tumble.calibration.calibration_file import calibration_from
     from tumble.calibration.half import accepted_part
+    from tumble.export.exported import NO_MAGNETOMETER
 
     calibration = accepted_part(calibration_from(calibration))
-    exported = _export(calibration, to, _noise(noise), _certificate(certificate), imu, sensor_ids)
+    if to not in FORMATS:
+        raise InputError(f"export: expected one of {', '.join(FORMATS)}, found {to!r}")
+    if to == "dcc" and certificate is None:
+        raise InputError("export: expected --certificate with dcc and only there, found none")
+    given = {
+        "noise": None if noise is None else _noise(noise),
+        "certificate": None if certificate is None else _certificate(certificate),
+        "imu": imu,
+        "sensor-ids": sensor_ids,
+    }
+    target = FORMATS[to]
+    for what, value in given.items():
+        if value is not None and what not in target.takes:
+            every = [name for name, other in FORMATS.items() if what in other.takes]
+            takers = [name for name in every if name.removesuffix("-thermal") not in {*every} - {name}]
+            raise InputError(f"export: expected --{what} with {' or '.join(takers)} and only there, found it with {to}")
+    function: Callable[..., Exported] = getattr(import_module(f"tumble.export.{target.module}"), target.function)
+    exported = function(calibration, *(given[what] for what in target.takes))
     without = () if calibration.mag is None else (NO_MAGNETOMETER,)
     return replace(exported, losses=(*calibration.absent, *exported.losses, *without))
 
 
-def _export(
-    calibration: Calibration,
-    to: str,
-    noise: NoiseDensities | None,
-    certificate: Certificate | None,
-    imu: int | None,
-    sensor_ids: tuple[int, int] | None,
-) -> Exported:
-    _check_wanted(to, noise, certificate, imu)
-    if sensor_ids is not None and to != "px4-thermal":
-        raise InputError(f"export: expected --sensor-ids with px4-thermal only, found it with {to}")
-    if to == "px4-thermal":
-        from tumble.export.px4_thermal import px4_thermal
-
-        return px4_thermal(calibration, sensor_ids, imu)
-    if to == "kalibr":
-        from tumble.export.kalibr import kalibr
-
-        return kalibr(calibration, noise)
-    if to == "dcc" and certificate is not None:
-        from tumble.export.dcc import dcc
-
-        return dcc(calibration, certificate)
-    function = _plain(to)
-    return function(calibration) if imu is None else function(calibration, imu)
-
-
-def _check_wanted(to: str, noise: NoiseDensities | None, certificate: Certificate | None, imu: int | None) -> None:
-    """Check that what is given beside the calibration is what the format takes."""
-    if (certificate is not None) != (to == "dcc"):
-        found = "none" if certificate is None else f"it with {to}"
-        raise InputError(f"export: expected --certificate with dcc and only there, found {found}")
-    for what, given, takers in (("noise", noise, ("kalibr",)), ("imu", imu, AUTOPILOTS)):
-        if given is not None and to.removesuffix("-thermal") not in takers:
-            raise InputError(f"export: expected --{what} with {' or '.join(takers)} and only there, found it with {to}")
-
-
-def _noise(given: NoiseDensities | Session | FilePath | None) -> NoiseDensities | None:
+def _noise(given: NoiseDensities | Session | FilePath) -> NoiseDensities:
     from tumble.export.kalibr import NoiseDensities, noise_densities
     from tumble.recording.session_file import session_from
 
-    return given if given is None or isinstance(given, NoiseDensities) else noise_densities(session_from(given))
+    return given if isinstance(given, NoiseDensities) else noise_densities(session_from(given))
 
 
-def _certificate(given: Certificate | FilePath | None) -> Certificate | None:
-    from tumble.export.certificate import Certificate, read_certificate
+def _certificate(given: Certificate | FilePath) -> Certificate:
+    from tumble.acceptance.certificate import Certificate, read_certificate
 
-    return given if given is None or isinstance(given, Certificate) else read_certificate(Path(given))
-
-
-def _plain(to: str) -> Callable[..., Exported]:
-    """The function of a format."""
-    modules: Mapping[str, str] = _PLAIN
-    if to not in modules:
-        raise InputError(f"export: expected one of {', '.join(FORMATS)}, found {to!r}")
-    function: Callable[..., Exported] = getattr(import_module(f"tumble.export.{modules[to]}"), modules[to])
-    return function
+    return given if isinstance(given, Certificate) else read_certificate(Path(given))

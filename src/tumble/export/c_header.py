@@ -28,18 +28,16 @@ import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.temperature_curves import changing, coefficients, measured_range, own_thermometers, references
-from tumble.export.exported import NO_UNCERTAINTY, Exported, example, models, numbers, origin, shown
+from tumble.export.exported import NO_UNCERTAINTY, UNITS, Exported, example, examples, models, numbers, origin, shown
 from tumble.export.larger_model import not_held
 from tumble.reduction.thermometer import followed
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
 from tumble.sensors.instrument import is_linear
-from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.model import Block, SensorKind, SensorModel
 from tumble.sensors.parameters import FORCE, OWN_CUBE, OWN_SIZE, PRODUCTS
 from tumble.units import Array
 
-UNITS = {"accel": "m/s^2", "gyro": "rad/s"}
-
-_FUNCTION = """\
+_HEAD = """\
 /* {what}, {unit}, from readings of {n} sensors in {unit}{needs} */
 static inline void imu_correct_{kind}{at}{suffix}(const {type} reading[{n}], {argument}{type} out[3])
 {{
@@ -47,7 +45,9 @@ static inline void imu_correct_{kind}{at}{suffix}(const {type} reading[{n}], {ar
     static const {type} inverse[3][{n}] = {{
 {rows}
     }};
-{warm}
+"""
+
+_LINEAR = """\
     for (int i = 0; i < 3; i++) {{
         {type} sum = 0;
         for (int j = 0; j < {n}; j++) {{
@@ -59,15 +59,6 @@ static inline void imu_correct_{kind}{at}{suffix}(const {type} reading[{n}], {ar
 """
 
 _BEYOND = """\
-/* {what}, {unit}, from readings of {n} sensors in {unit}{needs} */
-static inline void imu_correct_{kind}{at}{suffix}(const {type} reading[{n}], {argument}{type} out[3])
-{{
-    static const {type} bias[{n}] = {{{bias}}};
-    static const {type} inverse[3][{n}] = {{
-{rows}
-    }};
-{tables}
-{warm}
     {type} left[{n}];
     for (int j = 0; j < {n}; j++) {{
         left[j] = (reading[j] - bias[j]{less}){over};
@@ -83,9 +74,7 @@ static inline void imu_correct_{kind}{at}{suffix}(const {type} reading[{n}], {ar
         for (int j = 0; j < {n}; j++) {{
             const {type} own = axis[j][0] * out[0] + axis[j][1] * out[1] + axis[j][2] * out[2];
             left[j] = reading[j] - bias[j]{less} - (own < 0 ? -own : own) * asymmetry[j] - own * own * own * cubic[j];
-{more}
-{divided}
-        }}
+{more}        }}
     }}
 }}
 """
@@ -93,9 +82,14 @@ static inline void imu_correct_{kind}{at}{suffix}(const {type} reading[{n}], {ar
 _QUADRATIC = """\
             left[j] -= quadratic[j][0] * out[0] * out[0] + quadratic[j][1] * out[0] * out[1]
                 + quadratic[j][2] * out[0] * out[2] + quadratic[j][3] * out[1] * out[1]
-                + quadratic[j][4] * out[1] * out[2] + quadratic[j][5] * out[2] * out[2];"""
+                + quadratic[j][4] * out[1] * out[2] + quadratic[j][5] * out[2] * out[2];
+"""
 _BY_FORCE = """\
-            left[j] -= by_force[j][0] * force[0] + by_force[j][1] * force[1] + by_force[j][2] * force[2];"""
+            left[j] -= by_force[j][0] * force[0] + by_force[j][1] * force[1] + by_force[j][2] * force[2];
+"""
+_DIVIDED = """\
+            left[j] /= gain[j];
+"""
 
 _WARM = """\
     {type} shift[{n}], gain[{n}];
@@ -103,7 +97,8 @@ _WARM = """\
         const {type} warmer = celsius{own} - {reference};
         shift[j] = warmer * (bias_slope[j] + warmer * bias_curve[j]);
         gain[j] = 1 + warmer * (scale_slope[j] + warmer * scale_curve[j]);
-    }}"""
+    }}
+"""
 
 _LAG = """\
 /* what follows a thermometer: all zero before its first reading */
@@ -177,10 +172,7 @@ def c_header(calibration: Calibration) -> Exported:
     for kind, model in known.items():
         for single in (False, True):
             for at in [None, calibration] if warm else [None]:
-                if _is_linear(compensator, kind):
-                    lines.append(_function(kind, model, single=single, at=at))
-                else:
-                    lines.append(_beyond(compensator, kind, model, single=single, at=at))
+                lines.append(_function(compensator, kind, model, single=single, at=at))
     lines += ["#endif", ""]
     return Exported(content="\n".join(lines).encode(), losses=losses)
 
@@ -217,46 +209,13 @@ def sensors_celsius(lag: float) -> Array:
     return np.array(out) if lag > 0.0 else 2.0 * celsius - np.array(out)
 
 
-def _over_temperature(kind: str, model: SensorModel, at: Calibration | None, *, single: bool) -> dict[str, str]:
-    """The parts of a function that take off what changes with temperature; without `at` there are none."""
-    if at is None:
-        return {"at": "", "warm": "", "less": "", "over": "", "divided": "", "needs_at": "", "argument_at": ""}
-    number = "float" if single else "double"
-    bias, scale = (coefficients(at, kind, what) for what in ("bias", "scale"))
-    scale = scale / np.linalg.norm(model.matrix, axis=1)[:, None]
-    columns = {"bias_slope": bias[:, 0], "bias_curve": bias[:, 1], "scale_slope": scale[:, 0]}
-    columns["scale_curve"] = scale[:, 1]
-    n, apart = len(model.bias), len(set(at.thermometers.get(kind, ()))) > 1
-    columns |= {"reference": references(at, kind)} if apart else {}
-    tables = [_table(name, values, single=single) for name, values in columns.items()]
-    reference = "reference[j]" if apart else f"({number}){float(references(at, kind)[0])!r}"
-    body = _WARM.format(type=number, n=n, reference=reference, own="[j]" if apart else "")
-    return {
-        "at": "_at",
-        "warm": "\n".join([*tables, body]),
-        "less": " - shift[j]",
-        "over": " / gain[j]",
-        "divided": "            left[j] /= gain[j];",
-        "needs_at": " and their temperatures, degC" if apart else " and a temperature, degC",
-        "argument_at": f"const {number} celsius[{n}], " if apart else f"{number} celsius, ",
-    }
-
-
-def _examples(known: dict[str, SensorModel]) -> list[str]:
-    out = []
-    for kind, model in known.items():
-        worked = example(kind, model)
-        out.append(f"example {kind}: reading {shown(worked.reading)} is {shown(worked.true.round(9))} {UNITS[kind]}")
-    return out
-
-
-def _worked(compensator: Compensator, known: dict[str, SensorModel]) -> list[str]:
+def _worked(compensator: Compensator, known: dict[SensorKind, SensorModel]) -> list[str]:
     """Examples by the whole model, those of gyros in the specific force of the accelerometers' example."""
     if all(_is_linear(compensator, kind) for kind in known):
-        return _examples(known)
+        return examples(known, "example {kind}: reading {reading} is {true} {unit}")
     reading = {kind: example(kind, model).reading for kind, model in known.items()}
     force = compensator.force(reading["accel"][None]) if "accel" in known else np.zeros((1, 3))
-    true = {"accel": force} if "accel" in known else {}
+    true: dict[SensorKind, Array] = {"accel": force} if "accel" in known else {}
     if "gyro" in known:
         true["gyro"] = compensator.rate(reading["gyro"][None], force)
     felt = "in that specific force" if "accel" in known else "without a specific force"
@@ -268,14 +227,14 @@ def _worked(compensator: Compensator, known: dict[str, SensorModel]) -> list[str
     ]
 
 
-def _coefficients(compensator: Compensator, kind: str) -> tuple[Block, Array]:
+def _coefficients(compensator: Compensator, kind: SensorKind) -> tuple[Block, Array]:
     """The sensors of a kind and their coefficients (n, 15)."""
     if kind == "accel" or compensator.gyro is None:
         return compensator.accel, compensator.accel_coefficients
     return compensator.gyro, compensator.gyro_coefficients
 
 
-def _is_linear(compensator: Compensator, kind: str) -> bool:
+def _is_linear(compensator: Compensator, kind: SensorKind) -> bool:
     return is_linear(*_coefficients(compensator, kind))
 
 
@@ -284,66 +243,63 @@ def _needs_force(compensator: Compensator) -> bool:
     return bool(np.any(compensator.gyro_coefficients[:, FORCE]))
 
 
-def _beyond(
-    compensator: Compensator, kind: str, model: SensorModel, *, single: bool, at: Calibration | None = None
+def _function(
+    compensator: Compensator, kind: SensorKind, model: SensorModel, *, single: bool, at: Calibration | None
 ) -> str:
-    """The function of sensors that are not linear."""
+    """The function of the sensors of a kind, in double or in single precision; with their temperature, `at` the
+    calibration that knows what that changes."""
     block, K = _coefficients(compensator, kind)
-    number, by_force = "float" if single else "double", kind == "gyro" and _needs_force(compensator)
-    tables = {"axis": block.axes, "asymmetry": K[:, OWN_SIZE], "cubic": K[:, OWN_CUBE]}
-    tables |= {"quadratic": K[:, PRODUCTS]} if kind == "accel" else {}
-    tables |= {"by_force": K[:, FORCE]} if by_force else {}
-    more = [_QUADRATIC] * (kind == "accel") + [_BY_FORCE] * by_force
-    inverse = model.inverse()
-    warm = _over_temperature(kind, model, at, single=single)
-    force = f"const {number} force[3], " if by_force else ""
-    return _BEYOND.format(
-        what=_WHAT[kind],
-        unit=UNITS[kind],
-        n=block.size,
-        kind=kind,
-        needs=(" and the true specific force, m/s^2" if by_force else "") + warm["needs_at"],
-        suffix="f" if single else "",
-        type=number,
-        argument=force + warm["argument_at"],
-        bias=_constants(model.bias, single=single),
-        rows=_rows(inverse, single=single),
-        tables="\n".join(_table(name, values, single=single) for name, values in tables.items()),
-        steps=FIXED_POINT_STEPS,
-        more="\n".join(more),
-        **{part: warm[part] for part in ("at", "warm", "less", "over", "divided")},
-    ).replace("\n\n", "\n")
+    number, n, linear = "float" if single else "double", len(model.bias), _is_linear(compensator, kind)
+    by_force = not linear and kind == "gyro" and _needs_force(compensator)
+    tables, more, warm = {}, "", ""
+    if not linear:
+        tables = {"axis": block.axes, "asymmetry": K[:, OWN_SIZE], "cubic": K[:, OWN_CUBE]}
+        tables |= {"quadratic": K[:, PRODUCTS]} if kind == "accel" else {}
+        tables |= {"by_force": K[:, FORCE]} if by_force else {}
+        more = _QUADRATIC * (kind == "accel") + _BY_FORCE * by_force + _DIVIDED * (at is not None)
+    needs = " and the true specific force, m/s^2" if by_force else ""
+    argument = f"const {number} force[3], " if by_force else ""
+    if at is not None:
+        bias, scale = (coefficients(at, kind, what) for what in ("bias", "scale"))
+        scale = scale / np.linalg.norm(model.matrix, axis=1)[:, None]
+        tables |= {"bias_slope": bias[:, 0], "bias_curve": bias[:, 1]}
+        tables |= {"scale_slope": scale[:, 0], "scale_curve": scale[:, 1]}
+        apart = len(set(at.thermometers.get(kind, ()))) > 1
+        tables |= {"reference": references(at, kind)} if apart else {}
+        reference = "reference[j]" if apart else f"({number}){float(references(at, kind)[0])!r}"
+        warm = _WARM.format(type=number, n=n, reference=reference, own="[j]" if apart else "")
+        needs += " and their temperatures, degC" if apart else " and a temperature, degC"
+        argument += f"const {number} celsius[{n}], " if apart else f"{number} celsius, "
+    parts = {
+        "what": _WHAT[kind],
+        "unit": UNITS[kind],
+        "n": n,
+        "kind": kind,
+        "needs": needs,
+        "at": "" if at is None else "_at",
+        "suffix": "f" if single else "",
+        "type": number,
+        "argument": argument,
+        "bias": _constants(model.bias, single=single),
+        "rows": _rows(model.inverse(), single=single),
+        "less": "" if at is None else " - shift[j]",
+        "over": "" if at is None else " / gain[j]",
+        "steps": FIXED_POINT_STEPS,
+        "more": more,
+    }
+    constants = "".join(_table(name, values, single=single) for name, values in tables.items())
+    return _HEAD.format(**parts) + constants + warm + (_LINEAR if linear else _BEYOND).format(**parts)
 
 
 def _table(name: str, values: Array, *, single: bool) -> str:
     """A constant array of one row or more."""
-    number = "float" if single else "double"
-    if values.ndim == 1:
-        return f"    static const {number} {name}[{len(values)}] = {{{_constants(values, single=single)}}};"
-    rows = _rows(values, single=single)
-    return f"    static const {number} {name}[{values.shape[0]}][{values.shape[1]}] = {{\n{rows}\n    }};"
+    number, sizes = "float" if single else "double", "".join(f"[{size}]" for size in values.shape)
+    text = _constants(values, single=single) if values.ndim == 1 else f"\n{_rows(values, single=single)}\n    "
+    return f"    static const {number} {name}{sizes} = {{{text}}};\n"
 
 
 def _rows(values: Array, *, single: bool) -> str:
     return ",\n".join(f"        {{{_constants(row, single=single)}}}" for row in values)
-
-
-def _function(kind: str, model: SensorModel, *, single: bool, at: Calibration | None = None) -> str:
-    inverse = model.inverse()
-    warm = _over_temperature(kind, model, at, single=single)
-    return _FUNCTION.format(
-        what=_WHAT[kind],
-        unit=UNITS[kind],
-        n=len(model.bias),
-        kind=kind,
-        suffix="f" if single else "",
-        type="float" if single else "double",
-        bias=_constants(model.bias, single=single),
-        rows=_rows(inverse, single=single),
-        needs=warm["needs_at"],
-        argument=warm["argument_at"],
-        **{part: warm[part] for part in ("at", "warm", "less", "over")},
-    ).replace("\n\n", "\n")
 
 
 def _constants(values: Array, *, single: bool) -> str:

@@ -17,28 +17,28 @@ import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from datetime import date
 from math import floor, log10
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtri, fdtri
 
+from tumble.acceptance.certificate import RELATES, STATES, Certificate, Party, check_certificate, judged_by
+from tumble.acceptance.conformity import RULE, LimitJudgement, Verdict, verdicts
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.coverage import PROBABILITY, degrees_of_freedom
 from tumble.calibration.further import described
 from tumble.calibration.results import FEWEST_DEGREES, Parameter, stated_factor
 from tumble.errors import InputError
-from tumble.export.certificate import RELATES, STATES, Certificate, Party, check_certificate, judged_by
-from tumble.export.exported import Exported, example, models, one_line, origin, shown
+from tumble.export.exported import UNITS, Exported, example, models, one_line, origin, shown
 from tumble.export.larger_model import NOT_IN_MATRIX, not_held
-from tumble.registry.conformity import verdicts
-from tumble.registry.limits import RULE, LimitJudgement, Verdict
-from tumble.sensors.model import SensorModel
+from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import sensor_kind, shown_in
 from tumble.units import Array
 
 VERSION = "3.3.0"
-_DCC, _SI, _XSI = "https://ptb.de/dcc", "https://ptb.de/si", "http://www.w3.org/2001/XMLSchema-instance"
+_DCC, _XSI = "https://ptb.de/dcc", "http://www.w3.org/2001/XMLSchema-instance"
+_NAMESPACES = {"dcc": _DCC, "si": "https://ptb.de/si"}
 REGION_PROBABILITY = 0.95
 """What the ellipsoid of all parameters covers."""
 
@@ -84,7 +84,6 @@ U_DIGITS = 3
 _COVARIANCE_DIGITS = 10
 """Of covariances, so that a matrix of strong correlations stays positive."""
 
-_BIAS_UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
 _TITLES = {"accel": "accelerometers", "gyro": "gyros"}
 
 
@@ -114,188 +113,180 @@ def dcc(calibration: Calibration, certificate: Certificate) -> Exported:
         parameters=tuple(calibration.parameters[i] for i in inertial),
         covariance=None if calibration.covariance is None else calibration.covariance[np.ix_(inertial, inertial)],
     )
-    ET.register_namespace("dcc", _DCC)
-    ET.register_namespace("si", _SI)
+    for prefix, address in _NAMESPACES.items():
+        ET.register_namespace(prefix, address)
     root = ET.Element(f"{{{_DCC}}}digitalCalibrationCertificate", {"schemaVersion": VERSION})
     root.set(f"{{{_XSI}}}schemaLocation", f"{_DCC} {_DCC}/v{VERSION}/dcc.xsd")
-    _administrative(_child(root, "administrativeData"), calibration, certificate)
-    result = _child(_child(root, "measurementResults"), "measurementResult")
-    _results(result, calibration, certificate, known, judged)
+    _add(root, "administrativeData", _administrative(calibration, certificate))
+    _add(root, "measurementResults", {"measurementResult": _results(calibration, certificate, known, judged)})
     ET.indent(root)
     return Exported(content=ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n", losses=losses)
 
 
-def _child(parent: ET.Element, name: str, text: str | None = None, namespace: str = _DCC) -> ET.Element:
-    element = ET.SubElement(parent, f"{{{namespace}}}{name}")
-    element.text = text
-    return element
+def _add(parent: ET.Element, name: str, content: Any) -> None:
+    """Add an element with its content: a text; by name what is in it, "@name" an attribute, "si:name" of D-SI; one
+    element for each of a list; none at all for None."""
+    if content is None:
+        return
+    for each in content if isinstance(content, list) else [content]:
+        prefix, _, local = name.rpartition(":")
+        element = ET.SubElement(parent, f"{{{_NAMESPACES[prefix or 'dcc']}}}{local}")
+        if isinstance(each, str):
+            element.text = each
+            continue
+        for part, value in each.items():
+            if part.startswith("@"):
+                element.attrib.update({} if value is None else {part[1:]: value})
+            elif part == "":
+                element.text = value
+            else:
+                _add(element, part, value)
 
 
-def _named(parent: ET.Element, name: str, text: str) -> ET.Element:
-    """A child whose own child `content` has the text in English."""
-    element = _child(parent, name)
-    _child(element, "content", one_line(text)).set("lang", "en")
-    return element
+def _text(text: str | None) -> dict[str, Any] | None:
+    """A text in English; nothing where there is none."""
+    return None if text is None else {"content": {"@lang": "en", "": one_line(text)}}
 
 
 # -------------------- who, what, when --------------------
 
 
-def _administrative(parent: ET.Element, calibration: Calibration, certificate: Certificate) -> None:
+def _administrative(calibration: Calibration, certificate: Certificate) -> dict[str, Any]:
     name, _, release = calibration.provenance.get("software", "tumble 0").partition(" ")
-    software = _child(_child(parent, "dccSoftware"), "software")
-    _named(software, "name", name)
-    _child(software, "release", release or "unknown")
-    _core(_child(parent, "coreData"), certificate, certificate.days(calibration))
-    _item(_child(_child(parent, "items"), "item"), calibration, certificate)
-    laboratory = _child(parent, "calibrationLaboratory")
-    if certificate.laboratory.code is not None:
-        _child(laboratory, "calibrationLaboratoryCode", certificate.laboratory.code)
-    _contact(_child(laboratory, "contact"), certificate.laboratory)
-    persons = _child(parent, "respPersons")
-    for i, person in enumerate(certificate.person):
-        entry = _child(persons, "respPerson")
-        _named(_child(entry, "person"), "name", person.name)
-        if person.role is not None:
-            _child(entry, "role", person.role)
-        _child(entry, "mainSigner", "true" if i == 0 else "false")
-    _contact(_child(parent, "customer"), certificate.customer)
-    statements = _child(parent, "statements")
-    for remark in (RELATES, *certificate.remarks):
-        _named(_child(statements, "statement"), "declaration", remark)
+    begin, end = certificate.days(calibration)
     traced = (*certificate.traceability, *calibration.circumstances.equipment)
+    statements: list[dict[str, Any]] = [{"declaration": _text(each)} for each in (RELATES, *certificate.remarks)]
     if traced:
-        statement = _typed(_child(statements, "statement"), "basic_metrologicallyTraceableToSI")
-        _named(statement, "name", "metrological traceability")
-        _named(statement, "declaration", "; ".join(traced))
+        statements.append(
+            {
+                "@refType": "basic_metrologicallyTraceableToSI",
+                "name": _text("metrological traceability"),
+                "declaration": _text("; ".join(traced)),
+            }
+        )
+    replaced = {"typeOfChange": "substituted", "replacedUniqueIdentifier": certificate.replaces}
+    return {
+        "dccSoftware": {"software": {"name": _text(name), "release": release or "unknown"}},
+        "coreData": {
+            "countryCodeISO3166_1": certificate.country,
+            "usedLangCodeISO639_1": "en",
+            "mandatoryLangCodeISO639_1": "en",
+            "uniqueIdentifier": certificate.number,
+            "receiptDate": None if certificate.received is None else certificate.received.isoformat(),
+            "beginPerformanceDate": begin.isoformat(),
+            "endPerformanceDate": end.isoformat(),
+            "performanceLocation": certificate.place,
+            "issueDate": None if certificate.issued is None else certificate.issued.isoformat(),
+            "reportAmendedSubstituted": None if certificate.replaces is None else replaced,
+        },
+        "items": {
+            "item": {
+                "name": _text("inertial measurement unit"),
+                "description": _text(STATES[certificate.state]),
+                "model": None if calibration.model is None else one_line(calibration.model),
+                "identifications": {
+                    "identification": {
+                        "issuer": "manufacturer",
+                        "value": one_line(calibration.serial),
+                        "name": _text("serial number"),
+                    }
+                },
+            }
+        },
+        "calibrationLaboratory": {
+            "calibrationLaboratoryCode": certificate.laboratory.code,
+            "contact": _contact(certificate.laboratory),
+        },
+        "respPersons": {
+            "respPerson": [
+                {
+                    "person": {"name": _text(person.name)},
+                    "role": person.role,
+                    "mainSigner": "true" if i == 0 else "false",
+                }
+                for i, person in enumerate(certificate.person)
+            ]
+        },
+        "customer": _contact(certificate.customer),
+        "statements": {"statement": statements},
+    }
 
 
-def _core(parent: ET.Element, certificate: Certificate, days: tuple[date, date]) -> None:
-    _child(parent, "countryCodeISO3166_1", certificate.country)
-    _child(parent, "usedLangCodeISO639_1", "en")
-    _child(parent, "mandatoryLangCodeISO639_1", "en")
-    _child(parent, "uniqueIdentifier", certificate.number)
-    if certificate.received is not None:
-        _child(parent, "receiptDate", certificate.received.isoformat())
-    _child(parent, "beginPerformanceDate", days[0].isoformat())
-    _child(parent, "endPerformanceDate", days[1].isoformat())
-    _child(parent, "performanceLocation", certificate.place)
-    if certificate.issued is not None:
-        _child(parent, "issueDate", certificate.issued.isoformat())
-    if certificate.replaces is not None:
-        change = _child(parent, "reportAmendedSubstituted")
-        _child(change, "typeOfChange", "substituted")
-        _child(change, "replacedUniqueIdentifier", certificate.replaces)
-
-
-def _item(parent: ET.Element, calibration: Calibration, certificate: Certificate) -> None:
-    _named(parent, "name", "inertial measurement unit")
-    _named(parent, "description", STATES[certificate.state])
-    if calibration.model is not None:
-        _child(parent, "model", one_line(calibration.model))
-    identification = _child(_child(parent, "identifications"), "identification")
-    _child(identification, "issuer", "manufacturer")
-    _child(identification, "value", one_line(calibration.serial))
-    _named(identification, "name", "serial number")
-
-
-def _contact(parent: ET.Element, party: Party) -> None:
-    _named(parent, "name", party.name)
-    if party.email is not None:
-        _child(parent, "eMail", party.email)
-    location = _child(parent, "location")
-    for name, text in (("street", party.street), ("postCode", party.postcode), ("city", party.city)):
-        if text is not None:
-            _child(location, name, text)
-    _child(location, "countryCode", party.country)
+def _contact(party: Party) -> dict[str, Any]:
+    place = {"street": party.street, "postCode": party.postcode, "city": party.city, "countryCode": party.country}
+    return {"name": _text(party.name), "eMail": party.email, "location": place}
 
 
 # -------------------- results --------------------
 
 
 def _results(
-    parent: ET.Element,
     calibration: Calibration,
     certificate: Certificate,
-    known: Mapping[str, SensorModel],
+    known: Mapping[SensorKind, SensorModel],
     judged: Sequence[Verdict],
-) -> None:
-    _named(parent, "name", "calibration parameters of the inertial measurement unit")
-    _named(parent, "description", "; ".join(origin(calibration)))
-    _methods(_child(parent, "usedMethods"), calibration, certificate)
-    equipment = calibration.circumstances.equipment
-    if equipment:
-        every = _child(parent, "measuringEquipments")
-        for each in equipment:
-            _named(_typed(_child(every, "measuringEquipment"), "basic_measurementStandard"), "name", each)
-    _conditions(parent, calibration)
-    results = _child(parent, "results")
+) -> dict[str, Any]:
+    equipment = [
+        {"@refType": "basic_measurementStandard", "name": _text(each)} for each in calibration.circumstances.equipment
+    ]
+    conditions = _conditions(calibration)
     alike = [verdict for verdict in judged if verdict.frame == calibration.frame]
-    _parameters(_result(results, "parameters"), calibration, alike)
+    data: dict[str, Any] = {"parameters": {"quantity": [_parameter(p, alike) for p in calibration.parameters]}}
     if calibration.covariance is not None:
-        _covariance(_result(results, "parameters with covariance"), calibration, calibration.covariance)
-    for kind, model in known.items():
-        _model(_result(results, f"model of the {_TITLES[kind]}"), kind, model)
-    if judged:
-        _conformity(_child(parent, "measurementMetaData"), certificate, judged)
+        data["parameters with covariance"] = {"quantity": _covariance(calibration, calibration.covariance)}
+    data |= {f"model of the {_TITLES[kind]}": _model(kind, model) for kind, model in known.items()}
+    statements = [  # of conformity for each check, by the decision rule
+        {
+            "@refType": "basic_conformity",
+            "name": _text(f"{verdict.occasion} check against acceptance limits"),
+            "description": _text(certificate.agreed and f"limits and decision rule as agreed: {certificate.agreed}"),
+            "norm": "ILAC-G8:09/2019",
+            "declaration": _text(RULE),
+            "conformity": _CONFORMITY.get(verdict.result),
+        }
+        for verdict in judged
+    ]
+    return {
+        "name": _text("calibration parameters of the inertial measurement unit"),
+        "description": _text("; ".join(origin(calibration))),
+        "usedMethods": {
+            "usedMethod": [
+                {
+                    "@refType": "basic_calibrationMethod",
+                    "name": _text(f"method {calibration.method} of tumble"),
+                    "description": _text(certificate.procedure),
+                },
+                {
+                    "@refType": "basic_methodMeasurementUncertainty",
+                    "name": _text("expanded uncertainty"),
+                    "description": _text("U = k u covers 95.45 %; k = 2, or Student's t where u was estimated"),
+                    "norm": "JCGM 100:2008",
+                },
+            ]
+        },
+        "measuringEquipments": {"measuringEquipment": equipment} if equipment else None,
+        "influenceConditions": {"influenceCondition": conditions} if conditions else None,
+        "results": {"result": [{"name": _text(name), "data": each} for name, each in data.items()]},
+        "measurementMetaData": {"metaData": statements} if statements else None,
+    }
 
 
-def _methods(parent: ET.Element, calibration: Calibration, certificate: Certificate) -> None:
-    """The method of the calibration, and that of its uncertainty."""
-    method = _typed(_child(parent, "usedMethod"), "basic_calibrationMethod")
-    _named(method, "name", f"method {calibration.method} of tumble")
-    if certificate.procedure is not None:
-        _named(method, "description", certificate.procedure)
-    uncertainty = _typed(_child(parent, "usedMethod"), "basic_methodMeasurementUncertainty")
-    _named(uncertainty, "name", "expanded uncertainty")
-    _named(uncertainty, "description", "U = k u covers 95.45 %; k = 2, or Student's t where u was estimated")
-    _child(uncertainty, "norm", "JCGM 100:2008")
-
-
-def _conditions(parent: ET.Element, calibration: Calibration) -> None:
-    """Gravity and the air."""
+def _conditions(calibration: Calibration) -> list[dict[str, Any]]:
+    """Gravity and the air, as far as they are known."""
     air, site = calibration.circumstances.air, calibration.site
-    found: list[tuple[str, str | None, float | None, float | None, str]] = [
+    stated: list[tuple[str, str | None, float | None, float | None, str]] = [
         ("temperature", "basic_temperature", air.temperature, air.temperature_u, "degC"),
         ("relative humidity", "basic_humidityRelative", air.humidity, None, "%"),
         ("air pressure", None, air.pressure, None, "hPa"),
     ]
     if site is not None:
-        said = "gravity at the place, the unit of the result" if site.gravity_is_unit else "local gravity"
-        found.insert(0, (said, None, site.gravity, site.gravity_u or None, "m/s^2"))
-    known = [(name, kind, value, u, unit) for name, kind, value, u, unit in found if value is not None]
-    every = _child(parent, "influenceConditions") if known else parent
-    for name, kind, value, u, unit in known:
-        condition = _typed(_child(every, "influenceCondition"), kind)
-        _named(condition, "name", name)
-        _real(_child(_child(condition, "data"), "quantity"), value, u, unit, np.inf)
-
-
-def _conformity(parent: ET.Element, certificate: Certificate, judged: Sequence[Verdict]) -> None:
-    """A statement of conformity for each check, by the decision rule."""
-    for verdict in judged:
-        statement = _typed(_child(parent, "metaData"), "basic_conformity")
-        _named(statement, "name", f"{verdict.occasion} check against acceptance limits")
-        if certificate.agreed is not None:
-            _named(statement, "description", f"limits and decision rule as agreed: {certificate.agreed}")
-        _child(statement, "norm", "ILAC-G8:09/2019")
-        _named(statement, "declaration", RULE)
-        if verdict.result in _CONFORMITY:
-            _child(statement, "conformity", _CONFORMITY[verdict.result])
-
-
-def _typed(element: ET.Element, kind: str | None) -> ET.Element:
-    """An element with its refType, one of good practice, where it has one."""
-    if kind is not None:
-        element.set("refType", kind)
-    return element
-
-
-def _result(parent: ET.Element, name: str) -> ET.Element:
-    """The data of a new result."""
-    result = _child(parent, "result")
-    _named(result, "name", name)
-    return _child(result, "data")
+        name = "gravity at the place, the unit of the result" if site.gravity_is_unit else "local gravity"
+        stated.insert(0, (name, None, site.gravity, site.gravity_u or None, "m/s^2"))
+    return [
+        {"@refType": kind, "name": _text(name), "data": {"quantity": {"si:real": _real(value, u, unit, np.inf)}}}
+        for name, kind, value, u, unit in stated
+        if value is not None
+    ]
 
 
 def _behind(parameter: Parameter) -> str:
@@ -320,47 +311,50 @@ def _over(judgement: LimitJudgement) -> str:
     return "" if judgement.at is None else f", worst at {judgement.at:.1f} degC: {judgement.value:g}"
 
 
-def _parameters(data: ET.Element, calibration: Calibration, judged: Sequence[Verdict]) -> None:
-    for parameter in calibration.parameters:
-        quantity = _typed(_child(data, "quantity"), "basic_measuredValue")
-        quantity.set("id", parameter.name)
-        _named(quantity, "name", parameter.name)
-        _named(
-            quantity, "description", "; ".join(each for each in (described(parameter.name), _behind(parameter)) if each)
-        )
-        _real(quantity, parameter.value, parameter.u, parameter.unit, degrees_of_freedom(parameter))
-        found = [(v.occasion, j) for v in judged for j in v.judgements if j.name == parameter.name]
-        told = [(occasion, j) for occasion, j in found if j.result in _CONFORMITY]
-        every = _child(quantity, "measurementMetaData") if told else quantity
-        for occasion, judgement in told:
-            statement = _typed(_child(every, "metaData"), "basic_conformity")
-            _named(statement, "name", f"{occasion} check")
-            _named(
-                statement,
-                "declaration",
-                f"limits {_limits(judgement)}{_over(judgement)}",
-            )
-            _child(statement, "conformity", _CONFORMITY[judgement.result])
+def _parameter(parameter: Parameter, judged: Sequence[Verdict]) -> dict[str, Any]:
+    statements = [
+        {
+            "@refType": "basic_conformity",
+            "name": _text(f"{verdict.occasion} check"),
+            "declaration": _text(f"limits {_limits(judgement)}{_over(judgement)}"),
+            "conformity": _CONFORMITY[judgement.result],
+        }
+        for verdict in judged
+        for judgement in verdict.judgements
+        if judgement.name == parameter.name and judgement.result in _CONFORMITY
+    ]
+    about = (described(parameter.name), _behind(parameter))
+    return {
+        "@refType": "basic_measuredValue",
+        "@id": parameter.name,
+        "name": _text(parameter.name),
+        "description": _text("; ".join(each for each in about if each)),
+        "si:real": _real(parameter.value, parameter.u, parameter.unit, degrees_of_freedom(parameter)),
+        "measurementMetaData": {"metaData": statements} if statements else None,
+    }
 
 
-def _real(quantity: ET.Element, value: float, u: float | None, unit: str, degrees: float) -> None:
+def _real(value: float, u: float | None, unit: str, degrees: float) -> dict[str, Any]:
     """A value with its expanded uncertainty, where it has one, of a u with so many degrees of freedom; with u where
     these are too few."""
-    real = _child(quantity, "real", namespace=_SI)
-    _child(real, "value", to_digits(value, u), _SI)
-    _child(real, "unit", d_si(unit), _SI)
-    if u is None:
-        return
-    univariate, k = _child(real, "measurementUncertaintyUnivariate", namespace=_SI), stated_factor(degrees)
-    if k is None:
-        standard = _child(univariate, "standardMU", namespace=_SI)
-        _child(standard, "valueStandardMU", f"{u:.{U_DIGITS}g}", _SI)
-    else:
-        expanded = _child(univariate, "expandedMU", namespace=_SI)
-        _child(expanded, "valueExpandedMU", f"{k * u:.{U_DIGITS}g}", _SI)
-        _child(expanded, "coverageFactor", f"{k:.{U_DIGITS}g}", _SI)
-        _child(expanded, "coverageProbability", f"{PROBABILITY:g}", _SI)
-        _child(expanded, "distribution", "normal" if np.isinf(degrees) else "Student's t", _SI)
+    k = stated_factor(degrees)
+    uncertainty: dict[str, Any] | None = None
+    if u is not None and k is None:
+        uncertainty = {"si:standardMU": {"si:valueStandardMU": f"{u:.{U_DIGITS}g}"}}
+    elif u is not None and k is not None:
+        uncertainty = {
+            "si:expandedMU": {
+                "si:valueExpandedMU": f"{k * u:.{U_DIGITS}g}",
+                "si:coverageFactor": f"{k:.{U_DIGITS}g}",
+                "si:coverageProbability": f"{PROBABILITY:g}",
+                "si:distribution": "normal" if np.isinf(degrees) else "Student's t",
+            }
+        }
+    return {
+        "si:value": to_digits(value, u),
+        "si:unit": d_si(unit),
+        "si:measurementUncertaintyUnivariate": uncertainty,
+    }
 
 
 def to_digits(value: float, u: float | None) -> str:
@@ -371,33 +365,31 @@ def to_digits(value: float, u: float | None) -> str:
     return f"{value:.{min(max(digits, 1), 12)}g}"
 
 
-def _covariance(data: ET.Element, calibration: Calibration, covariance: Array) -> None:
+def _covariance(calibration: Calibration, covariance: Array) -> dict[str, Any] | None:
     """All parameters in one list with the matrix of their covariances, column by column; nothing where too few degrees
     of freedom stand behind it for a region of 95 %."""
-    parameters = calibration.parameters
+    parameters, units = calibration.parameters, [p.unit for p in calibration.parameters]
     fewest = min(degrees_of_freedom(p) for p in parameters)
     if fewest < FEWEST_DEGREES:
-        return
-    quantity = _child(data, "quantity")
-    _named(quantity, "name", "all parameters")
-    units = [p.unit for p in parameters]
-    entries = _list(
-        quantity, [p.name for p in parameters], " ".join(to_digits(p.value, p.u) for p in parameters), units
-    )
-    several = _child(entries, "measurementUncertaintyMultivariateXMLList", namespace=_SI)
-    region = _child(several, "ellipsoidalRegionMUXMLList", namespace=_SI)
-    matrix = _child(region, "covarianceMatrixXMLList", namespace=_SI)
-    for j, unit in enumerate(units):
-        column = _child(_child(matrix, "columnXMLList", namespace=_SI), "covarianceXMLList", namespace=_SI)
-        _child(
-            column,
-            "valueXMLList",
-            " ".join(f"{each:.{_COVARIANCE_DIGITS}g}" for each in covariance[:, j].tolist()),
-            _SI,
-        )
-        _child(column, "unitXMLList", " ".join(d_si(other, unit) for other in units), _SI)
-    _child(region, "coverageFactorXMLList", f"{_region_factor(len(units), fewest):.6f}", _SI)
-    _child(region, "coverageProbabilityXMLList", str(REGION_PROBABILITY), _SI)
+        return None
+    columns = [
+        {
+            "si:covarianceXMLList": {
+                "si:valueXMLList": " ".join(f"{each:.{_COVARIANCE_DIGITS}g}" for each in covariance[:, j].tolist()),
+                "si:unitXMLList": " ".join(d_si(other, unit) for other in units),
+            }
+        }
+        for j, unit in enumerate(units)
+    ]
+    region = {
+        "si:covarianceMatrixXMLList": {"si:columnXMLList": columns},
+        "si:coverageFactorXMLList": f"{_region_factor(len(units), fewest):.6f}",
+        "si:coverageProbabilityXMLList": str(REGION_PROBABILITY),
+    }
+    values = " ".join(to_digits(p.value, p.u) for p in parameters)
+    entries = _list([p.name for p in parameters], values, units)
+    entries["si:measurementUncertaintyMultivariateXMLList"] = {"si:ellipsoidalRegionMUXMLList": region}
+    return {"name": _text("all parameters"), "si:realListXMLList": entries}
 
 
 def _region_factor(count: int, degrees: float) -> float:
@@ -408,27 +400,33 @@ def _region_factor(count: int, degrees: float) -> float:
     return float(np.sqrt(count * fdtri(count, degrees, REGION_PROBABILITY)))
 
 
-def _model(data: ET.Element, kind: str, model: SensorModel) -> None:
+def _model(kind: SensorKind, model: SensorModel) -> dict[str, Any]:
     """Model equation, matrix, bias and an example."""
-    _child(_child(data, "formula"), "latex", r"r = M t + b, \quad t = M^{+} (r - b)")
-    unit, worked = _BIAS_UNIT[kind], example(kind, model)
+    unit, worked = UNITS[kind], example(kind, model)
     n = len(model.bias)
     rows = [f"matrix.{p + 1}.{q + 1}" for p in range(n) for q in range(3)]
-    for name, labels, values, of in (
+    lists: list[tuple[str, list[str], Array, str]] = [
         ("matrix M, row by row", rows, model.matrix, "1"),
         ("bias b", [f"bias.{p + 1}" for p in range(n)], model.bias, unit),
         ("example: reading r", [f"reading.{p + 1}" for p in range(n)], worked.reading, unit),
         ("example: true vector t", ["true.x", "true.y", "true.z"], worked.true, unit),
-    ):
-        quantity = _child(data, "quantity")
-        _named(quantity, "name", f"{_TITLES[kind]}: {name}")
-        _list(quantity, labels, shown(values), [of] * len(labels))
+    ]
+    return {
+        "formula": {"latex": r"r = M t + b, \quad t = M^{+} (r - b)"},
+        "quantity": [
+            {
+                "name": _text(f"{_TITLES[kind]}: {name}"),
+                "si:realListXMLList": _list(labels, shown(values), [of] * len(labels)),
+            }
+            for name, labels, values, of in lists
+        ],
+    }
 
 
-def _list(quantity: ET.Element, labels: Sequence[str], values: str, units: Sequence[str]) -> ET.Element:
+def _list(labels: Sequence[str], values: str, units: Sequence[str]) -> dict[str, Any]:
     """Values, as words, with a label and a unit each."""
-    entries = _child(quantity, "realListXMLList", namespace=_SI)
-    _child(entries, "labelXMLList", " ".join(labels), _SI)
-    _child(entries, "valueXMLList", values, _SI)
-    _child(entries, "unitXMLList", " ".join(map(d_si, units)), _SI)
-    return entries
+    return {
+        "si:labelXMLList": " ".join(labels),
+        "si:valueXMLList": values,
+        "si:unitXMLList": " ".join(map(d_si, units)),
+    }

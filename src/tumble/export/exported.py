@@ -6,17 +6,19 @@ and how large that is. Readings are those of the calibration file: SI, after nom
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.errors import InputError
-from tumble.sensors.model import SensorModel
-from tumble.units import G_STANDARD, Array
+from tumble.sensors.model import SensorKind, SensorModel
+from tumble.units import Array
 
-EXAMPLE = {"accel": np.array([0.5, -1.0, 9.7]), "gyro": np.array([0.1, -0.2, 0.3])}
+UNITS: Mapping[SensorKind, str] = {"accel": "m/s^2", "gyro": "rad/s"}
+UNSCALED: Mapping[SensorKind, float] = {"accel": 1.0, "gyro": 1.0}
+EXAMPLE: Mapping[SensorKind, Array] = {"accel": np.array([0.5, -1.0, 9.7]), "gyro": np.array([0.1, -0.2, 0.3])}
 """True vectors near which the examples are, m/s² and rad/s."""
 
 NO_UNCERTAINTY = "uncertainties and their covariance have no place in this file"
@@ -40,22 +42,45 @@ class Example:
     true: Array
 
 
-def example(kind: str, model: SensorModel) -> Example:
+def example(kind: SensorKind, model: SensorModel) -> Example:
     """A reading of six decimals, and what the calibration makes of it."""
     reading = np.round(model.predict(EXAMPLE[kind]), 6)
     return Example(reading=reading, true=model.apply(reading))
 
 
-def models(calibration: Calibration) -> dict[str, SensorModel]:
+def examples(
+    known: Mapping[SensorKind, SensorModel],
+    form: str = "example {kind}: {reading} is {true}",
+    sizes: Mapping[SensorKind, float] = UNSCALED,
+) -> list[str]:
+    """A worked example of each kind of sensors, a line each, in units that are so large (SI)."""
+    lines = []
+    for kind, model in known.items():
+        worked, size = example(kind, model), sizes[kind]
+        reading = worked.reading if size == 1.0 else (worked.reading / size).round(9)  # of six decimals in SI
+        true = (worked.true / size).round(9)
+        lines.append(form.format(kind=kind, reading=shown(reading), true=shown(true), unit=UNITS[kind]))
+    return lines
+
+
+def commented(comments: Iterable[str], lines: Iterable[str], losses: Iterable[str]) -> Exported:
+    """A file of lines below comments that begin with #."""
+    text = "\n".join([*(f"# {comment}".rstrip() for comment in comments), *lines, ""])
+    return Exported(content=text.encode(), losses=tuple(losses))
+
+
+def models(calibration: Calibration) -> dict[SensorKind, SensorModel]:
     """The models a calibration has, by kind. Raises InputError where it has none."""
-    found = {"accel": calibration.accel, "gyro": calibration.gyro}
-    known = {kind: model for kind, model in found.items() if model is not None}
+    both: dict[SensorKind, SensorModel | None] = {"accel": calibration.accel, "gyro": calibration.gyro}
+    known = {kind: model for kind, model in both.items() if model is not None}
     if not known:
         raise InputError("calibration: expected a sensor whose parameters are all known, found none; calibrate again")
     return known
 
 
-def triads(calibration: Calibration, target: str, needed: Sequence[str] = ("accel", "gyro")) -> dict[str, SensorModel]:
+def triads(
+    calibration: Calibration, target: str, needed: Sequence[SensorKind] = ("accel", "gyro")
+) -> dict[SensorKind, SensorModel]:
     """The accelerometers and the gyros that there are, three of each, those that are `needed` among them. Raises
     InputError otherwise."""
     known = models(calibration)
@@ -72,16 +97,6 @@ def triads(calibration: Calibration, target: str, needed: Sequence[str] = ("acce
     return known
 
 
-def aligned(known: dict[str, SensorModel], target: str) -> None:
-    """Check that every channel senses its own axis of the frame, positive. Raises InputError otherwise."""
-    for kind, model in known.items():
-        if (np.argmax(model.matrix, axis=1) != np.arange(3)).any() or (np.diag(model.matrix) <= 0.5).any():
-            raise InputError(
-                f"export to {target}: expected {kind} channels along X, Y, Z in this order, found others; {target} has "
-                "no place for another order or sign: name the columns of the session in that order"
-            )
-
-
 def origin(calibration: Calibration) -> list[str]:
     """Where the numbers come from, line by line."""
     made = calibration.provenance
@@ -91,11 +106,11 @@ def origin(calibration: Calibration) -> list[str]:
         f"{made.get('software', 'tumble')}, {made.get('created', 'no date')}, "
         f"log sha256 {made.get('log_sha256', 'unknown')}",
     ]
-    for kind, unit in (("accel", "m/s^2"), ("gyro", "rad/s")):
+    for kind in UNITS:
         readings = calibration.readings.get(kind)
         if readings is not None and readings.unit in ("count", "V"):
             scale, offset = (" ".join(f"{number:g}" for number in row) for row in (readings.scale, readings.offset))
-            lines.append(f"{kind} readings in {unit} are (raw - offset) / scale: offset {offset}, scale {scale}")
+            lines.append(f"{kind} readings in {UNITS[kind]} are (raw - offset) / scale: offset {offset}, scale {scale}")
     lines += calibration.absent
     lines += [NO_MAGNETOMETER] if calibration.mag is not None else []
     return [one_line(line) for line in lines]
@@ -126,35 +141,3 @@ def yaml_number(value: float) -> str:
 def yaml_list(values: Array) -> str:
     """Numbers as a list in YAML, on one line."""
     return f"[{', '.join(map(yaml_number, numbers(values)))}]"
-
-
-# -------------------- what an offset and a factor for each axis leave --------------------
-
-
-def left_by_diagonal(model: SensorModel) -> Array:
-    """E (3, 3) of what is left of a triad corrected by its biases and a factor 1/Mᵢᵢ for each axis: the result is
-    (1 + E) true."""
-    return np.asarray(model.matrix / np.diag(model.matrix)[:, None] - np.eye(3))
-
-
-def worst(error: Array) -> float:
-    """The largest relative error |E v| / |v| of any vector."""
-    return float(np.linalg.norm(error, ord=2))
-
-
-def misalignment_lost(model: SensorModel) -> str:
-    """What accelerometers without cross terms lose."""
-    error = left_by_diagonal(model)
-    return (
-        f"misalignment of the accelerometers: up to {1e3 * np.abs(error).max():.3g} mrad, in 1 g an error of up to "
-        f"{G_STANDARD * worst(error):.3g} m/s^2"
-    )
-
-
-def gyro_matrix_lost(model: SensorModel) -> str:
-    """What gyros with nothing but offsets lose."""
-    error = model.matrix - np.eye(3)
-    return (
-        f"scale factors and misalignment of the gyros: an error of up to {100.0 * worst(error):.3g} % of the rate, "
-        f"{np.rad2deg(worst(error) * np.deg2rad(100.0)):.3g} deg/s in 100 deg/s"
-    )

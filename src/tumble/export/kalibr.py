@@ -16,19 +16,29 @@ calibration"; Rehder et al., Extending Kalibr, ICRA 2016.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.half import WORDS
 from tumble.calibration.quiet_samples import longest_rest, noise_panels
 from tumble.calibration.results import SensorsAtRest
 from tumble.errors import InputError
-from tumble.export.exported import NO_UNCERTAINTY, Exported, example, origin, shown, triads, yaml_list, yaml_number
+from tumble.export.exported import (
+    NO_UNCERTAINTY,
+    Exported,
+    commented,
+    example,
+    origin,
+    shown,
+    triads,
+    yaml_list,
+    yaml_number,
+)
 from tumble.export.larger_model import g_sensitivity, not_held, still
 from tumble.recording.session import Session
-from tumble.reduction.allan_deviation import AllanDeviation, Coefficient, Panel
-from tumble.sensors.model import SensorModel
+from tumble.reduction.allan_deviation import Panel
 from tumble.units import Array
 
 
@@ -70,57 +80,45 @@ DRIFT_OF_WALK = 1.2
 def noise_of_rests(calibration: Calibration) -> NoiseDensities:
     """The noise within the rests of a calibration: the median density, and the random walk that their drifts allow.
     Raises InputError for a calibration without rests or gyros."""
-    kinds = {kind: [(rest, getattr(rest, kind)) for rest in calibration.rests] for kind in ("accel", "gyro")}
-    if any(not rests or None in [sensors for _, sensors in rests] for rests in kinds.values()):
-        raise InputError(
-            "export: expected --noise with kalibr and only there, found none, nor rests of accelerometers and gyros in "
-            "the calibration; give a session of the device"
-        )
+    found = []
     seconds = np.array([rest.stop - rest.start for rest in calibration.rests])
-    accel, gyro = (
-        _densities_at_rest([sensors for _, sensors in rests], seconds, words)
-        for rests, words in zip(kinds.values(), ("accelerometers", "gyros"), strict=True)
-    )
-    count = len(calibration.rests)
-    return NoiseDensities(
-        accel=accel, gyro=gyro, rate=calibration.sample_rate, source=f"{count} rests of the calibration"
-    )
-
-
-def _densities_at_rest(rests: list[SensorsAtRest], seconds: Array, kind: str) -> Densities:
-    white = np.median([rest.noise for rest in rests], axis=0).max()
-    walks = np.array([rest.drift for rest in rests]) ** 2 / (DRIFT_OF_WALK * seconds[:, None])
-    said = (
-        f"random walk of the {kind}: the largest that the drifts within the rests allow is written; record an hour at "
-        "rest and give it with --noise"
-    )
-    return Densities(white=float(white), walk=float(np.sqrt(walks.mean(axis=0).max())), bounds=(said,))
+    for kind, words in WORDS.items():
+        rests: list[SensorsAtRest | None] = [getattr(rest, kind) for rest in calibration.rests]
+        known = [sensors for sensors in rests if sensors is not None]
+        if not known or len(known) < len(rests):
+            raise InputError(
+                "export: expected --noise with kalibr and only there, found none, nor rests of accelerometers and "
+                "gyros in the calibration; give a session of the device"
+            )
+        white = np.median([sensors.noise for sensors in known], axis=0).max()
+        walks = np.array([sensors.drift for sensors in known]) ** 2 / (DRIFT_OF_WALK * seconds[:, None])
+        bound = (
+            f"random walk of the {words}: the largest that the drifts within the rests allow is written; record an "
+            "hour at rest and give it with --noise"
+        )
+        walk = float(np.sqrt(walks.mean(axis=0).max()))
+        found.append(Densities(white=float(white), walk=walk, bounds=(bound,)))
+    source = f"{len(calibration.rests)} rests of the calibration"
+    return NoiseDensities(accel=found[0], gyro=found[1], rate=calibration.sample_rate, source=source)
 
 
 def _densities(panel: Panel, kind: str) -> Densities:
-    whites = [parameters.white_noise for parameters in panel.parameters]
-    walks = [parameters.rate_random_walk for parameters in panel.parameters]
-    white, bounded = _largest(whites, _most_white(panel.deviation))
-    walk, walk_bounded = _largest(walks, _most_walk(panel.deviation))
-    said = "{} of the {}: not seen in every channel, so the largest that the record allows is written; record longer"
-    terms = (("white noise", bounded), ("random walk", walk_bounded))
-    return Densities(white=white, walk=walk, bounds=tuple(said.format(t, kind) for t, is_bound in terms if is_bound))
-
-
-def _largest(found: list[Coefficient | None], bound: Array) -> tuple[float, bool]:
-    """The largest coefficient of all channels, with a bound for those that show none, and whether one was needed."""
-    values = [float(most) if c is None else c.value for c, most in zip(found, bound, strict=True)]
-    return max(values), None in found
-
-
-def _most_white(adev: AllanDeviation) -> Array:
-    """Largest N of each channel that its Allan deviation allows: σ² ≥ N²/τ everywhere."""
-    return np.asarray((adev.high * np.sqrt(adev.tau)[:, None]).min(axis=0))
-
-
-def _most_walk(adev: AllanDeviation) -> Array:
-    """Largest K of each channel that its Allan deviation allows: σ² ≥ K² τ/3 everywhere."""
-    return np.asarray((adev.high * np.sqrt(3.0 / adev.tau)[:, None]).min(axis=0))
+    """The largest of all channels; of one that shows none, the largest that its Allan deviation allows: σ² ≥ N²/τ and
+    σ² ≥ K² τ/3 everywhere."""
+    tau, high = panel.deviation.tau[:, None], panel.deviation.high
+    terms = (
+        ("white noise", [p.white_noise for p in panel.parameters], (high * np.sqrt(tau)).min(axis=0)),
+        ("random walk", [p.rate_random_walk for p in panel.parameters], (high * np.sqrt(3.0 / tau)).min(axis=0)),
+    )
+    largest, bounds = [], []
+    for term, coefficients, most in terms:
+        largest.append(max(float(m) if c is None else c.value for c, m in zip(coefficients, most, strict=True)))
+        if None in coefficients:
+            bounds.append(
+                f"{term} of the {kind}: not seen in every channel, so the largest that the record allows is written; "
+                "record longer"
+            )
+    return Densities(white=largest[0], walk=largest[1], bounds=tuple(bounds))
 
 
 def kalibr(calibration: Calibration, noise: NoiseDensities | None = None) -> Exported:
@@ -139,16 +137,25 @@ def kalibr(calibration: Calibration, noise: NoiseDensities | None = None) -> Exp
         *not_held(calibration, {"gyro.g_sensitivity"}),
         NO_UNCERTAINTY,
     )
-    comments = [*origin(calibration), f"noise from {noise.source}", *_frame_comment(to_accel)]
-    comments += [
+    same_frame = np.allclose(to_accel, np.eye(3), rtol=0.0, atol=1e-12)
+    worked = {kind: example(kind, model) for kind, model in known.items()}
+    comments = [
+        *origin(calibration),
+        f"noise from {noise.source}",
+        *([] if same_frame else [f"IMU frame: rows in the frame of the calibration {shown(to_accel)}"]),
         "set rostopic" if noise.rate is not None else "set rostopic, add update_rate",
-        *_examples(known, to_accel),
+        *(
+            f"example {kind}: reading {shown(one.reading)} is {shown((to_accel @ one.true).round(9))}"
+            for kind, one in worked.items()
+        ),
         *still(sensitivity),
         *losses,
     ]
-    lines = ["%YAML:1.0", *(f"# {line}" for line in comments), "", "imu0:"]
-    lines += _matrix("T_i_b", np.eye(4))
-    lines += [
+    matrices = {"Tw": Tw, "R_IMUtoGYRO": to_gyro, "Ta": Ta, "R_IMUtoACC": np.eye(3), "Tg": sensitivity @ to_accel.T}
+    lines = [
+        "",
+        "imu0:",
+        *_matrix("T_i_b", np.eye(4)),
         f"  accelerometer_noise_density: {yaml_number(noise.accel.white)}",
         f"  accelerometer_random_walk: {yaml_number(noise.accel.walk)}",
         f"  gyroscope_noise_density: {yaml_number(noise.gyro.white)}",
@@ -157,11 +164,10 @@ def kalibr(calibration: Calibration, noise: NoiseDensities | None = None) -> Exp
         "  time_offset: 0.0",
         *([] if noise.rate is None else [f"  update_rate: {yaml_number(round(noise.rate, 6))}"]),
         '  model: "kalibr"',
+        *(line for name, matrix in matrices.items() for line in _matrix(name, matrix)),
     ]
-    for name, matrix in (("Tw", Tw), ("R_IMUtoGYRO", to_gyro), ("Ta", Ta), ("R_IMUtoACC", np.eye(3))):
-        lines += _matrix(name, matrix)
-    lines += _matrix("Tg", sensitivity @ to_accel.T)
-    return Exported(content=("\n".join(lines) + "\n").encode(), losses=losses)
+    exported = commented(comments, lines, losses)
+    return replace(exported, content=b"%YAML:1.0\n" + exported.content)
 
 
 def _lower_times_rotation(matrix: Array, kind: str) -> tuple[Array, Array]:
@@ -175,21 +181,6 @@ def _lower_times_rotation(matrix: Array, kind: str) -> tuple[Array, Array]:
             "no place for: name the columns of the session in another order, or with the other sign"
         )
     return np.tril(lower), rotation
-
-
-def _frame_comment(to_accel: Array) -> list[str]:
-    """How the IMU frame stands to that of the calibration, where they differ."""
-    said = f"IMU frame: rows in the frame of the calibration {shown(to_accel)}"
-    return [] if np.allclose(to_accel, np.eye(3), rtol=0.0, atol=1e-12) else [said]
-
-
-def _examples(known: dict[str, SensorModel], to_accel: Array) -> list[str]:
-    """A worked example of each kind, true vectors in the IMU frame."""
-    out = []
-    for kind, model in known.items():
-        worked = example(kind, model)
-        out.append(f"example {kind}: reading {shown(worked.reading)} is {shown((to_accel @ worked.true).round(9))}")
-    return out
 
 
 def _matrix(name: str, matrix: Array) -> list[str]:

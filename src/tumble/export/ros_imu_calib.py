@@ -11,36 +11,22 @@ Source: package imu_calib (D. Koch), README and class AccelCalib.
 from __future__ import annotations
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.export.exported import (
-    NO_UNCERTAINTY,
-    Exported,
-    example,
-    gyro_matrix_lost,
-    origin,
-    shown,
-    triads,
-    yaml_list,
-)
+from tumble.export.diagonal import gyro_matrix_lost
+from tumble.export.exported import NO_UNCERTAINTY, Exported, commented, examples, origin, triads, yaml_list
 from tumble.export.larger_model import not_held
 
 
 def ros_imu_calib(calibration: Calibration) -> Exported:
     """imu_calib.yaml of a calibration."""
     known = triads(calibration, "ros-imu-calib", needed=("accel",))
-    model = known["accel"]
-    inverse = model.inverse()
-    losses = [*not_held(calibration), NO_UNCERTAINTY]
-    if "gyro" in known:
-        losses.insert(
-            0, f"everything of the gyros: the node takes their bias at start; {gyro_matrix_lost(known['gyro'])}"
-        )
-    worked = example("accel", model)
+    model, inverse = known["accel"], known["accel"].inverse()
+    gyros = "everything of the gyros: the node takes their bias at start; "
+    losses = [gyros + gyro_matrix_lost(known["gyro"])] if "gyro" in known else []
+    losses += [*not_held(calibration), NO_UNCERTAINTY]
     comments = [
         *origin(calibration),
         "corrected = SM * raw - bias, m/s^2",
-        f"example: raw {shown(worked.reading)} is {shown(worked.true.round(9))}",
+        *examples({"accel": model}, "example: raw {reading} is {true}"),
         *losses,
     ]
-    rows = [f"SM: {yaml_list(inverse)}", f"bias: {yaml_list(inverse @ model.bias)}"]
-    text = "\n".join([*(f"# {line}" for line in comments), *rows, ""])
-    return Exported(content=text.encode(), losses=tuple(losses))
+    return commented(comments, [f"SM: {yaml_list(inverse)}", f"bias: {yaml_list(inverse @ model.bias)}"], losses)

@@ -27,8 +27,7 @@ from tumble.calibration.temperature_curves import (
     warm_rests,
 )
 from tumble.errors import InputError
-from tumble.export.autopilot import Diagonal, diagonal
-from tumble.export.exported import example, shown, worst
+from tumble.export.diagonal import Diagonal, diagonal, single, worst
 from tumble.export.larger_model import session_rate
 from tumble.sensors.model import SensorKind
 from tumble.sensors.parameters import group_name
@@ -41,7 +40,7 @@ SCALES = ("accel.scale.t1", "accel.scale.t2", "gyro.scale.t1", "gyro.scale.t2")
 _NOTHING = 1e-12
 """mg or deg/s: rounding of double precision."""
 
-Offsets = Callable[[str, Array], Array]
+Offsets = Callable[[SensorKind, Array], Array]
 """The offsets (N, 3), SI, that a target takes off the readings of a kind of sensors at temperatures (N,), °C."""
 
 
@@ -54,10 +53,10 @@ class Thermal:
     held: Diagonal
     calibration: Calibration
     measured: Range
-    slopes: dict[str, Array]
+    slopes: dict[SensorKind, Array]
     shared: tuple[str, ...]
 
-    def reference(self, kind: str) -> float:
+    def reference(self, kind: SensorKind) -> float:
         """The temperature of the target, °C, at which sensors of a kind have their values."""
         return float(references(self.calibration, kind)[0])
 
@@ -71,39 +70,32 @@ class Thermal:
             f"outside {_plain(self.measured)} nothing was measured: the target keeps the offsets of the nearer end",
         )
 
+    def ends(self, kind: SensorKind) -> Array:
+        """The reference of a kind of sensors and the ends of the measured range, °C, in single precision."""
+        return single(np.array([self.reference(kind), self.measured.low, self.measured.high]))
+
     def examples(self, offsets: Offsets) -> list[str]:
         """Readings at the warmer end, what the autopilot makes of them and what they are, line by line."""
-        out, at = [], warm_end(self.measured)
+        at, out = warm_end(self.measured), []
         for kind in self.held.known:
-            model = model_at(self.calibration, kind, at)
-            worked = example(kind, model)
-            target = (worked.reading - offsets(kind, np.array([at]))[0]) * self.held.factor[kind]
-            out.append(
-                f"example {kind} at {at:g} degC: reading {shown(worked.reading)} becomes {shown(target.round(6))}; "
-                f"it is {shown(worked.true.round(6))}"
-            )
+            model, offset = model_at(self.calibration, kind, at), offsets(kind, np.array([at]))[0]
+            out.append(self.held.example(kind, model, offset, f" at {at:g} degC"))
         return out
 
-    def steepest(self) -> Mapping[str, float]:
+    def steepest(self) -> Mapping[SensorKind, float]:
         """The largest change of a bias per K within the range, m/s²/K or rad/s/K, of the kinds of sensors there are."""
         return {kind: _steepest(self.calibration, kind, self.measured) for kind in self.slopes}
 
     def _curves(self, offsets: Offsets) -> str:
-        temperature = self.measured.temperatures()
-        error = {
-            kind: float(np.abs(offsets(kind, temperature) - self._biases(kind, temperature)).max())
-            for kind in self.slopes
-        }
+        temperature, error = self.measured.temperatures(), {}
+        for kind, (linear, square) in ((kind, slopes.T) for kind, slopes in self.slopes.items()):
+            warmer = (temperature - self.reference(kind))[:, None]
+            biases = self.held.known[kind].bias + linear * warmer + square * warmer**2
+            error[kind] = float(np.abs(offsets(kind, temperature) - biases).max())
         return (
             f"offsets over temperature: from {_plain(self.measured)} the cubic is within "
             f"{said(error)} of the calibration's curve"
         )
-
-    def _biases(self, kind: str, temperature: Array) -> Array:
-        """The biases (N, 3) of the calibration."""
-        warmer = (temperature - self.reference(kind))[:, None]
-        linear, square = self.slopes[kind].T
-        return np.asarray(self.held.known[kind].bias + linear * warmer + square * warmer**2)
 
     def _scales(self) -> str:
         """The largest error that scale factors without a temperature make."""
@@ -138,11 +130,9 @@ def thermal(calibration: Calibration, target: str, together: Sequence[tuple[Sens
     rests were all at one."""
     held = diagonal(calibration, target, apart=(*HELD, *SCALES))
     measured = range_of(calibration, target)
-    seen = {kind: tuple(references(calibration, kind).tolist()) for kind in held.known}
+    seen: dict[str, tuple[float, ...]] = {kind: tuple(references(calibration, kind).tolist()) for kind in held.known}
     together = [tuple(kind for kind in of if kind in seen) for of in together]
-    seen = {
-        kind: len(own) * (float(np.mean(seen[of[0]])),) for of in together for kind, own in seen.items() if kind in of
-    }
+    seen = {kind: len(seen[kind]) * (float(np.mean(seen[of[0]])),) for of in together for kind in of}
     return Thermal(
         held=held,
         calibration=replace(calibration, references=seen),
@@ -152,7 +142,7 @@ def thermal(calibration: Calibration, target: str, together: Sequence[tuple[Sens
     )
 
 
-def _steepest(calibration: Calibration, kind: str, measured: Range) -> float:
+def _steepest(calibration: Calibration, kind: SensorKind, measured: Range) -> float:
     """The largest change of a bias per K within the range, SI."""
     linear, square = coefficients(calibration, kind, "bias").T
     ends = np.array([[measured.low], [measured.high]]) - references(calibration, kind)
@@ -201,12 +191,12 @@ def _apart(rest: RestResult, mean: Mapping[SensorKind, Array]) -> float:
     return float(np.ptp(np.concatenate(off))) if off else 0.0
 
 
-def said(errors: Mapping[str, float]) -> str:
+def said(errors: Mapping[SensorKind, float]) -> str:
     """Errors of accelerometers, m/s², and gyros, rad/s, in mg and deg/s, rounded up."""
     return " and ".join(_in_field_units(kind, error) for kind, error in errors.items())
 
 
-def _in_field_units(kind: str, error: float) -> str:
+def _in_field_units(kind: SensorKind, error: float) -> str:
     return f"{_at_most(error / (1e-3 * G_STANDARD))} mg" if kind == "accel" else f"{_at_most(error / DEGREE)} deg/s"
 
 

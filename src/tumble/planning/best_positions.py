@@ -5,12 +5,13 @@ are the spreads of `tumble.estimation.estimate` or wanted accuracies; by "D" the
 the ellipsoid of uncertainty, which does not depend on weights. A prior as wide as the spreads makes either finite
 while positions are too few; afterwards it counts for nothing. Groups of parameters beyond the linear model have their
 usual spreads as prior; they count by A only where an accuracy of them is wanted. Drifts with time are left out, as a
-position is sought before it is known when it comes.
+position is sought before it is known when it comes. Biases are the means of their processes, for what is said of those
+over a session changes with every position that is added.
 
-A position costs little to add or to exchange. Eliminating the attitudes of all rests before it leaves three rows on the
-attitude of the last of them and a triangle on the parameters (`tumble.estimation.elimination`), and those after it
-likewise; the rows of a rest go with those of the turn after it, as the in-run bias of both is one. What a candidate
-shows is then an elimination of two to four rests, whatever the length of the programme: about 0.1 ms.
+A position costs little to add or to exchange. Eliminating what belongs to all rests before it, attitudes and states of
+in-run biases, leaves as many rows on those of the last of them and a triangle on the parameters
+(`tumble.inference.elimination`), and those after it likewise. What a candidate shows is then an elimination of two to
+four rests, whatever the length of the programme: about 0.1 ms, and four times as much with in-run biases.
 
 A programme is begun with X, Y or Z up, grows by the best position to add, and is improved by exchange of one position
 at a time, or of neighbours where the table leaves no other way, until no exchange makes it better. By A it is sought
@@ -27,15 +28,15 @@ from typing import Literal
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.estimation.elimination import eliminate
 from tumble.estimation.estimate import DETERMINED
-from tumble.planning.bounds import Bound, bound, course_of, instrument_of, view
+from tumble.inference.elimination import eliminate
+from tumble.planning.bounds import Bound, begun, bound, course_of, instrument_of, view
 from tumble.planning.reachable_attitudes import ANY, Places, TurnTable, Ways, ways_through
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Move, Position, Programme
 from tumble.programme.positions import programme as built_in
 from tumble.sensors.parameters import group_name, limits_of
-from tumble.units import Array, BoolArray, IntArray
+from tumble.units import Array, IntArray
 
 Letter = Literal["A", "D"]
 
@@ -121,50 +122,35 @@ def _timeless(setup: Setup) -> Setup:
 # What a programme and its candidates show
 
 
-def _eliminated(rest: Array, turn: Array, link: IntArray, counts: BoolArray, triangle: Array) -> tuple[Array, Array]:
-    """What rests (N, r, ·), where they count, and rows (K, r + t, ·) of turns and the rests before them show when their
-    attitudes are eliminated: rows (r, ·) on the attitude of the last, in the form of a rest, and a triangle on the
-    parameters, to which one is added."""
-    factor, triangle = np.empty((len(rest), 3, rest.shape[2] + 3)), triangle.copy()
-    eliminate(rest, turn, link, counts, factor, triangle)
+def _eliminated(rest: Array, joint: Array, triangle: Array) -> tuple[Array, Array]:
+    """What rests (N, r, ·) and the rows (N − 1, t, ·) that join each to the next show when what belongs to each is
+    eliminated: rows (r, ·) on the last, in the form of a rest, and a triangle on the parameters, to which one is
+    added."""
+    d, triangle = joint.shape[2] - rest.shape[2], triangle.copy()
+    factor = np.empty((len(rest), d, rest.shape[2] + d))
+    eliminate(rest, joint, _linked(len(rest)), factor, triangle)
     last = np.zeros(rest.shape[1:])
-    last[:3, :3], last[:3, 3:] = factor[-1, :, :3], factor[-1, :, 6:]
+    last[:d, :d], last[:d, d:] = factor[-1, :, :d], factor[-1, :, 2 * d :]
     return last, triangle
 
 
-def _triangles(rest: Array, turn: Array, counts: BoolArray, triangle: Array) -> Array:
-    """Triangles (q, p + 1, p + 1) after q chains of rests (q, n, r, ·), of which some count, and rows (q, n − 1, r +
-    t, ·) of the turns."""
-    out = np.repeat(triangle[None], len(rest), axis=0)
-    factor, link = np.empty((rest.shape[1], 3, rest.shape[3] + 3)), _linked(rest.shape[1], turn)
-    for chain_rest, chain_turn, found in zip(rest, turn, out, strict=True):
-        eliminate(chain_rest, chain_turn, link, counts, factor, found)
+def _triangles(rest: Array, joint: Array, triangle: Array) -> Array:
+    """Triangles (q, p + 1, p + 1) after q chains of rests (q, n, r, ·) and the rows (q, n − 1, t, ·) that join them."""
+    out, d = np.repeat(triangle[None], len(rest), axis=0), joint.shape[3] - rest.shape[3]
+    factor, link = np.empty((rest.shape[1], d, rest.shape[3] + d)), _linked(rest.shape[1])
+    for chain_rest, chain_joint, found in zip(rest, joint, out, strict=True):
+        eliminate(chain_rest, chain_joint, link, factor, found)
     return out
 
 
-def _linked(rests: int, turn: Array) -> IntArray:
-    """Every rest linked to the next by turns (..., r + t, ·), if there are gyros."""
-    return np.append(np.arange(rests - 1), -1) if turn.shape[-2] else np.full(rests, -1)
+def _linked(rests: int) -> IntArray:
+    """Every rest linked to the next."""
+    return np.append(np.arange(rests - 1), -1)
 
 
-def _counting(rests: int, gyros: bool, *ends: int) -> BoolArray:
-    """Which rests (N,) of a chain count themselves: those at these ends, the rows of the others being among those of
-    the turns after them; without gyros, all."""
-    counts = np.full(rests, not gyros)
-    counts[list(ends)] = True
-    return counts
-
-
-def _closed(last: Array, rest: Array, triangle: Array) -> Array:
-    """The triangle on the parameters when a chain ends with rows (r, ·) on the attitude of its last rest and the
-    rows of that rest."""
-    rows = np.asarray(np.linalg.qr(np.concatenate([last, rest]), mode="r"))[3:, 3:]
-    return np.asarray(np.linalg.qr(np.concatenate([triangle, rows]), mode="r"))
-
-
-def _backwards(turn: Array) -> Array:
-    """Rows (K, r + t, ·) of turns in a chain that is gone through from its end."""
-    swapped = np.concatenate([turn[..., 3:6], turn[..., :3], turn[..., 6:]], axis=-1)
+def _backwards(joint: Array, d: int) -> Array:
+    """The rows (K, t, ·) that join rests, of d unknowns each, in a chain that is gone through from its end."""
+    swapped = np.concatenate([joint[..., d : 2 * d], joint[..., :d], joint[..., 2 * d :]], axis=-1)
     return np.ascontiguousarray(swapped[::-1])
 
 
@@ -185,20 +171,18 @@ class _Search:
         q, triangle, chain = len(ways.places), self.criterion.known, [rest[ways.places]]
         if q == 0:
             return way, np.inf
-        gyros, ends = self.places.gyros, [-1]
-        if before is not None:
-            turn, counts = way.rows[0, : start - 1], _counting(start, gyros)
-            last, triangle = _eliminated(rest[places[:start]], turn, _linked(start, turn), counts, triangle)
+        if before is None:
+            chain[0][:, 0] = begun(chain[0][:, 0], self.places.states)
+        else:
+            own = self.places.chain(places[:start])
+            last, triangle = _eliminated(own, way.rows[0, : start - 1], triangle)
             chain.insert(0, _repeated(last, q))
-            ends.append(0)
         if after is not None:
-            n, turn, none = len(places) - stop, _backwards(way.rows[0, stop:]), np.zeros_like(triangle)
-            last, more = _eliminated(rest[places[stop:][::-1]], turn, _linked(n, turn), _counting(n, gyros, 0), none)
+            joint = _backwards(way.rows[0, stop:], 3 + self.places.states)
+            last, more = _eliminated(rest[places[stop:][::-1]], joint, np.zeros_like(triangle))
             triangle = np.asarray(np.linalg.qr(np.concatenate([triangle, more]), mode="r"))
             chain.append(_repeated(last, q))
-        rests = np.concatenate(chain, axis=1)
-        counts = _counting(rests.shape[1], gyros, *ends)
-        values = self.criterion.of_triangles(_triangles(rests, ways.rows, counts, triangle))
+        values = self.criterion.of_triangles(_triangles(np.concatenate(chain, axis=1), ways.rows, triangle))
         best = int(np.argmax(values <= values.min() * (1.0 + SAME)))
         return way.spliced(start, stop, ways, best), float(values[best])
 
@@ -233,8 +217,7 @@ class _Search:
 
     def _triangle(self, way: Ways) -> Array:
         """The triangle (1, p + 1, p + 1) of a programme."""
-        counts = _counting(way.places.shape[1], self.places.gyros, -1)
-        return _triangles(self.places.rest[way.places], way.rows, counts, self.criterion.known)
+        return _triangles(self.places.chain(way.places[0])[None], way.rows, self.criterion.known)
 
     def _determined(self, way: Ways) -> bool:
         """Whether a programme determines all linear parameters."""
@@ -340,21 +323,26 @@ def candidates(setup: Setup, aim: Aim, places: Places) -> tuple[float, Array, Wa
     """The criterion of a set-up's programme, and its values (q,) with one more position, by each leg (q) from where it
     ends."""
     criterion = Criterion.of(aim, setup)
-    last, own, triangle = _shown(setup, aim, criterion)
+    last, triangle = _shown(setup, aim, criterion)
     legs = Ways.of(places.onward(places.index(setup.programme.positions[-1].matrix)))
     rest = np.concatenate([_repeated(last, len(legs.places)), places.rest[legs.places]], axis=1)
-    values = criterion.of_triangles(_triangles(rest, legs.rows, _counting(2, aim.gyros, 0, -1), triangle))
-    return float(criterion.of_triangles(_closed(last, own, triangle)[None])[0]), values, legs
+    before = criterion.of_triangles(_closed(last, triangle)[None])[0]
+    return float(before), criterion.of_triangles(_triangles(rest, legs.rows, triangle)), legs
 
 
-def _shown(setup: Setup, aim: Aim, criterion: Criterion) -> tuple[Array, Array, Array]:
-    """What a set-up's programme shows, see `_eliminated`, but for rows of its last rest that have not counted yet, and
-    these."""
+def _shown(setup: Setup, aim: Aim, criterion: Criterion) -> tuple[Array, Array]:
+    """What a set-up's programme shows, see `_eliminated`."""
     seen = view(course_of(setup), setup, gyros=aim.gyros)
-    rest, turn = seen.whitened()
-    link = seen.problem.link
-    last, triangle = _eliminated(rest, turn, link, _counting(len(rest), aim.gyros), criterion.known)
-    return last, rest[-1] if aim.gyros else np.zeros_like(last), triangle
+    rest, joint = seen.whitened()
+    rest[0] = begun(rest[0], seen.states)
+    return _eliminated(rest, joint, criterion.known)
+
+
+def _closed(last: Array, triangle: Array) -> Array:
+    """The triangle on the parameters when a chain ends with rows (r, ·) on its last rest."""
+    d = last.shape[1] - len(triangle)
+    rows = np.asarray(np.linalg.qr(last, mode="r"))[d:, d:]
+    return np.asarray(np.linalg.qr(np.concatenate([triangle, rows]), mode="r"))
 
 
 def value_of(setup: Setup, aim: Aim = Aim()) -> float:

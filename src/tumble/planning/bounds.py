@@ -1,12 +1,16 @@
 """The best a programme allows: the Cramér–Rao bound of the joint likelihood, before anything is measured.
 
-The rows are those of `tumble.estimation.likelihood`, taken at perfect sensors and at the attitudes of the programme,
-which are eliminated: so the bound is the covariance that `joint` would state for an exact programme. What a log has
-of it: the rests, with white noise, the moves between them, all of which the log has, and in-run instability as a bias
-that differs from rest to rest and lasts through the turn that follows. A move goes about one axis at a constant
-rate; the body turns about a fixed axis in inertial space (`tumble.planning.steady_turns`). Errors of table and
-mounting are not in the bound: the attitudes are unknowns, and where they are a degree or two off it changes by parts
-of a thousand.
+The rows are those of `tumble.inference.likelihood`, taken at perfect sensors and at the attitudes of the programme,
+which are eliminated: so the bound is the covariance that `joint` would state for an exact programme if it knew the
+noise. What a log has of it: the rests, with white noise, the moves between them, all of which the log has, and in-run
+instability, the standard deviation of a Gauss–Markov process (`tumble.inference.in_run`) that is the bias of a sensor;
+what is said of a bias is said of its mean over the session. A move goes about one axis at a constant rate; the body
+turns about a fixed axis in inertial space (`tumble.planning.steady_turns`). Errors of table and mounting are not in the
+bound: the attitudes are unknowns, and where they are a degree or two off it changes by parts of a thousand.
+
+What `calibrate` will state (`stated`) is more: it does not know the noise nor how large further groups are in this
+instrument (`tumble.planning.expected_sizes`), it has the time base of the log, and of this the ends of the rests belong
+to the turns.
 
 Groups of parameters beyond the linear model (`Setup.further`) have priors, the spreads of the set-up. What is said of
 combinations is said of the linear parameters, whatever the others are within their priors; of a group, what the
@@ -20,19 +24,23 @@ combination of unit length that is determined worst. For accelerometers alone th
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tumble.brief import Brief
 from tumble.earth import earth_rate
 from tumble.errors import InputError
-from tumble.estimation.components import Scatter
-from tumble.estimation.elimination import eliminate
+from tumble.estimation.common_errors import by_time_base, clocked
 from tumble.estimation.estimate import GroupFinding, Solution, least_squares
-from tumble.estimation.likelihood import Point, Problem, noise_of
-from tumble.estimation.linearisation import linearise
 from tumble.estimation.turns_about import TurnsAbout, own_axes, warms
+from tumble.inference.elimination import fold
+from tumble.inference.hyperparameters import Components
+from tumble.inference.in_run import InRun, of_session
+from tumble.inference.likelihood import Point, Problem, Rows, weights
+from tumble.inference.linearisation import linearise
+from tumble.inference.step import Told, tell, whitened_rows
+from tumble.planning.expected_sizes import expected
 from tumble.planning.inertial_turns import inertial_turns
 from tumble.planning.setup import Setup, check_setup
 from tumble.planning.steady_turns import steady_moments
@@ -40,9 +48,11 @@ from tumble.recording.session import Site
 from tumble.reduction.coloured_noise import WHITE
 from tumble.reduction.moments import Moments
 from tumble.reduction.observations import Observations
-from tumble.reduction.rests import ACCEL_FLOOR, GYRO_FLOOR, Rests
+from tumble.reduction.rests import Rests
+from tumble.reduction.tuning import USUAL
 from tumble.reduction.turns import TURN_FLOOR, VELOCITY_FLOOR, Turns
 from tumble.rotation import rotation_vector
+from tumble.sensors.grades import NoiseModel
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import positions_by_group
@@ -125,12 +135,30 @@ def bound(setup: Setup, *, gyros: bool = True) -> Bound:
 
 def bound_of(course: Course, setup: Setup, *, gyros: bool = True) -> Bound:
     """The bound of a course; of the set-up, all but programme, table and mounting counts. Raises InputError."""
-    seen = view(course, setup, gyros=gyros)
+    return _bound(view(course, setup, gyros=gyros), setup)
+
+
+def stated(setup: Setup, *, gyros: bool = True) -> Bound:
+    """The same with what `calibrate` does not know of a recording by a set-up's programme: what it will state on the
+    average over instruments. Raises InputError."""
+    course, margin = course_of(setup), USUAL.margin_of(setup.rest)
+    still = np.full(len(course.first), 0.5 * setup.ramp + margin)
+    seen = view(course, replace(setup, rest=setup.rest - 2.0 * margin), gyros=gyros, still=still)
+    problem, components = expected(seen.problem, seen.rows, seen.components)
+    return _bound(replace(seen, problem=problem, components=components), setup, setup.clock_u)
+
+
+def _bound(seen: View, setup: Setup, clock_u: float = 0.0) -> Bound:
+    """What the rows of a course say, with a time base of this relative standard uncertainty."""
     instrument, linear = seen.problem.instrument, seen.problem.instrument.linear_count
-    triangle, spread = seen.information(), seen.problem.spread[:linear]
-    own, solution = _marginal(triangle, linear, spread)
+    told, spread = seen.told(), seen.problem.spread[:linear]
+    triangle = np.diag(np.append(known_before(seen.problem), 0.0))
+    fold(told.sessions[0], triangle)
+    root, solution = _marginal(triangle[:-1, :-1], linear, spread)
+    root = np.hstack([over_session(seen.problem, told, root), by_clock(instrument, clock_u)[:, None]])
+    own = root @ root.T
     natural = _natural_units(setup, instrument.units[:linear])
-    direction, size, _ = np.linalg.svd(_root(solution, spread) / natural[:, None])
+    direction, size, _ = np.linalg.svd(root[:linear] / natural[:, None])
     null = solution.null * spread / natural
     null /= np.linalg.norm(null, axis=1, keepdims=True)
     worst = null[0] if len(null) else direction[:, 0]
@@ -145,38 +173,57 @@ def bound_of(course: Course, setup: Setup, *, gyros: bool = True) -> Bound:
         condition=np.inf if len(null) else float(size[0]) / max(float(size[-1]), np.finfo(float).tiny),
         worst=worst * np.sign(worst[np.argmax(np.abs(worst))]),
         worst_u=np.inf if len(null) else float(size[0]),
-        further=tuple(findings(instrument, setup, np.diag(own))),
+        further=tuple(findings(seen.problem, np.diag(own))),
     )
 
 
+def by_clock(instrument: Instrument, u: float) -> Array:
+    """What a time base of this relative standard uncertainty changes in the parameters (m,); sensors read rates and
+    forces, no increments."""
+    return by_time_base(instrument.names, clocked(u, {"accel": False, "gyro": False}))
+
+
 def _marginal(triangle: Array, linear: int, spread: Array) -> tuple[Array, Solution]:
-    """Covariance (m, m) of all parameters from their triangle (m, m), and the solution for the linear ones, whatever
-    the others are: with the columns of these first, R = (F X; 0 L), L is the triangle of the linear ones."""
-    further = triangle.shape[1] - linear
-    R = np.asarray(np.linalg.qr(np.roll(triangle, further, axis=1), mode="r"))
-    F, X, L = R[:further, :further], R[:further, further:], R[further:, further:]
+    """A root (1 + m, ·) of the covariance of gravity and all parameters from their triangle (1 + m, 1 + m), and the
+    solution for the linear ones, whatever the others are: with the columns of these first, R = (F X; 0 L), L is the
+    triangle of the linear ones. Gravity that is exact has none."""
+    own, p = slice(1, 1 + linear), len(triangle)
+    others = np.setdiff1d(np.flatnonzero(triangle.any(axis=0)), np.arange(1, 1 + linear))
+    R = np.asarray(np.linalg.qr(np.hstack([triangle[:, others], triangle[:, own]]), mode="r"))
+    q = len(others)
+    F, X, L = R[:q, :q], R[:q, q:], R[q : q + linear, q:]
     solution = least_squares(L, np.zeros(len(L)), spread)
-    back, inverse, root = np.linalg.solve(F, X), np.linalg.inv(F), _root(solution, spread)
-    carried = back @ root
-    across = -root @ carried.T
-    own = inverse @ inverse.T + carried @ carried.T
-    return np.block([[solution.covariance, across], [across.T, own]]), solution
+    known = np.hstack([solution.gain, spread[:, None] * solution.null.T])
+    root = np.zeros((p, known.shape[1] + q))
+    root[own, : known.shape[1]] = known
+    root[others] = np.hstack([-np.linalg.solve(F, X) @ known, np.linalg.inv(F)])
+    return root, solution
 
 
-def _root(solution: Solution, spread: Array) -> Array:
-    """A root W of a solution's covariance W Wᵀ, of which rounding makes no variance negative."""
-    return np.hstack([solution.gain, spread[:, None] * solution.null.T])
+def over_session(problem: Problem, told: Told, root: Array) -> Array:
+    """A root (m, ·) of the covariance of the parameters, biases being the means over the session, from one
+    (1 + m, ·) of gravity and the parameters, biases being the means of their processes."""
+    if told.process is None:
+        return root[1:]
+    _, by, apart = of_session(told, np.zeros(len(root)))
+    biases, more = 1 + problem.biases, np.zeros((len(root), len(apart)))
+    moved = root.copy()
+    moved[biases] += by @ root
+    value, vectors = np.linalg.eigh(apart)
+    more[biases] = vectors * np.sqrt(np.maximum(value, 0.0))
+    return np.hstack([moved, more])[1:]
 
 
-def findings(instrument: Instrument, setup: Setup, variance: Array) -> Iterator[GroupFinding]:
-    """What a programme finds out about each group beyond the linear model."""
-    for name, members in instrument.members.items():
-        learned = np.clip(1.0 - variance[members] / setup.further[name] ** 2, 0.0, 1.0)
+def findings(problem: Problem, variance: Array) -> Iterator[GroupFinding]:
+    """What a programme finds out about each group beyond the linear model, of the size that it has in a problem."""
+    for name, members in problem.instrument.members.items():
+        size, usual = problem.measured[1][1:][members], float(problem.usual[1][1:][members][0])
+        learned = np.clip(1.0 - variance[members] / size**2, 0.0, 1.0)
         yield GroupFinding(
             name=name,
             kept=bool(learned.max() > KEPT),
-            prior=setup.further[name],
-            widened=1.0,
+            prior=usual,
+            widened=float(size[0]) / usual,
             learned=tuple(learned.tolist()),
         )
 
@@ -222,30 +269,42 @@ def course_through(attitudes: Array, moves: Array, setup: Setup) -> Course:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class View:
-    """A course as the likelihood sees it: problem, point, turns and in-run instability."""
+    """A course as the likelihood sees it: problem, the rows at perfect sensors, and in-run instability."""
 
     problem: Problem
-    point: Point
-    about: TurnsAbout | None
-    scatter: Scatter
+    rows: Rows
+    components: Components
 
-    def information(self) -> Array:
-        """A square root (m, m), a triangle, of what the course, measured gravity and the priors of the groups beyond
-        the linear model say of the parameters."""
-        rest, merged = self.whitened()
-        p, link = rest.shape[2] - 4, self.problem.link
-        triangle, factor = np.diag(np.append(known_before(self.problem), 0.0)), np.empty((len(rest), 3, 7 + p))
-        eliminate(rest, merged, link, link < 0, factor, triangle)
-        return triangle[1:-1, 1:-1]
+    @property
+    def states(self) -> int:
+        """How many in-run biases a rest has among its unknowns."""
+        return self.problem.sensors if self.components.wanders else 0
+
+    def told(self) -> Told:
+        """What the course says of measured gravity and the parameters, with nothing known before."""
+        return tell(self.problem, self.rows, weights(self.problem, self.rows, self.components))
 
     def whitened(self) -> tuple[Array, Array]:
-        """The whitened rows of the rests (N, r, 3 + p + 1), which count where no turn follows, and of the turns
-        together with the rests before them (K, r + t, 6 + p + 1), see `tumble.estimation.elimination`."""
-        rows = linearise(self.problem, self.point, self.about)
-        weights = noise_of(self.problem, rows).weights(self.scatter)
-        turns = self.problem.observations.turns
-        first = np.zeros(0, dtype=np.int64) if turns is None else turns.first
-        return weights.rest @ rows.rest, weights.merged @ rows.merged(first)
+        """The whitened rows of the rests (N, r + n, d + p + 1), n = d − 3 being the states of in-run biases, and those
+        that join each to the next (N − 1, t + n, 2d + p + 1), its turn and the steps of the states, see
+        `tumble.inference.elimination`. The last n of a rest are zero: they are for where a chain begins (`begun`)."""
+        process = InRun.of(self.problem, self.components) if self.components.wanders else None
+        weight = weights(self.problem, self.rows, self.components)
+        rest, turn = whitened_rows(self.problem, self.rows, weight, process)
+        n = self.states
+        joints = np.zeros((len(rest), turn.shape[1] + n, rest.shape[2] + 3 + n))
+        joints[self.problem.before_turn, : turn.shape[1]] = turn
+        if process is not None:
+            joints[:, turn.shape[1] :] = process.steps(3 + n, joints.shape[2])
+        return np.pad(rest, ((0, 0), (0, n), (0, 0))), joints[:-1]
+
+
+def begun(rest: Array, states: int) -> Array:
+    """The rows of rests (..., r + n, d + p + 1) of `View.whitened` where a chain begins with each: its n states are
+    those of a stationary process."""
+    out = rest.copy()
+    out[..., rest.shape[-2] - states :, 3 : 3 + states] = np.eye(states)
+    return out
 
 
 def known_before(problem: Problem) -> Array:
@@ -255,21 +314,26 @@ def known_before(problem: Problem) -> Array:
     return np.where(u > 0.0, 1.0 / np.where(u > 0.0, u, 1.0), 0.0)
 
 
-def view(course: Course, setup: Setup, *, gyros: bool) -> View:
-    """The rows' ingredients at perfect sensors and the attitudes of the course. Raises InputError."""
+def view(course: Course, setup: Setup, *, gyros: bool, still: Array | None = None) -> View:
+    """The rows at perfect sensors and the attitudes of the course, with `still` (K,) s before and after the turns that
+    belong to them. Raises InputError."""
     instrument = instrument_of(setup, gyros)
-    observations, about = observed(course, setup, instrument)
-    return View(
-        problem=Problem.of(observations, instrument=instrument, usual=setup.further),
-        point=Point(values=np.zeros(len(instrument.names)), gravity=setup.gravity, attitudes=course.attitudes),
-        about=about,
-        scatter=scatter_of(setup),
+    observations, about = observed(course, setup, instrument, still)
+    problem = Problem.of(observations, instrument=instrument, usual=setup.further)
+    point = Point(values=np.zeros(len(instrument.names)), gravity=setup.gravity, attitudes=course.attitudes)
+    return View(problem=problem, rows=linearise(problem, point, about), components=components_of(setup.noise))
+
+
+SHORTEST_TIME = 1e-3
+"""s: of the correlation of biases that are drawn anew at every rest."""
+
+
+def components_of(noise: NoiseModel) -> Components:
+    """The in-run instability of an instrument."""
+    time = max(noise.instability_time, SHORTEST_TIME)
+    return Components(
+        accel_in_run=noise.accel_instability, gyro_in_run=noise.gyro_instability, accel_time=time, gyro_time=time
     )
-
-
-def scatter_of(setup: Setup) -> Scatter:
-    """The in-run instability of a set-up's instrument."""
-    return Scatter(accel=setup.noise.accel_instability, gyro=setup.noise.gyro_instability)
 
 
 def observed(
@@ -320,27 +384,21 @@ def _check(setup: Setup, gyros: bool) -> None:
 
 def _rests(course: Course, setup: Setup, gyros: bool) -> Rests:
     """What perfect sensors read at rest, with the covariances of white noise."""
-    N, noise = len(course.attitudes), setup.noise
-    accel = noise.accel_white**2 / setup.rest + ACCEL_FLOOR**2
-    gyro = noise.gyro_white**2 / setup.rest + GYRO_FLOOR**2
-    n = 3 if gyros else 0
-    moved = np.zeros(N)
-    moved[course.first + 1] = course.seconds
-    start = np.asarray(setup.rest * np.arange(N) + np.cumsum(moved), dtype=float)
-    return Rests(
-        file=np.zeros(N, dtype=np.int64),
-        start=start,
-        stop=start + setup.rest,
+    noise, start = setup.noise, begins(course, setup)
+    return Rests.of_white_noise(
+        start,
+        start + setup.rest,
         accel=setup.gravity * course.attitudes[:, 1],
-        accel_covariance=np.broadcast_to(accel * np.eye(3), (N, 3, 3)),
-        accel_drift=np.zeros((N, 3)),
-        accel_noise=np.full((N, 3), noise.accel_white),
-        gyro=(np.array(earth_rate(setup.latitude)) @ course.attitudes)[:, :n],
-        gyro_covariance=np.broadcast_to(gyro * np.eye(n), (N, n, n)),
-        gyro_drift=np.zeros((N, n)),
-        gyro_noise=np.full((N, n), noise.gyro_white),
-        temperatures=None,
+        gyro=(np.array(earth_rate(setup.latitude)) @ course.attitudes)[:, : 3 if gyros else 0],
+        densities=(noise.accel_white, noise.gyro_white),
     )
+
+
+def begins(course: Course, setup: Setup, ramp: float = 0.0) -> Array:
+    """When the rests of a course begin (N,), s, moves taking as long as they do and a `ramp`, s."""
+    moved = np.zeros(len(course.attitudes))
+    moved[course.first + 1] = course.seconds + ramp
+    return np.asarray(setup.rest * np.arange(len(moved)) + np.cumsum(moved))
 
 
 def _turns(course: Course, setup: Setup, moments: Moments, still: Array | None) -> Turns:

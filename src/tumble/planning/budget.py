@@ -37,7 +37,8 @@ from tumble.brief import Brief
 from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.estimation.methods.paper.accuracy_formulas import turn_bias_error
-from tumble.planning.bounds import bound
+from tumble.inference.hyperparameters import CORRELATION_TIME
+from tumble.planning.bounds import begins, bound, course_of
 from tumble.planning.error_propagation import (
     BUDGETED_METHODS,
     NAME_UNITS,
@@ -415,14 +416,16 @@ def _noise(setup: Setup, plan: Plan, method: BudgetedMethod) -> dict[str, Array]
     by_accel = _gains(plan, method, Seen(accel=accel, gyro=0.0 * accel, turn=np.zeros((3 * N, K, 3))))
     by_gyro = _gains(plan, method, Seen(accel=0.0 * accel, gyro=accel, turn=np.zeros((3 * N, K, 3))))
     by_turn = _gains(plan, method, Seen(accel=np.zeros((3 * K, N, 3)), gyro=np.zeros((3 * K, N, 3)), turn=turn))
-    by_change = _gains(plan, method, Seen(accel=0.0 * accel, gyro=accel, turn=_held(plan, accel)))
+    by_change = _gains(plan, method, Seen(accel=0.0 * accel, gyro=accel, turn=_in_turns(plan, accel)))
+    alike = np.exp(-np.abs(np.subtract.outer(*[begins(course_of(setup), setup)] * 2)) / CORRELATION_TIME)
     seconds = np.repeat(plan.duration, 3)
     return {
         REST_NOISE[0]: (by_accel**2).sum(axis=0) * (setup.noise.accel_white / setup.gravity) ** 2 / setup.rest,
         REST_NOISE[1]: (by_gyro**2).sum(axis=0) * setup.noise.gyro_white**2 / setup.rest,
         "gyro noise in turns": seconds @ by_turn**2 * setup.noise.gyro_white**2,
-        "accelerometer instability": (by_accel**2).sum(axis=0) * (setup.noise.accel_instability / setup.gravity) ** 2,
-        "gyro instability": (by_change**2).sum(axis=0) * setup.noise.gyro_instability**2,
+        "accelerometer instability": _wandered(by_accel, "accel.bias", alike)
+        * (setup.noise.accel_instability / setup.gravity) ** 2,
+        "gyro instability": _wandered(by_change, "gyro.bias", alike) * setup.noise.gyro_instability**2,
         "uncertainty of gravity": np.isin(np.arange(len(NAMES)), members_of("accel.scale"))
         * (setup.gravity_u / setup.gravity) ** 2,
     }
@@ -437,9 +440,20 @@ def _gains(plan: Plan, method: BudgetedMethod, seen: Seen) -> Array:
     return estimates(plan, method, plan.nominal, seen)
 
 
-def _held(plan: Plan, gyro: Array) -> Array:
-    """Attitude errors (m, K, 3) that gyro errors (m, N, 3) make when they stay through the turn after a rest."""
+def _wandered(gains: Array, bias: str, alike: Array) -> Array:
+    """Variances (21,) by biases that are a process of unit variance, `alike` from rest to rest (N, N), with what comes
+    of each rest and axis (3N, 21); those of a `bias` are about its mean over the session."""
+    N = len(alike)
+    of_rests = gains.reshape(N, 3, -1).copy()
+    of_rests[:, np.arange(3), members_of(bias)] -= 1.0 / N
+    return np.asarray(np.einsum("icp,ij,jcp->p", of_rests, alike, of_rests))
+
+
+def _in_turns(plan: Plan, gyro: Array) -> Array:
+    """Attitude errors (m, K, 3) that biases make which are gyro errors (m, N, 3) at rest: in a turn they are between
+    those at its ends."""
     if plan.turns is None:
         return np.zeros((len(gyro), 0, 3))
     turns = plan.turns
-    return turn_bias_error(turns.start, turns.axis, turns.angle, plan.duration, gyro[:, turns.first])
+    between = 0.5 * (gyro[:, turns.first] + gyro[:, turns.first + 1])
+    return turn_bias_error(turns.start, turns.axis, turns.angle, plan.duration, between)

@@ -1,6 +1,6 @@
 """Recordings over temperature that are planned, as the likelihood sees them.
 
-The rows are those of several sessions together (`tumble.estimation.likelihood`) at perfect sensors and the attitudes of
+The rows are those of several sessions together (`tumble.inference.likelihood`) at perfect sensors and the attitudes of
 their programmes, with the thermometer's course in each. Rests and turns are those that a log gives: the segmentation
 takes a margin off each end of a rest, which belongs to the turn, a turn has its ramps, and rests that warm are taken in
 parts where several sessions are one estimate.
@@ -21,15 +21,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.estimation.likelihood import Point, Problem, Rows, instruments_of
-from tumble.estimation.linearisation import linearise
-from tumble.planning.bounds import Course, instrument_of, observed
+from tumble.inference.likelihood import Point, Problem, Rows, instruments_of
+from tumble.inference.linearisation import linearise
+from tumble.planning.bounds import Course, begins, instrument_of, observed
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme
 from tumble.reduction.observations import Observations, Together
-from tumble.reduction.segmentation import margin_of
 from tumble.reduction.thermometer import Thermometers
 from tumble.reduction.together import MOST_PARTS, SHORTEST_PART, WARMED, held
+from tumble.reduction.tuning import USUAL
 from tumble.reduction.turns import Turns
 from tumble.units import Array
 
@@ -75,14 +75,14 @@ class _Recorded:
 
 def problem_of(
     setup: Setup, sessions: Sequence[ChamberSession], courses: Sequence[Course], *, gyros: bool
-) -> tuple[Problem, Rows]:
-    """The sessions as one problem, and its rows."""
+) -> tuple[Problem, Rows, Point]:
+    """The sessions as one problem, its rows, and the point at which they are."""
     recorded = [_recorded(*each, setup, parts=len(sessions) > 1) for each in zip(sessions, courses, strict=True)]
     course = _one_after_the_other([each.course for each in recorded])
     bare = replace(instrument_of(setup, gyros), further=())
     observations = _warmed(observed(course, setup, bare)[0], setup, sessions, recorded)
     instrument, own = instruments_of(observations)
-    still = np.where(course.seconds > NO_TIME, 0.5 * setup.ramp + margin_of(setup.rest), 0.0)
+    still = np.where(course.seconds > NO_TIME, 0.5 * setup.ramp + USUAL.margin_of(setup.rest), 0.0)
     fresh, about = observed(course, setup, instrument, still)
     observations = held(replace(observations, turns=_without_time(fresh.turns, course)))
     problem = Problem.of(observations, instrument=instrument, own=own, usual=setup.further)
@@ -90,12 +90,12 @@ def problem_of(
     if problem.lag is not None:
         values[problem.lag] = TYPICAL * setup.further["temperature.lag"]
     point = Point(values=values, gravity=setup.gravity, attitudes=course.attitudes, own=of_each)
-    return problem, _with_lag(problem.warmed(point), linearise(problem, point, about))
+    return problem, _with_lag(problem.warmed(point), linearise(problem, point, about)), point
 
 
 def _recorded(session: ChamberSession, course: Course, setup: Setup, *, parts: bool) -> _Recorded:
     """A session with its rests as a log has them, cut off at both ends, in `parts` where several are one estimate."""
-    start, margin = _starts(course, setup), margin_of(setup.rest)
+    start, margin = begins(course, setup, setup.ramp), USUAL.margin_of(setup.rest)
     time, kelvin = session.course(float(start[-1]) + setup.rest)
     begin, end = start + margin, start + setup.rest - margin
     change = np.abs(np.interp(end, time, kelvin) - np.interp(begin, time, kelvin))
@@ -129,13 +129,6 @@ def _one_after_the_other(courses: Sequence[Course]) -> Course:
         moves=np.concatenate([course.moves for course in courses]),
         seconds=np.concatenate([course.seconds for course in courses]),
     )
-
-
-def _starts(course: Course, setup: Setup) -> Array:
-    """When the rests of a course begin (N,), s."""
-    moved = np.zeros(len(course.attitudes))
-    moved[course.first + 1] = course.seconds + setup.ramp
-    return np.asarray(setup.rest * np.arange(len(moved)) + np.cumsum(moved))
 
 
 def _warmed(

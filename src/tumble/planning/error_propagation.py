@@ -16,20 +16,20 @@ import numpy as np
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.errors import ProgrammeError
 from tumble.estimation.methods.paper.accuracy_formulas import (
-    ACCEL_PAIRS,
     KnownTurns,
     accelerometer_errors,
     applied,
     dot,
     dot_product_error,
-    gyro_matrix_error,
     gyro_matrix_rate_error,
     horizontal_differences,
     indirect_accelerometer_matrix,
     indirect_matrix,
+    matrix_error,
     modulus_residual,
     reference_rate_error,
     scalar_residuals,
+    solved,
     start_error_growth,
     transposed,
     triad_error,
@@ -40,11 +40,13 @@ from tumble.estimation.methods.paper.accuracy_formulas import (
 )
 from tumble.estimation.methods.paper.scalar import scalar_rows
 from tumble.programme.positions import Programme
-from tumble.rotation import axes_matrix, rotation_matrix, rotation_vector_near, unit_vector
-from tumble.sensors.model import Block
+from tumble.rotation import rotation_matrix, rotation_vector_near, unit_vector
+from tumble.sensors.model import Block, triad_model
 from tumble.units import Array, IntArray
 
 _N, _E = 0, 2
+_PAIRS = ((0, 1), (0, 2), (1, 2))
+"""The accelerometers between whose axes the angles yx, zx, zy are."""
 _ACCEL = Block(kind="accel", axes=np.eye(3))
 _GYRO = Block(kind="gyro", axes=np.eye(3))
 
@@ -94,7 +96,7 @@ def plan_of(programme: Programme, method: BudgetedMethod, *, turn_rate: float, l
         indirect=indirect_matrix(programme) if has_turns else np.empty((0, 9)),
         indirect_accel=indirect_accelerometer_matrix(programme) if has_turns else np.empty((0, 9)),
         standing=tuple(np.flatnonzero(np.abs(u[:, p]) > 1.0 - _NEAR) for p in range(3)),
-        oblique=tuple(np.flatnonzero(_astride(u, *pair)) for pair in ACCEL_PAIRS),
+        oblique=tuple(np.flatnonzero(_astride(u, *pair)) for pair in _PAIRS),
         latitude=latitude,
     )
     _check_positions(programme, method, u, plan)
@@ -147,7 +149,7 @@ def _seen(plan: Plan, attitudes: Array) -> Seen:
     """What each of the 21 parameters, taken as 1, makes the sensors show at these attitudes (..., N, 3, 3)."""
     X = np.eye(len(NAMES))[:, None]
     L = attitudes[..., None, :, :, :]
-    E = gyro_matrix_error(X[..., 12:15], X[..., 15:])
+    E = matrix_error(X[..., 12:15], X[..., 15:])
     gyro = X[..., 9:12] + gyro_matrix_rate_error(L, E, plan.latitude)
     turn = np.zeros((*gyro.shape[:-2], 0, 3))
     if plan.turns is not None:
@@ -176,14 +178,14 @@ def estimates(plan: Plan, method: BudgetedMethod, attitudes: Array, seen: Seen) 
     if method == "sequential":
         accel_values = _sequential_accelerometers(plan, u, seen.accel)
     else:
-        accel_values = _solved(scalar_rows(u), dot(u, seen.accel))
+        accel_values = solved(scalar_rows(u), dot(u, seen.accel))
     accel = seen.accel - accelerometer_errors(accel_values[..., None, :], u)
     bias = _gyro_bias(plan, method, L, accel, seen.gyro)
     if plan.turns is None:
         return np.concatenate([accel_values, bias, np.zeros((*bias.shape[:-1], 9))], axis=-1)
     corrected = _without_bias(plan, L, Seen(accel=accel, gyro=seen.gyro, turn=seen.turn), bias)
     matrix = plan.indirect if method != "staged" else _logged_matrix(plan, attitudes)
-    gyro_values = _solved(matrix, _differences(plan, L, corrected))
+    gyro_values = solved(matrix, _differences(plan, L, corrected))
     return np.concatenate([accel_values, bias, gyro_values], axis=-1)
 
 
@@ -194,7 +196,7 @@ def _sequential_accelerometers(plan: Plan, u: Array, accel: Array) -> Array:
     for p, rests in enumerate(plan.standing):
         cosine = u[..., rests, p]
         line = np.stack([np.ones_like(cosine), cosine], axis=-1)
-        found = _solved(line, cosine * modulus[..., rests])
+        found = solved(line, cosine * modulus[..., rests])
         b.append(found[..., 0])
         k.append(found[..., 1])
     first = np.stack([*b, *k, *(np.zeros_like(b[0]),) * 3], axis=-1)
@@ -205,7 +207,7 @@ def _sequential_accelerometers(plan: Plan, u: Array, accel: Array) -> Array:
 def _oblique_angles(plan: Plan, u: Array, accel: Array) -> Array:
     """Stage 2, Eq. (10) to first order in the errors at any tilt: γ_yx, γ_zx, γ_zy (..., m, 3)."""
     out = []
-    for (p, q), rests in zip(ACCEL_PAIRS, plan.oblique, strict=True):
+    for (p, q), rests in zip(_PAIRS, plan.oblique, strict=True):
         up, uq, ur = u[..., rests, p], u[..., rests, q], u[..., rests, 3 - p - q]
         ep, eq, er = accel[..., rests, p], accel[..., rests, q], accel[..., rests, 3 - p - q]
         out_of_plane = ur * er / (1.0 - ur**2)
@@ -220,10 +222,10 @@ def _gyro_bias(plan: Plan, method: BudgetedMethod, L: Array, accel: Array, gyro:
         return np.stack([shown[..., rests, p].mean(axis=-1) for p, rests in enumerate(plan.standing)], axis=-1)
     if method == "scalar":
         polar = applied(transposed(L), np.array(earth_rate(plan.latitude))) / EARTH_RATE
-        return _solved(polar, dot(polar, gyro))
+        return solved(polar, dot(polar, gyro))
     u = L[..., 1, :]
     north = dot(L[..., 0, :], accel)
-    return _solved(u, dot(u, gyro) + dot_product_error(north, plan.latitude))
+    return solved(u, dot(u, gyro) + dot_product_error(north, plan.latitude))
 
 
 def _without_bias(plan: Plan, L: Array, seen: Seen, bias: Array) -> Seen:
@@ -296,17 +298,17 @@ def second_order(plan: Plan, method: BudgetedMethod, X: Array) -> Array:
         left = np.concatenate([accel[..., :6], np.zeros((*accel.shape[:-1], 3))], axis=-1)
         accel[..., 6:] = -_oblique_angles(plan, u, accelerometer_errors(left[..., None, :], u))
     else:
-        accel = _solved(scalar_rows(u), linearised + orientation)
+        accel = solved(scalar_rows(u), linearised + orientation)
     bias = np.zeros((*X.shape[:-1], 3))
     if method == "scalar":
-        E = gyro_matrix_error(X[..., None, 12:15], X[..., None, 15:])
+        E = matrix_error(X[..., None, 12:15], X[..., None, 15:])
         error = X[..., None, 9:12] + gyro_matrix_rate_error(plan.nominal, E, plan.latitude)
         polar = transposed(plan.nominal) @ np.array(earth_rate(plan.latitude)) / EARTH_RATE
-        bias = _solved(polar, modulus_residual(applied(plan.nominal, error)))
+        bias = solved(polar, modulus_residual(applied(plan.nominal, error)))
     gyro = np.zeros((*X.shape[:-1], 9))
     if plan.turns is not None:
-        by_accel = _solved(plan.indirect, -applied(plan.indirect_accel, accel))
-        gyro = _solved(plan.indirect, _turns_second_order(plan.turns, method, X[..., 12:])) + by_accel
+        by_accel = solved(plan.indirect, -applied(plan.indirect_accel, accel))
+        gyro = solved(plan.indirect, _turns_second_order(plan.turns, method, X[..., 12:])) + by_accel
     return np.concatenate([accel, bias, gyro], axis=-1)
 
 
@@ -321,8 +323,7 @@ def _turns_beyond(turns: KnownTurns, method: BudgetedMethod, values: Array) -> A
 
     In such a turn the rate is constant in the body, and so is what the gyros make of it."""
     k, γ = values[..., :3], values[..., 3:]
-    S = (1.0 + k)[..., None] * np.moveaxis(axes_matrix(*np.moveaxis(γ, -1, 0)), (0, 1), (-2, -1))
-    E = gyro_matrix_error(k, γ)
+    S, E = triad_model(np.zeros(3), k, γ).matrix, matrix_error(k, γ)
     out = []
     computed = turns.start[0]
     for t, (start, stop) in enumerate(zip(turns.start, turns.stop, strict=True)):
@@ -339,11 +340,3 @@ def _turns_beyond(turns: KnownTurns, method: BudgetedMethod, values: Array) -> A
         out.append(found[..., [_N, _E]] - horizontal_differences(expected, np.zeros(3)))
         computed = after
     return np.concatenate(out, axis=-1)
-
-
-# Linear pieces
-
-
-def _solved(rows: Array, right: Array) -> Array:
-    """Least squares (..., m) of rows (..., r, m) for right-hand sides (..., r)."""
-    return applied(np.asarray(np.linalg.pinv(rows), dtype=float), right)

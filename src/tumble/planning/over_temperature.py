@@ -1,9 +1,9 @@
 """What recordings over temperature can show at best, before a chamber is booked, and how long it takes.
 
-The rows are those of several sessions together (`tumble.estimation.likelihood`) at perfect sensors and the attitudes of
+The rows are those of several sessions together (`tumble.inference.likelihood`) at perfect sensors and the attitudes of
 their programmes, with the thermometer's course in each, so that the covariance is that which `calibrate_together`, or
 `calibrate` of one session, states: common coefficients over temperature, biases of each launch, drifts of each session,
-all groups with their priors.
+all groups with their priors, in-run biases, what will be said of the noise, and the time base.
 
 A chamber that has changed by ΔT leaves a unit of time constant τ with (ΔT/τ) e^(−t/τ) of drift, and sensors that lag by
 λ with λ times this of error: it soaks until that is SETTLED.
@@ -19,11 +19,14 @@ import numpy as np
 
 from tumble.errors import InputError
 from tumble.estimation.estimate import DETERMINED, GroupFinding
-from tumble.estimation.likelihood import Problem, noise_of
-from tumble.estimation.step import solve
-from tumble.estimation.variables import both_ways, over_a_range
-from tumble.planning.bounds import Course, bound_of, course_of, findings, scatter_of
+from tumble.inference.hyperparameters import Components
+from tumble.inference.likelihood import Problem, Rows, weights
+from tumble.inference.linearisation import with_priors
+from tumble.inference.step import joined, tell
+from tumble.inference.variables import both_ways, over_a_range
+from tumble.planning.bounds import Course, bound_of, by_clock, components_of, course_of, findings, over_session
 from tumble.planning.chamber_recordings import ChamberSession, problem_of
+from tumble.planning.expected_sizes import expected
 from tumble.planning.setup import Setup, time_of, with_all_groups
 from tumble.sensors.parameters import (
     THERMAL,
@@ -151,16 +154,16 @@ def plan_over_temperature(
         raise InputError("temperature: expected at least one recording, found none")
     setup, chamber = with_all_groups(setup), chamber or Chamber()
     courses = [course_of(replace(setup, programme=session.programme)) for session in sessions]
-    problem, rows = problem_of(setup, sessions, courses, gyros=gyros)
-    step = solve(problem, rows, noise_of(problem, rows).weights(scatter_of(setup)))
-    covariance = step.covariance[1:, 1:]
+    problem, rows, point = problem_of(setup, sessions, courses, gyros=gyros)
+    problem, components = expected(problem, rows, components_of(setup.noise))
+    covariance = covariance_of(problem, with_priors(rows, problem, point), components, setup.clock_u)
     planned = tuple(_planned(setup, sessions, courses, chamber, gyros=gyros))
     instrument, kelvin = problem.instrument, problem.observations.rests.temperature
     assert kelvin is not None
     linear = instrument.linear_count
     determined = np.ones(len(covariance), dtype=bool)
     determined[:linear] = np.sqrt(np.diag(covariance)[:linear]) < problem.spread[:linear] / DETERMINED
-    further = tuple(findings(instrument, setup, np.diag(covariance)))
+    further = tuple(findings(problem, np.diag(covariance)))
     return ThermalPlan(
         setup=setup,
         sessions=planned,
@@ -174,6 +177,16 @@ def plan_over_temperature(
         further=further,
         notes=tuple(_notes(problem, planned, covariance, further, chamber)),
     )
+
+
+def covariance_of(problem: Problem, rows: Rows, components: Components, clock_u: float) -> Array:
+    """The covariance (m, m) of the parameters by rows and priors, with a time base of this relative standard
+    uncertainty; biases of one session are the means over it."""
+    told, q = tell(problem, rows, weights(problem, rows, components)), len(problem.own_known)
+    root = joined(problem, rows, told).roots[0][q:, q:]
+    root = over_session(problem, told, root) if len(problem.parts) == 1 else root[1:]
+    root = np.column_stack([root, by_clock(problem.instrument, clock_u)])
+    return np.asarray(root @ root.T)
 
 
 def wanted_over_temperature(texts: Sequence[str]) -> dict[str, float]:

@@ -16,7 +16,7 @@ from tumble.planning.best_positions import (
     optimised,
     untold,
 )
-from tumble.planning.bounds import Bound, bound
+from tumble.planning.bounds import Bound, bound, stated
 from tumble.planning.reachable_attitudes import ANY, TurnTable
 from tumble.planning.setup import Setup, check_setup, with_all_groups
 
@@ -26,7 +26,8 @@ FOR_ALL = Aim()
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class PlanResult(Brief):
-    """What a set-up's programme can show at best, of the linear model alone and of the `whole` instrument. `following`
+    """What a set-up's programme can show at best, of the linear model, and what `calibrate` will state of the `whole`
+    instrument. `following`
     are the positions it would gain most by, where it was given; `programmes` the programme that was found and those of
     the literature, where one was to be found."""
 
@@ -57,11 +58,14 @@ def plan(
     """
     check_setup(setup, 1)
     if positions is None:
-        best, whole = bound(setup, gyros=aim.gyros), bound(with_all_groups(setup), gyros=aim.gyros)
         return PlanResult(
-            setup=setup, bound=best, whole=whole, following=next_positions(setup, aim, table), programmes=()
+            setup=setup,
+            bound=bound(setup, gyros=aim.gyros),
+            whole=stated(with_all_groups(setup), gyros=aim.gyros),
+            following=next_positions(setup, aim, table),
+            programmes=(),
         )
     setup = replace(setup, programme=optimised(setup, positions, aim, table, progress))
     rows = compared(setup, (setup.programme, *of_the_literature()), aim)
-    whole = bound(with_all_groups(setup), gyros=aim.gyros)
+    whole = stated(with_all_groups(setup), gyros=aim.gyros)
     return PlanResult(setup=setup, bound=rows[0].bound, whole=whole, following=(), programmes=rows)

@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.planning.bounds import Course, course_through, view
+from tumble.planning.bounds import Course, begun, course_through, view
 from tumble.planning.setup import Setup
 from tumble.programme.positions import TRIPLES, Position, from_attitudes
 from tumble.rotation import rotation_vector
@@ -58,7 +58,7 @@ SMALLEST_STEP = 5.0
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Legs:
     """Ways between one place and others (q,): rotation vectors (q, 3), which of them are turns of the table, and the
-    whitened rows (q, r + t, 6 + p + 1) of the rest before and of what gyros and accelerometers see of the turn."""
+    whitened rows (q, t, 2d + p + 1) that join the rests at their ends, see `View.whitened`."""
 
     places: IntArray
     moves: Array
@@ -68,7 +68,8 @@ class Legs:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Places:
-    """Where a table can be: positions and attitudes (n, 3, 3), and the whitened rows of a rest in each."""
+    """Where a table can be: positions and attitudes (n, 3, 3), and the whitened rows of a rest in each, with so many
+    `states` of in-run biases."""
 
     table: TurnTable
     setup: Setup
@@ -76,6 +77,7 @@ class Places:
     positions: tuple[Position, ...]
     attitudes: Array
     rest: Array
+    states: int
     _onward: dict[int, Legs] = field(default_factory=dict, repr=False)
     _backward: dict[int, Legs] = field(default_factory=dict, repr=False)
 
@@ -94,8 +96,22 @@ class Places:
                     known = np.concatenate([known, position.matrix[None]])
         attitudes = np.array([position.matrix for position in positions])
         still = course_through(attitudes, np.zeros((len(attitudes) - 1, 3)), setup)
-        rest, _ = view(still, setup, gyros=gyros).whitened()
-        return Places(table=table, setup=setup, gyros=gyros, positions=tuple(positions), attitudes=attitudes, rest=rest)
+        seen = view(still, setup, gyros=gyros)
+        return Places(
+            table=table,
+            setup=setup,
+            gyros=gyros,
+            positions=tuple(positions),
+            attitudes=attitudes,
+            rest=seen.whitened()[0],
+            states=seen.states,
+        )
+
+    def chain(self, places: IntArray) -> Array:
+        """The whitened rows of the rests of a programme through some places."""
+        rest = self.rest[places]
+        rest[0] = begun(rest[0], self.states)
+        return rest
 
     def index(self, matrix: Array) -> int:
         """The place with this attitude."""
@@ -116,8 +132,7 @@ class Places:
     def _legs(self, place: int, sense: int) -> Legs:
         """The legs from (1) or to (−1) a place; turns of the table first."""
         others, moves, turned = self._moves(place, sense)
-        rows = self._rows(place, others, moves, sense) if self.gyros else np.zeros((len(others), 0, 0))
-        return Legs(places=others, moves=moves, turned=turned, rows=rows)
+        return Legs(places=others, moves=moves, turned=turned, rows=self._rows(place, others, moves, sense))
 
     def _moves(self, place: int, sense: int) -> tuple[IntArray, Array, BoolArray]:
         """The places that can be reached from one (1), or from which it can (−1), how, and whether by a turn of the
@@ -136,8 +151,7 @@ class Places:
         return np.concatenate([one, two, three]), moves, np.arange(len(moves)) < len(one) + len(two)
 
     def _rows(self, place: int, others: IntArray, moves: Array, sense: int) -> Array:
-        """The whitened rows of the turns on legs from or to a place, and of the rests before them, one after the
-        other as if in one long course."""
+        """The whitened rows of legs from or to a place, one after the other as if in one long course."""
         ends = np.stack([np.full(len(others), place), others], axis=1)[:, ::sense]
         course = Course(
             attitudes=self.attitudes[ends.ravel()],
@@ -145,7 +159,7 @@ class Places:
             moves=moves,
             seconds=np.linalg.norm(moves, axis=1) / self.setup.turn_rate,
         )
-        return view(course, self.setup, gyros=True).whitened()[1]
+        return view(course, self.setup, gyros=self.gyros).whitened()[1][::2]
 
 
 def _turns(step: float) -> list[str]:
@@ -171,7 +185,7 @@ def _same(attitudes: Array, matrix: Array) -> Array:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Ways:
     """Ways (q) through k places each with e legs: places (q, k), moves (q, e, 3), which are turns of the table (q, e),
-    and whitened rows (q, e, r + t, ·)."""
+    and whitened rows (q, e, t, ·)."""
 
     places: IntArray
     moves: Array

@@ -20,6 +20,7 @@ from tumble.earth import normal_gravity
 from tumble.errors import InputError
 from tumble.programme.positions import Programme, duration
 from tumble.programme.positions import programme as built_in
+from tumble.recording.session import USUAL_CLOCK_U
 from tumble.sensors.grades import GRADES, NoiseModel, Spread
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.parameters import usual_sizes
@@ -29,6 +30,7 @@ from tumble.usual_setup import (
     GRADE,
     GRAVITY_U,
     HEIGHT,
+    INSTABILITY_TIME,
     LATITUDE_DEG,
     MOUNTING_ERROR_DEG,
     MOVE,
@@ -56,7 +58,7 @@ class Setup(Brief):
     the instrument is called, and the start of a simulated one's serial number. `further` are the groups of parameters
     that it has beyond the linear model, with their standard deviations over instruments, SI, which are the priors too.
     `latitude`, rad; `height`, m; `gravity`, m/s², with its standard uncertainty `gravity_u`
-    (`earth.NORMAL_GRAVITY_U` if it is not measured)."""
+    (`earth.NORMAL_GRAVITY_U` if it is not measured); `clock_u`, the relative standard uncertainty of the time base."""
 
     programme: Programme = field(default_factory=lambda: _programme(PROGRAMME))
     by_hand: int | None = None
@@ -76,6 +78,7 @@ class Setup(Brief):
     height: float = HEIGHT
     gravity: float
     gravity_u: float = GRAVITY_U
+    clock_u: float = USUAL_CLOCK_U
 
     @staticmethod
     def of(
@@ -92,10 +95,12 @@ class Setup(Brief):
         gravity: float | None = None,
         gravity_u: float = GRAVITY_U,
         noise_factor: float = 1.0,
+        instability_time: float = INSTABILITY_TIME,
         terms: Terms = "linear",
     ) -> Setup:
         """The set-up of a built-in programme or, if `positions` is given, of so many positions by hand, with an
-        instrument of a grade whose noise is multiplied by `noise_factor`, in the words and units of the command line.
+        instrument of a grade whose noise is multiplied by `noise_factor` and whose in-run biases have the correlation
+        time `instability_time`, s, in the words and units of the command line.
         What is None is usual on a table or by hand; gravity then is normal gravity. With the `terms` "full" the
         instrument has all groups of parameters, of the usual spread of its grade.
 
@@ -119,7 +124,7 @@ class Setup(Brief):
             ramp=usual.ramp,
             sample_rate=SAMPLE_RATE if sample_rate is None else sample_rate,
             instrument=grade,
-            noise=kind.noise.scaled(noise_factor),
+            noise=replace(kind.noise.scaled(noise_factor), instability_time=instability_time),
             accel=kind.accel,
             gyro=kind.gyro,
             further=usual_sizes(grade) if terms == "full" else {},
@@ -156,7 +161,7 @@ def check_setup(setup: Setup, iterations: int) -> None:
         raise InputError(
             f"gravity: expected {LEAST_GRAVITY:g} to {MOST_GRAVITY:g} m/s^2, as a planet has, found {setup.gravity:g}"
         )
-    for name in ("table_error", "mounting_error", "gravity_u"):
+    for name in ("table_error", "mounting_error", "gravity_u", "clock_u"):
         expect(name, getattr(setup, name), least="0 or more")
     for noise in fields(setup.noise):
         expect(f"noise.{noise.name}", getattr(setup.noise, noise.name), least="0 or more")

@@ -30,7 +30,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -40,9 +39,6 @@ from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.reduction import kernels as _kernels
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, rounded
-
-if TYPE_CHECKING:
-    pass
 
 SIZES_PER_OCTAVE = 4
 MIN_SAMPLES = 32

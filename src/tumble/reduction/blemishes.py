@@ -1,19 +1,21 @@
 """Single bad samples in what is otherwise a rest: a bit that fell over, a packet that was misread.
 
 A block stands out where the second before it and the second after it agree, in every channel, and it is off their mean
-by more than BEYOND times the scatter within them. What is off in it must be samples of no longer than BRIEF together,
-without which the block is like its neighbours: a device that was knocked, or turned a little, shows that for longer,
-and goes on being two rests with a turn between. A block with bad samples is left out of the mean of the rest, as if it
-had not been recorded, and stands for no movement where rests are looked for.
+by more than `block_beyond` times the scatter within them. What is off in it must be samples of no longer than `brief`
+together, without which the block is like its neighbours: a device that was knocked, or turned a little, shows that for
+longer, and goes on being two rests with a turn between. A block with bad samples is left out of the mean of the rest,
+as if it had not been recorded, and stands for no movement where rests are looked for.
 
 In a turn, where there is no mean to compare with, a sample is compared with the cubic through the two before and the
-two after it: it is off by a sixth of its fourth difference. The band of a channel is the most that others are off in
-a quarter of a second, once what is judged is replaced, and at least the noise of the rests. What is bad is beyond
-that, and its neighbours are not: a sensor follows a blow through its filter and the body rings after it. A blow may
-still be over within a sample. But it is felt by several sensors, along the axis of one only by an unlikely chance, and
-it leaves a velocity. So samples are bad where one channel alone stands out, or where the body would have to change its
-velocity or its attitude by what nobody's hand does in a sample. They have the value of the cubic then, in the channels
-that stand out.
+two after it (Hampel's test about a local fit): it is off by a sixth of its fourth difference. The band of a channel is
+the most that others are off in a quarter of a second, once what is judged is replaced, and at least the noise of the
+rests. What is bad is beyond that, and its neighbours are not: a sensor follows a blow through its filter and the body
+rings after it. A blow may still be over within a sample. But it is felt by several sensors, along the axis of one only
+by an unlikely chance, and it leaves a velocity. So samples are bad where one channel alone stands out, or where the
+body would have to change its velocity or its attitude by what nobody's hand does in a sample. They have the value of
+the cubic then, in the channels that stand out.
+
+The thresholds, and how often noise exceeds them, are those of `Tuning`.
 """
 
 from __future__ import annotations
@@ -26,35 +28,9 @@ import numpy as np
 from tumble.reduction.blocks import Blemish, FileBlocks, Reduction
 from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.segmentation import RestSpan, inner_mean, inner_variance
+from tumble.reduction.tuning import USUAL, Tuning
 from tumble.units import Array, BoolArray, IntArray
 
-SIDE_SECONDS = 1.0
-LONGEST_SECONDS = 0.3
-"""Of blocks in a row with bad samples: with sides of SIDE_SECONDS most of what is seen is sound."""
-BEYOND = 12.0
-"""Times the scatter of blocks; from 20 of them it is uncertain by 16 %, so that an hour has a false alarm once in
-thousands."""
-AGREE = 4.0
-"""Times its standard error: how far the means of the two sides may differ."""
-SAMPLE_BEYOND = 6.0
-"""Times the scatter of samples: what is a bad one in a block that stands out."""
-BRIEF = 0.03
-"""s: a body does not turn and come to rest again in so short a time by an angle that anybody would notice."""
-BAND_SECONDS = 0.25
-BAND_SAMPLES = 12
-"""At least, on either side: of 24 samples of noise the largest is some two standard deviations off."""
-BEYOND_BAND = 4.0
-"""Times the band: what independent Gaussian samples exceed once in 1e12, and"""
-BEYOND_REST = 9.0
-"""times the standard deviation of a sample at rest, and"""
-BEYOND_STEP = 3.0
-"""times the resolution."""
-ALONE = 30.0
-"""Times what other channels of its kind show: a blow along an axis to 1/30 rad is one of 600 in any direction."""
-VIOLENT = 0.5, 0.1
-"""m/s and rad: changes of velocity and attitude in a sample that no hand makes, nor a table."""
-LONGEST_RUN = 3
-"""Times that a bad sample is held at most, within BRIEF: others in a row may be a blow."""
 AT_A_TIME = 2**17
 """Samples of a turn that are looked at."""
 
@@ -64,118 +40,67 @@ def without_blemishes(reduction: Reduction) -> Reduction:
     without gyros, of which no samples are kept, stays as it is."""
     if reduction.samples is None:
         return reduction
-    found = [list(_blemishes(reduction, f)) for f in reduction.files]
-    if not any(found):
+    side = max(2, round(reduction.tuning.side / reduction.block_seconds))
+    by_file = [list(_blemishes(reduction, reduction.samples, f, side)) for f in reduction.files]
+    if not any(by_file):
         return reduction
-    files = tuple(_mended(f, each, reduction) if each else f for f, each in zip(reduction.files, found, strict=True))
-    return replace(reduction, files=files, blemishes=tuple(one for each in found for one in each))
+    files = tuple(_mended(f, own, side) if own else f for f, own in zip(reduction.files, by_file, strict=True))
+    return replace(reduction, files=files, blemishes=tuple(one for own in by_file for one in own))
 
 
-def blemish_notes(reduction: Reduction, spans: Sequence[RestSpan]) -> tuple[str, ...]:
-    """The bad samples that were left out of rests, counted, in words."""
-    inside = [
-        (number + 1, one)
-        for number, span in enumerate(spans)
-        for one in reduction.blemishes
-        if one.file == span.file and span.first <= one.first < span.last
-    ]
-    if not inside:
-        return ()
-    rests, count = sorted({number for number, _ in inside}), sum(one.samples for _, one in inside)
-    named = ", ".join(map(str, rests[:5])) + (f" and {len(rests) - 5} more" if len(rests) > 5 else "")
-    what = "1 bad sample, far off those about it," if count == 1 else f"{count} bad samples, far off those about them,"
-    where = f"rest{'' if len(rests) == 1 else 's'} {named}"
-    return (f"{what} left out of {where}, with a tenth of a second each; the first at {inside[0][1].start:.1f} s",)
-
-
-def _side(reduction: Reduction) -> int:
-    """Blocks in a side."""
-    return max(2, round(SIDE_SECONDS / reduction.block_seconds))
-
-
-def _blemishes(reduction: Reduction, f: FileBlocks) -> Iterator[Blemish]:
-    """The blemishes of a file, the shortest first."""
-    assert f.gyro is not None
-    side = _side(reduction)
-    if len(f.accel) <= 2 * side:
+def _blemishes(reduction: Reduction, samples: MotionSamples, f: FileBlocks, side: int) -> Iterator[Blemish]:
+    """The blemishes of a file, the shortest first, by so many blocks on either side."""
+    tuning, values = reduction.tuning, np.hstack([f.accel.means, f.gyro.means])
+    if len(values) <= 2 * side:
         return
-    values = np.hstack([f.accel, f.gyro])
     steps = np.array([channel.step for channel in (*reduction.accel_channels, *reduction.gyro_channels)])
-    sides = _Sides.of(values, np.where(np.isfinite(steps), steps, 0.0), side)
+    coarse = np.where(np.isfinite(steps), steps, 0.0)
+    mean = inner_mean(values, side)
+    variance = inner_variance(values, mean, side) * (side / (side - 1.0))
     taken = np.zeros(len(values), dtype=bool)
-    for length in range(1, int(LONGEST_SECONDS / reduction.block_seconds * (1.0 + 1e-9)) + 1):
-        for first in sides.standing_out(values, length).tolist():
-            run = slice(first, first + length)
-            samples = 0 if taken[run].any() else _bad_samples(reduction, f, first, length)
-            if samples:
-                taken[run] = True
-                yield Blemish(file=f.file, first=first, last=run.stop, start=float(f.edges[first]), samples=samples)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Sides:
-    """The means and variances (·, n) of every `side` blocks in a row, and the resolution (n,) of the channels."""
-
-    side: int
-    mean: Array
-    variance: Array
-    coarse: Array
-
-    @staticmethod
-    def of(values: Array, coarse: Array, side: int) -> _Sides:
-        mean = inner_mean(values, side)
-        variance = inner_variance(values, mean, side) * (side / (side - 1.0))
-        return _Sides(side=side, mean=mean, variance=variance, coarse=coarse)
-
-    def standing_out(self, values: Array, length: int) -> IntArray:
-        """The first blocks of runs of a length whose mean stands out from the sides before and after them."""
-        side, mean = self.side, self.mean
+    for length in range(1, int(tuning.longest_blemish / reduction.block_seconds * (1.0 + 1e-9)) + 1):
         count = len(values) - 2 * side - length + 1
         if count < 1:
-            return np.zeros(0, dtype=np.int64)
+            return
         before, after = slice(0, count), slice(side + length, side + length + count)
-        scatter = np.sqrt(0.5 * (self.variance[before] + self.variance[after]))
+        scatter = np.sqrt(0.5 * (variance[before] + variance[after]))
         off = np.abs(inner_mean(values[side : side + count + length - 1], length) - 0.5 * (mean[before] + mean[after]))
-        beyond = (off > BEYOND * scatter + self.coarse).any(axis=1)
-        agree = np.abs(mean[after] - mean[before]) <= AGREE * np.sqrt(2.0 / side) * scatter + self.coarse
-        return np.asarray(side + np.flatnonzero(beyond & agree.all(axis=1)))
+        beyond = (off > tuning.block_beyond * scatter + coarse).any(axis=1)
+        agree = np.abs(mean[after] - mean[before]) <= tuning.sides_agree * np.sqrt(2.0 / side) * scatter + coarse
+        for first in (side + np.flatnonzero(beyond & agree.all(axis=1))).tolist():
+            run = slice(first, first + length)
+            bad = 0 if taken[run].any() else _bad_samples(samples, f, run, side, tuning)
+            if bad:
+                taken[run] = True
+                yield Blemish(file=f.file, first=first, last=run.stop, start=float(f.edges[first]), samples=bad)
 
 
-def _bad_samples(reduction: Reduction, f: FileBlocks, first: int, length: int) -> int:
+def _bad_samples(samples: MotionSamples, f: FileBlocks, blocks: slice, side: int, tuning: Tuning) -> int:
     """How many samples of a run of blocks are off those of the sides; 0 where they last too long, or the others are off
     too."""
-    assert reduction.samples is not None
-    side = _side(reduction)
-    rates, forces, dt = reduction.samples.read(f.sample_at(first - side), f.sample_at(first + length + side))
-    values, run = np.hstack([rates, forces]), slice(f.size * side, f.size * (side + length))
+    rates, forces, dt = samples.read(f.sample_at(blocks.start - side), f.sample_at(blocks.stop + side))
+    values, run = np.hstack([rates, forces]), slice(f.size * side, len(dt) - f.size * side)
     sides = np.concatenate([values[: run.start], values[run.stop :]])
     off, scatter = values[run] - sides.mean(axis=0), sides.std(axis=0)
-    bad = (np.abs(off) > SAMPLE_BEYOND * scatter).any(axis=1)
+    bad = (np.abs(off) > tuning.sample_beyond * scatter).any(axis=1)
     sound = off[~bad]
-    if not bad.any() or float(dt[run][bad].sum()) > BRIEF or not len(sound):
+    if not bad.any() or float(dt[run][bad].sum()) > tuning.brief or not len(sound):
         return 0
-    alike = (np.abs(sound.mean(axis=0)) <= AGREE * scatter / np.sqrt(len(sound))).all()
+    alike = (np.abs(sound.mean(axis=0)) <= tuning.sides_agree * scatter / np.sqrt(len(sound))).all()
     return int(bad.sum()) if alike else 0
 
 
-def _mended(f: FileBlocks, found: Sequence[Blemish], reduction: Reduction) -> FileBlocks:
+def _mended(f: FileBlocks, blemishes: Sequence[Blemish], side: int) -> FileBlocks:
     """A file's blocks with those of blemishes like their neighbours, and without weight in a mean."""
-    assert f.gyro is not None
-    assert f.gyro_end is not None
-    assert f.gyro_tail is not None
-    accel, gyro, ends = f.accel.copy(), f.gyro.copy(), (f.accel_end.copy(), f.gyro_end.copy())
-    sound, side = np.ones(len(f.accel)), _side(reduction)
-    for one in found:
-        run = slice(one.first, one.last)
-        beside = [*range(one.first - side, one.first), *range(one.last, one.last + side)]
-        accel[run], gyro[run] = f.accel[beside].mean(axis=0), f.gyro[beside].mean(axis=0)
-        for end in ends:
-            end[run] = end[one.first - 1]
-        sound[run] = 0.0
-    tails = [replace(tail, blocks=tail.blocks * sound) for tail in (f.accel_tail, f.gyro_tail)]
-    return replace(
-        f, accel=accel, gyro=gyro, accel_end=ends[0], gyro_end=ends[1], accel_tail=tails[0], gyro_tail=tails[1]
-    )
+    mended = []
+    for series in (f.accel, f.gyro):
+        means, ends, weights = series.means.copy(), series.ends.copy(), series.weights.copy()
+        for one in blemishes:
+            run = slice(one.first, one.last)
+            beside = [*range(one.first - side, one.first), *range(one.last, one.last + side)]
+            means[run], ends[run], weights[run] = series.means[beside].mean(axis=0), ends[one.first - 1], 0.0
+        mended.append(replace(series, means=means, ends=ends, weights=weights))
+    return replace(f, accel=mended[0], gyro=mended[1])
 
 
 # Turns
@@ -190,21 +115,6 @@ class BadSamples:
     turn: IntArray
     values: Array
 
-    def note(self, first: IntArray) -> tuple[str, ...]:
-        """What there is to say of them, where turns begin at rests `first` (K,)."""
-        if not len(self.at):
-            return ()
-        turns = np.unique(first[self.turn]) + 1
-        named = ", ".join(f"{i} to {i + 1}" for i in turns[:5].tolist())
-        named += f" and {len(turns) - 5} more" if len(turns) > 5 else ""
-        count = len(self.at)
-        what = (
-            "1 bad sample, far off those beside it,"
-            if count == 1
-            else f"{count} bad samples, far off those beside them,"
-        )
-        return (f"{what} replaced by what is between these in the turn{'' if len(turns) == 1 else 's'} {named}",)
-
 
 NO_BAD_SAMPLES = BadSamples(at=np.zeros(0, dtype=np.int64), turn=np.zeros(0, dtype=np.int64), values=np.zeros((0, 6)))
 
@@ -216,95 +126,87 @@ def bad_samples_of_turns(
     within: tuple[IntArray, IntArray],
     rate: float,
     least: Array,
+    tuning: Tuning = USUAL,
 ) -> BadSamples:
     """The bad samples of turns from `start` to `stop` (K,) in files that are `within` these samples (K,) each, at a
     sample rate, Hz; `least` (6,) is what rates, rad/s, and forces, m/s², have to be off by."""
-    beside, found = max(BAND_SAMPLES, round(BAND_SECONDS * rate)), list[tuple[int, int, Array]]()
+    beside, bad = max(tuning.band_samples, round(tuning.band * rate)), list[tuple[int, int, Array]]()
     for turn, (begin, end, low, high) in enumerate(zip(start, stop, *within, strict=True)):
         for first in range(int(begin), int(end), AT_A_TIME):
             last = min(first + AT_A_TIME, int(end))
             before = max(first - beside - 2, int(low))
             rates, forces, dt = samples.read(before, min(last + beside + 2, int(high)))
-            values = np.hstack([rates, forces])
-            for at, mended in _bad_in(values, dt, beside, least):
+            for at, mended in _bad_in(np.hstack([rates, forces]), dt, beside, least, tuning):
                 if first <= before + at < last:
-                    found.append((before + at, turn, mended))
+                    bad.append((before + at, turn, mended))
     return BadSamples(
-        at=np.array([at for at, _, _ in found], dtype=np.int64),
-        turn=np.array([turn for _, turn, _ in found], dtype=np.int64),
-        values=np.array([values for _, _, values in found]).reshape(-1, 6),
+        at=np.array([at for at, _, _ in bad], dtype=np.int64),
+        turn=np.array([turn for _, turn, _ in bad], dtype=np.int64),
+        values=np.array([values for _, _, values in bad]).reshape(-1, 6),
     )
 
 
-def _bad_in(values: Array, dt: Array, beside: int, least: Array) -> Iterator[tuple[int, Array]]:
+def _bad_in(values: Array, dt: Array, beside: int, least: Array, tuning: Tuning) -> Iterator[tuple[int, Array]]:
     """The places of bad samples among rates and forces (m, 6) at intervals (m,), and what to have there; a band is
     that of so many samples `beside` them."""
     from scipy.ndimage import maximum_filter1d
 
-    reach = LONGEST_RUN + 2
-    if len(values) < 2 * (BAND_SAMPLES + reach) + 1:
+    reach = tuning.longest_run + 2
+    if len(values) < 2 * (tuning.band_samples + reach) + 1:
         return
-    off = np.abs(_off_cubic(values))
-    wide = beside - reach
-    of_side = maximum_filter1d(off, wide, axis=0, mode="constant")
-    sides = np.zeros_like(off)
-    gap = reach + wide // 2
+    off = _off_cubic(values)
+    of_side = maximum_filter1d(off, beside - reach, axis=0, mode="constant")
+    sides, gap = np.zeros_like(off), reach + (beside - reach) // 2
     sides[gap:] = of_side[:-gap]
     sides[:-gap] = np.maximum(sides[:-gap], of_side[gap:])
-    suspect = np.flatnonzero((off > np.maximum(BEYOND_BAND * sides, least)).any(axis=1))
+    suspect = np.flatnonzero((off > np.maximum(tuning.band_beyond * sides, least)).any(axis=1))
     for group in np.split(suspect, np.flatnonzero(np.diff(suspect) > reach) + 1) if len(suspect) else ():
-        run = _bad_run(values, dt, (int(group[0]), int(group[-1]) + 1), beside, least)
-        if run is not None:
-            first, mended = run
-            yield from ((first + i, row) for i, row in enumerate(mended))
+        yield from _bad_run(values, dt, (int(group[0]), int(group[-1]) + 1), beside, least, tuning)
 
 
 def _off_cubic(values: Array) -> Array:
     """By how much values (m, n) are off the cubic through the two before and the two after; 0 at the ends."""
     out = np.zeros_like(values)
-    out[2:-2] = np.diff(values, n=4, axis=0) / 6.0
+    out[2:-2] = np.abs(np.diff(values, n=4, axis=0)) / 6.0
     return out
 
 
-def _bad_run(values: Array, dt: Array, among: tuple[int, int], beside: int, least: Array) -> tuple[int, Array] | None:
-    """The shortest run of bad samples `among` suspects, as its first and what to have in its place; None where there is
-    none."""
-    for length in range(1, LONGEST_RUN + 1):
+def _bad_run(
+    values: Array, dt: Array, among: tuple[int, int], beside: int, least: Array, tuning: Tuning
+) -> Iterator[tuple[int, Array]]:
+    """The places of the shortest run of bad samples `among` suspects, and what to have in their place."""
+    for length in range(1, tuning.longest_run + 1):
         for first in range(max(among[0] - 1, 2), min(among[1] + 1, len(values) - length - 1)):
             run = slice(first, first + length)
-            if length > 1 and dt[run].sum() > BRIEF:
-                continue
             low, high = max(first - beside - 2, 0), min(run.stop + beside + 2, len(values))
-            if min(first - low, high - run.stop) < BAND_SAMPLES:
+            too_long = length > 1 and dt[run].sum() > tuning.brief
+            if too_long or min(first - low, high - run.stop) < tuning.band_samples:
                 continue
             near, inner = values[low:high].copy(), slice(first - low, run.stop - low)
             near[inner] = mended = _between(values, run)
-            band = np.maximum(BEYOND_BAND * np.abs(_off_cubic(near)).max(axis=0), least)
+            band = np.maximum(tuning.band_beyond * _off_cubic(near).max(axis=0), least)
             off = values[run] - mended
             beyond = np.abs(off).max(axis=0) > band
             about = slice(inner.start - 2, inner.stop + 2)
-            others = np.abs(_off_cubic(np.where(beyond, 0.0, near)))
+            others = _off_cubic(np.where(beyond, 0.0, near))
             far = np.delete(others, np.r_[about], axis=0).max(axis=0)
-            stirred = others[about].max(axis=0) > np.maximum(BEYOND_BAND * far, least)
-            if stirred.any():
-                continue  # a lever arm feels a rate that steps
+            stirred = others[about].max(axis=0) > np.maximum(tuning.band_beyond * far, least)
             held = np.all(np.ptp(values[run][:, beyond], axis=0) == 0.0)
-            if beyond.any() and held and _corrupt(off, dt[run], beyond):
-                return first, np.where(beyond, mended, values[run])
-    return None
+            # where others are stirred, a lever arm feels a rate that steps
+            if beyond.any() and held and not stirred.any() and _corrupt(off, dt[run], beyond, tuning):
+                yield from ((first + i, row) for i, row in enumerate(np.where(beyond, mended, values[run])))
+                return
 
 
 def _between(values: Array, run: slice) -> Array:
     """What the cubic through the two samples before and the two after a run has in it."""
     length = run.stop - run.start
     nodes, inside = np.array([-2.0, -1.0, length, length + 1.0]), np.arange(float(length))
-    weights = np.array([
-        np.prod([(inside - b) / (a - b) for b in nodes if b != a], axis=0) for a in nodes
-    ])  # fmt: skip
+    weights = np.array([np.prod([(inside - b) / (a - b) for b in nodes if b != a], axis=0) for a in nodes])
     return np.asarray(weights.T @ values[[run.start - 2, run.start - 1, run.stop, run.stop + 1]])
 
 
-def _corrupt(off: Array, dt: Array, beyond: BoolArray) -> bool:
+def _corrupt(off: Array, dt: Array, beyond: BoolArray, tuning: Tuning) -> bool:
     """Whether rates and forces (k, 6) that are off by so much at intervals (k,), `beyond` their bands (6,), are of no
     motion."""
     size, kind = np.abs(off).max(axis=0), np.repeat([0, 1], 3)
@@ -313,7 +215,48 @@ def _corrupt(off: Array, dt: Array, beyond: BoolArray) -> bool:
     if beyond.sum() == 1:
         (one,) = np.flatnonzero(beyond)
         others = (kind == kind[one]) & ~beyond
-        if size[one] > ALONE * size[others].max():
+        if size[one] > tuning.alone * size[others].max():
             return True
     turned, moved = (float(np.linalg.norm(dt @ off[:, kind == k])) for k in (0, 1))
-    return moved > VIOLENT[0] or turned > VIOLENT[1]
+    return moved > tuning.violent_velocity or turned > tuning.violent_angle
+
+
+# Words
+
+
+def blemish_notes(reduction: Reduction, spans: Sequence[RestSpan]) -> tuple[str, ...]:
+    """The bad samples that were left out of rests, counted, in words."""
+    inside = [
+        (number, one)
+        for number, span in enumerate(spans, 1)
+        for one in reduction.blemishes
+        if one.file == span.file and span.first <= one.first < span.last
+    ]
+    if not inside:
+        return ()
+    rests = [f"{number}" for number in sorted({number for number, _ in inside})]
+    bad, first = _counted(sum(one.samples for _, one in inside), "about"), inside[0][1].start
+    return (f"{bad} left out of rest{_listed(rests)}, with a tenth of a second each; the first at {first:.1f} s",)
+
+
+def bad_sample_notes(bad: BadSamples, first: IntArray) -> tuple[str, ...]:
+    """The bad samples that were replaced in turns, which begin at rests `first` (K,), counted, in words."""
+    if not len(bad.at):
+        return ()
+    turns = [f"{i} to {i + 1}" for i in (np.unique(first[bad.turn]) + 1).tolist()]
+    return (f"{_counted(len(bad.at), 'beside')} replaced by what is between these in the turn{_listed(turns)}",)
+
+
+def _counted(count: int, where: str) -> str:
+    """Such as "2 bad samples, far off those beside them,"."""
+    return (
+        f"1 bad sample, far off those {where} it,"
+        if count == 1
+        else f"{count} bad samples, far off those {where} them,"
+    )
+
+
+def _listed(names: list[str]) -> str:
+    """Such as "s 4, 6", with the plural of what is counted."""
+    more = f" and {len(names) - 5} more" if len(names) > 5 else ""
+    return f"{'' if len(names) == 1 else 's'} {', '.join(names[:5])}{more}"

@@ -18,14 +18,13 @@ from tumble.recording.log import Chunk, Log
 from tumble.reduction import kernels as _kernels
 from tumble.reduction.array_motion import FEWEST
 from tumble.reduction.motion_samples import MotionSamples
+from tumble.reduction.tuning import USUAL, Tuning
 from tumble.sensors.model import Block, beyond_body
 from tumble.units import Array, IntArray
 
 BLOCK_SECONDS = 0.1
 UNRECORDED = 2.0
 """Samples: what is left between two samples beyond their interval is a gap, not jitter."""
-HELD_SHARE = 0.2
-"""Share of a log in which its channels are taken to repeat by chance, that at rest."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -49,19 +48,22 @@ class ChannelState:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Tail:
-    """The samples after the last whole block of a file: their weighted `total` (n,) and their `weight`; and those of
-    the `blocks` (K,) in a mean."""
+class ChannelSeries:
+    """The channels of one kind over the K blocks of a file: their `means` (K, n), the last sample of each block, which
+    shows their resolution, `ends` (K, n), and the `weights` (K,) of the blocks in a mean; of the samples after the last
+    whole block the weighted total (n,) and the weight. n is 0 where there are none."""
 
-    total: Array
-    weight: float
-    blocks: Array
+    means: Array
+    ends: Array
+    weights: Array
+    tail_total: Array
+    tail_weight: float
 
-    def mean(self, means: Array, first: int, last: int) -> Array:
-        """Mean (n,) over blocks first … last − 1, with the tail where they end the file."""
-        total, weight = self.blocks[first:last] @ means[first:last], self.blocks[first:last].sum()
-        if last == len(means):
-            total, weight = total + self.total, weight + self.weight
+    def mean(self, first: int, last: int) -> Array:
+        """Mean (n,) over blocks first … last − 1, and over the tail where they end the file."""
+        total, weight = self.weights[first:last] @ self.means[first:last], self.weights[first:last].sum()
+        if last == len(self.means):
+            total, weight = total + self.tail_total, weight + self.tail_weight
         return np.asarray(total / weight)
 
 
@@ -72,46 +74,25 @@ def extremes(channels: tuple[ChannelState, ...]) -> Array:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FileBlocks:
-    """The blocks of one file: `edges` (K + 1) in s, means over K blocks of `size` samples each of the
-    accelerometers (K, n) and gyros (K, n) in SI and of the magnetometer (K, 3) in its unit, and the temperatures
-    (K, T), K, with which they end."""
+    """The K blocks of one file, of `size` samples each: their `edges` (K + 1) in s, the accelerometers and gyros in SI,
+    the magnetometer in its unit, and the temperatures (K, T), K, with which the blocks end."""
 
     file: int
     first_sample: int
     """Position of the file's first sample among the stored increments."""
     size: int
     edges: Array
-    accel: Array
-    gyro: Array | None
+    accel: ChannelSeries
+    gyro: ChannelSeries
+    magnetometer: ChannelSeries
     temperature: Array | None
-    accel_tail: Tail
-    gyro_tail: Tail | None
-    accel_end: Array
-    gyro_end: Array | None
-    magnetometer_end: Array | None
-    """The last sample of each block, (K, n): what shows the resolution of the channels."""
-    magnetometer: Array | None
-    magnetometer_tail: Tail | None
+
+    def __len__(self) -> int:
+        return len(self.edges) - 1
 
     def sample_at(self, block: int) -> int:
         """Position of a block's first sample among the stored increments."""
         return self.first_sample + self.size * block
-
-    def accel_mean(self, first: int, last: int) -> Array:
-        """Mean accelerometer reading (n,) over blocks first … last − 1, and over the tail where they end the file."""
-        return self.accel_tail.mean(self.accel, first, last)
-
-    def gyro_mean(self, first: int, last: int) -> Array:
-        """Mean gyro reading (n,), likewise; empty without gyros."""
-        if self.gyro is None or self.gyro_tail is None:
-            return np.empty(0)
-        return self.gyro_tail.mean(self.gyro, first, last)
-
-    def magnetometer_mean(self, first: int, last: int) -> Array:
-        """Mean magnetometer reading (3,), likewise; empty without one."""
-        if self.magnetometer is None or self.magnetometer_tail is None:
-            return np.empty(0)
-        return self.magnetometer_tail.mean(self.magnetometer, first, last)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -143,6 +124,8 @@ class Reduction:
     """Lost samples of the log, as it was read."""
     blemishes: tuple[Blemish, ...] = ()
     """Blocks with bad samples, which have no weight."""
+    tuning: Tuning = USUAL
+    """By which rests and bad samples are told from movement."""
 
     @property
     def by_file(self) -> dict[int, FileBlocks]:
@@ -160,10 +143,10 @@ class Reduction:
         channels of coarse resolution, else 0.
 
         They are if hardly any channel repeats without all the others, or if channels that repeat independently in a
-        HELD_SHARE of the log would seldom do so together."""
+        `held_share` of the log would seldom do so together."""
         channels = self.accel_channels + self.gyro_channels
         samples, fewest = channels[0].samples, min(channel.repeats for channel in channels)
-        share = HELD_SHARE * samples
+        share = self.tuning.held_share * samples
         chance = share * float(np.prod([min(1.0, channel.repeats / max(share, 1.0)) for channel in channels]))
         together = self.repeated_rows >= 0.8 * fewest and fewest <= 0.7 * samples
         return self.repeated_rows if together or self.repeated_rows > 3.0 * chance + 3.0 else 0
@@ -210,8 +193,9 @@ class _Channels:
         self.weights = _Growing(1)
         self.ends = _Growing(len(self.state))
 
-    def feed(self, values: Array, time: Array, dt: Array, ends: IntArray, seconds: Array) -> None:
+    def feed(self, samples: Array | None, time: Array, dt: Array, ends: IntArray, seconds: Array) -> None:
         """Add samples, of which `ends` (k,) are the last of their blocks, which take `seconds` (k,)."""
+        values = samples if len(self.state) and samples is not None else np.empty((len(dt), 0))
         weight = dt if self.increments else np.ones(len(dt))
         out = np.empty((len(ends), len(self.sums)))
         _kernels.block_sums(values, time, weight, self.size, self.sums, self.filled, self.state, out)
@@ -220,10 +204,15 @@ class _Channels:
         self.weights.add(weights[:, None])
         self.ends.add(values[ends])
 
-    def tail(self, seconds: float) -> Tail:
-        """What is left after the last block, which takes so many `seconds`."""
-        weight = seconds if self.increments else float(self.filled[0])
-        return Tail(total=self.sums.copy(), weight=weight, blocks=self.weights.rows[:, 0])
+    def series(self, seconds: float) -> ChannelSeries:
+        """What there is of the file; what is left after the last block takes so many `seconds`."""
+        return ChannelSeries(
+            means=self.means.rows,
+            ends=self.ends.rows,
+            weights=self.weights.rows[:, 0],
+            tail_total=self.sums.copy(),
+            tail_weight=seconds if self.increments else float(self.filled[0]),
+        )
 
     def states(self) -> tuple[ChannelState, ...]:
         return tuple(_channel_state(row) for row in self.state)
@@ -265,8 +254,8 @@ class Reducer:
         self.accel, self.gyro = accel, gyro
         self.size = max(1, int(BLOCK_SECONDS * rate * (1.0 + 1e-9)))
         self._accel = _Channels(accel.size, self.size, increments[0])
-        self._gyro = _Channels(gyro.size, self.size, increments[1]) if gyro else None
-        self._magnetometer = _Channels(3, self.size, increments=False) if magnetometer else None
+        self._gyro = _Channels(gyro.size if gyro else 0, self.size, increments[1])
+        self._magnetometer = _Channels(3 if magnetometer else 0, self.size, increments=False)
         self._to_body = [None if block is None else _to_body(block) for block in (accel, gyro)]
         self._files: list[FileBlocks] = []
         self._file = -1
@@ -289,13 +278,12 @@ class Reducer:
         before = len(self._edges.rows)
         self._edges.add(chunk.time[ends, None])
         seconds = self._covered(before - 1, self._edges.rows[before - 1 :, 0])
-        self._accel.feed(chunk.accel, chunk.time, chunk.dt, ends, seconds)
-        if self._gyro and self._stored is not None and chunk.gyro is not None:
-            self._gyro.feed(chunk.gyro, chunk.time, chunk.dt, ends, seconds)
+        kinds = (self._accel, chunk.accel), (self._gyro, chunk.gyro), (self._magnetometer, chunk.magnetometer)
+        for channels, values in kinds:
+            channels.feed(values, chunk.time, chunk.dt, ends, seconds)
+        if self._stored is not None and chunk.gyro is not None:
             rates, forces = (_body(v, to) for v, to in zip((chunk.gyro, chunk.accel), self._to_body[::-1], strict=True))
             self._stored.append(rates, forces, chunk.dt, self._spare(chunk.accel, chunk.gyro))
-        if self._magnetometer and chunk.magnetometer is not None:
-            self._magnetometer.feed(chunk.magnetometer, chunk.time, chunk.dt, ends, seconds)
         if chunk.temperature is not None:
             self._temperature.add(chunk.temperature[ends])
         self._count_repeated(chunk)
@@ -343,8 +331,7 @@ class Reducer:
         if self._file >= 0:
             self._files.append(self._blocks())
         for channels in (self._accel, self._gyro, self._magnetometer):
-            if channels:
-                channels.begin_file()
+            channels.begin_file()
         self._file, self._first, self._count = chunk.file, self._first + self._count, 0
         self._edges, self._last = _Growing(1), ()
         self._temperature = _Growing(1 if chunk.temperature is None else chunk.temperature.shape[1])
@@ -354,23 +341,16 @@ class Reducer:
     def _blocks(self) -> FileBlocks:
         """The blocks of the present file so far."""
         edges = self._edges.rows[:, 0]
-        accel, gyro, field = self._accel, self._gyro, self._magnetometer
         left = float(self._covered(len(edges) - 1, np.append(edges[-1:], self._stop))[0])
         return FileBlocks(
             file=self._file,
             first_sample=self._first,
             size=self.size,
             edges=edges,
-            accel=accel.means.rows,
-            gyro=gyro.means.rows if gyro else None,
+            accel=self._accel.series(left),
+            gyro=self._gyro.series(left),
+            magnetometer=self._magnetometer.series(left),
             temperature=self._temperature.rows if len(self._temperature.rows) else None,
-            accel_end=accel.ends.rows,
-            gyro_end=gyro.ends.rows if gyro else None,
-            magnetometer_end=field.ends.rows if field else None,
-            accel_tail=accel.tail(left),
-            gyro_tail=gyro.tail(left) if gyro else None,
-            magnetometer=field.means.rows if field else None,
-            magnetometer_tail=field.tail(left) if field else None,
         )
 
     def now(self) -> Reduction:
@@ -380,16 +360,12 @@ class Reducer:
             rate=self.rate,
             files=(*self._files, self._blocks()) if self._file >= 0 else (),
             accel_channels=self._accel.states(),
-            gyro_channels=self._gyro.states() if self._gyro else (),
+            gyro_channels=self._gyro.states(),
             samples=self._stored,
-            magnetometer_channels=self._magnetometer.states() if self._magnetometer else (),
+            magnetometer_channels=self._magnetometer.states(),
             lost=self._lost,
             repeated_rows=self._repeated,
         )
-
-    def finish(self) -> Reduction:
-        """The reduction of the whole log."""
-        return self.now()
 
 
 def _to_body(block: Block) -> Array | None:
@@ -402,9 +378,11 @@ def _body(values: Array, to_body: Array | None) -> Array:
     return values if to_body is None else values @ to_body
 
 
-def reduce_log(log: Log, accel: Block, gyro: Block | None, chunks: Iterable[Chunk] | None = None) -> Reduction:
-    """Read a log once and reduce it; `chunks` stands in for `log.chunks()`, e.g. to show progress. Raises LogError
-    where gaps leave nothing of it."""
+def reduce_log(
+    log: Log, accel: Block, gyro: Block | None, chunks: Iterable[Chunk] | None = None, tuning: Tuning = USUAL
+) -> Reduction:
+    """Read a log once and reduce it; `chunks` stands in for `log.chunks()`, e.g. to show progress, and
+    what follows goes by the `tuning`. Raises LogError where gaps leave nothing of it."""
     spec = log.session.log
     kinds = [channels is not None and channels.unit.kind == "increment" for channels in (spec.accel, spec.gyro)]
     reducer = Reducer(
@@ -416,9 +394,9 @@ def reduce_log(log: Log, accel: Block, gyro: Block | None, chunks: Iterable[Chun
     )
     for chunk in one_ahead(iter(log.chunks() if chunks is None else chunks)):
         reducer.feed(chunk)
-    reduction = reducer.finish()
-    if not any(len(file.accel) for file in reduction.files):
+    reduction = reducer.now()
+    if not any(len(file) for file in reduction.files):
         raise LogError(
             f"{log.name}: expected stretches of {BLOCK_SECONDS:g} s and longer without a gap, found none; record again"
         )
-    return replace(reduction, gaps=log.gaps)
+    return replace(reduction, gaps=log.gaps, tuning=tuning)

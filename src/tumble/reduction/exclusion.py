@@ -12,11 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.errors import SessionError
-from tumble.recording.gaps import Gap
 from tumble.recording.session import Exclusion
 from tumble.reduction.blocks import Reduction
 from tumble.reduction.matching import Match
-from tumble.reduction.segmentation import MIN_REST_SECONDS, RestSpan, Segmentation
+from tumble.reduction.segmentation import RestSpan, Segmentation, unrecorded
 
 
 def without_times(reduction: Reduction, found: Segmentation, excluded: tuple[Exclusion, ...]) -> Segmentation:
@@ -36,63 +35,46 @@ def _longest(reduction: Reduction, span: RestSpan, file: int, start: float, stop
     before = span.first, min(span.last, int(np.searchsorted(edges, start + 1e-9, side="right")) - 1)
     after = max(span.first, int(np.searchsorted(edges, stop - 1e-9))), span.last
     first, last = max(before, after, key=lambda part: part[1] - part[0])
-    if last <= first or edges[last] - edges[first] < MIN_REST_SECONDS:
+    if last <= first or edges[last] - edges[first] < reduction.tuning.rest:
         return None
     return RestSpan(file=file, first=first, last=last, start=float(edges[first]), stop=float(edges[last]))
 
 
 def without_turns(reduction: Reduction, match: Match, excluded: tuple[Exclusion, ...]) -> Reduction:
     """A reduction in which the turns that are left out by number were not recorded."""
-    gaps = [_turn(match, one) for one in excluded if one.turn is not None]
+    gaps = []
+    for one in excluded:
+        if one.turn is not None:
+            _expect(one, "turn", one.turn, len(match.rests) - 1)
+            before, after = match.rests[one.turn - 1 : one.turn + 1]
+            gaps.append(unrecorded(before, after, 1, "left out", why=""))  # `said` tells it
     return replace(reduction, gaps=(*reduction.gaps, *gaps)) if gaps else reduction
-
-
-def _turn(match: Match, one: Exclusion) -> Gap:
-    assert one.turn is not None
-    _expect(one, len(match.rests) - 1)
-    before, after = match.rests[one.turn - 1], match.rests[one.turn]
-    return Gap(
-        file=before.file,
-        row=0,
-        time=before.stop,
-        samples=1,
-        what="left out",
-        stop=after.start,
-        integrable=False,
-        why="",  # `said` tells it
-    )
 
 
 def without_rests(match: Match, excluded: tuple[Exclusion, ...]) -> Match:
     """The rests to use without those that are left out by number."""
-    named = [one for one in excluded if one.rest is not None]
-    for one in named:
-        _expect(one, len(match.rests))
-    numbers = {one.rest for one in named}
+    numbers = {one.rest for one in excluded if one.rest is not None}
+    for one in excluded:
+        if one.rest is not None:
+            _expect(one, "rest", one.rest, len(match.rests))
     kept = [i for i in range(len(match.rests)) if i + 1 not in numbers]
-    if len(kept) == len(match.rests):
-        return match
     position = None if match.position is None else match.position[kept]
-    return replace(match, rests=tuple(match.rests[i] for i in kept), position=position)
+    return replace(match, rests=tuple(match.rests[i] for i in kept), position=position) if numbers else match
 
 
-def _expect(one: Exclusion, count: int) -> None:
-    what, number = ("rest", one.rest) if one.rest is not None else ("turn", one.turn)
-    if number is not None and number > count:
+def _expect(one: Exclusion, what: str, number: int, count: int) -> None:
+    """Raise a SessionError for a rest or turn that there is none of."""
+    if number > count:
         where = "without" if one.by == "request" else f"session.toml: exclude.{what}"
         raise SessionError(f"{where}: expected a {what} from 1 to {count}, found {number}")
 
 
 def said(excluded: tuple[Exclusion, ...]) -> tuple[str, ...]:
     """What is left out, as notes."""
-    return tuple(_said(one) for one in excluded)
-
-
-def _said(one: Exclusion) -> str:
-    if one.rest is not None:
-        what = f"rest {one.rest}"
-    elif one.turn is not None:
-        what = f"turn {one.turn}"
-    else:
-        what = f"{one.start:g}–{one.stop:g} s" + (f" of file {one.file + 1}" if one.file else "")
-    return f"left out by {one.by}: {what}" + (f": {one.reason}" if one.reason else "")
+    notes = []
+    for one in excluded:
+        in_file = f" of file {one.file + 1}" if one.file else ""
+        what = f"{one.start:g}–{one.stop:g} s{in_file}" if one.start is not None else f"turn {one.turn}"
+        what = what if one.rest is None else f"rest {one.rest}"
+        notes.append(f"left out by {one.by}: {what}" + (f": {one.reason}" if one.reason else ""))
+    return tuple(notes)

@@ -21,24 +21,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from tumble.units import DEGREE, G_STANDARD, Array, BoolArray
-
-USUAL_SENSITIVITY = 1.0 * DEGREE / G_STANDARD
-"""rad/s per m/s²: what keeps G small where the attitudes do not show it."""
-
-USUAL_DRIFT = 1.0 * DEGREE
-"""rad/s from the middle of a log to its end, and by a step: what keeps d and s small."""
-
-LEAST_STRETCHES = 8
-LEAST_SHARE = 2.0 / 3.0
-LEAST_GAIN = 0.2
-"""So many stretches, and this share of them, must follow the function; this share more than follow one level, and
-with a drift or a step than without."""
-FEWEST_BESIDE = 2
-"""Stretches on either side of a step: one alone with a level of its own may be a slow turn."""
-
-MOST_UNCERTAIN = 2.0
-"""Times what a level is: how uncertain a prediction from the other stretches may be."""
+from tumble.reduction.tuning import Tuning
+from tumble.units import Array, BoolArray
 
 Span = tuple[int, int]
 
@@ -80,34 +64,44 @@ def level_function(
     off: list[OffLevel],
     limit: float,
     least: int,
+    tuning: Tuning,
 ) -> LevelFunction | None:
     """G, d and s from the mean rates of rests of at least `least` blocks and of stretches off the level, by file, and
     from the forces and times that they go with. None where no function of these explains to `limit` (rad/s) the levels
     of most, or one level does as well."""
     found = [(k, i, j) for k, spans in enumerate(rests) for i, j in spans if j - i >= least]
     stretches = found + [(s.place, s.first, s.last) for s in off]
-    if len(stretches) < LEAST_STRETCHES:
+    if len(stretches) < tuning.level_stretches:
         return None
-    (force, time), usual = goes_with, np.array([*(3 * [USUAL_SENSITIVITY]), USUAL_DRIFT, USUAL_DRIFT]) / limit
+    (force, time), sizes = goes_with, [*(3 * [tuning.g_sensitivity]), tuning.level_drift, tuning.level_drift]
+    usual = np.array(sizes) / limit
     cores = [(k, *core(i, j, least)) for k, i, j in stretches]
     level = np.array([rates[k][i:j].mean(axis=0) for k, i, j in cores])
     at = np.array([time[k][i:j].mean() for k, i, j in cores])
     rows = np.array(
         [[1.0, *(usual * [*force[k][i:j].mean(axis=0), t, 0.0])] for (k, i, j), t in zip(cores, at, strict=True)]
     )
+
+    def explains_more(follow: BoolArray, near: BoolArray) -> bool:
+        """Whether so many more stretches follow a function than follow that before it that it is one."""
+        share, gain = tuning.level_share * len(near), near.sum() + tuning.level_gain * len(near)
+        return bool(follow.sum() >= max(tuning.level_stretches, share, gain))
+
     used, near, step_at = [0], _near(rows[:, :1], level, limit), np.inf
     for more in (_G, _G_AND_DRIFT):  # each where it explains more
         follow = _near(rows[:, more], level, limit)
-        if _explains_more(follow, near):
+        if explains_more(follow, near):
             used, near = more, follow
-    in_order = np.sort(at) if len(off) >= FEWEST_BESIDE else np.empty(0)  # else the level was followed to every rest
+    in_order = (
+        np.sort(at) if len(off) >= tuning.beside_jump else np.empty(0)
+    )  # else the level was followed to every rest
     most = near
-    for before, after in pairwise(in_order[FEWEST_BESIDE - 1 : len(at) + 1 - FEWEST_BESIDE]):
+    for before, after in pairwise(in_order[tuning.beside_jump - 1 : len(at) + 1 - tuning.beside_jump]):
         stepped = rows.copy()
         stepped[:, 5] = usual[4] * (at > 0.5 * (before + after))
         for more in (_STEP, _G_AND_STEP):
             follow = _near(stepped[:, more], level, limit)
-            if _explains_more(follow, near) and follow.sum() > most.sum():
+            if explains_more(follow, near) and follow.sum() > most.sum():
                 used, most, step_at = more, follow, 0.5 * (before + after)
     rows[:, 5], near = usual[4] * (at > step_at), most
     if used == [0]:
@@ -117,7 +111,7 @@ def level_function(
     fitted[1:] *= usual[:, None]
     accepted: list[list[Span]] = [[] for _ in rates]
     for n, (k, i, j) in enumerate(stretches):
-        if near[n] and (n < len(found) or _predicted(some, level, near, n, limit)):
+        if near[n] and (n < len(found) or _predicted(some, level, near, n, limit, tuning.level_uncertainty)):
             accepted[k].append((i, j))
     return LevelFunction(
         g_sensitivity=fitted[1:4].T, drift=fitted[4], step=fitted[5], step_at=float(step_at), accepted=accepted
@@ -126,12 +120,6 @@ def level_function(
 
 _G, _G_AND_DRIFT, _STEP, _G_AND_STEP = [0, 1, 2, 3], [0, 1, 2, 3, 4], [0, 5], [0, 1, 2, 3, 5]
 """Which columns of b, G, d, s are tried together."""
-
-
-def _explains_more(follow: BoolArray, near: BoolArray) -> bool:
-    """Whether so many more stretches follow a function than follow that before it that it is one."""
-    least = max(LEAST_STRETCHES, LEAST_SHARE * len(near), near.sum() + LEAST_GAIN * len(near))
-    return bool(follow.sum() >= least)
 
 
 def times_of(edges: list[Array]) -> list[Array]:
@@ -179,11 +167,12 @@ def _least_distances(rows: Array, level: Array, limit: float) -> Array:
     return fitted
 
 
-def _predicted(rows: Array, level: Array, near: BoolArray, k: int, limit: float) -> bool:
-    """Whether the other stretches near the function determine the level of stretch k, and it is there."""
+def _predicted(rows: Array, level: Array, near: BoolArray, k: int, limit: float, most: float) -> bool:
+    """Whether the other stretches near the function determine the level of stretch k, to `most` times what a level is
+    uncertain by, and it is there."""
     others = near & (np.arange(len(rows)) != k)
     fitted = _least_squares(rows[others], level[others], np.ones(int(others.sum())))
     normal = rows[others].T @ rows[others] + _usual(rows)
     uncertain = float(rows[k] @ np.linalg.solve(normal, rows[k]))
     distance = float(np.linalg.norm(level[k] - rows[k] @ fitted))
-    return uncertain < MOST_UNCERTAIN**2 and distance < limit * math.sqrt(1.0 + uncertain)
+    return uncertain < most**2 and distance < limit * math.sqrt(1.0 + uncertain)

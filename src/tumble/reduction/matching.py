@@ -18,7 +18,7 @@ from tumble.errors import ProgrammeError
 from tumble.programme.positions import Position, Programme, from_attitudes, programme
 from tumble.recording.session import ProgrammeSpec, Session
 from tumble.reduction.blocks import BLOCK_SECONDS, FileBlocks, Reduction
-from tumble.reduction.segmentation import STILL_SECONDS, RestSpan, Segmentation, stated_rest
+from tumble.reduction.segmentation import RestSpan, Segmentation
 from tumble.units import DEGREE, Array, IntArray
 
 POSITION_LIMIT = 7.0 * DEGREE
@@ -50,16 +50,21 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
     rests = _with_stated(reduction, segmentation.rests, spec)
     if not rests:
         return Match(rests=(), programme=listed, position=np.empty(0, dtype=np.int64))
-    means = np.array([_blocks(reduction, s).accel_mean(s.first, s.last) for s in rests])
+    by_file = reduction.by_file
+    means = np.array([by_file[s.file].accel.mean(s.first, s.last) for s in rests])
     readings = means @ np.linalg.pinv(session.log.accel.axes).T
     verticals = _verticals(readings, listed, session.site.gravity)
-    passed_over = "".join(f"{said}; " for said in segmentation.passed_over())
+    why_missing = (
+        f"was it skipped or shorter than {segmentation.tuning.still} s? "
+        + "".join(f"{sentence}; " for sentence in segmentation.passed_over())
+        + "`tumble inspect` shows what was found and rejected"
+    )
     if not listed.ordered:
-        return Match(rests=rests, programme=listed, position=_any_order(listed, rests, verticals, passed_over))
+        return Match(rests=rests, programme=listed, position=_any_order(listed, rests, verticals, why_missing))
     seen = session.log.gyro is not None
     groups = _groups(session, reduction, rests) if seen else _groups_by_vertical(listed, verticals)
     first = [group[0] for group in groups]
-    _check_order(listed, [rests[i] for i in first], verticals[first], passed_over)
+    _check_order(listed, [rests[i] for i in first], verticals[first], why_missing)
     _check_turns(session, reduction, listed, rests, groups)
     position = np.array([next(k for k, group in enumerate(groups) if i in group) for i in range(len(rests))])
     return Match(rests=rests, programme=listed, position=position)
@@ -85,26 +90,24 @@ def _check_stated(listed: Programme, file: FileBlocks, spec: ProgrammeSpec) -> N
 def _with_stated(reduction: Reduction, found: tuple[RestSpan, ...], spec: ProgrammeSpec) -> tuple[RestSpan, ...]:
     """Rests found, with those that a position states by its times in their place."""
     stated = [
-        stated_rest(reduction, p.start, p.stop) for p in spec.positions if p.start is not None and p.stop is not None
+        RestSpan.between(reduction.files[0], p.start, p.stop)
+        for p in spec.positions
+        if p.start is not None and p.stop is not None
     ]
     kept = [s for s in found if not any(s.file == t.file and s.start < t.stop and t.start < s.stop for t in stated)]
     return tuple(sorted([*kept, *stated], key=lambda s: (s.file, s.start)))
 
 
-def _blocks(reduction: Reduction, span: RestSpan) -> FileBlocks:
-    return next(f for f in reduction.files if f.file == span.file)
-
-
 def _rotation_between(session: Session, reduction: Reduction, before: RestSpan, after: RestSpan) -> Array | None:
     """Sum of the gyro increments (3,) between two rests, rad, less the rate at rest; None where no gyro saw it. For a
     turn about one axis it is the rotation vector."""
-    blocks = _blocks(reduction, before)
-    if session.log.gyro is None or blocks.gyro is None or before.file != after.file:
+    blocks = reduction.by_file[before.file]
+    if session.log.gyro is None or before.file != after.file:
         return None
-    level = 0.5 * (blocks.gyro_mean(before.first, before.last) + blocks.gyro_mean(after.first, after.last))
+    level = 0.5 * (blocks.gyro.mean(before.first, before.last) + blocks.gyro.mean(after.first, after.last))
     between = slice(before.last, after.first)
     seconds = np.diff(blocks.edges)[between, None]
-    turned = ((blocks.gyro[between] - level) * seconds).sum(axis=0)
+    turned = ((blocks.gyro.means[between] - level) * seconds).sum(axis=0)
     return np.asarray(np.linalg.pinv(session.log.gyro.axes) @ turned)
 
 
@@ -164,36 +167,30 @@ def _seen(vertical: Array) -> str:
     return "(" + ", ".join(f"{v:+.2f}" for v in vertical) + ")"
 
 
-def _check_order(listed: Programme, rests: list[RestSpan], verticals: Array, passed_over: str) -> None:
-    """Every position has its rest, in order; `passed_over` says what was nearly one."""
+def _check_order(listed: Programme, rests: list[RestSpan], verticals: Array, why_missing: str) -> None:
+    """Every position has its rest, in order."""
     expected = len(listed.positions)
     if len(rests) == expected:
         for k, (rest, vertical) in enumerate(zip(rests, verticals, strict=True)):
             off = _off(vertical, listed.positions[k])
             if off > POSITION_LIMIT:
-                raise ProgrammeError(_misplaced(listed, k, rest, vertical, off))
+                others = [j for j, p in enumerate(listed.positions) if _off(vertical, p) <= POSITION_LIMIT]
+                like = f", which is that of {_named(listed, others[0])}" if others else ""
+                raise ProgrammeError(
+                    f"programme {listed.name}, {_named(listed, k)}: expected the vertical "
+                    f"{_seen(listed.positions[k].vertical_b)} in the body, found {_seen(vertical)} at "
+                    f"{rest.start:.1f}–{rest.stop:.1f} s, {off / DEGREE:.1f}° off{like}; at most "
+                    f"{POSITION_LIMIT / DEGREE:.0f}° can be the same position"
+                )
         return
     missing, surplus = _alignment(listed, verticals)
     counted = f"programme {listed.name}: expected {expected} rests, found {len(rests)}"
     if missing:
-        raise ProgrammeError(
-            f"{counted}; no rest for {_named(listed, missing[0])}: was it skipped or shorter than {STILL_SECONDS} s? "
-            f"{passed_over}`tumble inspect` shows what was found and rejected"
-        )
+        raise ProgrammeError(f"{counted}; no rest for {_named(listed, missing[0])}: {why_missing}")
     rest = rests[surplus[0]]
     raise ProgrammeError(
         f"{counted}; the rest at {rest.start:.1f}–{rest.stop:.1f} s with the vertical {_seen(verticals[surplus[0]])} "
         "in the body is surplus: list the positions as they were taken under [[programme.position]]"
-    )
-
-
-def _misplaced(listed: Programme, k: int, rest: RestSpan, vertical: Array, off: float) -> str:
-    others = [j for j, p in enumerate(listed.positions) if _off(vertical, p) <= POSITION_LIMIT]
-    like = f", which is that of {_named(listed, others[0])}" if others else ""
-    return (
-        f"programme {listed.name}, {_named(listed, k)}: expected the vertical {_seen(listed.positions[k].vertical_b)} "
-        f"in the body, found {_seen(vertical)} at {rest.start:.1f}–{rest.stop:.1f} s, {off / DEGREE:.1f}° off{like}; "
-        f"at most {POSITION_LIMIT / DEGREE:.0f}° can be the same position"
     )
 
 
@@ -233,20 +230,17 @@ def _check_turns(
             continue
         axis_b = listed.positions[k].matrix.T @ move.axis
         if np.linalg.norm(turned - move.angle * axis_b) > TURN_LIMIT:
+            across = float(np.linalg.norm(turned - axis_b * (turned @ axis_b)))
             raise ProgrammeError(
                 f"programme {listed.name}, turn from {_named(listed, k)} to {_named(listed, k + 1)}: expected "
                 f"{move.angle / DEGREE:+.0f}° about body {_seen(axis_b)}, the gyros saw "
-                f"{float(turned @ axis_b) / DEGREE:+.0f}° about it and {_across(turned, axis_b) / DEGREE:.0f}° across "
+                f"{float(turned @ axis_b) / DEGREE:+.0f}° about it and {across / DEGREE:.0f}° across "
                 f"it ({before.stop:.1f}–{after.start:.1f} s); check the direction of the turn, the unit and the "
                 "signs of the gyros"
             )
 
 
-def _across(vector: Array, axis: Array) -> float:
-    return float(np.linalg.norm(vector - axis * (vector @ axis)))
-
-
-def _any_order(listed: Programme, rests: tuple[RestSpan, ...], verticals: Array, passed_over: str) -> IntArray:
+def _any_order(listed: Programme, rests: tuple[RestSpan, ...], verticals: Array, why_missing: str) -> IntArray:
     """The position of every rest. Every position must have one, and once: rests that follow each other in it, as of a
     cube turned on its face, count as one."""
     off = np.array([[_off(v, p) for v in verticals] for p in listed.positions])
@@ -260,14 +254,8 @@ def _any_order(listed: Programme, rests: tuple[RestSpan, ...], verticals: Array,
                 f"the body as in the nearest, {_named(listed, k)}, found {_seen(verticals[j])}, "
                 f"{off[k, j] / DEGREE:.1f}° off; at most {POSITION_LIMIT / DEGREE:.0f}° can be the same position"
             )
-    _check_once(listed, rests, nearest, passed_over)
-    return np.asarray(nearest)
-
-
-def _check_once(listed: Programme, rests: tuple[RestSpan, ...], position: IntArray, passed_over: str) -> None:
-    """Every position was taken, and left only once."""
     taken: dict[int, list[RestSpan]] = {}
-    for k, members in groupby(range(len(rests)), key=position.tolist().__getitem__):
+    for k, members in groupby(range(len(rests)), key=nearest.tolist().__getitem__):
         taken.setdefault(k, []).append(rests[next(members)])
     missing = [_named(listed, k) for k in range(len(listed.positions)) if k not in taken]
     doubled = [
@@ -278,12 +266,10 @@ def _check_once(listed: Programme, rests: tuple[RestSpan, ...], position: IntArr
     count = f"programme {listed.name}: expected {len(listed.positions)} positions, each once, found {len(taken)}"
     if missing:
         also = f"; {doubled[0]}" if doubled else ""
-        raise ProgrammeError(
-            f"{count}; no rest for {' and '.join(missing)}{also}: was it skipped or shorter than {STILL_SECONDS} s? "
-            f"{passed_over}`tumble inspect` shows what was found and rejected"
-        )
+        raise ProgrammeError(f"{count}; no rest for {' and '.join(missing)}{also}: {why_missing}")
     if doubled:
         raise ProgrammeError(
             f"{count}; {doubled[0]}: one of these rests is surplus; cut it from the log, or leave [programme] out to "
             "use every rest as it is found"
         )
+    return np.asarray(nearest)

@@ -1,102 +1,37 @@
 # What of moment_kernels.py is compiled as functions of C, and the types of their arguments; and the constants.
-from libc.math cimport sqrt
+cimport cython
 from libc.stdint cimport int64_t
 
 cpdef enum:
-    LANES = 16
-    TILE = 24
-    GROUP = 8
-    ROW = 384
-    COMMON = 19
     LINEAR = 7
-    _V = 4
-    _BEFORE = 7
-    _RATE = 13
-    _FORCE = 17
-    _JUMPS = 20
-    _STATE_ROWS = 21
+    GROUP = 8
+    BLOCK = 8
 
-cdef void _integrate(
-    const double[:, :] rates, const double[:, :] forces, const double[:] intervals,
-    const int64_t[:] piece, const int64_t[:] first, const int64_t[:] stop,
-    const double[:, :] gyro, const double[:, :] gyro_terms,
-    const double[:, :] accel, const double[:, :] accel_terms, const double[:, :] G, double delay,
-    const double[:, :] gyros, const double[:, :] accels,
-    double[:, ::1] attitude, double[:, ::1] V, double[:, :, ::1] products, double[:, :, ::1] moved,
-    double[:, :, ::1] swept_sums, double[:, ::1] regressors, double[::1] jumps,
-    double[::1] tile, double[::1] left, double[::1] right, double[::1] swept, double[::1] state, double[::1] total,
-    double[:, ::1] C, Py_ssize_t lanes,
+@cython.locals(
+    at=Py_ssize_t, first=Py_ssize_t, k=Py_ssize_t, to=Py_ssize_t, t=Py_ssize_t, dt=double, part=double, own=double, one=double,
+    two=double, ax=double, ay=double, az=double, bx=double, by=double, bz=double, x=double, y=double, z=double,
+    u=double, v=double, s=double, du=double, dv=double, ds=double, fx=double, fy=double, fz=double, h=double,
+    e=double, e0=double, e1=double, e2=double, e3=double, m0=double, m1=double, m2=double, m3=double, q0=double,
+    q1=double, q2=double, q3=double, unit=double, d1=double, d2=double, d3=double, V0=double, V1=double, V2=double, px=double,
+    py=double, pz=double, pu=double, pv=double, pw=double, r0=double, r1=double, r2=double, before=double,
+    u0=double, u1=double, u2=double, w0=double, w1=double, w2=double, f0=double, f1=double, f2=double, c00=double,
+    c01=double, c02=double, c10=double, c11=double, c12=double, c20=double, c21=double, c22=double,
 )
-cdef void _begin(double[::1] tile, double[::1] state) noexcept nogil
-cdef void _fill(
-    const double[:, :] rates, const double[:, :] forces, const double[:] intervals,
-    const int64_t[:] first, const int64_t[:] stop, Py_ssize_t group, Py_ssize_t done, Py_ssize_t steps,
-    double[::1] tile,
-) noexcept nogil
-
-cdef void _compensate(
-    double[::1] tile, Py_ssize_t steps, const double[:, :] gyro, const double[:, :] gyro_terms,
-    const double[:, :] accel, const double[:, :] accel_terms, const double[:, :] G, double delay, Py_ssize_t lanes,
-    double[::1] state,
-) noexcept nogil
-cdef void _transform(
-    double[::1] tile, Py_ssize_t many, const double[:, :] A, const double[:, :] B
-) noexcept nogil
-cdef void _subtract_terms(
-    double[::1] tile, Py_ssize_t vector, Py_ssize_t many, const double[:, :] terms, Py_ssize_t scratch
-) noexcept nogil
-cdef void _copy(double[::1] tile, Py_ssize_t source, Py_ssize_t target, Py_ssize_t many) noexcept nogil
-cdef void _subtract_term(
-    double[::1] tile, Py_ssize_t vector, Py_ssize_t before, Py_ssize_t many, const double[:, :] terms, Py_ssize_t p
-) noexcept nogil
-cdef void _move(
-    double[::1] tile, Py_ssize_t steps, Py_ssize_t lanes, double delay, double[::1] state
-) noexcept nogil
-cdef void _subtract_force(double[::1] tile, Py_ssize_t many, const double[:, :] G) noexcept nogil
-
-cdef void _regress(
-    double[::1] tile, Py_ssize_t steps, Py_ssize_t lanes, double[::1] right, double[::1] state
-) noexcept nogil
-cdef void _regress_own(
-    double[::1] tile, Py_ssize_t steps, const double[:, :] gyros, const double[:, :] accels, double[::1] right
-) noexcept nogil
-cdef void _regress_axis(
-    double[::1] tile, Py_ssize_t vector, Py_ssize_t many, const double[:, :] axes, Py_ssize_t p, double[::1] right,
-    Py_ssize_t magnitude, Py_ssize_t cube,
-) noexcept nogil
-cdef void _turn(
-    double[::1] right, Py_ssize_t steps, Py_ssize_t lanes, double[::1] state, double[::1] left
-) noexcept nogil
-cdef void _turn_about(double[::1] left, double[::1] right, Py_ssize_t steps, double[::1] swept) noexcept nogil
-
-cdef void _add_all(
-    double[::1] left, double[::1] right, double[::1] swept, double[::1] tile, Py_ssize_t steps, Py_ssize_t lanes,
-    Py_ssize_t rows, Py_ssize_t linear, double[::1] total,
-) noexcept nogil
+cdef void _integrate(
+    const double[:, ::1] rates, const double[:, ::1] forces, const double[:] intervals,
+    const int64_t[:] piece, const int64_t[:] start, const int64_t[:] stop,
+    const double[:, ::1] gyro, const double[:, ::1] gyro_terms, const double[:, ::1] accel, const double[:, ::1] accel_terms,
+    const double[:, ::1] G, double delay, const double[:, ::1] gyros, const double[:, ::1] accels,
+    double[:, ::1] attitude, double[:, ::1] V, double[:, :, ::1] products, double[:, :, ::1] moved, double[:, :, ::1] swept, double[::1] jumps,
+    double[:, ::1] right, double[:, ::1] left, double[::1] w, double[::1] f,
+)
+@cython.locals(
+    u=double, term=double, b0=double, b1=double, b2=double, l0=double, l1=double, l2=double, x0=double, x1=double,
+    x2=double,
+)
+cdef void _subtract_terms(double[::1] x, const double[:, ::1] terms) noexcept nogil
+@cython.locals(at=Py_ssize_t, c=Py_ssize_t, one=double)
 cdef void _add_products(
-    double[::1] left, Py_ssize_t first, double[::1] right, Py_ssize_t factor, Py_ssize_t groups, Py_ssize_t lanes,
-    double[::1] total, Py_ssize_t to,
+    double[:, ::1] left, Py_ssize_t column, double[:, ::1] right, Py_ssize_t first, double[:, :, ::1] sums,
+    Py_ssize_t k, Py_ssize_t many,
 ) noexcept nogil
-cdef void _add_row(
-    double[::1] right, Py_ssize_t row, Py_ssize_t groups, Py_ssize_t lanes, double[::1] total, Py_ssize_t to
-) noexcept nogil
-cdef void _join(
-    Py_ssize_t k, Py_ssize_t lane, double[::1] state, double[::1] total, double[:, ::1] C,
-    double[:, ::1] attitude, double[:, ::1] V, double[:, :, ::1] products, double[:, :, ::1] moved,
-    double[:, :, ::1] swept, double[:, ::1] regressors, double[::1] jumps,
-) noexcept nogil
-cdef void _add_rotated(
-    double[:, ::1] C, double[::1] total, Py_ssize_t at, double[:, :, ::1] out, Py_ssize_t k, Py_ssize_t r
-) noexcept nogil
-cdef void _add_crossed(
-    double[:, ::1] C, double[::1] total, Py_ssize_t at, double[:, ::1] V, double[:, :, ::1] out, Py_ssize_t k,
-    Py_ssize_t r,
-) noexcept nogil
-cdef void _append_attitude(
-    double[:, ::1] attitude, Py_ssize_t k, double[::1] state, Py_ssize_t lane
-) noexcept nogil
-cdef void _finish(
-    double[:, ::1] attitude, double[:, ::1] V, double[:, :, ::1] products, double[:, :, ::1] moved,
-    double[:, :, ::1] C,
-) noexcept
-cdef void _matrix_of(double[:, ::1] attitude, Py_ssize_t k, double[:, ::1] C) noexcept nogil

@@ -22,8 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -80,7 +79,7 @@ class BlockCompensation:
         """Arguments of the compiled loops, with the sensors that have nonlinear terms alone."""
         linear, has = np.empty((3, 4)), self.terms.any(axis=1)
         linear[:, :3], linear[:, 3] = self.matrix, -self.matrix @ self.bias
-        return linear, np.concatenate([self.axes[has], self.terms[has], self.left_inverse.T[has]], axis=1)
+        return linear, np.hstack([self.axes[has], self.terms[has], self.left_inverse.T[has]])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -99,7 +98,7 @@ class Compensation:
     def _kernel_model(self) -> _kernels.Model:
         """Arguments of the compiled loops."""
         G = self.gyro.matrix @ self.g_sensitivity
-        return self.gyro._kernel_terms(), self.accel._kernel_terms(), G if G.any() else NO_AXES, float(self.delay)
+        return self.gyro._kernel_terms(), self.accel._kernel_terms(), np.ascontiguousarray(G), float(self.delay)
 
 
 # The moments ---------------------------------------------------------------------------------------------------
@@ -175,65 +174,70 @@ class Pieces:
     start: IntArray
     stop: IntArray
 
-    @cached_property
-    def stretches(self) -> _kernels.Stretches:
-        """The stretches of all pieces in which the loops integrate them."""
-        return self.stretches_of(slice(None))
-
-    def stretches_of(self, part: slice) -> _kernels.Stretches:
-        """Those of some of the pieces."""
-        starts, stops = (np.ascontiguousarray(x[part], dtype=np.int64) for x in (self.start, self.stop))
-        piece, first, stop = _kernels.stretches_of(starts, stops)
-        return piece + (part.start or 0), first, stop
-
 
 def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
-    """Moments of every piece, by the step about the middle attitude (A1).
+    """Moments of every piece by itself."""
+    count = len(pieces.start)
+    return integrate([replace(pieces, turn=np.arange(count))], count, compensation, own)
+
+
+def integrate(
+    batches: Iterable[Pieces],
+    turns: int,
+    compensation: Compensation | Sequence[Compensation],
+    own: OwnAxes = NO_OWN_AXES,
+) -> Moments:
+    """Moments of turns by the step about the middle attitude (A1), with one compensation or one for each; every batch
+    holds at most one piece of a turn, in order of time.
 
     Errors of arithmetic are below 1e-12 while a sample turns by less than 0.5 rad."""
-    return _integrated(pieces, [(pieces.stretches, compensation)], own)
-
-
-def _integrated(pieces: Pieces, parts: list[tuple[_kernels.Stretches, Compensation]], own: OwnAxes) -> Moments:
-    """Moments of every piece, stretches of them with compensations of their own."""
-    count, n, m = len(pieces.start), len(own.gyro), len(own.accel)
-    rows, linear = _kernels.COMMON + 2 * n + 2 * m, _kernels.LINEAR + 2 * n
+    count, n, m, linear = turns, len(own.gyro), len(own.accel), _kernels.LINEAR
+    # regressors: 1, ω, f; of the gyros' own axes; f f, ω ω; of the accelerometers' own axes
+    firsts = np.cumsum([0, linear, 2 * n, 6, 6, 2 * m])
+    one, of_gyros, forces_2, rates_2, of_accels = (slice(a, b) for a, b in pairwise(firsts.tolist()))
+    rows, moved_rows = (-(-width // _kernels.BLOCK) * _kernels.BLOCK for width in firsts[[-1, 2]].tolist())
     attitude, V, jumps = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros((count, 3)), np.zeros(count)
-    products, moved, sweep = (np.zeros((count, size, 9)) for size in (rows, linear, 3))
-    body = np.zeros((count, rows))
-    sums = attitude, V, products, moved, sweep, body, jumps
-    rates, forces, intervals, gyros, accels = (
-        np.ascontiguousarray(each, dtype=float)
-        for each in (pieces.rates, pieces.forces, pieces.intervals, own.gyro, own.accel)
-    )
-    samples, axes, work = (rates, forces, intervals), (gyros, accels), _kernels.new_work(rows, linear)
-    for stretches, compensation in parts:
-        _kernels.integrate_stretches(samples, stretches, compensation._kernel_model(), axes, sums, work, _kernels.LANES)
-    C = np.empty((count, 3, 3))
-    _kernels.finish(sums, C)
-    Phi, Psi = _matrices(products), _matrices(moved)
-    of_gyros, of_accels = slice(_kernels.COMMON, _kernels.COMMON + 2 * n), slice(_kernels.COMMON + 2 * n, None)
+    products, moved, sweep = np.zeros((count, 10, rows)), np.zeros((count, 9, moved_rows)), np.zeros((count, 9, 3))
+    sums = attitude, V, products, moved, sweep, jumps
+    axes = np.ascontiguousarray(own.gyro, dtype=float), np.ascontiguousarray(own.accel, dtype=float)
+    for pieces in batches:
+        rates, forces, intervals = (
+            np.ascontiguousarray(x, dtype=float) for x in (pieces.rates, pieces.forces, pieces.intervals)
+        )
+        turn, start, stop = (np.ascontiguousarray(x, dtype=np.int64) for x in (pieces.turn, pieces.start, pieces.stop))
+        if isinstance(compensation, Compensation):
+            parts = [(slice(None), compensation)]
+        else:
+            parts = [(slice(i, i + 1), compensation[k]) for i, k in enumerate(turn)]
+        for part, by in parts:
+            where = turn[part], start[part], stop[part]
+            _kernels.integrate_pieces((rates, forces, intervals), where, by._kernel_model(), axes, sums)
+        del pieces, rates, forces, intervals  # before the next are read
+    Phi, body = products[:, :9].reshape(count, 3, 3, rows), products[:, 9]
+    Psi = _crossed(Phi[..., :moved_rows], V) - moved.reshape(count, 3, 3, moved_rows)
     return Moments(
-        C=C,
+        C=_matrices(attitude),
         V=V,
-        Phi=Phi[..., :REGRESSORS],
-        Psi=Psi[..., : _kernels.LINEAR],
-        W=Phi[..., REGRESSORS : _kernels.COMMON],
-        sweep=_matrices(sweep),
+        Phi=np.concatenate([Phi[..., one], Phi[..., forces_2]], axis=-1),
+        Psi=Psi[..., one],
+        W=Phi[..., rates_2],
+        sweep=sweep.reshape(count, 3, 3, 3),
         Phi_gyro=Phi[..., of_gyros].reshape(count, 3, 3, 2, n),
-        Psi_gyro=Psi[..., _kernels.LINEAR :].reshape(count, 3, 3, 2, n),
+        Psi_gyro=Psi[..., of_gyros].reshape(count, 3, 3, 2, n),
         Phi_accel=Phi[..., of_accels].reshape(count, 3, 3, 2, m),
-        body=body[:, :REGRESSORS],
-        body_rates=body[:, REGRESSORS : _kernels.COMMON],
+        body=np.hstack([body[:, one], body[:, forces_2]]),
+        body_rates=body[:, rates_2],
         body_gyro=body[:, of_gyros].reshape(count, 2, n),
         body_accel=body[:, of_accels].reshape(count, 2, m),
         jumps=jumps,
     )
 
 
-def _matrices(sums: Array) -> Array:
-    """(K, 3, 3, R) of the kernel's sums (K, R, 9)."""
-    return sums.reshape(*sums.shape[:2], 3, 3).transpose(0, 2, 3, 1)
+def _matrices(attitude: Array) -> Array:
+    """The matrices (K, 3, 3) of unit quaternions (K, 4), scalar first."""
+    scalar, vector = attitude[:, 0, None, None], attitude[:, 1:]
+    cross = _skews(vector)
+    return np.asarray(np.eye(3) + 2.0 * (scalar * cross + cross @ cross))
 
 
 def _crossed(matrices: Array, V: Array) -> Array:
@@ -255,56 +259,6 @@ def _skews(vectors: Array) -> Array:
 _GENERATORS = np.array([skew(axis) for axis in np.eye(3)])
 
 
-def combined(first: Moments, second: Moments) -> Moments:
-    """Moments of turns of two parts, one after the other; with C and V of the first and the second marked 2,
-
-        C C₂,   V + C V₂,   Φ + C Φ₂,   Ψ + Φ × C V₂ + C Ψ₂
-
-    and likewise for all that has a C in it. Exact."""
-    C, V = first.C, _turned(first.C, second.V)
-    return Moments(
-        C=C @ second.C,
-        V=first.V + V,
-        Phi=first.Phi + _turned(C, second.Phi),
-        Psi=first.Psi + _crossed(first.Phi[..., : _kernels.LINEAR], V) + _turned(C, second.Psi),
-        W=first.W + _turned(C, second.W),
-        sweep=first.sweep + _turned(C, second.sweep),
-        Phi_gyro=first.Phi_gyro + _turned(C, second.Phi_gyro),
-        Psi_gyro=first.Psi_gyro + _crossed(first.Phi_gyro, V) + _turned(C, second.Psi_gyro),
-        Phi_accel=first.Phi_accel + _turned(C, second.Phi_accel),
-        body=first.body + second.body,
-        body_rates=first.body_rates + second.body_rates,
-        body_gyro=first.body_gyro + second.body_gyro,
-        body_accel=first.body_accel + second.body_accel,
-        jumps=first.jumps + second.jumps,
-    )
-
-
-def integrate(batches: Iterable[Pieces], turns: int, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
-    """Moments of whole turns, of which every batch holds at most one piece each, in order of time."""
-    whole: Moments | None = None
-    for pieces in batches:
-        found = moments_of(pieces, compensation, own)
-        if whole is None and np.array_equal(pieces.turn, np.arange(turns)):
-            whole = found
-        else:
-            whole = _nothing(turns, compensation, own) if whole is None else whole
-            _add(whole, pieces, found)
-        del pieces  # before the next are read
-    return _nothing(turns, compensation, own) if whole is None else whole
-
-
-def integrate_each(
-    batches: Iterable[Pieces], compensations: Sequence[Compensation], own: OwnAxes = NO_OWN_AXES
-) -> Moments:
-    """The same with a compensation for each turn."""
-    whole = _nothing(len(compensations), compensations[0], own)
-    for pieces in batches:
-        parts = [(pieces.stretches_of(slice(i, i + 1)), compensations[turn]) for i, turn in enumerate(pieces.turn)]
-        _add(whole, pieces, _integrated(pieces, parts, own))
-    return whole
-
-
 def growing_moments(batches: Iterable[Pieces], lengths: IntArray, compensation: Compensation) -> tuple[Array, Array]:
     """Φ (K, 3, 3, 13) and Ψ (K, 3, 3, 7) of turns of so many samples (K,), weighted with the time, s, from the middle
     of each: what a coefficient does that grows by 1 a second within a turn. From PARTS of each, in which the weight is
@@ -314,14 +268,13 @@ def growing_moments(batches: Iterable[Pieces], lengths: IntArray, compensation: 
     """
     whole = integrate(_in_parts(batches, lengths), PARTS * len(lengths), compensation)
     C, V, T = np.broadcast_to(np.eye(3), (len(lengths), 3, 3)), np.zeros((len(lengths), 3)), np.zeros(len(lengths))
-    seen = []
-    for j in range(PARTS):
-        part = Moments(**{f.name: getattr(whole, f.name)[j::PARTS] for f in fields(Moments)})
-        V, T = V + _turned(C, part.V), T + part.T
-        seen.append((T - 0.5 * part.T, V, _turned(C, part.Phi), _turned(C, part.Psi)))
-        C = C @ part.C
-    Phi, Psi = np.zeros_like(seen[0][2]), np.zeros_like(seen[0][3])
-    for middle, before, of_part, moved in seen:
+    parts = []
+    for part in (slice(j, None, PARTS) for j in range(PARTS)):
+        V, T = V + _turned(C, whole.V[part]), T + whole.T[part]
+        parts.append((T - 0.5 * whole.T[part], V, _turned(C, whole.Phi[part]), _turned(C, whole.Psi[part])))
+        C = C @ whole.C[part]
+    Phi, Psi = np.zeros_like(parts[0][2]), np.zeros_like(parts[0][3])
+    for middle, before, of_part, moved in parts:
         weight = (middle - 0.5 * T)[:, None, None, None]
         Phi += weight * of_part
         Psi += weight * (moved + _crossed(of_part[..., : _kernels.LINEAR], V - before))
@@ -339,21 +292,6 @@ def _in_parts(batches: Iterable[Pieces], lengths: IntArray) -> Iterator[Pieces]:
             done[k] += stop - start
         turn, start, stop = np.array(parts, dtype=np.int64).reshape(-1, 3).T
         yield replace(pieces, turn=turn, start=start, stop=stop)
-
-
-def _nothing(turns: int, compensation: Compensation, own: OwnAxes) -> Moments:
-    """Moments of turns without samples."""
-    none = np.zeros(turns, dtype=np.int64)
-    nothing = Pieces(rates=NO_AXES, forces=NO_AXES, intervals=np.empty(0), turn=none, start=none, stop=none)
-    return moments_of(nothing, compensation, own)
-
-
-def _add(whole: Moments, pieces: Pieces, moments: Moments) -> None:
-    """Join pieces to what there is of their turns, in place."""
-    before = Moments(**{f.name: getattr(whole, f.name)[pieces.turn] for f in fields(Moments)})
-    joined = combined(before, moments)
-    for f in fields(Moments):
-        getattr(whole, f.name)[pieces.turn] = getattr(joined, f.name)
 
 
 # Columns -------------------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ from tumble.brief import Brief
 from tumble.programme.positions import Programme
 from tumble.recording.session import Site
 from tumble.reduction.array_motion import ArrayMoments, MovedArray, array_moments
-from tumble.reduction.blemishes import blemish_notes
+from tumble.reduction.blemishes import bad_sample_notes, blemish_notes
 from tumble.reduction.blocks import Reduction, extremes
 from tumble.reduction.coloured_noise import fit_coloured_noise
 from tumble.reduction.matching import Match
@@ -36,7 +36,6 @@ from tumble.reduction.moments import (
     OwnAxes,
     growing_moments,
     integrate,
-    integrate_each,
 )
 from tumble.reduction.rests import Rests, reduced_rests, thermometers_of
 from tumble.reduction.rounding import Rounding, rounding_notes
@@ -96,8 +95,10 @@ class Observations(Brief):
     """Whether no time in the log says that samples are missing."""
     usual: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations, SI, of the groups of parameters beyond the linear model over instruments like this one."""
-    warm_up: float | None = None
-    """Time constant, s, in which biases settle after the start, where they do."""
+    too_small: Mapping[str, float] = field(default_factory=dict)
+    """By group, the factor of the order of which its usual size may be too small: by where it is from."""
+    in_run: Mapping[str, float] = field(default_factory=dict)
+    """Usual standard deviation of the in-run bias, SI, of the accelerometers, "accel", and of the gyros, "gyro"."""
 
     @property
     def session(self) -> IntArray | None:
@@ -129,23 +130,20 @@ class Observations(Brief):
         at_rest = replace(rests, gyro=none, gyro_covariance=covariance, gyro_drift=none, gyro_noise=none)
         return replace(self, gyro_block=None, rests=at_rest, turns=None, turn_samples=None, turn_readings=None)
 
-    def moments_about(self, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
-        """The moments of the turns with samples compensated in this way."""
+    @property
+    def _samples(self) -> TurnSamples:
+        """Those of the turns."""
         if self.turns is None or self.turn_samples is None:
-            raise ValueError("moments_about: expected observations of a log with gyros and turns, found none")
-        return integrate(self.turn_samples.pieces(), len(self.turns), compensation, own)
+            raise ValueError("moments: expected observations of a log with gyros and turns, found none")
+        return self.turn_samples
 
-    def moments_about_each(self, compensations: Sequence[Compensation], own: OwnAxes = NO_OWN_AXES) -> Moments:
-        """The same with samples of each turn compensated in a way of its own."""
-        if self.turns is None or self.turn_samples is None:
-            raise ValueError("moments_about_each: expected observations of a log with gyros and turns, found none")
-        return integrate_each(self.turn_samples.pieces(), compensations, own)
+    def moments_about(self, compensation: Compensation | Sequence[Compensation], own: OwnAxes = NO_OWN_AXES) -> Moments:
+        """The moments of the turns with samples compensated in this way, or those of each turn in a way of its own."""
+        return integrate(self._samples.pieces(), len(self._samples.lengths), compensation, own)
 
     def growing_moments_about(self, compensation: Compensation) -> tuple[Array, Array]:
         """Φ and Ψ of the same turns, weighted with the time from the middle of each, see `growing_moments`."""
-        if self.turns is None or self.turn_samples is None:
-            raise ValueError("growing_moments_about: expected observations of a log with gyros and turns, found none")
-        return growing_moments(self.turn_samples.pieces(), self.turn_samples.lengths, compensation)
+        return growing_moments(self._samples.pieces(), self._samples.lengths, compensation)
 
     def turns_about(self, gyro: SensorModel) -> Turns:
         """The turns integrated about a gyro model: its effect on the rotation is exact, and M and B are the
@@ -180,7 +178,7 @@ def observe(
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         noises = (accel, fit_coloured_noise(accel_quiet)), (gyro, gyro_noise)
         turned = turns, samples = reduced_turns(reduction, reduction.samples, spans, rests, *noises, rounded)
-        in_turns = samples.bad.note(turns.first)
+        in_turns = bad_sample_notes(samples.bad, turns.first)
         readings = turn_readings(reduction, spans, turned, noises[1], rounded["gyro"]) if gyro.size > 3 else None
         arrays = _arrays(reduction, rests, accel, gyro) if arrays is None else arrays
     return Observations(
@@ -204,7 +202,7 @@ def _arrays(reduction: Reduction, rests: Rests, accel: Block, gyro: Block) -> tu
     """What the accelerometers of an array read in motion, that in turns which are left out included."""
     if reduction.samples is None:
         return ()
-    parts = [(f.first_sample, f.first_sample + f.size * len(f.accel)) for f in reduction.files]
+    parts = [(f.first_sample, f.first_sample + f.size * len(f)) for f in reduction.files]
     array = MovedArray(
         accel=accel,
         gyro=gyro,

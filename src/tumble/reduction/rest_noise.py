@@ -70,7 +70,7 @@ def channel_rounding(
 ) -> Rounding:
     """The rounding of one kind of channels."""
     channels: Sequence[ChannelState] = getattr(reduction, f"{kind}_channels")
-    ends = {f.file: np.asarray(getattr(f, f"{kind}_end")) for f in reduction.files}
+    ends = {f.file: getattr(f, kind).ends for f in reduction.files}
     rests = [ends[s.file][s.first : s.last] for s in spans]
     every = list(ends.values())
     return rounding(every[0] if len(every) == 1 else np.concatenate(every), rests, channels)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.reduction.blocks import FileBlocks, Reduction
+from tumble.reduction.blocks import Reduction
 from tumble.reduction.coloured_noise import ColouredNoise, fit_coloured_noise
 from tumble.reduction.rest_noise import accel_covariance, channel_rounding, density, drift
 from tumble.reduction.rounding import Rounding
@@ -46,6 +45,38 @@ class Rests:
     def __len__(self) -> int:
         return len(self.start)
 
+    @staticmethod
+    def of_white_noise(
+        start: Array,
+        stop: Array,
+        *,
+        accel: Array,
+        gyro: Array,
+        densities: tuple[float, float],
+        temperatures: Array | None = None,
+    ) -> Rests:
+        """Rests of one file with these mean readings (N, n), in white noise of these densities of the accelerometers
+        and the gyros."""
+
+        def covariance(readings: Array, density: float, floor: float) -> Array:
+            variance = density**2 / (stop - start) + floor**2
+            return np.asarray(variance[:, None, None] * np.eye(readings.shape[1]))
+
+        return Rests(
+            file=np.zeros(len(start), dtype=np.int64),
+            start=start,
+            stop=stop,
+            accel=accel,
+            accel_covariance=covariance(accel, densities[0], ACCEL_FLOOR),
+            accel_drift=np.zeros_like(accel),
+            accel_noise=np.full_like(accel, densities[0]),
+            gyro=gyro,
+            gyro_covariance=covariance(gyro, densities[1], GYRO_FLOOR),
+            gyro_drift=np.zeros_like(gyro),
+            gyro_noise=np.full_like(gyro, densities[1]),
+            temperatures=temperatures,
+        )
+
     @property
     def temperature(self) -> Array | None:
         """The mean over the thermometers (N,), K."""
@@ -57,84 +88,60 @@ def reduced_rests(
 ) -> tuple[Rests, list[Array], ColouredNoise | None, dict[str, Rounding]]:
     """The rests at these spans, at least one, what their noise is fitted to of the accelerometers, the noise of the
     gyros and the rounding by kind of channel."""
-    by_file = reduction.by_file
-    blocks = [by_file[s.file] for s in spans]
+    by_file, kinds = reduction.by_file, ("accel", "gyro", "magnetometer")
+    pairs = [(by_file[s.file], slice(s.first, s.last)) for s in spans]
+    series = {kind: [getattr(f, kind).means[span] for f, span in pairs] for kind in kinds}
+    mean = {kind: np.array([getattr(f, kind).mean(span.start, span.stop) for f, span in pairs]) for kind in kinds}
     durations = np.array([s.stop - s.start for s in spans])
-    accel_series, gyro_series, temperatures = _series(blocks, spans)
-    warmth = _warmth(reduction, blocks, spans, temperatures)
-    accel_quiet = without_warming(accel_series, warmth, accel.thermometer)
+    kelvin = [f.temperature[span] for f, span in pairs if f.temperature is not None]
+    of_lag: KelvinAtLag | None = None
+    if len(kelvin) == len(pairs):
+        thermometers, read = thermometers_of(reduction), np.concatenate(kelvin)
+        file = np.repeat([s.file for s in spans], [len(each) for each in kelvin])
+        time = np.concatenate([f.edges[1:][span] for f, span in pairs])
+
+        def warmth(lag: float) -> Array:
+            """What follows each thermometer."""
+            return read if lag == 0.0 else thermometers.means(file, time, time, lag).kelvin
+
+        of_lag = warmth
+    accel_quiet = without_warming(series["accel"], of_lag, accel.thermometer)
     rounded = {"accel": channel_rounding(reduction, spans, "accel")}
     accel_spread = accel_covariance(accel_quiet, accel) + np.diag(ACCEL_FLOOR**2 + rounded["accel"].of_rest ** 2)
     gyro_noise, gyro_spread = None, np.empty((len(spans), 0, 0))
     if gyro is not None:
-        gyro_noise = fit_coloured_noise(without_warming(gyro_series, warmth, gyro.thermometer))
+        gyro_noise = fit_coloured_noise(without_warming(series["gyro"], of_lag, gyro.thermometer))
         rounded["gyro"] = channel_rounding(reduction, spans, "gyro")
-        gyro_spread = np.array([gyro_noise.covariance_of_mean(len(s), i) for i, s in enumerate(gyro_series)])
-        gyro_spread += np.diag(GYRO_FLOOR**2 + rounded["gyro"].of_rest ** 2)
-    magnetometer, magnetometer_covariance = _magnetometer(reduction, blocks, spans)
+        gyro_spread = _spread(gyro_noise, series["gyro"], rounded["gyro"], GYRO_FLOOR)
+    field_spread = None
+    if reduction.magnetometer_channels:
+        rounding, noise = channel_rounding(reduction, spans, "magnetometer"), fit_coloured_noise(series["magnetometer"])
+        field_spread = _spread(noise, series["magnetometer"], rounding, 0.0)
     rests = Rests(
         file=np.array([s.file for s in spans]),
         start=np.array([s.start for s in spans]),
         stop=np.array([s.stop for s in spans]),
-        accel=np.array([f.accel_mean(s.first, s.last) for f, s in zip(blocks, spans, strict=True)]),
+        accel=mean["accel"],
         accel_covariance=accel_spread,
-        accel_drift=drift(accel_series),
+        accel_drift=drift(series["accel"]),
         accel_noise=density(accel_spread, durations),
-        gyro=np.array([f.gyro_mean(s.first, s.last) for f, s in zip(blocks, spans, strict=True)]),
+        gyro=mean["gyro"],
         gyro_covariance=gyro_spread,
-        gyro_drift=drift(gyro_series),
+        gyro_drift=drift(series["gyro"]),
         gyro_noise=density(gyro_spread, durations),
-        temperatures=None if temperatures is None else np.array([each.mean(axis=0) for each in temperatures]),
-        magnetometer=magnetometer,
-        magnetometer_covariance=magnetometer_covariance,
+        temperatures=None if of_lag is None else np.array([each.mean(axis=0) for each in kelvin]),
+        magnetometer=None if field_spread is None else mean["magnetometer"],
+        magnetometer_covariance=field_spread,
     )
     return rests, accel_quiet, gyro_noise, rounded
 
 
-def _series(
-    blocks: Sequence[FileBlocks], spans: tuple[RestSpan, ...]
-) -> tuple[list[Array], list[Array], list[Array] | None]:
-    """Block means of the accelerometers and of the gyros in the rests at these spans, and their temperatures
-    (K, T), K, where all rests have some."""
-    pairs = list(zip(blocks, spans, strict=True))
-    accel, gyro = [f.accel[s.first : s.last] for f, s in pairs], [gyro_of(f)[s.first : s.last] for f, s in pairs]
-    kelvin = [f.temperature[s.first : s.last] for f, s in pairs if f.temperature is not None]
-    return accel, gyro, kelvin if len(kelvin) == len(pairs) else None
-
-
-def _warmth(
-    reduction: Reduction, blocks: Sequence[FileBlocks], spans: tuple[RestSpan, ...], kelvin: list[Array] | None
-) -> KelvinAtLag | None:
-    """From a lag to the temperatures, K, of what follows each thermometer in the rests at these spans, where it has
-    itself `kelvin`; None where there are none."""
-    if kelvin is None:
-        return None
-    thermometers, file = thermometers_of(reduction), np.repeat([s.file for s in spans], [len(each) for each in kelvin])
-    read = np.concatenate(kelvin)
-    time = np.concatenate([f.edges[1:][s.first : s.last] for f, s in zip(blocks, spans, strict=True)])
-    return lambda lag: read if lag == 0.0 else thermometers.means(file, time, time, lag).kelvin
+def _spread(noise: ColouredNoise, series: list[Array], rounding: Rounding, floor: float) -> Array:
+    """Covariances (N, n, n) of the means of rests by noise and rounding."""
+    by_noise = np.array([noise.covariance_of_mean(len(s), i) for i, s in enumerate(series)])
+    return np.asarray(by_noise + np.diag(floor**2 + rounding.of_rest**2))
 
 
 def thermometers_of(reduction: Reduction) -> Thermometers:
     """The records of the thermometers: a temperature is that at the end of a block."""
     return Thermometers.of({f.file: (f.edges[1:], f.temperature) for f in reduction.files if f.temperature is not None})
-
-
-def gyro_of(f: FileBlocks) -> Array:
-    """Gyro block means of a file, (K, 0) without gyros."""
-    return f.gyro if f.gyro is not None else np.empty((len(f.accel), 0))
-
-
-def _magnetometer(
-    reduction: Reduction, blocks: list[FileBlocks], spans: tuple[RestSpan, ...]
-) -> tuple[Array, Array] | tuple[None, None]:
-    """Mean readings (N, 3) of the magnetometer in the rests and their covariances (N, 3, 3), in its unit."""
-    series = [
-        f.magnetometer[s.first : s.last] for f, s in zip(blocks, spans, strict=True) if f.magnetometer is not None
-    ]
-    if not series:
-        return None, None
-    mean = np.array([f.magnetometer_mean(s.first, s.last) for f, s in zip(blocks, spans, strict=True)])
-    noise = fit_coloured_noise(series)
-    covariance = np.array([noise.covariance_of_mean(len(s), i) for i, s in enumerate(series)])
-    return mean, covariance + np.diag(channel_rounding(reduction, spans, "magnetometer").of_rest ** 2)

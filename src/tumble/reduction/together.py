@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -69,21 +69,41 @@ def _cuts(span: RestSpan, warmth: Array | None) -> list[tuple[int, int]]:
 
 def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequence[IntArray]) -> Observations:
     """The observations of several sessions of one device at one place as one; `numbers` are those of their rests."""
-    first = sessions[0]
     counts = [len(each.rests) for each in sessions]
     rests_before = np.concatenate([[0], np.cumsum(counts)])[:-1]
-    turns = _turns(sessions, rests_before)
+    files = [
+        1 + max([int(each.rests.file.max()), *(each.thermometers.files if each.thermometers is not None else ())])
+        for each in sessions
+    ]
+    files_before = [0, *np.cumsum(files).tolist()][:-1]
+    rests = [replace(each.rests, file=each.rests.file + n) for each, n in zip(sessions, files_before, strict=True)]
+    turns = [
+        replace(each.turns, first=each.turns.first + before, last=each.turns.last + before)
+        for each, before in zip(sessions, rests_before, strict=True)
+        if each.turns is not None
+    ]
+    readings = [each.turn_readings for each in sessions if each.turn_readings is not None]
+    records = {
+        file + n: record
+        for each, n in zip(sessions, files_before, strict=True)
+        if each.thermometers is not None
+        for file, record in each.thermometers.files.items()
+    }
+    thermometers = all(each.thermometers is not None for each in sessions)
+    rounding: dict[str, Rounding] = {}  # that of the first session which has it, by kind of sensor
+    for each in sessions:
+        rounding = dict(each.rounding) | rounding
     return replace(
-        first,
-        rests=_rests(sessions),
-        turns=turns,
+        sessions[0],
+        rests=replace(_stacked(rests), magnetometer=None, magnetometer_covariance=None),
+        turns=_stacked(turns) if turns else None,
         turn_samples=_samples(sessions),
-        turn_readings=_readings(sessions),
+        turn_readings=_stacked(readings) if readings else None,
         arrays=tuple(moments for each in sessions for moments in each.arrays),
         programme=None,
         position=None,
-        rounding=_rounding(sessions),
-        thermometers=_thermometers(sessions),
+        rounding=rounding,
+        thermometers=Thermometers(files=records) if thermometers else None,
         notes=tuple(f"{name}: {note}" for name, each in zip(names, sessions, strict=True) for note in each.notes),
         together=Together(
             names=tuple(names),
@@ -93,34 +113,58 @@ def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequ
     )
 
 
+_Arrays = TypeVar("_Arrays", Rests, Turns, TurnReadings)
+"""Arrays of as many rows, or None."""
+
+
+def _stacked(parts: Sequence[_Arrays]) -> _Arrays:
+    """The rows of all parts, one after the other; None where one has none."""
+    whole: dict[str, Any] = {}
+    for field in fields(parts[0]):
+        values = [getattr(part, field.name) for part in parts]
+        whole[field.name] = None if any(value is None for value in values) else np.concatenate(values)
+    return replace(parts[0], **whole)
+
+
+def _rows(whole: _Arrays, rows: slice) -> _Arrays:
+    """Some of the rows."""
+    some: dict[str, Any] = {}
+    for field in fields(whole):
+        values = getattr(whole, field.name)
+        some[field.name] = None if values is None else values[rows]
+    return replace(whole, **some)
+
+
+def _samples(sessions: Sequence[Observations]) -> TurnSamples | None:
+    """The samples of all sessions that have turns."""
+    turning = [
+        (each.turn_samples, len(each.turns)) for each in sessions if each.turn_samples and each.turns is not None
+    ]
+    if not turning:
+        return None
+    before = np.cumsum([0] + [count for _, count in turning]).tolist()
+    others = tuple((first, samples) for first, (samples, _) in zip(before[1:-1], turning[1:], strict=True))
+    return replace(turning[0][0], others=others, _kept=[])
+
+
 def apart(observations: Observations, rests: slice, turns: slice) -> Observations:
     """Those of one of several sessions that were joined, its rests and turns being these."""
-    whole = {field.name: getattr(observations.rests, field.name) for field in fields(Rests)}
-    own: dict[str, Any] = {name: None if value is None else value[rests] for name, value in whole.items()}
-    together, every, readings = observations.together, observations.turns, observations.turn_readings
+    together, samples, readings = observations.together, observations.turn_samples, observations.turn_readings
     assert together is not None
     some = None
-    if every is not None and turns.stop > turns.start:
-        some = Turns(**{field.name: getattr(every, field.name)[turns] for field in fields(Turns)})
+    if observations.turns is not None and turns.stop > turns.start:
+        some = _rows(observations.turns, turns)
         some = replace(some, first=some.first - rests.start, last=some.last - rests.start)
-        if readings is not None:
-            readings = TurnReadings(integral=readings.integral[turns], covariance=readings.covariance[turns])
+    if samples is not None:  # of the session whose turns begin with this one
+        samples = ({0: replace(samples, others=(), _kept=[])} | dict(samples.others)).get(turns.start)
     return replace(
         observations,
-        rests=Rests(**own),
+        rests=_rows(observations.rests, rests),
         turns=some,
-        turn_samples=None if some is None else _samples_from(observations.turn_samples, turns.start),
-        turn_readings=None if some is None else readings,
+        turn_samples=None if some is None else samples,
+        turn_readings=None if some is None or readings is None else _rows(readings, turns),
         together=replace(together, session=together.session[rests], number=together.number[rests]),
     )
-
-
-def _samples_from(samples: TurnSamples | None, first: int) -> TurnSamples | None:
-    """The samples of the session whose turns begin with this one."""
-    if samples is None:
-        return None
-    every = {0: replace(samples, others=(), _kept=[])} | dict(samples.others)
-    return every.get(first)
 
 
 def held(observations: Observations) -> Observations:
@@ -131,80 +175,3 @@ def held(observations: Observations) -> Observations:
     covariance = turns.covariance.copy()
     covariance[turns.duration == 0.0] = HELD**2 * np.eye(3)
     return replace(observations, turns=replace(turns, covariance=covariance))
-
-
-def _rests(sessions: Sequence[Observations]) -> Rests:
-    before = _files_before(sessions)
-    renumbered = [
-        replace(each.rests, file=each.rests.file + earlier) for each, earlier in zip(sessions, before, strict=True)
-    ]
-    whole: dict[str, Any] = {}
-    for field in fields(Rests):
-        values = [getattr(each, field.name) for each in renumbered]
-        known = all(value is not None for value in values) and "magnetometer" not in field.name
-        whole[field.name] = np.concatenate(values) if known else None
-    return Rests(**whole)
-
-
-def _files_before(sessions: Sequence[Observations]) -> list[int]:
-    """How many files the sessions before each have."""
-    counts = [
-        1 + max([int(each.rests.file.max()), *(each.thermometers.files if each.thermometers is not None else ())])
-        for each in sessions
-    ]
-    return [0, *np.cumsum(counts).tolist()][:-1]
-
-
-def _thermometers(sessions: Sequence[Observations]) -> Thermometers | None:
-    """The records of all sessions; None where one has none."""
-    before = _files_before(sessions)
-    known = [each.thermometers for each in sessions if each.thermometers is not None]
-    if len(known) < len(sessions):
-        return None
-    return Thermometers(
-        files={
-            file + first: record
-            for each, first in zip(known, before, strict=True)
-            for file, record in each.files.items()
-        }
-    )
-
-
-def _turns(sessions: Sequence[Observations], rests_before: IntArray) -> Turns | None:
-    known = [
-        replace(each.turns, first=each.turns.first + before, last=each.turns.last + before)
-        for each, before in zip(sessions, rests_before, strict=True)
-        if each.turns is not None
-    ]
-    if not known:
-        return None
-    return Turns(
-        **{field.name: np.concatenate([getattr(each, field.name) for each in known]) for field in fields(Turns)}
-    )
-
-
-def _samples(sessions: Sequence[Observations]) -> TurnSamples | None:
-    known = [(each.turn_samples, len(each.turns)) for each in sessions if each.turn_samples and each.turns is not None]
-    if not known:
-        return None
-    before = np.cumsum([0] + [count for _, count in known]).tolist()
-    others = tuple((first, samples) for first, (samples, _) in zip(before[1:-1], known[1:], strict=True))
-    return replace(known[0][0], others=others, _kept=[])
-
-
-def _readings(sessions: Sequence[Observations]) -> TurnReadings | None:
-    known = [each.turn_readings for each in sessions if each.turn_readings is not None]
-    if not known:
-        return None
-    return TurnReadings(
-        integral=np.concatenate([each.integral for each in known]),
-        covariance=np.concatenate([each.covariance for each in known]),
-    )
-
-
-def _rounding(sessions: Sequence[Observations]) -> dict[str, Rounding]:
-    """That of the first session which has it, by kind of sensor."""
-    out: dict[str, Rounding] = {}
-    for each in sessions:
-        out = dict(each.rounding) | out
-    return out

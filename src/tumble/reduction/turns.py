@@ -9,7 +9,7 @@ from itertools import accumulate, pairwise
 import numpy as np
 
 from tumble.recording.gaps import Gap
-from tumble.reduction.blemishes import BEYOND_REST, BEYOND_STEP, bad_samples_of_turns
+from tumble.reduction.blemishes import bad_samples_of_turns
 from tumble.reduction.blocks import Reduction
 from tumble.reduction.coloured_noise import ColouredNoise
 from tumble.reduction.moments import (
@@ -20,7 +20,7 @@ from tumble.reduction.moments import (
     moments_of,
 )
 from tumble.reduction.motion_samples import MotionSamples
-from tumble.reduction.rests import Rests, gyro_of
+from tumble.reduction.rests import Rests
 from tumble.reduction.rounding import Rounding
 from tumble.reduction.segmentation import RestSpan
 from tumble.reduction.turn_samples import TurnSamples
@@ -102,9 +102,9 @@ def reduced_turns(
     duration = np.array([spans[j].start - spans[i].stop for i, j in zip(first, last, strict=True)])
     (accel, of_accel), (gyro, of_gyro) = accel_noise, gyro_noise
     files = [by_file[spans[i].file] for i in first]
-    within = tuple(np.array([f.sample_at(k * len(f.accel)) for f in files], dtype=int) for k in (0, 1))
+    within = tuple(np.array([f.sample_at(k * len(f)) for f in files], dtype=int) for k in (0, 1))
     least = _least_off(reduction, rests)
-    bad = bad_samples_of_turns(stored, start, stop, (within[0], within[1]), reduction.rate, least)
+    bad = bad_samples_of_turns(stored, start, stop, (within[0], within[1]), reduction.rate, least, reduction.tuning)
     samples = TurnSamples(samples=stored, start=start, stop=stop, bad=bad)
     moments = integrate(samples.pieces(), len(first), linear_compensation(gyro, gyro.nominal(), accel, accel.nominal()))
     long = np.maximum(duration, block_seconds)
@@ -135,12 +135,12 @@ def reduced_turns(
 def _least_off(reduction: Reduction, rests: Rests) -> Array:
     """What the samples (6,) of rates and forces in the body are off by at least where they are bad, by what they do at
     rest and their resolution. More than three gyros are not judged: their readings go another way too."""
-    least = np.empty(6)
+    least, tuning = np.empty(6), reduction.tuning
     kinds = (reduction.gyro_channels, rests.gyro_noise), (reduction.accel_channels, rests.accel_noise)
     for part, (channels, noise) in zip((slice(3), slice(3, 6)), kinds, strict=True):
         steps = [channel.step for channel in channels if np.isfinite(channel.step)]
         of_sample = float(np.median(noise)) * np.sqrt(reduction.rate)
-        least[part] = max(BEYOND_REST * of_sample, BEYOND_STEP * max(steps, default=0.0))
+        least[part] = max(tuning.noise_beyond * of_sample, tuning.steps_beyond * max(steps, default=0.0))
     if rests.gyro.shape[1] > 3:
         least[:3] = np.inf
     return least
@@ -239,7 +239,7 @@ def turn_readings(
     integral, covariance = np.zeros((len(turns), channels)), np.zeros((len(turns), channels, channels))
     for k, (i, j, T) in enumerate(zip(turns.first, turns.last, turns.duration, strict=True)):
         blocks, between = by_file[spans[i].file], slice(spans[i].last, spans[j].first)
-        integral[k] = np.diff(blocks.edges)[between] @ gyro_of(blocks)[between]
+        integral[k] = np.diff(blocks.edges)[between] @ blocks.gyro.means[between]
         covariance[k] = T**2 * noise.covariance_of_mean(max(T / block_seconds, 1.0))
     by_rounding = _by_rounding(samples, gyro, rounded)
     return TurnReadings(integral=integral, covariance=covariance + by_rounding + TURN_FLOOR**2 * np.eye(channels))

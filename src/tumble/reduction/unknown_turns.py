@@ -12,7 +12,6 @@ the other way round.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 
@@ -22,16 +21,14 @@ from tumble.recording.gaps import Gap
 from tumble.recording.session import Channels
 from tumble.reduction.array_motion import read_by
 from tumble.reduction.blocks import Reduction, extremes
-from tumble.reduction.segmentation import RestSpan
+from tumble.reduction.segmentation import RestSpan, unrecorded
 from tumble.sensors.model import Block
-from tumble.units import Array, BoolArray
+from tumble.units import Array
 
 CONVERTERS = 2.0 ** np.arange(11, 32)
 """2^k of converters of 12 to 32 bits."""
 EXACT = 1e-6
 HALF_TURN = math.pi
-FEWEST = 2
-"""Samples of a turn: a single one at the end of the range may just have reached it."""
 
 
 def without_unknown_turns(
@@ -40,51 +37,31 @@ def without_unknown_turns(
     """A reduction in which turns between these rests with clipped gyros, or with readings of more than half a turn from
     sample to sample, were not recorded."""
     clipped, fast = dict[int, Gap](), dict[int, Gap]()
-    limits, turns = _limits(reduction, channels), list(pairwise(rests))
-    if np.isfinite(limits).any():
-        for k, rates, _, spare in _samples(reduction, turns):
-            of_gyros = spare[:, max(spare.shape[1] - (gyro.size - 3), 0) :]
-            if of_gyros.shape[1] < gyro.size - 3:
-                continue  # more than three gyros, and of their samples the rate alone
-            count = int(_clipped(read_by(gyro, rates, of_gyros), limits).sum())
-            if count >= FEWEST:
-                clipped[k] = _unknown(turns[k], count, f"gyros are clipped in {count} of its samples")
-    if 2.0 * np.abs(extremes(reduction.gyro_channels)).max() > HALF_TURN * reduction.rate:
-        for k, rates, intervals, _ in _samples(reduction, turns):
-            count = int((np.linalg.norm(rates, axis=1) * intervals > HALF_TURN).sum())
-            if count:
-                why = f"gyros read more than half a turn from sample to sample, in {count} of its samples"
-                fast[k] = _unknown(turns[k], count, why)
+    limits, turns, beyond = _limits(reduction, channels), list(pairwise(rests)), gyro.size - 3
+    may_clip = np.isfinite(limits).any()
+    may_be_fast = 2.0 * np.abs(extremes(reduction.gyro_channels)).max() > HALF_TURN * reduction.rate
+    for k, (before, after) in enumerate(turns if may_clip or may_be_fast else ()):
+        if before.file != after.file or reduction.samples is None:
+            continue
+        f = reduction.by_file[before.file]
+        start, stop = f.sample_at(before.last), f.sample_at(after.first)
+        rates, _, intervals, spare = reduction.samples.read_with_spare(start, stop)
+        of_gyros = spare[:, max(spare.shape[1] - beyond, 0) :]
+        if may_clip and of_gyros.shape[1] == beyond:  # else more than three gyros, and of their samples the rate alone
+            least, most = limits * (1.0 - EXACT)
+            readings = read_by(gyro, rates, of_gyros)
+            count = int(((readings <= least) | (readings >= most)).any(axis=1).sum())
+            if count >= reduction.tuning.fewest_clipped:
+                why = f"gyros are clipped in {count} of its samples"
+                clipped[k] = unrecorded(before, after, count, "no rotation", why)
+        count = int((np.linalg.norm(rates, axis=1) * intervals > HALF_TURN).sum()) if may_be_fast else 0
+        if count:
+            why = f"gyros read more than half a turn from sample to sample, in {count} of its samples"
+            fast[k] = unrecorded(before, after, count, "no rotation", why)
     if 2 * len(fast) > len(turns):
         fast = {}  # then it is the unit or the rate that is wrong, which is said elsewhere
     gaps = {**fast, **clipped}
     return replace(reduction, gaps=(*reduction.gaps, *gaps.values())) if gaps else reduction
-
-
-def _samples(reduction: Reduction, turns: list[tuple[RestSpan, RestSpan]]) -> Iterator[tuple[int, Array, Array, Array]]:
-    """The number of each turn that lies in one file, and of its samples the rates in the body (m, 3), the intervals
-    (m,) and what is spare."""
-    for k, (before, after) in enumerate(turns):
-        if before.file == after.file and reduction.samples is not None:
-            of = reduction.by_file[before.file]
-            start, stop = of.sample_at(before.last), of.sample_at(after.first)
-            rates, _, intervals, spare = reduction.samples.read_with_spare(start, stop)
-            yield k, rates, intervals, spare
-
-
-def _unknown(turn: tuple[RestSpan, RestSpan], count: int, why: str) -> Gap:
-    """A turn, from rest to rest, of which so many samples do not say where it has led."""
-    before, after = turn
-    return Gap(
-        file=before.file,
-        row=0,
-        time=before.stop,
-        samples=count,
-        what="no rotation",
-        stop=after.start,
-        integrable=False,
-        why=why,
-    )
 
 
 def _limits(reduction: Reduction, channels: Channels) -> Array:
@@ -96,9 +73,3 @@ def _limits(reduction: Reduction, channels: Channels) -> Array:
     ends = np.array([-CONVERTERS, CONVERTERS - 1.0])
     at_end = (np.abs(raw[:, :, None] - ends[:, None]) < EXACT).any(axis=2)
     return np.where(at_end, read, np.array([[-np.inf], [np.inf]]))
-
-
-def _clipped(readings: Array, limits: Array) -> BoolArray:
-    """Samples (m,) of readings (m, n) in which a gyro is at a limit."""
-    least, most = limits * (1.0 - EXACT)
-    return np.asarray(((readings <= least) | (readings >= most)).any(axis=1))

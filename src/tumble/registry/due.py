@@ -1,19 +1,24 @@
-"""When which device is to be calibrated again: by the calendar, or earlier where its drift may carry it to a limit."""
+"""When which device is to be calibrated again: by the calendar, or earlier where its drift may carry it to a limit.
+
+A drift takes the files of all calibrations of a device to be known, and a registry has thousands of devices. So what
+is found of a device is kept in the registry when a calibration of it, or limits of its type, are added; of what is not
+kept, since a writer was interrupted, it is found anew whenever it is asked for.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from datetime import date
-from typing import TYPE_CHECKING
+from itertools import islice
 
-from tumble.errors import InputError
-from tumble.registry.connect import Registry
-from tumble.registry.records import Record
-from tumble.registry.store import LimitsRecord, latest_records, limits_in_force
+from tumble.acceptance.schedule import content_of, schedule_of
+from tumble.registry.store import rows
+from tumble.registry.store.connect import Registry
+from tumble.registry.types import Forecast, LimitsRecord, Record
 
-if TYPE_CHECKING:
-    from tumble.registry.forecast import Forecast
-    from tumble.registry.limits import Limits
+BATCH = 100
+"""Forecasts that are kept in a transaction."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -23,15 +28,17 @@ class Due:
 
     record: Record
     calibrations: int
-    months: int | None
-    by_calendar: date | None
-    by_drift: Forecast | None
+    months: int | None = None
+    by_calendar: date | None = None
+    by_drift: Forecast | None = None
 
     @property
     def day(self) -> date | None:
         """The day the next calibration is due, the earlier of both; None where neither is known."""
-        known = [self.by_calendar, None if self.by_drift is None else self.by_drift.earliest.date()]
-        return min((day for day in known if day is not None), default=None)
+        if self.by_drift is None:
+            return self.by_calendar
+        earliest = self.by_drift.earliest.date()
+        return earliest if self.by_calendar is None else min(earliest, self.by_calendar)
 
     @property
     def drifts(self) -> bool:
@@ -51,30 +58,47 @@ def due(registry: Registry) -> list[Due]:
     >>> [item.record.serial for item in found]
     ['mems-1']
     """
-    parsed = {model: _parsed(own) for model, own in limits_in_force(registry).items()}
-    found = []
-    for record, count in latest_records(registry):
-        limits = None if record.model is None else parsed.get(record.model)
-        months = None if limits is None else limits.interval(record.serial)
-        day = None if limits is None else limits.due(record.serial, record.performed.date())
-        drifting = _by_drift(registry, record, limits)
-        found.append(Due(record=record, calibrations=count, months=months, by_calendar=day, by_drift=drifting))
-    return sorted(found, key=lambda item: (item.day or date.max, item.record.serial))
+    with registry.reading() as connection:
+        latest, in_force = rows.latest_records(connection), rows.limits_in_force(connection)
+    contents = {model: content_of(limits.file, limits.name) for model, limits in in_force.items()}
+    schedules = {model: schedule_of(content, in_force[model].name) for model, content in contents.items()}
+    items = []
+    for each in latest:
+        record = each.record
+        if record.model is None or record.model not in in_force:
+            items.append(Due(record=record, calibrations=each.count))
+            continue
+        forecast = each.forecast
+        if not each.is_kept and contents[record.model].get("periodic"):
+            forecast = _forecast(registry, record.serial, in_force[record.model])
+        items.append(
+            Due(
+                record=record,
+                calibrations=each.count,
+                months=schedules[record.model].interval(record.serial),
+                by_calendar=schedules[record.model].due(record.serial, record.performed.date()),
+                by_drift=forecast,
+            )
+        )
+    return sorted(items, key=lambda item: (item.day or date.max, item.record.serial))
 
 
-def _parsed(limits: LimitsRecord) -> Limits:
-    from tumble.registry.limits import parse_limits  # slow to import, as all that looks into calibrations
+def keep_forecasts(registry: Registry, serials: Collection[str] | None = None) -> None:
+    """Keep the forecasts of all devices, or of some, of which the records or the limits have changed."""
+    with registry.reading() as connection:
+        in_force = {limits.number: limits for limits in rows.limits_in_force(connection).values()}
+        latest = rows.latest_records(connection, serials) if in_force else []
+    changed = iter([each for each in latest if each.limits is not None and not each.is_kept])
+    while batch := list(islice(changed, BATCH)):
+        found = {
+            each.record.serial: (each, _forecast(registry, each.record.serial, in_force[each.limits or 0]))
+            for each in batch
+        }
+        with registry.writing() as connection:
+            rows.keep_forecasts(connection, found)
 
-    return parse_limits(limits.file, limits.systematic, f"limits {limits.number}")
 
+def _forecast(registry: Registry, serial: str, limits: LimitsRecord) -> Forecast | None:
+    from tumble.registry.monitor import first_forecast  # slow to import, and rarely needed to say what is due
 
-def _by_drift(registry: Registry, record: Record, limits: Limits | None) -> Forecast | None:
-    """The parameter of a device that may meet its limit first."""
-    if limits is None or not limits.checks.get("periodic"):
-        return None
-    from tumble.registry.monitor import monitored
-
-    try:
-        return next(iter(monitored(registry, record.serial, None).forecasts()), None)
-    except InputError:  # a record that cannot be taken to the frame of the limits
-        return None
+    return first_forecast(registry, serial, limits)

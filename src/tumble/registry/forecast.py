@@ -13,26 +13,13 @@ drift that is not gives no forecast.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 
 from tumble.registry.trend import YEAR, Drift, Trend
+from tumble.registry.types import Forecast
 
 HORIZON = 50.0
 """Years after the latest calibration, further than which nothing is forecast."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Forecast:
-    """When a parameter is `expected` to meet a `limit` (SI), at the `earliest` and at the `latest` (95.45 %); None for
-    a latest time beyond HORIZON."""
-
-    name: str
-    unit: str
-    limit: float
-    expected: datetime
-    earliest: datetime
-    latest: datetime | None
 
 
 def forecast(trend: Trend, limits: tuple[float, float]) -> Forecast | None:

@@ -10,15 +10,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 
+from tumble.acceptance.conformity import judge_value
+from tumble.acceptance.limits import parse_limits
 from tumble.calibration.compare import Comparison
 from tumble.errors import InputError
-from tumble.registry.connect import Registry
-from tumble.registry.forecast import Forecast, forecast
-from tumble.registry.limits import Limits, judge_value, parse_limits
-from tumble.registry.records import Record
-from tumble.registry.series import latest_comparison, series_of
-from tumble.registry.store import latest_record, limits_in_force
+from tumble.registry.forecast import forecast
+from tumble.registry.series import latest_comparison, past_of, series_of
+from tumble.registry.store import rows
+from tumble.registry.store.connect import Registry
 from tumble.registry.trend import Trend, trend_of
+from tumble.registry.types import Forecast, LimitsRecord, Record
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -49,8 +50,8 @@ class Monitored:
     def forecasts(self) -> list[Forecast]:
         """When parameters that are inside their limits meet them by their drift, the earliest first."""
         passing = {name for name, verdict in self.latest_verdicts().items() if verdict == "pass"}
-        found = [forecast(t, self.limits[t.series.name]) for t in self.trends if t.series.name in passing]
-        return sorted((each for each in found if each is not None), key=lambda each: each.earliest)
+        met = [forecast(t, self.limits[t.series.name]) for t in self.trends if t.series.name in passing]
+        return sorted((each for each in met if each is not None), key=lambda each: each.earliest)
 
     def changed(self) -> list[str]:
         """The parameters that have changed by more than chance makes since the calibration before, or where none does
@@ -85,25 +86,43 @@ def monitored(registry: Registry, serial: str, parameter: str | None) -> Monitor
     >>> [trend.series.name for trend in found.trends]
     ['accel.bias.x']
     """
-    latest = latest_record(registry, serial)
-    limits = _in_force(registry, latest)
-    frame = latest.frame if limits is None else limits.frame
-    series = series_of(registry, serial, frame)
-    chosen = [own for own in series if parameter in (None, own.name)]
+    with registry.reading() as connection:
+        latest = next(iter(rows.latest_records(connection, [serial])), None)
+        model = None if latest is None else latest.record.model
+        given = None if model is None else rows.limits_in_force(connection).get(model)
+    limits = None if given is None else parse_limits(given.file, given.systematic, given.name)
+    past = past_of(registry, serial, None if limits is None else limits.frame)
+    series = series_of(past)
+    chosen = [each for each in series if parameter in (None, each.name)]
     if not chosen:
-        known = ", ".join(own.name for own in series)
+        known = ", ".join(each.name for each in series)
         raise InputError(f"device {serial!r}: expected one of {known}, found {parameter!r}")
-    known_limits = {} if limits is None else {own.name: limits.of(own.name, "periodic") for own in chosen}
+    between = {} if limits is None else {each.name: limits.of(each.name, "periodic") for each in chosen}
+    record, calibration = past[-1]
     return Monitored(
-        latest=latest,
-        frame=frame,
-        trends=[trend_of(own) for own in chosen],
-        limits={name: own for name, own in known_limits.items() if own is not None},
-        comparison=latest_comparison(registry, serial, frame),
-        by_calendar=None if limits is None else limits.due(serial, latest.performed.date()),
+        latest=record,
+        frame=calibration.frame,
+        trends=[trend_of(each) for each in chosen],
+        limits={name: ends for name, ends in between.items() if ends is not None},
+        comparison=latest_comparison(past),
+        by_calendar=None if limits is None else limits.schedule.due(serial, record.performed.date()),
     )
 
 
-def _in_force(registry: Registry, latest: Record) -> Limits | None:
-    own = None if latest.model is None else limits_in_force(registry).get(latest.model)
-    return None if own is None else parse_limits(own.file, own.systematic, f"limits {own.number}")
+def first_forecast(registry: Registry, serial: str, given: LimitsRecord) -> Forecast | None:
+    """The parameter of a device that may meet these limits first; None without one, and for a device of which a record
+    cannot be taken to the frame of the limits."""
+    limits = parse_limits(given.file, given.systematic, given.name)
+    try:
+        past = past_of(registry, serial, limits.frame)
+    except InputError:
+        return None
+    series = series_of(past)
+    between = {each.name: limits.of(each.name, "periodic") for each in series}
+    watched = Monitored(
+        latest=past[-1][0],
+        frame=limits.frame,
+        trends=[trend_of(each) for each in series if between[each.name] is not None],
+        limits={name: ends for name, ends in between.items() if ends is not None},
+    )
+    return next(iter(watched.forecasts()), None)

@@ -1,4 +1,4 @@
-"""Each parameter over the calibrations of a device, in one frame; and the verdict on a record.
+"""The calibrations of a device, and each parameter over them, in one frame; and the verdict on a record.
 
 Values in different frames are not compared: those of another frame are converted, their uncertainties with them.
 Superseded records are left out.
@@ -6,24 +6,25 @@ Superseded records are left out.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import TYPE_CHECKING
 
+from tumble.acceptance.conformity import Verdict, verdict_at
+from tumble.acceptance.limits import parse_limits
+from tumble.calibration.calibration_file import Calibration, calibration_of
 from tumble.calibration.compare import Comparison, compare_calibrations
 from tumble.calibration.coverage import by_gravity
 from tumble.calibration.shared_errors import by_priors, of_time_base
 from tumble.errors import InputError
 from tumble.recording.session import Site
-from tumble.registry.conformity import verdict_at
-from tumble.registry.connect import Registry
-from tumble.registry.limits import Verdict, parse_limits
-from tumble.registry.records import Record, State
-from tumble.registry.store import LimitsRecord, file_of, records
+from tumble.registry.records import records
+from tumble.registry.store import rows
+from tumble.registry.store.connect import Registry
+from tumble.registry.types import Record, State
 
-if TYPE_CHECKING:
-    from tumble.calibration.calibration_file import Calibration
+Past = Sequence[tuple[Record, Calibration]]
+"""The records of a device that are in force with what is in their files, in the order in which they were performed."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -59,73 +60,22 @@ class Series:
     points: tuple[SeriesPoint, ...]
 
 
-def series_of(registry: Registry, serial: str, frame: str) -> list[Series]:
-    """The parameters of a device over all records that are in force, in a frame.
+def past_of(registry: Registry, serial: str, frame: str | None = None) -> Past:
+    """The past of a device in a frame, that of the latest record where none is named.
 
     Raises InputError for an unknown device, and for a record that cannot be taken to the frame."""
-    found = [record for record in records(registry, serial) if record.superseded_by is None]
-    alike = {record.number: calibration_in(registry, record, frame) for record in found}
-    names = {p.name: p.unit for record in reversed(found) for p in alike[record.number].parameters}
-    return [
-        Series(name=name, unit=unit, points=tuple(_points(name, unit, found, alike))) for name, unit in names.items()
-    ]
-
-
-def _points(name: str, unit: str, found: Iterable[Record], alike: Mapping[int, Calibration]) -> Iterable[SeriesPoint]:
-    for record in found:
-        calibration = alike[record.number]
-        change = by_gravity(calibration.parameters, calibration.covariance, calibration.site)
-        changes, by_clock = by_priors(calibration.parameters, calibration.covariance), of_time_base(calibration)
-        for i, own in enumerate(calibration.parameters):
-            if (own.name, own.unit) == (name, unit):
-                launches = [p for x in calibration.launches for p in x.parameters if (p.name, p.unit) == (name, unit)]
-                yield SeriesPoint(
-                    number=record.number,
-                    performed=record.performed,
-                    state=record.state,
-                    value=own.value,
-                    u=own.u,
-                    launches=tuple((p.value, p.u) for p in launches),
-                    dof=own.dof,
-                    site=calibration.site,
-                    by_gravity=float(change[i]),
-                    clock_u=calibration.clock_u,
-                    by_clock=float(by_clock[i]),
-                    by_priors={of: float(each[i]) for of, each in changes.items()},
-                )
-
-
-def latest_comparison(registry: Registry, serial: str, frame: str) -> Comparison | None:
-    """The last calibration of a device in force that is no adjustment against the one before it, in a frame; None
-    where there are no two with parameters in common."""
-    found = [record for record in records(registry, serial) if record.superseded_by is None]
-    at = next((i for i in range(len(found) - 1, 0, -1) if found[i].state != "as-left"), None)
-    if at is None:
-        return None
-    earlier, later = (calibration_in(registry, found[i], frame) for i in (at - 1, at))
-    if not {p.name for p in later.parameters} & {p.name for p in earlier.parameters}:
-        return None
-    return compare_calibrations(earlier, later)
-
-
-def verdict_of(registry: Registry, record: Record, limits: Mapping[int, LimitsRecord]) -> Verdict | None:
-    """The verdict on a record by the limits (by number) that were in force when it was added, parameter by parameter;
-    None without any."""
-    if record.limits is None:
-        return None
-    own = limits[record.limits]
-    parsed = parse_limits(own.file, own.systematic, f"limits {own.number}")
-    return verdict_at(calibration_in(registry, record, parsed.frame), parsed, record.occasion)
-
-
-# -------------------- frames --------------------
+    standing = [record for record in records(registry, serial) if record.superseded_by is None]
+    if not standing:
+        raise InputError(f"device {serial!r}: expected a record in force, found none; its records are superseded")
+    frame = standing[-1].frame if frame is None else frame
+    return [(record, calibration_in(registry, record, frame)) for record in standing]
 
 
 def calibration_in(registry: Registry, record: Record, frame: str) -> Calibration:
     """The calibration of a record in a frame."""
-    from tumble.calibration.calibration_file import calibration_of
-
-    calibration = calibration_of(file_of(registry, record.number), f"record {record.number}")
+    with registry.reading() as connection:
+        text = rows.file_of(connection, record.number)
+    calibration = calibration_of(text, f"record {record.number}")
     try:
         return calibration.in_frame(frame)
     except InputError as error:
@@ -133,3 +83,57 @@ def calibration_in(registry: Registry, record: Record, frame: str) -> Calibratio
             f"record {record.number}: is in the frame {record.frame!r} and cannot be compared in the frame {frame!r}: "
             f"{error}"
         ) from error
+
+
+def series_of(past: Past) -> list[Series]:
+    """The parameters of a device over its past."""
+    points: dict[tuple[str, str], list[SeriesPoint]] = {}
+    for record, calibration in past:
+        parameters, covariance = calibration.parameters, calibration.covariance
+        gravity = by_gravity(parameters, covariance, calibration.site).tolist()
+        clock = of_time_base(calibration).tolist()
+        priors = {of: change.tolist() for of, change in by_priors(parameters, covariance).items()}
+        launches: dict[tuple[str, str], list[tuple[float, float | None]]] = {}
+        for p in (p for launch in calibration.launches for p in launch.parameters):
+            launches.setdefault((p.name, p.unit), []).append((p.value, p.u))
+        for i, p in enumerate(parameters):
+            point = SeriesPoint(
+                number=record.number,
+                performed=record.performed,
+                state=record.state,
+                value=p.value,
+                u=p.u,
+                launches=tuple(launches.get((p.name, p.unit), ())),
+                dof=p.dof,
+                site=calibration.site,
+                by_gravity=gravity[i],
+                clock_u=calibration.clock_u,
+                by_clock=clock[i],
+                by_priors={of: change[i] for of, change in priors.items()},
+            )
+            points.setdefault((p.name, p.unit), []).append(point)
+    units = {p.name: p.unit for _, calibration in reversed(past) for p in calibration.parameters}
+    return [Series(name=name, unit=unit, points=tuple(points[name, unit])) for name, unit in units.items()]
+
+
+def latest_comparison(past: Past) -> Comparison | None:
+    """The last calibration of a device that is no adjustment against the one before it; None where there are no two
+    with parameters in common."""
+    at = next((i for i in range(len(past) - 1, 0, -1) if past[i][0].state != "as-left"), None)
+    if at is None:
+        return None
+    earlier, later = past[at - 1][1], past[at][1]
+    if not {p.name for p in later.parameters} & {p.name for p in earlier.parameters}:
+        return None
+    return compare_calibrations(earlier, later)
+
+
+def verdict_of(registry: Registry, record: Record) -> Verdict | None:
+    """The verdict on a record by the limits that were in force when it was added, parameter by parameter; None without
+    any."""
+    if record.limits is None:
+        return None
+    with registry.reading() as connection:
+        limits = next(each for each in rows.every_limits(connection) if each.number == record.limits)
+    parsed = parse_limits(limits.file, limits.systematic, limits.name)
+    return verdict_at(calibration_in(registry, record, parsed.frame), parsed, record.occasion)

@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import timedelta
 from itertools import pairwise
 
@@ -174,100 +174,62 @@ def _shared(points: Sequence[SeriesPoint]) -> Array:
 # -------------------- drift --------------------
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Line:
-    """Weighted least squares at some τ: the values, their covariance, and chi-square."""
-
-    values: Array
-    covariance: Array
-    chi_square: float
-
-
 def _instability_and_drift(points: Sequence[SeriesPoint]) -> tuple[float | None, Drift | None]:
     """τ and the drift, as far as the points say anything about them (module docstring)."""
-    if not points or not all(_certain(p) for p in points):
+    if not points or not all(p.u and all(u for _, u in p.launches) for p in points):
         return None, None
     shared = _shared(points)
     mean = shared.mean(axis=0)
-    points = [_without(p, g, g - mean) for p, g in zip(points, shared, strict=True)]
-    if not all(_certain(p) for p in points):
-        return None, None
-    X = _design(points)
-    y = np.array([p.value for p in points])
-    degrees = len(points) - X.shape[1] + sum(max(len(p.launches) - 1, 0) for p in points)
+    variance = np.empty(len(points))  # of the points, and that of the means of their launches, without τ²
+    of_mean, count = np.zeros(len(points)), np.array([len(p.launches) for p in points])
+    launch_variance, launch_square = [], []
+    for i, (p, g) in enumerate(zip(points, shared, strict=True)):
+        variance[i] = apart(p.u, None, g.tolist())[0] + float((g - mean) @ (g - mean))
+        own = np.array([apart(u, None, g.tolist())[0] for _, u in p.launches])
+        if variance[i] == 0.0 or not np.all(own > 0.0):
+            return None, None
+        of_mean[i] = own.sum() / max(count[i], 1) ** 2
+        if count[i] > 1:
+            values = launch_values(p)
+            launch_variance.append(own)
+            launch_square.append((values - values.mean()) ** 2)
+    within, squares = (np.concatenate(each) if each else np.empty(0) for each in (launch_variance, launch_square))
+
+    # a column for the level of each stretch between adjustments and, where any has two times, one of the years
+    stretch = np.cumsum([i > 0 and p.state == "as-left" for i, p in enumerate(points)])
+    t, y = years(points), np.array([p.value for p in points])
+    X = (stretch[:, None] == np.arange(stretch[-1] + 1)).astype(float)
+    levels = X.shape[1]
+    drifts = any(np.ptp(t[stretch == s]) > 0.0 for s in range(levels))
+    X = np.column_stack([X, t - t.mean()]) if drifts else X
+
+    def line(tau: float) -> tuple[Array, Array, float]:
+        """Weighted least squares: Q and R of the whitened columns, and chi-square of the residuals."""
+        u = np.sqrt(
+            np.where(count > 0, np.maximum(variance, of_mean + tau**2 / np.maximum(count, 1)), variance + tau**2)
+        )
+        Q, R = np.linalg.qr(X / u[:, None])
+        z = Q.T @ (y / u)
+        return z, R, float(np.sum((y / u - Q @ z) ** 2))
+
+    degrees = len(points) - X.shape[1] + int(np.maximum(count - 1, 0).sum())
     tau = None
     if degrees > 0:
-        start = float(np.median([p.u or 0.0 for p in points]))
-        tau = scatter_of(lambda t: _line(X, y, points, t).chi_square + _within(points, t) - degrees, start)
-    line = _line(X, y, points, tau or 0.0)
-    stretches = _stretch(points)[-1] + 1
-    if X.shape[1] == stretches:  # no column of times
+        start = float(np.median(np.sqrt(variance)))
+        tau = scatter_of(lambda s: line(s)[2] + float(np.sum(squares / (within + s**2))) - degrees, start)
+    if not drifts:
         return tau, None
-    u = math.sqrt(float(line.covariance[-1, -1]))
+    z, R, _ = line(tau or 0.0)
+    inverse = np.linalg.inv(R)
+    values, covariance = inverse @ z, inverse @ inverse.T
+    u, last = math.sqrt(float(covariance[-1, -1])), levels - 1
     return tau, Drift(
-        per_year=float(line.values[-1]),
+        per_year=float(values[-1]),
         u=u,
         degrees=degrees,
         expanded=float(special.stdtrit(degrees, COVERED)) * u if degrees > 0 else None,
-        level=float(line.values[stretches - 1]),
-        level_u=math.sqrt(float(line.covariance[stretches - 1, stretches - 1] + mean @ mean)),
-        level_with_drift=float(line.covariance[stretches - 1, -1]),
-        since=float(years(points).mean()),
+        level=float(values[last]),
+        level_u=math.sqrt(float(covariance[last, last] + mean @ mean)),
+        level_with_drift=float(covariance[last, -1]),
+        since=float(t.mean()),
     )
-
-
-def _without(point: SeriesPoint, shared: Array, off: Array) -> SeriesPoint:
-    """A point with uncertainties without what is shared (k,), but with how far it is `off` (k,) what all share."""
-
-    def without(u: float | None, off: float = 0.0) -> float | None:
-        return None if u is None else math.sqrt(apart(u, None, shared.tolist())[0] + off)
-
-    launches = tuple((value, without(u)) for value, u in point.launches)
-    return replace(point, u=without(point.u, float(off @ off)), launches=launches)
-
-
-def _certain(point: SeriesPoint) -> bool:
-    """Whether a point and its launches have uncertainties."""
-    return bool(point.u) and all(u for _, u in point.launches)
-
-
-def _stretch(points: Sequence[SeriesPoint]) -> list[int]:
-    """The number of the stretch between adjustments each point is in, from 0."""
-    begins = [i > 0 and p.state == "as-left" for i, p in enumerate(points)]
-    return [int(n) for n in np.cumsum(begins)]
-
-
-def _design(points: Sequence[SeriesPoint]) -> Array:
-    """A column for the level of each stretch and, where any has two times, one of the years since their mean."""
-    stretch = np.array(_stretch(points))
-    t = years(points)
-    levels: Array = (stretch[:, None] == np.arange(stretch[-1] + 1)).astype(float)
-    if all(np.ptp(t[stretch == s]) == 0.0 for s in range(stretch[-1] + 1)):
-        return levels
-    return np.asarray(np.column_stack([levels, t - t.mean()]))
-
-
-def _variance(point: SeriesPoint, tau: float) -> float:
-    u = point.u or 0.0
-    if not point.launches:
-        return u**2 + tau**2
-    own = [w or 0.0 for _, w in point.launches]
-    return max(u**2, sum(w**2 for w in own) / len(own) ** 2 + tau**2 / len(own))
-
-
-def _line(X: Array, y: Array, points: Sequence[SeriesPoint], tau: float) -> _Line:
-    u = np.sqrt([_variance(p, tau) for p in points])
-    Q, R = np.linalg.qr(X / u[:, None])
-    values = np.linalg.solve(R, Q.T @ (y / u))
-    inverse = np.linalg.inv(R)
-    return _Line(values=values, covariance=inverse @ inverse.T, chi_square=float(np.sum(((y - X @ values) / u) ** 2)))
-
-
-def _within(points: Sequence[SeriesPoint], tau: float) -> float:
-    """Chi-square of the launches about the means of their calibrations."""
-    total = 0.0
-    for point in points:
-        if len(point.launches) > 1:
-            values, u = launch_values(point), np.array([w or 0.0 for _, w in point.launches])
-            total += float(np.sum((values - values.mean()) ** 2 / (u**2 + tau**2)))
-    return total

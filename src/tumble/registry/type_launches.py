@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 
 from tumble.calibration.type_spread import KnownLaunches, TypeSpread, known_launches
 from tumble.errors import InputError
-from tumble.registry.connect import Registry
-from tumble.registry.records import Record
+from tumble.registry.records import records
 from tumble.registry.series import calibration_in
-from tumble.registry.store import records
+from tumble.registry.store.connect import Registry
+from tumble.registry.types import Record
 
 
 def type_spread(registry: Registry, model: str, frame: str = "accelerometer") -> TypeSpread:
@@ -57,13 +58,9 @@ def device_launches(registry: Registry, serial: str, frame: str = "accelerometer
 
 def _launches(registry: Registry, of: Iterable[Record], frame: str) -> tuple[KnownLaunches, ...]:
     """The launches behind those records that are in force."""
-    known: list[KnownLaunches] = []
+    known = []
     for record in of:
-        if record.superseded_by is not None:
-            continue
-        try:
-            launches = known_launches(calibration_in(registry, record, frame))
-        except InputError:  # another frame
-            continue
-        known += [launches] if launches is not None else []
-    return tuple(known)
+        if record.superseded_by is None:
+            with suppress(InputError):  # another frame
+                known.append(known_launches(calibration_in(registry, record, frame)))
+    return tuple(launches for launches in known if launches is not None)

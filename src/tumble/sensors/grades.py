@@ -12,6 +12,7 @@ from tumble.earth import EARTH_RATE
 from tumble.errors import InputError, did_you_mean
 from tumble.sensors.parameters import group_name, sensor_kind, within_kind
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR
+from tumble.usual_setup import INSTABILITY_TIME
 
 OUTLYING = 100.0
 """Times the spread of a grade's gyro biases: what no gyro of it has."""
@@ -22,13 +23,15 @@ DEGREE_PER_ROOT_HOUR = DEGREE / 60.0
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NoiseModel:
     """Noise of every sensor of a block: density of the white noise, m/s²/√Hz and rad/s/√Hz, and in-run
-    instability, m/s² and rad/s: the standard deviation of a bias drawn anew at every rest and held through
-    the move that follows."""
+    instability, m/s² and rad/s: the standard deviation of what a bias changes by in a session, a stationary
+    Gauss–Markov process with the correlation time `instability_time`, s. With a time of 0 it is drawn anew at every
+    rest and held through the move that follows."""
 
     accel_white: float = 0.0
     gyro_white: float = 0.0
     accel_instability: float = 0.0
     gyro_instability: float = 0.0
+    instability_time: float = INSTABILITY_TIME
 
     def scaled(self, factor: float) -> NoiseModel:
         """The same with every noise so many times as large."""
@@ -37,6 +40,7 @@ class NoiseModel:
             gyro_white=factor * self.gyro_white,
             accel_instability=factor * self.accel_instability,
             gyro_instability=factor * self.gyro_instability,
+            instability_time=self.instability_time,
         )
 
 

@@ -21,7 +21,7 @@ from typing import Literal
 
 import numpy as np
 
-from tumble.rotation import axes_angles, left_inverse
+from tumble.rotation import axes_angles, axes_matrix, left_inverse
 from tumble.sensors import triad_axes
 from tumble.units import Array, IntArray
 
@@ -40,22 +40,58 @@ _BIAS_UNIT: dict[SensorKind, str] = {"accel": "m/s^2", "gyro": "rad/s"}
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SensorModel:
-    """`reading = matrix @ true + bias` of one block: matrix (n, 3), bias (n,) in m/s² or rad/s."""
+    """`reading = matrix @ true + bias` of one block: matrix (..., n, 3), bias (..., n) in m/s² or rad/s. Leading axes
+    are many units at once, of each of which there are N readings and true vectors (..., N, ·)."""
 
     matrix: Array
     bias: Array
 
     def inverse(self) -> Array:
-        """The matrix (3, n) that takes reading − bias to the true vector (least squares for n > 3)."""
+        """The matrix (..., 3, n) that takes reading − bias to the true vector (least squares for n > 3)."""
         return left_inverse(self.matrix)
 
     def apply(self, readings: Array) -> Array:
         """True vectors (..., 3) from readings (..., n), both in SI and in the body frame."""
-        return np.asarray((readings - self.bias) @ self.inverse().T)
+        return np.asarray((readings - self._offset) @ np.swapaxes(self.inverse(), -1, -2))
 
     def predict(self, true: Array) -> Array:
         """Readings (..., n) of true vectors (..., 3)."""
-        return np.asarray(true @ self.matrix.T + self.bias)
+        return np.asarray(true @ np.swapaxes(self.matrix, -1, -2) + self._offset)
+
+    def composed(self, inner: SensorModel) -> SensorModel:
+        """The model of the readings where `inner` is that of what `apply` makes of them: S₁ (S₂ x + b₂) + b₁, exact,
+        and of accelerometers in their frame, since lower triangular matrices stay so."""
+        bias = (self.matrix @ inner.bias[..., None])[..., 0] + self.bias
+        return SensorModel(matrix=self.matrix @ inner.matrix, bias=bias)
+
+    @property
+    def _offset(self) -> Array:
+        return self.bias if self.bias.ndim == 1 else self.bias[..., None, :]
+
+
+PERFECT_TRIAD = SensorModel(matrix=np.eye(3), bias=np.zeros(3))
+"""Three sensors along the body axes without errors."""
+
+ACCEL_ANGLES = (2, 4, 5)
+"""Which of the six angles xy, xz, yx, yz, zx, zy the accelerometers of a triad have: yx, zx, zy."""
+
+
+def triad_model(bias: Array, scale: Array, angles: Array) -> SensorModel:
+    """S = diag(1 + k) A(γ), Eq. (1), and the bias of sensors along the body axes, of values (..., 3), (..., 3) and
+    (..., 6) or, for accelerometers, (..., 3)."""
+    if angles.shape[-1] == len(ACCEL_ANGLES):
+        six = np.zeros((*angles.shape[:-1], 6))
+        six[..., ACCEL_ANGLES] = angles
+        angles = six
+    axes = np.moveaxis(axes_matrix(*np.moveaxis(angles, -1, 0)), (0, 1), (-2, -1))
+    return SensorModel(matrix=(1.0 + scale)[..., None] * axes, bias=np.asarray(bias, dtype=float))
+
+
+def triad_parameters(model: SensorModel) -> tuple[Array, Array, Array]:
+    """Biases (..., 3), scale-factor errors (..., 3) and the six angles (..., 6) of a model: `triad_model` inverted."""
+    norms = np.linalg.norm(model.matrix, axis=-1)
+    axes = np.moveaxis(model.matrix / norms[..., None], (-2, -1), (0, 1))
+    return model.bias, norms - 1.0, np.moveaxis(axes_angles(axes), 0, -1)
 
 
 def thermometers_of(count: int, accel: int, gyro: int) -> tuple[int, ...] | None:
@@ -135,12 +171,9 @@ class Block:
     def parameters(self, model: SensorModel) -> Array:
         """Parameter values of a sensor model given in this block's frame: `model` inverted."""
         if self.triad:
-            order = self.channels
-            rows = self.axes.T @ model.matrix
-            norms = np.linalg.norm(rows, axis=1)
-            six = dict(zip(_ANGLE_PAIRS, axes_angles(rows / norms[:, None]), strict=True))
-            angles = [six[pair] for pair in _FREE_PAIRS[self.kind]]
-            return np.concatenate([model.bias[order], norms - 1.0, angles])
+            in_body = SensorModel(matrix=self.axes.T @ model.matrix, bias=model.bias[self.channels])
+            bias, scale, angles = triad_parameters(in_body)
+            return np.concatenate([bias, scale, angles if self.kind == "gyro" else angles[list(ACCEL_ANGLES)]])
         norms = np.linalg.norm(model.matrix, axis=1)
         return np.concatenate([model.bias, norms - 1.0, self._angles(model.matrix / norms[:, None])])
 

@@ -34,10 +34,9 @@ PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """k and l of the products f_k f_l."""
 
 Motion = Literal["lever", "delay", "single delay"]
-Variable = Literal["time", "temperature", "temperature²", "hysteresis", "launch", "lag", "warm-up", "warm-up²"]
+Variable = Literal["time", "temperature", "temperature²", "hysteresis", "launch", "lag"]
 """What the change of a parameter goes with: time from the middle of a session, s, temperature from the reference, K,
-its square, the direction it came from, −1 … 1, that a session is another one, or what is left of a warm-up, 1 … 0, and
-its square; the lag moves the temperatures."""
+its square, the direction it came from, −1 … 1, or that a session is another one; the lag moves the temperatures."""
 THERMAL: tuple[Variable, ...] = ("temperature", "temperature²")
 """Those of slopes and curvatures."""
 Regressors = Callable[[Block], Array]
@@ -94,8 +93,6 @@ _ENDINGS: dict[Variable | None, str] = {
     "temperature²": "t2",
     "hysteresis": "hysteresis",
     "launch": "launch",
-    "warm-up": "warmup",
-    "warm-up²": "warmup2",
 }
 """How the name of a parameter ends that is the change of another."""
 _CHANGES: dict[Variable, tuple[str, str]] = {
@@ -104,8 +101,6 @@ _CHANGES: dict[Variable, tuple[str, str]] = {
     "temperature²": ("K^2", "curvature over temperature of the "),
     "hysteresis": ("", "hysteresis over temperature of the "),
     "launch": ("", "change from session to session of the "),
-    "warm-up": ("", "warm-up of the "),
-    "warm-up²": ("", "curvature of the warm-up of the "),
 }
 """What a change is divided by in its unit, and its words."""
 
@@ -328,10 +323,6 @@ def _scaled(values: dict[str, float], factor: float) -> dict[str, float]:
 
 _HOUR = 3600.0
 _FINER = {"accel.bias": ((1e-3 * MICRO_G, "ng"),), "accel.scale": ((1e-9, "ppb"),), "gyro.scale": ((1e-9, "ppb"),)}
-_WARMING = 2.0
-"""K: by so much a device warms after power-on, and"""
-_WARMEST = 15.0
-"""by so much where curvature counts."""
 _CURVED = 1.0 / 60.0
 """Usual curvature over temperature, K⁻¹, in parts of the usual slope: at 60 K from the reference they do as much."""
 for _base, _units, _per_hour, _per_kelvin in (
@@ -355,8 +346,6 @@ for _base, _units, _per_hour, _per_kelvin in (
     _changing(_base, "temperature", _per_kelvin, tuple((size, f"{name}/°C") for size, name in _units))
     _squared = tuple((size, f"{name}/°C²") for size, name in (*_FINER.get(_base, ()), *_units))
     _changing(_base, "temperature²", _scaled(_per_kelvin, _CURVED), _squared)
-    _changing(_base, "warm-up", _scaled(_per_kelvin, _WARMING), _units)
-    _changing(_base, "warm-up²", _scaled(_per_kelvin, _CURVED * _WARMEST**2), _units)
 _FURTHER_CHANGES: tuple[tuple[str, tuple[tuple[float, str], ...], Variable, dict[str, float]], ...] = (
     ("accel.bias", _MASS, "hysteresis", _scaled(_grades(20.0, 50.0, 500.0, 1e3), MICRO_G)),
     ("gyro.bias", _TURN_RATE, "hysteresis", _scaled(_grades(0.01, 0.5, 20.0, 50.0), DEGREE_PER_HOUR)),

@@ -16,15 +16,15 @@ def prior_of(key: str, text: str) -> tuple[str, float]:
     deviation, SI, of a text such as "20 ug/g^2". Raises ValueError, one line, for a group or a unit that is none."""
     stem, _, of = key.partition(".")
     kind, _, what = stem.partition("_")
-    ending = {"temperature": "t1", "curvature": "t2", "warmup_curvature": "warmup2"}.get(what, what)
+    ending = {"temperature": "t1", "curvature": "t2"}.get(what, what)
     name = f"{kind}.{of}.{ending}" if of else f"{kind}.{what}"
     group = next((group for group in groups() if group.name == name and not group.linear), None)
     if group is None:
         known = ", ".join(g.name.replace(".", "_") for g in FURTHER if g.variable is None)
         raise ValueError(
             f"{key}: expected one of {known}, or accel_temperature, gyro_temperature, accel_curvature, gyro_curvature, "
-            "accel_hysteresis, gyro_hysteresis, accel_drift, gyro_drift, accel_warmup, gyro_warmup, "
-            "accel_warmup_curvature, gyro_warmup_curvature, accel_launch, gyro_launch, temperature_lag"
+            "accel_hysteresis, gyro_hysteresis, accel_drift, gyro_drift, "
+            "accel_launch, gyro_launch, temperature_lag"
         )
     found = _quantity(group, text)
     if found is None or not LEAST <= found <= LARGEST:

@@ -15,15 +15,14 @@ over the samples, right to about 1e-4. A log made by `simulate` differs in that 
 axes, which moves M and B by some 1e-3, and in that the noise has to be estimated from it; here the covariances are
 the true ones.
 
-What is not here: vibration, whatever a log has besides rests and turns, and coloured noise other than a bias that is
-drawn anew at every rest and held through the move that follows (`NoiseModel`), of which the covariances know nothing.
+What is not here: vibration, whatever a log has besides rests and turns, and coloured noise other than that of in-run
+biases (`tumble.simulation.sensors`), of which the covariances know nothing.
 The stated gravity differs from the true one by a draw with the stated uncertainty.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -34,15 +33,12 @@ from tumble.planning.inertial_turns import inertial_turns
 from tumble.reduction.coloured_noise import WHITE
 from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.observations import Observations
-from tumble.reduction.rests import ACCEL_FLOOR, GYRO_FLOOR, Rests
+from tumble.reduction.rests import Rests
 from tumble.reduction.turn_samples import AHEAD, TurnSamples
 from tumble.reduction.turns import TURN_FLOOR, VELOCITY_FLOOR, VELOCITY_STEP, TurnReadings, Turns
 from tumble.rotation import onto_body, rotation_matrix, skew
-from tumble.sensors.instrument import readings
-from tumble.sensors.model import Block
-from tumble.sensors.parameters import Variable
-from tumble.simulation.climate import Climate
 from tumble.simulation.scenario import Itinerary, OnTable, Scenario, itinerary
+from tumble.simulation.sensors import InRunBias, SimulatedBlock
 from tumble.units import Array, IntArray
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -64,11 +60,15 @@ def simulate_observations(
         )
     geometry, noise, place = rng.spawn(3)
     way = itinerary(scenario, geometry)
-    accel = _NoisyBlock.of(scenario.accel, scenario, way, noise)
-    gyro = _NoisyBlock.of(scenario.gyro, scenario, way, noise)
-    rests = _rests(scenario, way, accel, gyro, noise)
+    accel, gyro = (SimulatedBlock.of(block, scenario, way.middle) for block in (scenario.accel, scenario.gyro))
+    biases = tuple(
+        block.bias(noise.standard_normal((len(way.rests), len(block.coefficients))), way.rests)
+        for block in (accel, gyro)
+    )
+    rests = _rests(scenario, way, (accel, gyro), biases, noise)
     linked = np.array(way.programmed, dtype=bool) | (not only_programmed)
-    turns, samples, integrals = _turns(scenario, way, np.flatnonzero(linked).astype(np.int64), accel, gyro, noise)
+    first = np.flatnonzero(linked).astype(np.int64)
+    turns, samples, integrals = _turns(scenario, way, first, (accel, gyro), biases, noise)
     site = scenario.site
     observations = Observations(
         accel_block=scenario.accel,
@@ -86,108 +86,48 @@ def simulate_observations(
     return replace(observations, turns=observations.turns_about(scenario.gyro.nominal()))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _NoisyBlock:
-    """A block at work: its coefficients K (n, 15) in the middle of the session, or at the reference temperature, and
-    their `changes` (n, 15) by time, 1/s, and by what goes with the temperature, the climate and the time of the middle
-    in it, the change (N, n) that its bias has at each rest and in the move that follows, and the density of its white
-    noise."""
-
-    block: Block
-    coefficients: Array
-    changes: Mapping[Variable, Array]
-    climate: Climate | None
-    middle: float
-    bias: Array
-    white: float
-
-    @staticmethod
-    def of(block: Block, scenario: Scenario, way: Itinerary, rng: np.random.Generator) -> _NoisyBlock:
-        noise = scenario.noise
-        white, instability = (
-            (noise.accel_white, noise.accel_instability)
-            if block.kind == "accel"
-            else (noise.gyro_white, noise.gyro_instability)
-        )
-        instrument, values = scenario.instrument, scenario.values
-        changes = {variable: instrument.change(block, values, variable) for _, _, variable in instrument.changes}
-        return _NoisyBlock(
-            block=block,
-            coefficients=instrument.coefficients(block, values),
-            changes={variable: change for variable, change in changes.items() if np.any(change)},
-            climate=scenario.climate,
-            middle=way.middle,
-            bias=instability * rng.standard_normal((len(way.rests), block.size)),
-            white=white,
-        )
-
-    def mean(self, force: Array, rate: Array, when: Array, seconds: Array, rng: np.random.Generator) -> Array:
-        """Mean readings (N, n) in constant forces and rates (N, 3) over so many seconds (N,) about times (N,)."""
-        noise = self.white / np.sqrt(seconds)[:, None] * rng.standard_normal(self.bias.shape)
-        warmth: Mapping[Variable, Array] = {}
-        if self.climate is not None and self.changes:
-            middle = when + self.middle
-            warmth = self.climate.means(middle - 0.5 * seconds, middle + 0.5 * seconds, self.block.thermometer)
-        return self._read(force, rate, {"time": when[:, None], **warmth}) + self.bias + noise
-
-    def sampled(self, force: Array, rate: Array, when: Array, first: IntArray) -> Array:
-        """Readings (K, S, n) without white noise in the moves after the rests `first` (K,) at times (K, S), for forces
-        (K, S, 3), or (K, S, n, 3) where those at each sensor are others, and rates (K, S, 3) of the body."""
-        K, S = rate.shape[:2]
-        flat = force.reshape(K * S, *force.shape[2:]), rate.reshape(K * S, 3)
-        warmth: Mapping[Variable, Array] = {}
-        if self.climate is not None and self.changes:
-            warmth = self.climate.variables(when.ravel() + self.middle, self.block.thermometer)
-        read = self._read(*flat, {"time": when.reshape(-1, 1), **warmth})
-        return np.asarray(read.reshape(K, S, self.block.size) + self.bias[first][:, None])
-
-    def _read(self, force: Array, rate: Array, now: Mapping[Variable, Array]) -> Array:
-        """Readings (N, n) where what parameters change with is `now`, (N, n) or (N, 1)."""
-        out = readings(self.block, self.coefficients, force, rate)
-        for variable, change in self.changes.items():
-            out = out + now[variable] * readings(self.block, change, force, rate)
-        return out
-
-    def covariance(self, seconds: Array, floor: float) -> Array:
-        """Covariance (N, n, n) of the means over so many seconds."""
-        variance = self.white**2 / seconds + floor**2
-        return np.asarray(variance[:, None, None] * np.eye(self.bias.shape[1]))
-
-
 def _rests(
-    scenario: Scenario, way: Itinerary, accel: _NoisyBlock, gyro: _NoisyBlock, rng: np.random.Generator
+    scenario: Scenario,
+    way: Itinerary,
+    sensors: tuple[SimulatedBlock, SimulatedBlock],
+    biases: tuple[InRunBias, ...],
+    rng: np.random.Generator,
 ) -> Rests:
+    """The mean readings at rest, with what the biases of accelerometers and gyros change by."""
     start, stop = way.rests.T
     seconds, files, climate = stop - start, np.zeros(len(start), dtype=np.int64), scenario.climate
     force = scenario.site.gravity * way.attitudes[:, 1]
     rate = np.array(earth_rate(scenario.latitude)) @ way.attitudes
-    when = way.times
-    return Rests(
-        file=files,
-        start=start,
-        stop=stop,
-        accel=accel.mean(force, rate, when, seconds, rng),
-        accel_covariance=accel.covariance(seconds, ACCEL_FLOOR),
-        accel_drift=np.zeros_like(accel.bias),
-        accel_noise=np.full_like(accel.bias, accel.white),
-        gyro=gyro.mean(force, rate, when, seconds, rng),
-        gyro_covariance=gyro.covariance(seconds, GYRO_FLOOR),
-        gyro_drift=np.zeros_like(gyro.bias),
-        gyro_noise=np.full_like(gyro.bias, gyro.white),
+    means = []
+    for block, bias in zip(sensors, biases, strict=True):
+        noise = block.white / np.sqrt(seconds)[:, None] * rng.standard_normal(bias.values.shape)
+        means.append(block.read(force, rate, 0.5 * (start + stop), seconds) + bias.values + noise)
+    return Rests.of_white_noise(
+        start,
+        stop,
+        accel=means[0],
+        gyro=means[1],
+        densities=(sensors[0].white, sensors[1].white),
         temperatures=None if climate is None else climate.record.means(files, start, stop).kelvin,
     )
 
 
 def _turns(
-    scenario: Scenario, way: Itinerary, first: IntArray, accel: _NoisyBlock, gyro: _NoisyBlock, rng: np.random.Generator
+    scenario: Scenario,
+    way: Itinerary,
+    first: IntArray,
+    sensors: tuple[SimulatedBlock, SimulatedBlock],
+    biases: tuple[InRunBias, ...],
+    rng: np.random.Generator,
 ) -> tuple[Turns, TurnSamples, TurnReadings]:
     """The turns after the rests `first` (K,), not yet integrated, and their samples: for each turn AHEAD more are
     kept ahead of it, which its first step wants, as if it turned already."""
+    accel, gyro = sensors
     K, n, to_body, to_force = len(first), gyro.block.size, onto_body(gyro.block.axes), np.linalg.pinv(accel.block.axes)
     T = way.rests[first + 1, 0] - way.rests[first, 1]
     vector = inertial_turns(way.attitudes[first], way.attitudes[first + 1], way.moves[first], T, scenario.latitude)
     dt = T / SAMPLES
-    sampled, felt = _samples(scenario, way, first, (vector, T), accel, gyro, rng)
+    sampled, felt = _samples(scenario, way, first, (vector, T), sensors, biases, rng)
     stored = MotionSamples()
     stored.append(
         (sampled @ to_body.T).reshape(-1, 3),
@@ -223,27 +163,33 @@ def _samples(
     way: Itinerary,
     first: IntArray,
     turns: tuple[Array, Array],
-    accel: _NoisyBlock,
-    gyro: _NoisyBlock,
+    sensors: tuple[SimulatedBlock, SimulatedBlock],
+    biases: tuple[InRunBias, ...],
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
     """Readings of the gyros and of the accelerometers (K, AHEAD + SAMPLES, n) in turns by inertial rotation vectors
     (K, 3) in so many seconds (K,), with white noise but for the gyros ahead of the turns."""
-    (vector, T), before, S = turns, way.attitudes[first], SAMPLES + AHEAD
+    (vector, T), before, (accel, gyro), S = turns, way.attitudes[first], sensors, SAMPLES + AHEAD
     dt = T / SAMPLES
-    when = (way.rests[first, 1] - way.middle)[:, None] + (np.arange(S) - AHEAD + 0.5) * dt[:, None]
+    when = way.rests[first, 1][:, None] + (np.arange(S) - AHEAD + 0.5) * dt[:, None]
     rate = np.repeat((vector / T[:, None])[:, None], S, axis=1)
     force = scenario.site.gravity * _mean_verticals(scenario, before, vector, T)
-    sampled = gyro.sampled(force, rate, when, first)
+    sampled = _sampled(gyro, force, rate, when) + biases[1].at(when)
     noise = rng.standard_normal((len(first), SAMPLES, gyro.block.size))
     sampled[:, AHEAD:] += gyro.white / np.sqrt(dt)[:, None, None] * noise
     if np.any(late := scenario.instrument.delays(scenario.values)):
         times, which = np.unique(late, return_inverse=True)
         each = [_mean_verticals(scenario, before, vector, T, behind) for behind in times.tolist()]
         force = scenario.site.gravity * np.stack(each, axis=2)[:, :, which]
-    felt = accel.sampled(_with_levers(scenario, way, first, force, vector, T), rate, when, first)
-    felt += accel.white / np.sqrt(dt)[:, None, None] * rng.spawn(1)[0].standard_normal(felt.shape)
+    felt = _sampled(accel, _with_levers(scenario, way, first, force, vector, T), rate, when)
+    felt += biases[0].at(when) + accel.white / np.sqrt(dt)[:, None, None] * rng.spawn(1)[0].standard_normal(felt.shape)
     return sampled, felt
+
+
+def _sampled(sensors: SimulatedBlock, force: Array, rate: Array, when: Array) -> Array:
+    """Readings (K, S, n) at times (K, S), s, in forces (K, S, 3), or (K, S, n, 3), and rates (K, S, 3) of the body."""
+    (K, S), flat = when.shape, force.reshape(when.size, *force.shape[2:])
+    return sensors.read(flat, rate.reshape(K * S, 3), when.ravel()).reshape(K, S, len(sensors.coefficients))
 
 
 def _with_levers(scenario: Scenario, way: Itinerary, first: IntArray, force: Array, vector: Array, T: Array) -> Array:

@@ -19,7 +19,7 @@ the interval so much earlier. Parameters that change with temperature have the v
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,10 +27,10 @@ import numpy as np
 from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.rotation import UP, skew
-from tumble.sensors.instrument import is_linear, readings
+from tumble.sensors.instrument import is_linear
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import Variable
 from tumble.simulation.scenario import Scenario, itinerary
+from tumble.simulation.sensors import SimulatedBlock
 from tumble.units import Array
 
 _LEGENDRE = np.polynomial.legendre.leggauss(6)
@@ -104,12 +104,17 @@ def _block_readings(sensors: _SampledBlock, attitudes: Array, moves: Array, rest
     fs, shifted = sensors.scenario.profile.sample_rate, rests + sensors.late
     shifted[0, 0], shifted[-1, 1] = rests[0, 0], rests[-1, 1]
     edges = np.column_stack([np.ceil(shifted[:, 0] * fs - 1e-6), np.floor(shifted[:, 1] * fs + 1e-6)]).astype(int)
+    normal = np.empty((len(rests), len(sensors.readings)))
     for i, L in enumerate(attitudes):
-        sensors.draw_bias()
+        normal[i] = sensors.rng.standard_normal(normal.shape[1])
         for first, last in _chunks(edges[i, 0], edges[i, 1]):
             sensors.put(first, last, sensors.at_rest(L, first, last))
         for first, last in _chunks(edges[i, 1], edges[i + 1, 0]) if i < len(moves) else ():
             sensors.put(first, last, sensors.in_move(L, moves[i], float(shifted[i, 1]), first, last))
+    bias = sensors.sensors.bias(normal, rests)
+    for first, last in _chunks(0, sensors.readings.shape[1]) if np.any(bias.values) else ():
+        begins = (np.arange(first, last) + 1e-6) / fs - sensors.late  # that of a rest, where it begins with it
+        sensors.readings[:, first:last] += bias.at(np.asarray(begins, dtype=float)).T
     return sensors.readings
 
 
@@ -121,81 +126,53 @@ def _chunks(first: int, last: int) -> Iterator[tuple[int, int]]:
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class _SampledBlock:
-    """One block at work: its coefficients K (n, 15), their drift, 1/s, from the `middle` of the session, s, and what
-    they change by with temperature, `warmth`; lever arms (n, 3), by how much it is `late`, s, the noise `sigma` of a
-    sample, its readings (n, N) as they fill up, and the change that its bias has in the current rest and move."""
+    """One block at work: its sensors, by how much it is `late`, s, and its readings (n, N) as they fill up."""
 
-    block: Block
+    sensors: SimulatedBlock
     scenario: Scenario
-    coefficients: Array
-    drift: Array
-    warmth: Mapping[Variable, Array]
-    middle: float
-    arms: Array
     late: float
-    sigma: float
-    instability: float
     rng: np.random.Generator
-    bias: Array
     readings: Array
 
     @staticmethod
     def of(block: Block, scenario: Scenario, rests: Array, rng: np.random.Generator, late: float) -> _SampledBlock:
         """A block, ready to fill."""
-        noise, root, instrument = scenario.noise, math.sqrt(scenario.profile.sample_rate), scenario.instrument
-        accel, samples = block.kind == "accel", math.floor(rests[-1, 1] * scenario.profile.sample_rate + 1e-6)
+        samples = math.floor(rests[-1, 1] * scenario.profile.sample_rate + 1e-6)
         return _SampledBlock(
-            block=block,
+            sensors=SimulatedBlock.of(block, scenario, 0.25 * float(rests[0].sum() + rests[-1].sum())),
             scenario=scenario,
-            coefficients=instrument.coefficients(block, scenario.values),
-            drift=instrument.change(block, scenario.values, "time"),
-            middle=0.25 * float(rests[0].sum() + rests[-1].sum()),
-            arms=instrument.levers(scenario.values) if accel else np.zeros((block.size, 3)),
             late=late,
-            sigma=root * (noise.accel_white if accel else noise.gyro_white),
-            instability=noise.accel_instability if accel else noise.gyro_instability,
             rng=rng,
-            bias=np.zeros(block.size),
-            warmth=_warmth(block, scenario),
             readings=np.empty((block.size, samples)),
         )
 
     @property
     def linear(self) -> bool:
         """Whether the mean reading of a sample is that of the mean of what the block measures."""
-        return not np.any(self.arms) and is_linear(self.block, self.coefficients)
-
-    def draw_bias(self) -> None:
-        self.bias = self.instability * self.rng.standard_normal(self.block.size)
+        return not np.any(self.sensors.arms) and is_linear(self.sensors.block, self.sensors.coefficients)
 
     def put(self, first: int, last: int, means: Array) -> None:
         """Samples of mean readings (last − first, n), or (1, n) for all of them."""
         out = self.readings[:, first:last]
-        out[:] = means.T + self.bias[:, None]
-        if self.sigma > 0.0:
-            out += self.sigma * self.rng.standard_normal(out.shape)
+        out[:] = means.T
+        if self.sensors.white > 0.0:
+            sigma = math.sqrt(self.scenario.profile.sample_rate) * self.sensors.white
+            out += sigma * self.rng.standard_normal(out.shape)
 
     def read(self, force: Array, rate: Array, change: Array, when: Array) -> Array:
         """Readings (N, n) in forces, rates and angular accelerations (N, 3) of the body at times (N,), s: at a lever
         arm r the force is f + [ω̇×]r + [ω×]²r."""
-        if np.any(self.arms):
+        if np.any(self.sensors.arms):
             around = skew(change) + skew(rate) @ skew(rate)
-            force = force[:, None] + np.einsum("nij,pj->npi", around, self.arms)
-        out = readings(self.block, self.coefficients, force, rate)
-        if np.any(self.drift):
-            out = out + (when - self.middle)[:, None] * readings(self.block, self.drift, force, rate)
-        if self.warmth and self.scenario.climate is not None:
-            now = self.scenario.climate.variables(when, self.block.thermometer)
-            for variable, change in self.warmth.items():
-                out = out + now[variable] * readings(self.block, change, force, rate)
-        return out
+            force = force[:, None] + np.einsum("nij,pj->npi", around, self.sensors.arms)
+        return self.sensors.read(force, rate, when)
 
     def at_rest(self, L: Array, first: int, last: int) -> Array:
         """Mean readings of samples [first, last) at rest: (1, n), or with vibration or drift those of every sample."""
         scenario = self.scenario
         site, vibration, fs = scenario.site, scenario.vibration, scenario.profile.sample_rate
         rate = np.array(earth_rate(scenario.latitude)) @ L
-        still = vibration.amplitude == 0.0 and not np.any(self.drift) and not self.warmth
+        still = vibration.amplitude == 0.0 and not self.sensors.changes
         middle = np.asarray((np.arange(first, first + 1 if still else last) + 0.5) / fs - self.late, dtype=float)
         force = np.full(len(middle), site.gravity)
         if vibration.amplitude > 0.0:
@@ -229,22 +206,12 @@ class _SampledBlock:
             )
             return _means(np.moveaxis(means.reshape(*theta.shape, -1), -1, 0), panels, samples)
         when = (first + samples[:-1] + 0.5) / fs
-        if self.block.kind == "accel":
+        if self.sensors.block.kind == "accel":
             force = _means(vertical * waves, panels, samples) @ _turning(n, UP) @ L
             return self.read(force, np.zeros_like(force), np.zeros_like(force), when)
         turned = np.diff(profile.angle((samples + passed) / fs, total)) * fs
         mean_rate = (_means(waves, panels, samples) @ _turning(n, earth) + np.outer(turned, n)) @ L
         return self.read(np.zeros_like(mean_rate), mean_rate, np.zeros_like(mean_rate), when)
-
-
-def _warmth(block: Block, scenario: Scenario) -> dict[Variable, Array]:
-    """Changes of the coefficients (n, 15) by what goes with the temperature, those that there are."""
-    if scenario.climate is None:
-        return {}
-    instrument, values = scenario.instrument, scenario.values
-    others = {variable for _, _, variable in instrument.changes if variable != "time"}
-    changes = {each: instrument.change(block, values, each) for each in sorted(others)}
-    return {each: change for each, change in changes.items() if np.any(change)}
 
 
 def _turning(n: Array, vector: Array) -> Array:

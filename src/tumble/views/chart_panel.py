@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from tumble.registry.records import STATES
 from tumble.registry.series import SeriesPoint
 from tumble.registry.trend import YEAR, Trend
+from tumble.registry.types import STATES
 from tumble.views.numbers import limit_cell, minus
 from tumble.views.registry import TONES, expanded_of
 from tumble.views.render.characters import drawable

@@ -11,9 +11,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from tumble.acceptance.conformity import RESULTS, RULE
 from tumble.errors import InputError, needs_extra
 from tumble.files import whole_file
-from tumble.registry.limits import RESULTS, RULE
 from tumble.registry.monitor import Monitored
 from tumble.registry.trend import Trend
 from tumble.sensors.parameters import group_name, group_of

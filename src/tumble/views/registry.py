@@ -7,16 +7,16 @@ from collections.abc import Collection, Container, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 
+from tumble.acceptance.conformity import RULE, LimitJudgement, Verdict
+from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.compare import Comparison
 from tumble.calibration.coverage import expanded_of as expanded_uncertainty
 from tumble.calibration.results import Parameter
-from tumble.registry.forecast import Forecast
-from tumble.registry.limits import RULE, LimitJudgement, Verdict
 from tumble.registry.monitor import Monitored
-from tumble.registry.records import LaunchRow, ParameterRow, Record
 from tumble.registry.series import SeriesPoint
-from tumble.registry.store import LimitsRecord
+from tumble.registry.submission import logs_of
 from tumble.registry.trend import Change, Trend
+from tumble.registry.types import Forecast, LimitsRecord, Record
 from tumble.sensors.parameters import beyond_linear, group_name
 from tumble.units import two_digits
 from tumble.views.blocks import Block, Items, Table, Text, Tone, table
@@ -36,16 +36,14 @@ _BARS = "▁▂▃▄▅▆▇█"
 _LONG = 24  # points of a sparkline
 
 
-def record_blocks(
-    record: Record, launches: Sequence[LaunchRow], rows: Sequence[ParameterRow], verdict: Verdict | None, *, every: bool
-) -> list[Block]:
+def record_blocks(record: Record, calibration: Calibration, verdict: Verdict | None, *, every: bool) -> list[Block]:
     """A record with its parameters and the verdict on each; of those beyond the linear model that have no limits only
     how many there are, unless `every` one is wanted."""
     device = device_name(record.serial, record.model)
     lines = [
         f"record {record.number} · device {device} · {record.occasion} check · {record.state}",
         f"performed {day_of(record.performed)} · method {record.method} · frame {record.frame}",
-        *(f"launch {launch.session or 1} · log {launch.log_sha256}" for launch in launches if launch.log_sha256),
+        *(f"launch {session or 1} · log {log}" for session, log in logs_of(calibration) if log),
         f"content {record.sha256}",
     ]
     if record.supersedes is not None:
@@ -53,9 +51,8 @@ def record_blocks(
     if record.superseded_by is not None:
         lines.append(f"superseded by record {record.superseded_by}")
     judged = {} if verdict is None else {j.name: j for j in verdict.judgements}
-    results = [row for row in rows if row.launch == 0]
-    further = () if every else further_of((row.name for row in results), judged)
-    shown = _verdict_table([row for row in results if row.name not in further], judged)
+    further = () if every else further_of((p.name for p in calibration.parameters), judged)
+    shown = _verdict_table([p for p in calibration.parameters if p.name not in further], judged)
     judgement: tuple[str, ...] = (
         "no verdict: no limits were in force for this type and check when the record was added",
     )
@@ -78,7 +75,7 @@ def _counted(further: Collection[str]) -> str:
     return said if further else ""
 
 
-def _verdict_table(parameters: Sequence[ParameterRow], judged: Mapping[str, LimitJudgement]) -> Table:
+def _verdict_table(parameters: Sequence[Parameter], judged: Mapping[str, LimitJudgement]) -> Table:
     units, rows = shown_units(parameters), []
     for parameter in parameters:
         size, unit = units[parameter.name]
@@ -236,7 +233,7 @@ def change_cells(change: Change | None, size: float) -> tuple[str, str]:
     return cells(change.value, change.expanded, size)[0], "" if change.e_n is None else f"{change.e_n:+z.2f}"
 
 
-def expanded_of(result: SeriesPoint | ParameterRow) -> float | None:
+def expanded_of(result: SeriesPoint | Parameter) -> float | None:
     """U, SI."""
     return None if result.u is None else expanded_uncertainty(result.u, result.dof)
 

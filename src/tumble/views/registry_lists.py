@@ -10,8 +10,7 @@ from tumble.views.blocks import Table
 
 if TYPE_CHECKING:
     from tumble.registry.due import Due
-    from tumble.registry.records import Record
-    from tumble.registry.store import LimitsRecord
+    from tumble.registry.types import LimitsRecord, Record
 
 
 def day_of(moment: date) -> str:

@@ -130,6 +130,8 @@ function finish() {
   say(of("further").querySelector("summary"), `${further.length} further parameters, of which nothing is wanted`);
   show(of("further"), further.length > 0);
   of("reasons").replaceChildren(...result.reasons.map((reason) => made("li", reason)));
+  const formats = of("export-to");
+  if (!formats.children.length) formats.replaceChildren(...result.formats.map((name) => made("option", name)));
   of("files").replaceChildren(...result.files.map((name) => {
     const link = made("a", name);
     link.href = `files/${encodeURIComponent(name)}`;

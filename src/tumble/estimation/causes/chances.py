@@ -1,68 +1,74 @@
-"""How likely chance alone makes residuals as large along given directions, or chi-square fall by as much.
+"""How likely chance alone makes residuals as large, and which of many tests stand out.
 
-A cause that is random, another variance with directions Z, is judged by eᵀ Z Zᵀ e: a sum of squares, each with a
-weight, an eigenvalue of Zᵀ (1 − Q Qᵀ) Z. Its probability is that of Pearson's distribution of the same first three
-moments.
+The sum of the squares of residuals along whitened directions S, what the unknowns leave of them being P, is Σ λ χ²₁
+with the eigenvalues λ of Sᵀ P S. With X = S Sᵀ, blocks of single rests and turns, Σ λ = tr P X, and Σ λ² ≤ tr P X²: as
+large where the directions are of one length, else the test is the more cautious. So the blocks of P do.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import special
 
-from tumble.estimation.causes.projection import Projection
-from tumble.estimation.components import Scatter
 from tumble.units import Array
 
-
-def weighted_chance(square: float, weights: Array) -> float:
-    """Probability that Σ λ χ²₁ exceeds a value: Pearson's distribution of the same mean, variance and skewness."""
-    first, second, third = (float((weights**k).sum()) for k in (1, 2, 3))
-    if first <= 0.0 or third <= 0.0:
-        return 1.0
-    degrees = second**3 / third**2
-    shifted = degrees + (square - first) * np.sqrt(degrees / second)
-    return float(special.chdtrc(degrees, max(shifted, 0.0)))
+FALSE_ALARMS = 5e-3
+"""Of sessions in which there is nothing, those of which something is said: by all tests together."""
 
 
-def variance_chance(projection: Projection, rest: Array, turn: Array) -> float:
-    """Probability that chance alone makes a score as large of a variance whose directions are columns of the rests
-    (N, r, q) and turns (K, t, q), each of a number of its own."""
-    if max(rest.shape[2], turn.shape[2]) == 0:
-        return 1.0
-    return weighted_chance(*sum_of_squares(projection, projection.apart(rest, turn)))
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SumOfSquares:
+    """A sum of squares, its mean where chance alone is at work, and half its variance."""
+
+    square: float
+    mean: float
+    half_variance: float
+
+    @staticmethod
+    def along(directions: Array, residual: Array, covariance: Array) -> SumOfSquares:
+        """Of residuals (M, r) with these covariances (M, r, r) along whitened directions (M, r, q)."""
+        outer = directions @ np.swapaxes(directions, 1, 2)
+        once = covariance @ outer
+        return SumOfSquares(
+            square=float((np.einsum("kr,krq->kq", residual, directions) ** 2).sum()),
+            mean=float(np.trace(once, axis1=1, axis2=2).sum()),
+            half_variance=float((once * np.swapaxes(outer, 1, 2)).sum()),
+        )
+
+    @property
+    def degrees(self) -> float:
+        """Of the chi-square with the same mean and variance, in its own unit."""
+        return self.mean**2 / self.half_variance if self.half_variance > 0.0 else 0.0
+
+    @property
+    def chance(self) -> float:
+        """Probability that chance alone makes it as large."""
+        if self.degrees <= 0.0:
+            return 1.0
+        return float(special.chdtrc(self.degrees, self.degrees * self.square / self.mean))
+
+    @property
+    def excess(self) -> float:
+        """The variance along the directions that is there beside what is expected, by the score."""
+        return max(0.0, self.square - self.mean) / self.half_variance if self.half_variance > 0.0 else 0.0
+
+    def chance_beside(self, other: SumOfSquares) -> float:
+        """Probability that chance alone makes it as large as it is beside another, whatever the scale of both."""
+        if min(self.degrees, other.degrees, other.square) <= 0.0:
+            return 1.0
+        ratio = self.square / self.mean / (other.square / other.mean)
+        return float(special.fdtrc(self.degrees, other.degrees, ratio))
 
 
-def sum_of_squares(projection: Projection, directions: Array) -> tuple[float, Array]:
-    """The square of the residuals along whitened directions, and its weights: Σ λ χ²₁ where chance alone is at work."""
-    left = projection.left_of(directions[:, np.any(directions != 0.0, axis=0)])
-    along = left.T @ projection.residual
-    return float(along @ along), np.maximum(np.linalg.eigvalsh(left.T @ left), 0.0)
-
-
-def fall_chance(projection: Projection, scatter: Scatter, fall: float, q: int) -> float:
-    """Probability of a fall of chi-square with q parameters; 1 where nothing is left beside them to tell the scatter
-    by."""
-    if not np.any(scatter.variances > 0.0):
-        return noise_chance(fall, q)
-    others = projection.degrees - q
-    if others < 1.0:
-        return 1.0
-    rest = max(projection.chi_square - fall, 1e-9)
-    overstated = min(1.0, projection.chi_square / projection.degrees)  # noise that is less than said proves nothing
-    return float(special.fdtrc(q, others, overstated * fall / q / (rest / others)))
-
-
-def noise_chance(fall: float, q: int) -> float:
-    """Probability of a fall of chi-square with q parameters where the noise is known."""
-    return float(special.chdtrc(q, fall))
-
-
-def ratio_chance(one: tuple[float, Array], other: tuple[float, Array]) -> float:
-    """Probability that chance alone makes the first of two sums Σ λ χ²₁ as large as it is beside the second, by F with
-    the degrees of freedom (Σ λ)²/Σ λ² of each."""
-    (above, first), (below, second) = one, other
-    if min(first.sum(), second.sum(), below) <= 0.0:
-        return 1.0
-    m, n = (float(w.sum() ** 2 / (w**2).sum()) for w in (first, second))
-    return float(special.fdtrc(m, n, above / first.sum() * second.sum() / below))
+def standing_out(probabilities: Sequence[float]) -> float:
+    """The largest of the probabilities of many tests that stands out, by Holm's rule: the i-th smallest of m does where
+    it and all before it are below FALSE_ALARMS/(m − i + 1). 0 where none does."""
+    limit, m = 0.0, len(probabilities)
+    for i, probability in enumerate(sorted(probabilities)):
+        if probability * (m - i) > FALSE_ALARMS:
+            break
+        limit = probability
+    return limit

@@ -28,8 +28,10 @@ def hysteresis(session: LinearisedSession) -> Candidate:
         rest=rest,
         turn=turn,
         unit=UNITS["accel"],
-        sentence="hysteresis of the accelerometers of {size}, by the sign of the last change of the own force: come to "
-        "each position from both sides",
+        sentences=(
+            "hysteresis of the accelerometers of {size}, by the sign of the last change of the own force: come to each "
+            "position from both sides",
+        ),
     )
 
 
@@ -41,6 +43,7 @@ def _played(session: LinearisedSession) -> tuple[Array, Array]:
     at_rest, in_turn = np.zeros_like(own), np.zeros_like(paths)
     middle = own[0].copy()
     for i, here in enumerate(own):
+        middle = here if i in session.begins else middle
         middle = np.clip(middle, here - PLAY, here + PLAY)
         at_rest[i] = (here - middle) / PLAY
         if (k := link[i]) >= 0:
@@ -63,8 +66,10 @@ def memory(session: LinearisedSession) -> Iterator[Candidate]:
                 rest=rest,
                 turn=turn,
                 unit=(size / G_STANDARD, f"{name}/g"),
-                sentence=f"{WORDS[kind]} that remember the previous attitude by {{size}} for about {seconds:.0f} s: "
-                "longer rests, of which the beginning is left out",
+                sentences=(
+                    f"{WORDS[kind]} that remember the previous attitude by {{size}} for about {seconds:.0f} s: longer "
+                    "rests, of which the beginning is left out",
+                ),
             )
 
 
@@ -75,6 +80,7 @@ def _remembered(session: LinearisedSession, block: Block, seconds: float) -> tup
     at_rest, in_turn = np.zeros_like(own), np.zeros_like(paths)
     slow = own[0].copy()
     for i, here in enumerate(own):
+        slow = here if i in session.begins else slow
         at_rest[i], slow = _relaxed(slow, here, float(rests.stop[i] - rests.start[i]) / seconds)
         if (k := link[i]) >= 0 and turns is not None:
             in_turn[k], slow = _followed(slow, paths[k], float(turns.duration[k]) / PATH_STEPS / seconds)

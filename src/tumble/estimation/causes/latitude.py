@@ -9,7 +9,7 @@ import numpy as np
 from tumble.earth import earth_rate
 from tumble.estimation.causes.cause import Candidate
 from tumble.estimation.causes.linearised_session import LinearisedSession
-from tumble.estimation.linearisation import linearise
+from tumble.inference.linearisation import linearise
 from tumble.units import DEGREE
 
 LATITUDE_KNOWN = 0.01
@@ -23,14 +23,13 @@ def latitude_error(session: LinearisedSession) -> Candidate:
     assert latitude is not None
     moved = replace(session.problem, earth=np.array(earth_rate(latitude + step)))
     rows, there = session.linearised.rows, linearise(moved, session.linearised.point, session.linearised.about)
-    rest = (rows.rest[..., -1:] - there.rest[..., -1:]) / step
-    turn = (rows.turn[..., -1:] - there.turn[..., -1:]) / step
+    rest, turn = ((a - b)[..., None] / step for a, b in zip(rows.residuals, there.residuals, strict=True))
     return Candidate(
         name="latitude",
         concerns="both",
         rest=rest,
         turn=turn,
         unit=(DEGREE, "°"),
-        sentence="a latitude that the gyros contradict by {size}: look at latitude_deg in [site], and its sign",
+        sentences=("a latitude that the gyros contradict by {size}: look at latitude_deg in [site], and its sign",),
         known=LATITUDE_KNOWN,
     )

@@ -1,4 +1,4 @@
-"""A session at the linearisation of its estimate, as the columns of causes are made of it."""
+"""Sessions at the linearisation of their estimate, as the columns of causes are made of it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from tumble.estimation.likelihood import Linearised
+from tumble.inference.likelihood import Linearised
+from tumble.reduction.observations import Observations
+from tumble.reduction.together import apart
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.model import Block
 from tumble.units import Array
@@ -20,17 +22,30 @@ SHORTEST_TURN = 1e-6
 
 
 class LinearisedSession:
-    """What candidate causes are made of: own forces of the accelerometers at rest (N, n) and on the way to the next
-    (K, steps, n), and where the rows of a kind of sensor stand."""
+    """What candidate causes of one or several sessions are made of: own forces of the accelerometers at rest (N, n) and
+    on the way to the next (K, steps, n), and where the rows of a kind of sensor stand."""
 
     def __init__(self, linearised: Linearised) -> None:
         self.linearised = linearised
-        self.problem, self.observations = linearised.problem, linearised.problem.observations
+        self.problem = linearised.problem.warmed(linearised.point)
+        self.observations = self.problem.observations
         L = linearised.point.attitudes
         self.force = linearised.point.gravity * L[:, 1]
         self.rate = self.problem.earth @ L
         self.rest_shape = linearised.rows.rest.shape[:2]
         self.turn_shape = linearised.rows.turn.shape[:2]
+
+    @cached_property
+    def observed(self) -> list[Observations]:
+        """The observations of each session."""
+        if self.observations.together is None:
+            return [self.observations]
+        return [apart(self.observations, part.rests, part.turns) for part in self.problem.parts]
+
+    @cached_property
+    def begins(self) -> set[int]:
+        """The first rest of each session."""
+        return {part.rests.start for part in self.problem.parts}
 
     @cached_property
     def accel(self) -> Block:

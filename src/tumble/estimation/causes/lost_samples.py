@@ -19,14 +19,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tumble.estimation.causes.cause import UNSEEN, Cause
-from tumble.estimation.causes.chances import fall_chance, ratio_chance, sum_of_squares
+from tumble.estimation.causes.cause import Candidate, Cause
+from tumble.estimation.causes.chances import SumOfSquares
 from tumble.estimation.causes.linearised_session import SHORTEST_TURN, LinearisedSession
-from tumble.estimation.causes.projection import Projection
-from tumble.estimation.components import Scatter
-from tumble.estimation.likelihood import Linearised, Point, Problem, instruments_of, noise_of
-from tumble.estimation.linearisation import linearise
+from tumble.estimation.causes.projection import UNSEEN, Remaining
 from tumble.estimation.turns_about import TurnsAbout
+from tumble.inference.hyperparameters import SCATTER, Components
+from tumble.inference.likelihood import Linearised, Point, Problem, instruments_of, noise_of
+from tumble.inference.linearisation import linearise
 from tumble.recording.gaps import REGULAR_HINT
 from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis
@@ -34,21 +34,10 @@ from tumble.sensors.parameters import RATE
 from tumble.units import DEGREE, Array
 
 FEWEST_HELD = 3
+ROUNDS = 4
+"""Of the scatter of turns that are to blame for all."""
 JITTERING = 3e-3
 """Of an interval: time stamps that jitter by less are right, as far as any turn shows."""
-
-
-def lost_samples(session: LinearisedSession, projection: Projection) -> Iterator[Cause]:
-    """Samples that are copies of the one before, or else that turns lack: all of them, or one alone, where that is the
-    more likely and no time stamps tell. The `projection` is that with the scatter of the estimate."""
-    held = _held(session)
-    if held is not None:
-        yield held
-    elif session.turned:
-        found = [_lost_in_all_turns(session, projection)]
-        if session.observations.unstamped and (one := lost_in_a_turn(session.linearised, projection)) is not None:
-            found.append(one)
-        yield min(found, key=lambda cause: cause.probability)
 
 
 def stamps_remedy(observations: Observations) -> str:
@@ -93,63 +82,64 @@ def with_all_groups(linear: Linearised, observations: Observations) -> Linearise
     about = None if linear.about is None else TurnsAbout.of(observations, instrument, values)
     rows = linearise(problem, point, about)
     noise = noise_of(problem, rows)
-    return Linearised(problem=problem, point=point, about=about, rows=rows, noise=noise, scatter=Scatter())
+    return Linearised(problem=problem, point=point, about=about, rows=rows, noise=noise, components=Components())
 
 
-def lost_in_a_turn(linearised: Linearised, projection: Projection) -> Cause | None:
-    """The turn that lacks samples most likely; None where the session sees that of no turn."""
-    if not len(linearised.rows.turn):
-        return None
-    columns = _columns(linearised, projection)
-    left = projection.left_of(columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
-    worst, most, values, q = -1, 0.0, np.zeros(0), columns.shape[2]
-    length = np.maximum(np.sqrt((columns**2).sum(axis=0)), 1e-300)
-    for k in range(columns.shape[1]):
-        B = left[:, k] / length[k]
-        G, along = B.T @ B, B.T @ projection.residual
-        if np.linalg.eigvalsh(G)[0] <= UNSEEN**2:
+def lost_in_a_turn(session: LinearisedSession, whole: Remaining) -> Iterator[Candidate]:
+    """A loss in the turn of each session that lacks samples most likely, by what is left of residuals with the
+    components of variance of the estimate."""
+    turn = _columns(session)
+    W, (residual, covariance) = whole.step.told.weights.turn, whole.left.turn
+    whitened = W @ turn
+    length = np.sqrt((whitened**2).sum(axis=1))
+    B = whitened / np.maximum(length, 1e-300)[:, None]
+    G, along = np.swapaxes(B, 1, 2) @ covariance @ B, np.einsum("krq,kr->kq", B, residual)
+    seen = np.linalg.eigvalsh(G)[:, 0] > UNSEEN**2
+    fall = np.zeros(len(turn))
+    fall[seen] = np.einsum("kq,kq->k", along[seen], np.linalg.solve(G[seen], along[seen][..., None])[..., 0])
+    most, sentences = np.zeros(len(turn), dtype=bool), list[str]()
+    for part, observed in zip(session.problem.parts, session.observed, strict=True):
+        own = fall[part.turns]
+        if not own.any() or observed.turns is None:
+            sentences.append("")
             continue
-        found = np.linalg.solve(G, along)
-        if (fall := float(along @ found)) > most:
-            worst, most, values = k, fall, found / length[k]
-    if worst < 0:
-        return None
-    observations, turns = linearised.problem.observations, linearised.problem.observations.turns
-    assert turns is not None
-    m = linearised.problem.instrument.linear_count
-    damage = np.abs(projection.changes(columns[:, worst] @ values)[:m]) / projection.u[:m]
-    return Cause(
+        worst = int(np.argmax(own))
+        most[part.turns.start + worst] = True
+        sentences.append(
+            f"{observed.turn_named(worst)} errs about its own axis by {{size}}: samples are missing or held there; "
+            f"leave it out by turn = {observed.turns.first[worst] + 1} in [[exclude]], and record with time stamps"
+        )
+    yield Candidate(
         name="lost samples",
         concerns="both",
-        probability=min(1.0, columns.shape[1] * fall_chance(projection, linearised.scatter, most, q)),
-        damage=float(damage.max()),
-        sentence=f"{observations.turn_named(worst)} errs about its own axis by {abs(values[0]) / DEGREE:.2g}°: samples "
-        f"are missing or held there; leave it out by turn = {turns.first[worst] + 1} in [[exclude]], and record with "
-        "time stamps",
+        rest=np.zeros((*session.rest_shape, turn.shape[2])),
+        turn=turn * most[:, None, None],
+        unit=(DEGREE, "°"),
+        sentences=tuple(sentences),
+        tried=max(part.turns.stop - part.turns.start for part in session.problem.parts),
     )
 
 
-def _columns(linearised: Linearised, projection: Projection) -> Array:
-    """The whitened columns (rows, K, q) of a loss in each turn: of the rotation, and, where velocities are seen, of
-    what that does to them."""
-    about, rows = linearised.about, linearised.rows
+def _columns(session: LinearisedSession) -> Array:
+    """The columns (K, t, q) of a loss in each turn: of the rotation, and, where velocities are seen, of what that does
+    to them."""
+    about, rows = session.linearised.about, session.linearised.rows
     assert about is not None
     path = np.einsum("kipp->ki", about.moments.Phi[..., RATE])
     size = np.linalg.norm(path, axis=1, keepdims=True)
     axis = np.where(about.moments.T[:, None] < SHORTEST_TURN, 0.0, path / np.maximum(size, 1e-9))
-    q = 2 if linearised.problem.instrument.in_velocities else 1
-    turn = np.zeros((*rows.turn.shape[:2], q))
+    seen = session.problem.instrument.in_velocities
+    turn = np.zeros((*session.turn_shape, 2 if seen else 1))
     turn[:, :3, 0] = axis
-    if q == 2:
+    if seen:
         turn[:, 3:6, 1] = np.cross(axis, rows.gained)
-    wide = projection.apart(np.zeros((*rows.rest.shape[:2], 0)), turn)
-    return wide.reshape(len(wide), len(rows.rest), q)[:, projection.first]
+    return turn
 
 
-def _held(session: LinearisedSession) -> Cause | None:
+def samples_held(observations: Observations) -> Cause | None:
     """Samples of turns whose accelerometers and gyros all read what they read in the sample before, where that is not
     for want of resolution."""
-    samples = session.observations.turn_samples
+    samples = observations.turn_samples
     if samples is None:
         return None
     rows = same = 0
@@ -171,28 +161,53 @@ def _held(session: LinearisedSession) -> Cause | None:
     )
 
 
-def _lost_in_all_turns(session: LinearisedSession, projection: Projection) -> Cause:
-    """Rotations of turns that err about their own axis, with the angle, more than across it: samples that are missing
-    or held. Both are scatter, so that what is compared is one with the other."""
-    about = session.linearised.about
+def turns_to_blame(linearised: Linearised, alone: Remaining) -> Remaining:
+    """What is left of residuals where turns alone scatter, by as much as residuals do: lost samples make rotations err,
+    and an estimate may have taken that for rests that scatter."""
+    Z, of = linearised.noise.turn_directions
+    along, variance, remaining = Z[:, :, of == SCATTER.index("turn")], 0.0, alone
+    for step in range(ROUNDS):
+        found = SumOfSquares.along(remaining.step.told.weights.turn @ along, *remaining.left.turn)
+        if step == 0:
+            variance = found.excess
+        elif found.mean > 0.0:
+            variance *= found.square / found.mean
+        remaining = Remaining.of(linearised, Components(turn=float(np.sqrt(variance))))
+    return remaining
+
+
+def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Remaining, u: Array) -> Cause:
+    """Rotations of turns of session s that err about their own axis, with the angle, more than across it, where turns
+    are to blame: samples that are missing or held. Both are scatter, so that what is compared is one with the other. A
+    share p of samples that is lost by chance makes the variance p ω² Δt² a sample of what turns have lost, and scale
+    factors of the gyros that are less by p: the latter is no scatter, and is the damage."""
+    about, observed, own = session.linearised.about, session.observed[s], session.problem.parts[s].turns
     assert about is not None
-    path = np.einsum("kipp->ki", about.moments.Phi[..., RATE])
+    path = np.einsum("kipp->ki", about.moments.Phi[own][..., RATE])
     axis = path / np.maximum(np.linalg.norm(path, axis=1, keepdims=True), 1e-9)
-    size = np.sqrt(about.moments.body_rates[:, [0, 3, 5]].sum(axis=1))[:, None]
-    about_axis, across_it = axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2)
-    along, across = (_along(session, projection, size[..., None] * d) for d in (about_axis, across_it))
+    size = np.sqrt(about.moments.body_rates[own][:, [0, 3, 5]].sum(axis=1))[:, None, None]
+    W, left = blamed.step.told.weights.turn[own, :, :3], [each[own] for each in blamed.left.turn]
+    along, across = (
+        SumOfSquares.along(W @ (size * of), *left) for of in (axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2))
+    )
+    damage, interval, instrument = 0.0, _interval(observed), session.problem.instrument
+    if interval is not None and instrument.gyro is not None:
+        share = max(0.0, along.excess - across.excess) / interval
+        damage = share / float(u[instrument.group_columns("gyro.scale")].min())
     return Cause(
         name="lost samples",
         concerns="both",
-        probability=ratio_chance(along, across),
-        damage=0.0,
+        probability=along.chance_beside(across),
+        damage=damage,
         sentence="turns that err about their own axis, with their angle: samples are missing or held in the log; "
-        + stamps_remedy(session.observations),
+        + stamps_remedy(observed),
     )
 
 
-def _along(session: LinearisedSession, projection: Projection, directions: Array) -> tuple[float, Array]:
-    """The sum of squares along directions (K, 3, q) of the rotations, each turn's of sizes of their own."""
-    rest, turn = session.nothing(directions.shape[2])
-    turn[:, :3] = directions
-    return sum_of_squares(projection, projection.apart(rest, turn))
+def _interval(observations: Observations) -> float | None:
+    """The interval of the samples of the turns, s; None where there are none."""
+    samples, turns = observations.turn_samples, observations.turns
+    if samples is None or turns is None:
+        return None
+    counts = samples.lengths[: len(turns)]
+    return float(np.median(turns.duration / np.maximum(counts, 1)))

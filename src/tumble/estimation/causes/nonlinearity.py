@@ -39,8 +39,10 @@ def products(session: LinearisedSession) -> Iterator[Candidate]:
             rest=rest,
             turn=turn,
             unit=(size / G_STANDARD**2, f"{name}/g²"),
-            sentence=f"{WORDS[kind]} that read products of forces, by {{size}}: more oblique rests, or use it near "
-            "the attitudes of the session",
+            sentences=(
+                f"{WORDS[kind]} that read products of forces, by {{size}}: more oblique rests, or use it near the "
+                "attitudes of the session",
+            ),
         )
 
 
@@ -61,6 +63,8 @@ def gyro_nonlinearity(session: LinearisedSession, about: TurnsAbout, gyro: Block
         rest=rest,
         turn=turn,
         unit=(1e-6 / (10.0 * DEGREE) ** 2, "ppm at 10 °/s"),
-        sentence="scale factors of the gyros that depend on the rate, by {size}: turn at the rates of use, at one "
-        "rate, or make them parameters by gyro_cubic in [device.prior]",
+        sentences=(
+            "scale factors of the gyros that depend on the rate, by {size}: turn at the rates of use, at one rate, or "
+            "make them parameters by gyro_cubic in [device.prior]",
+        ),
     )

@@ -1,113 +1,194 @@
-"""What an estimate leaves of residuals and of the columns of a cause: the projection of dynamics method, Eq. (11).
+"""What the unknowns of an estimate leave of its residuals and of the columns of causes, at a cost that is linear in the
+number of rests: dynamics method, Eq. (11).
+
+Columns A_c are appended to the parameters, without a prior, and everything is eliminated once. Of the triangle
+
+    R_θ  R_θc | r_θ
+         R_c  | r_c         R_cᵀ R_c = BᵀB,   R_cᵀ r_c = Bᵀe
+              | ρ
+
+B being what all other unknowns leave of the columns, and e the residuals. Several causes share one elimination, for
+what is asked of one is asked of its columns of R_c. Without columns of sizes ĉ the parameters err by R_θ⁻¹ R_θc ĉ. Of
+several sessions each is judged by itself, with what the others say of the common parameters, their triangles, as its
+prior.
 
 A heading that the gyros hardly see may be far from where the rows were linearised. The horizontal Earth's rate is
-linear in its cosine and sine, so the rows get another unknown, the part along north, for each chain of rests that has
-such a heading.
+linear in its cosine and sine, so the part along north is another unknown of each chain of rests that has such a
+heading.
 """
 
 from __future__ import annotations
 
-import math
-from functools import cached_property
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy import special
 
-from tumble.estimation.components import Scatter
-from tumble.estimation.likelihood import Linearised
+from tumble.inference.elimination import fold
+from tumble.inference.hyperparameters import Components, Noise
+from tumble.inference.likelihood import Linearised, Problem, Rows
+from tumble.inference.linearisation import with_priors
+from tumble.inference.step import Left, Step, completed, inverse_of, left, tell, with_own
 from tumble.units import Array
-
-NO_HEADING = 100.0
-"""rad: how well every angle of an attitude is known beforehand, so that a heading that nothing shows has a row."""
 
 SEEN_HEADING = 0.05
 """rad: a heading that the gyros at rest know better is where the rows were linearised."""
+UNSEEN = 1e-4
+"""A combination of columns of which the unknowns leave less than this part of the length is not seen."""
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Explained:
+    """What columns explain: by how much chi-square falls, with how many combinations `q` that are seen, their `values`,
+    SI, and by how much the parameters (m,) err without them."""
+
+    fall: float
+    q: int
+    values: Array
+    moved: Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Projection:
-    """The residuals of an estimate and what its unknowns span, whitened with the noise and a scatter."""
+    """Of one session: R_c (c, c), of columns of unit length, and r_c (c,); R_θ⁻¹ R_θc (m, c), the lengths (c,) of the
+    columns, u (m,) of the parameters, and chi-square of everything with its degrees of freedom. `scatters`: whether
+    there are components of variance, estimated from the same residuals."""
 
-    def __init__(self, linearised: Linearised, scatter: Scatter) -> None:
-        problem, rows = linearised.problem, linearised.rows
-        turns = problem.observations.turns
-        self._weights = linearised.noise.weights(scatter)
-        self._link = problem.link
-        self.first = np.zeros(0, dtype=np.int64) if turns is None else turns.first
-        N, known = len(problem.link), np.abs(rows.prior[:-1, :-1]).sum(axis=0) > 0.0
-        stacked = self.whitened(rows.rest[..., 3:], rows.turn[..., 6:])
-        angles = np.column_stack([self._angles(rows.rest[..., :3], rows.turn[..., :6]), self._norths(linearised)])
-        own = angles.shape[1]
-        A = np.zeros((len(stacked) + own + len(rows.prior) - 1, own + int(known.sum())))
-        A[: len(stacked), :own], A[: len(stacked), own:] = angles, stacked[:, :-1][:, known]
-        A[len(stacked) : len(stacked) + own, :own] = np.diag(np.where(np.arange(own) < 3 * N, 1.0 / NO_HEADING, 1.0))
-        A[len(stacked) + own :, own:] = rows.prior[:-1, :-1][:, known]
-        right = np.concatenate([stacked[:, -1], np.zeros(own), rows.prior[:-1, -1]])
-        self.basis, self._triangle = np.linalg.qr(A)
-        self.residual = right - self.basis @ (self.basis.T @ right)
-        self._rows, self._parameters = len(stacked), own + int(known[0])
-        self.degrees = self._rows - float((self.basis[: self._rows] ** 2).sum())
+    triangle: Array
+    along: Array
+    moving: Array
+    length: Array
+    u: Array
+    chi_square: float
+    degrees: float
+    scatters: bool
 
-    def _norths(self, linearised: Linearised) -> Array:
-        """The whitened columns of the part of the Earth's rate along north in every chain whose heading is hardly seen,
-        (rows, chains)."""
-        problem, rows = linearised.problem, linearised.rows
-        gyro, n = problem.observations.gyro_block, problem.observations.accel_block.size
-        if gyro is None or problem.earth[0] == 0.0:
-            return np.zeros((self.whitened(rows.rest[..., :0], rows.turn[..., :0]).shape[0], 0))
-        own = problem.chain[:, None, None] == np.arange(problem.chain[-1] + 1)
-        heading, none = np.zeros((*rows.rest.shape[:2], own.shape[2])), np.zeros((*rows.turn.shape[:2], own.shape[2]))
-        heading[:, n : n + gyro.size] = rows.rest[:, n : n + gyro.size, 2:3] * own
-        hardly = (self.whitened(heading, none) ** 2).sum(axis=0) < SEEN_HEADING**-2
-        rest, turn = by_north(linearised)
-        return self.whitened(rest[:, :, None] * own, turn[:, :, None] * own[self.first])[:, hardly]
+    def explained(self, some: slice, known: float = np.inf) -> Explained | None:
+        """Some of the columns by least squares; None where one is not seen better than it is `known`, SI."""
+        own, length = self.triangle[:, some], self.length[some]
+        size, directions = np.linalg.eigh(own.T @ own)
+        seen = size > UNSEEN**2
+        if not seen.any() or 1.0 / np.sqrt(size[seen].min()) > known * length.max():
+            return None
+        across = directions[:, seen] / np.sqrt(size[seen])
+        along = across.T @ (own.T @ self.along)
+        values = across @ along
+        return Explained(
+            fall=float(along @ along),
+            q=int(seen.sum()),
+            values=values / np.where(length > 0.0, length, np.inf),
+            moved=self.moving[:, some] @ values,
+        )
 
-    @property
-    def chi_square(self) -> float:
-        """Sum of the squares of the residuals of the rows."""
-        return float((self.residual[: self._rows] ** 2).sum())
+    def chance(self, fall: float, q: int) -> float:
+        """Probability of a fall of chi-square with q parameters: by Fisher's distribution where the scale of the
+        residuals was estimated from them; 1 where nothing is left beside them to tell it by."""
+        if not self.scatters:
+            return float(special.chdtrc(q, fall))
+        others = self.degrees - q
+        if others < 1.0:
+            return 1.0
+        rest = max(self.chi_square - fall, 1e-9)
+        overstated = min(1.0, self.chi_square / self.degrees)  # noise that is less than said proves nothing
+        return float(special.fdtrc(q, others, overstated * fall / q / (rest / others)))
 
-    def whitened(self, rest: Array, turn: Array) -> Array:
-        """Columns of the rests (N, r, q) and turns (K, t, q), whitened, one below the other."""
-        merged = np.concatenate([rest[self.first], turn], axis=1)
-        alone = self._link < 0
-        parts = (self._weights.rest[alone] @ rest[alone], self._weights.merged @ merged)
-        return np.concatenate([part.reshape(part.shape[0] * part.shape[1], rest.shape[2]) for part in parts])
 
-    def _angles(self, rest: Array, turn: Array) -> Array:
-        """The whitened columns of the attitudes of all rests, (rows, 3 N)."""
-        N, K = len(rest), len(turn)
-        wide_rest, wide_turn = np.zeros((N, rest.shape[1], N, 3)), np.zeros((K, turn.shape[1], N, 3))
-        wide_rest[np.arange(N), :, np.arange(N)] = rest
-        wide_turn[np.arange(K), :, self.first] = turn[..., :3]
-        wide_turn[np.arange(K), :, self.first + 1] = turn[..., 3:]
-        return self.whitened(_joined(wide_rest), _joined(wide_turn))
+def projections(linearised: Linearised, components: Components, rest: Array, turn: Array) -> Iterator[Projection]:
+    """Of every session what its unknowns leave of columns of the rests (N, r, c) and turns (K, t, c), SI, with
+    components of variance."""
+    problem = _as_large_as_they_are(linearised)
+    rows = with_priors(linearised.rows, problem, linearised.point, linearised.about)
+    rows, noise = _with_norths(linearised, rows)
+    q, c, p, m = len(problem.own_known), rest.shape[2], len(rows.prior) - 1, len(problem.instrument.names)
+    rows = rows.beside(rest, turn)
+    told = tell(problem, rows, noise.weights(components))
+    triangles = [with_own(problem, *each)[q:, q:] for each in zip(told.sessions, rows.own, strict=True)]
+    common = np.append(np.arange(p), p + c)
+    for s, part in enumerate(problem.parts):
+        places = (told.whitened[0][part.rests], told.whitened[1][part.turns])
+        length = np.sqrt(sum((each[..., -1 - c : -1] ** 2).sum(axis=(0, 1)) for each in places))
+        triangle, others = triangles[s].copy(), 0
+        for o, each in enumerate(triangles):
+            if o != s:
+                known = np.zeros((p, p + c + 1))
+                known[:, common] = each[:p, common]
+                others += int(np.count_nonzero(known.diagonal()))
+                fold(known, triangle)
+        fold(rows.prior, triangle)
+        triangle[:, p : p + c] /= np.where(length > 0.0, length, 1.0)
+        first = int(triangle[0, 0] == 0.0)  # gravity is taken as exact
+        inverse = inverse_of(triangle[first:p, first:p])
+        hidden = np.count_nonzero(told.factor[part.rests].diagonal(0, 1, 2)[:, :3] == 0.0)
+        yield Projection(
+            triangle=triangle[p : p + c, p : p + c],
+            along=triangle[p : p + c, -1],
+            moving=(inverse @ triangle[first:p, p : p + c])[1 - first : 1 - first + m],
+            length=length,
+            u=np.sqrt((inverse**2).sum(axis=1))[1 - first : 1 - first + m],
+            chi_square=float((triangle[p:, -1] ** 2).sum()),
+            degrees=_rows(noise, part.rests, part.turns) - 3 * len(part.link) + hidden + others,
+            scatters=components.wanders or bool(np.any(components.variances > 0.0)),
+        )
 
-    def left_of(self, columns: Array) -> Array:
-        """What the unknowns leave of whitened columns: B of (11), over all rows, priors included."""
-        padded = np.zeros((len(self.residual), columns.shape[1]))
-        padded[: self._rows] = columns
-        return np.asarray(padded - self.basis @ (self.basis.T @ padded))
 
-    def apart(self, rest: Array, turn: Array) -> Array:
-        """Whitened directions of rests (N, r, q) and turns (K, t, q), a column for each rest or turn and each of the
-        q."""
-        N, K, q = len(rest), len(turn), max(rest.shape[2], turn.shape[2])
-        wide_rest, wide_turn = np.zeros((N, rest.shape[1], N, q)), np.zeros((K, turn.shape[1], N, q))
-        if rest.shape[2]:
-            wide_rest[np.arange(N), :, np.arange(N)] = rest
-        if turn.shape[2]:
-            wide_turn[np.arange(K), :, self.first] = turn
-        return self.whitened(_joined(wide_rest), _joined(wide_turn))
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Remaining:
+    """The step from where the rows were linearised with components of variance, and what it leaves of residuals."""
 
-    def changes(self, columns: Array) -> Array:
-        """Δθ (m, …) of the parameters by whitened columns of something that is left out."""
-        return np.asarray(solve_triangular(self._triangle, self.basis[: self._rows].T @ columns)[self._parameters :])
+    step: Step
+    left: Left
 
-    @cached_property
-    def u(self) -> Array:
-        """Standard uncertainties (m,) of the parameters."""
-        inverse = solve_triangular(self._triangle, np.eye(len(self._triangle)))
-        return np.asarray(np.sqrt((inverse**2).sum(axis=1))[self._parameters :])
+    @staticmethod
+    def of(linearised: Linearised, components: Components) -> Remaining:
+        """What is left of all rows."""
+        problem, (rows, noise) = linearised.problem, _with_norths(linearised, linearised.rows)
+        step = completed(problem, rows, tell(problem, rows, noise.weights(components)))
+        return Remaining(step=step, left=left(problem, step))
+
+
+def _as_large_as_they_are(linearised: Linearised) -> Problem:
+    """The problem with the prior of every group at least as wide as the group is large: no cause is to gain from a
+    prior that the estimate contradicts."""
+    problem, point = linearised.problem, linearised.point
+    known, own = problem.measured[1].copy(), problem.own_known.copy()
+    off = np.append(0.0, point.values) - np.append(0.0, problem.measured[0][1:])
+    for members in problem.instrument.members.values():
+        some = slice(members.start + 1, members.stop + 1)
+        known[some] *= max(1.0, float(np.sqrt(np.mean((off[some] / known[some]) ** 2))))
+    if problem.own is not None:
+        for members in problem.own.members.values():
+            some = slice(members.start - problem.own.linear_count, members.stop - problem.own.linear_count)
+            own[some] *= max(1.0, float(np.sqrt(np.mean((point.own[:, some] / own[some]) ** 2))))
+    return replace(problem, measured=(problem.measured[0], known), own_known=own)
+
+
+def _rows(noise: Noise, rests: slice, turns: slice) -> float:
+    """How many rows of rests and turns there are but for those that were left out."""
+    if noise.kept is None:
+        return float(noise.rest[rests, 0].size + noise.turn[turns, 0].size)
+    return float((noise.kept[0][rests] ** 2).sum() + (noise.kept[1][turns] ** 2).sum())
+
+
+def _with_norths(linearised: Linearised, rows: Rows) -> tuple[Rows, Noise]:
+    """The rows with the part of the Earth's rate along north as an unknown, 0 ± 1, of every chain whose heading is
+    hardly seen, and the noise: of a single rest it is a part of that."""
+    problem, noise = linearised.problem, linearised.noise
+    gyro, n = problem.observations.gyro_block, problem.observations.accel_block.size
+    if gyro is None or problem.earth[0] == 0.0:
+        return rows, noise
+    of_gyros = slice(n, n + gyro.size)
+    variance = np.diagonal(noise.rest, axis1=1, axis2=2)[:, of_gyros]
+    hardly = np.bincount(problem.chain, (rows.headings[:, of_gyros] ** 2 / variance).sum(axis=1)) < SEEN_HEADING**-2
+    single = np.bincount(problem.chain) == 1
+    rest, turn = by_north(linearised)
+    alone = rest * (hardly & single)[problem.chain][:, None]
+    chains = np.flatnonzero(hardly & ~single)
+    own = problem.chain[:, None] == chains
+    wide = rows.beside(rest[:, :, None] * own[:, None], turn[:, :, None] * own[problem.before_turn][:, None])
+    unknown = np.arange(len(rows.prior) - 1, len(wide.prior) - 1)
+    wide.prior[unknown, unknown] = 1.0
+    return wide, replace(noise, rest=noise.rest + alone[:, :, None] * alone[:, None])
 
 
 def by_north(linearised: Linearised) -> tuple[Array, Array]:
@@ -125,8 +206,3 @@ def by_north(linearised: Linearised) -> tuple[Array, Array]:
         if problem.instrument.in_velocities:
             turn[:, 3:6] = 0.5 * T**2 * north * linearised.point.gravity * start[:, 2]
     return rest, turn
-
-
-def _joined(wide: Array) -> Array:
-    """Columns (N, r, …) with all indices after the second as one."""
-    return wide.reshape(*wide.shape[:2], math.prod(wide.shape[2:]))

@@ -13,15 +13,15 @@ COARSE = 0.5
 """What rounding does to the mean of a rest, in parts of its noise, from which on it is a cause."""
 
 
-def quantisation(session: LinearisedSession) -> Iterator[Cause]:
-    """Channels whose steps the noise does not cover, where what rounding does to a mean is not small beside its
-    noise."""
-    rests = session.observations.rests
+def quantisation(session: LinearisedSession, s: int) -> Iterator[Cause]:
+    """Channels of session s whose steps the noise does not cover, where what rounding does to a mean is not small
+    beside its noise."""
+    own = session.problem.parts[s].rests
     for kind, _ in kinds(session):
         found = session.observations.rounding.get(kind)
         if found is None or not found.common_u.any():
             continue
-        covariance = getattr(rests, f"{kind}_covariance")
+        covariance = getattr(session.observations.rests, f"{kind}_covariance")[own]
         variance = np.median(np.diagonal(covariance, axis1=1, axis2=2), axis=0) - found.of_rest**2
         coarse = found.common_u > COARSE * np.sqrt(np.maximum(variance, 0.0))
         if coarse.any():

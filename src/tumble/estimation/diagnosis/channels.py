@@ -27,7 +27,7 @@ LEAPING = 0.3 * G_STANDARD
 def mixed_rows(reduction: Reduction, log: LogSpec) -> list[str]:
     """Accelerometers that leap from sample to sample all the time, as rows of several sensors do where they are read
     as those of one; their unit is right."""
-    leaps = np.concatenate([each.accel_end - each.accel for each in reduction.files])
+    leaps = np.concatenate([each.accel.ends - each.accel.means for each in reduction.files])
     leap = float(np.median(np.linalg.norm(leaps, axis=1))) * np.sqrt(3 / leaps.shape[1])
     if leap < LEAPING:
         return []
@@ -50,12 +50,12 @@ def normalised(reduction: Reduction, rests: Sequence[RestSpan], to_body: Array) 
     nothing of their biases and scale factors. `to_body` (3, n) makes vectors of readings."""
     if not rests:
         return []
-    length = np.linalg.norm(np.concatenate([each.accel_end for each in reduction.files]) @ to_body.T, axis=1)
+    length = np.linalg.norm(np.concatenate([each.accel.ends for each in reduction.files]) @ to_body.T, axis=1)
     magnitude, files = float(np.median(length)), {each.file: each for each in reduction.files}
     spread = float(np.sqrt(np.mean((length - magnitude) ** 2)))
     squares = list[float]()
     for rest in rests:
-        samples = files[rest.file].accel_end[rest.first : rest.last] @ to_body.T
+        samples = files[rest.file].accel.ends[rest.first : rest.last] @ to_body.T
         up = samples.mean(axis=0) / max(float(np.linalg.norm(samples.mean(axis=0))), LEAST_FORCE)
         across = samples - np.outer(samples @ up, up)
         squares.append(0.5 * float(across.var(axis=0).sum()))
@@ -82,9 +82,9 @@ def dead_zones(reduction: Reduction, rests: Sequence[RestSpan], channels: Channe
     """Gyros whose driver writes 0 for small rates: at rest they read exactly 0 more often than their resolution makes
     them, while all other values are at least some way from it."""
     files = {each.file: each for each in reduction.files}
-    ends = [files[rest.file].gyro_end[rest.first : rest.last] for rest in rests]  # type: ignore[index]  # with gyros
+    ends = [files[rest.file].gyro.ends[rest.first : rest.last] for rest in rests]
     at_rest = np.concatenate(ends) if ends else np.empty((0, len(channels.columns)))
-    every = np.concatenate([each.gyro_end for each in reduction.files if each.gyro_end is not None])
+    every = np.concatenate([each.gyro.ends for each in reduction.files])
     found = []
     for i, (column, state) in enumerate(zip(channels.columns, reduction.gyro_channels, strict=True)):
         sizes, step = np.abs(at_rest[:, i]), state.step if np.isfinite(state.step) else 0.0
@@ -119,8 +119,8 @@ def channel_faults(reduction: Reduction, log: LogSpec) -> list[str]:
 def block_means(reduction: Reduction) -> tuple[Array, Array]:
     """Mean readings (K, n), SI, of the blocks of all files: of the accelerometers and, empty without any, of the
     gyros."""
-    gyros = [each.gyro for each in reduction.files if each.gyro is not None] or [np.empty((0, 0))]
-    return np.concatenate([each.accel for each in reduction.files]), np.concatenate(gyros)
+    accel, gyro = ([getattr(each, kind).means for each in reduction.files] for kind in ("accel", "gyro"))
+    return np.concatenate(accel), np.concatenate(gyro)
 
 
 def _of_kind(

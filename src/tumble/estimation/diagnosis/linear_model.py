@@ -18,8 +18,8 @@ from tumble.estimation.diagnosis.misfit import lost_by_velocities
 from tumble.estimation.diagnosis.undetermined import linear_names
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.left_out import left_out_of
-from tumble.estimation.likelihood import Linearised
-from tumble.estimation.methods.joint.method import joint
+from tumble.inference.joint import joint
+from tumble.inference.likelihood import Linearised
 from tumble.reduction.observations import Observations
 from tumble.sensors.parameters import positions_by_group, shown_in
 from tumble.units import Array

@@ -1,38 +1,32 @@
 """Residuals that the noise does not explain: how likely by chance, how large, what is behind them, and what follows.
 
-An estimate is accepted with scatter where a group of residuals is larger than the noise within rests explains, or where
-a cause stands out (`tumble.estimation.causes`); all tests together give a false alarm in less than one of a hundred
-clean sessions. It is not accepted where its uncertainty cannot be trusted: where the scatter is many times the noise,
-for then it is no small disturbance of a known model; and where a cause that stands out, being left out, moves one of
-the 21 parameters by more than DAMAGE of its u, for then the error is not random.
+An estimate is accepted with scatter where a group of residuals is larger than the noise within rests explains, where
+a cause stands out (`tumble.estimation.causes`), or where biases wander beyond what is usual: by all tests together in
+less than one of a hundred clean sessions. It is not accepted where its uncertainty cannot be trusted: where a cause
+that stands out, being left out, moves a parameter of the linear model by more than DAMAGE of its u, for then the error
+is not random.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.estimation.by_session import each_session
 from tumble.estimation.causes.cause import UNITS, WORDS, Cause, Concerns
-from tumble.estimation.causes.chances import variance_chance
+from tumble.estimation.causes.chances import SumOfSquares, standing_out
+from tumble.estimation.causes.linearised_session import LinearisedSession
 from tumble.estimation.causes.lost_samples import jittering, lost_in_a_turn, stamps_remedy, with_all_groups
-from tumble.estimation.causes.neighbouring_rests import Neighbours, neighbours
-from tumble.estimation.causes.projection import Projection
-from tumble.estimation.causes.ranking import causes
-from tumble.estimation.components import COMPONENTS, Scatter
-from tumble.estimation.estimate import Estimate
-from tumble.estimation.likelihood import Linearised
-from tumble.estimation.methods.joint.method import joint
+from tumble.estimation.causes.projection import Remaining
+from tumble.estimation.causes.ranking import causes, tested
+from tumble.estimation.estimate import Estimate, HyperparameterEstimate
+from tumble.inference.hyperparameters import REST_MODES, SCATTER, Components
+from tumble.inference.joint import joint
+from tumble.inference.likelihood import Linearised
+from tumble.inference.session_spans import SessionSpan
 from tumble.reduction.observations import Observations
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
-
-GROUP_PROBABILITY = 1e-3
-"""A group of residuals is larger than its noise where chance alone would make it so less often: one of four."""
-
-CAUSE_PROBABILITY = 1e-4
-"""A cause stands out where chance alone would show as much less often: one of about sixteen."""
 
 NAMED_PROBABILITY = 0.02
 """A cause is named for scatter that is there where chance alone would show as much less often."""
@@ -47,8 +41,9 @@ MANY = 30.0
 NOTHING = {"accel": 5e-6 * G_STANDARD, "gyro": 0.02 * DEGREE_PER_HOUR, "turn": 2e-5}
 """m/s², rad/s, rad: scatter that no use of an inertial unit would notice, however small the noise of the log."""
 
-LOST_PROBABILITY = 0.05
-"""With less, turns that scatter by themselves lack samples sooner than that the device moved."""
+BEYOND_USUAL = 3.0
+"""Times what is usual of the grade: an in-run bias that is larger for certain, by the lower limit of its middle 68 %,
+is said; and so is that of a sensor, beside those of its kind."""
 
 TURNS_MORE = 10.0
 """Times: turns that scatter by more than gyros at rest, in parts of their noise, do so for a cause of their own."""
@@ -96,18 +91,37 @@ class Misfit:
     causes: tuple[str, ...] = ()
 
 
-def misfit(estimate: Estimate, observations: Observations) -> Misfit | None:
+def misfit(estimate: Estimate) -> Misfit | None:
     """What the residuals of an estimate say, of several sessions each for itself; None where nothing keeps a likelihood
     of it."""
     linearised = estimate.linearised
     if linearised is None:
         return None
-    if observations.together is None:
-        alone = _of_session(next(each_session(linearised)))
-        return alone if estimate.method == "joint" else _about_joint(alone)
-    names = observations.together.names
-    found = [_of_session(each, share=1.0 / len(names)) for each in each_session(linearised)]
-    return _of_all([(name, each) for name, each in zip(names, found, strict=True) if each.remarks or each.reasons])
+    alone, whole = Remaining.of(linearised, Components()), Remaining.of(linearised, linearised.components)
+    parts, observed = linearised.problem.parts, LinearisedSession(linearised).observed
+    chances = [group_chances(linearised, alone, part) for part in parts]
+    found = causes(linearised, alone, whole)
+    wandering = list(_wandering(estimate, linearised))
+    usual = {h.name.removesuffix("_in_run"): h.usual for h in estimate.hyperparameters}
+    limit = standing_out([p for own in chances for p in own] + [c.probability for own in found for c in own])
+    every = [
+        _of_session(linearised, seen, own, likely, limit, usual, {concerns for concerns, *_ in wandering})
+        for seen, own, likely in zip(observed, chances, found, strict=True)
+    ]
+    together = linearised.problem.observations.together
+    if together is not None:
+        said = [(name, each) for name, each in zip(together.names, every, strict=True) if each.remarks or each.reasons]
+        every = [_of_all(said)]
+    of_process = Misfit(
+        remarks=tuple((concerns, remark) for concerns, _, remark in wandering),
+        causes=tuple(cause for _, cause, _ in wandering),
+    )
+    joined = Misfit(
+        reasons=every[0].reasons,
+        remarks=of_process.remarks + every[0].remarks,
+        causes=tuple(dict.fromkeys(every[0].causes + of_process.causes)),
+    )
+    return joined if estimate.method == "joint" else _about_joint(joined)
 
 
 def _about_joint(found: Misfit) -> Misfit:
@@ -133,88 +147,100 @@ def _of_all(found: list[tuple[str, Misfit]]) -> Misfit:
     )
 
 
-def _of_session(linearised: Linearised, share: float = 1.0) -> Misfit:
-    """What the residuals of a session say, which has this share of the false alarms."""
-    observations, limit = linearised.problem.observations, share * CAUSE_PROBABILITY
-    scatter = linearised.scatter  # that of sensors which are named is part of the noise
-    alone = Projection(
-        linearised, Scatter(accel_wandering=scatter.accel_wandering, gyro_wandering=scatter.gyro_wandering)
-    )
-    chances = group_chances(linearised, alone)
-    larger = [group for group, chance in zip(GROUPS, chances, strict=True) if chance < share * GROUP_PROBABILITY]
-    scatters = bool(np.any(scatter.variances > 0.0))
-    projection = Projection(linearised, scatter) if scatters else alone
-    alike = tuple(neighbours(linearised, projection))
-    found = causes(linearised, (alone, projection), alike)
-    named = [cause for cause in found if cause.probability < limit]
-    ratios = {group.component: _ratio(group, linearised, observations) for group in larger}
+def _of_session(
+    linearised: Linearised,
+    observations: Observations,
+    chances: list[float],
+    found: list[Cause],
+    limit: float,
+    usual: Mapping[str, float],
+    said: set[str],
+) -> Misfit:
+    """What the residuals of a session say, by the probabilities of its groups and of its causes, of which those up to a
+    limit stand out. A scatter within what is `usual` of in-run biases is nothing to speak of, and that of some groups
+    is `said` already."""
+    larger = [
+        group
+        for group, chance in zip(GROUPS, chances, strict=True)
+        if chance <= limit and _scatter(group, linearised) > usual.get(group.component, 0.0)
+    ]
+    lost = [cause for cause in found if cause.name == "lost samples" and cause.probability < NAMED_PROBABILITY]
+    first = lost if any(group.component == "turn" for group in larger) else []  # what they do looks like others
+    named = first + [cause for cause in found if cause.probability <= limit and cause not in first]
+    ratios = {group.component: _scatter(group, linearised) / _noise(group, observations) for group in larger}
     if larger:
-        others = [cause for cause in found if cause.probability >= limit]
+        others = [cause for cause in found if cause not in named]
         named += _likely(others, ratios, {group.concerns for group in larger}, observations)
     named = named[:MOST_NAMED]
-    reasons = [
-        _too_large(group, ratios[group.component], linearised) for group in larger if _many(group, ratios, linearised)
+    harmful = [c for c in named if c.damage > DAMAGE and (c.probability <= limit or c in first)]
+    remarks = [
+        (group.concerns, _larger(group, ratios[group.component], linearised))
+        for group in larger
+        if group.component not in said
     ]
-    wandering = list(_wandering(linearised, observations))
-    reasons += [
-        (concerns, f"{said}, more than {MANY:.0f} times the noise") for concerns, said, many in wandering if many
-    ]
-    reasons += [(c.concerns, _damaging(c)) for c in named if c.damage > DAMAGE and c.probability < limit]
-    remarks = list(_settled(linearised))
-    remarks += [(group.concerns, _larger(group, ratios[group.component], linearised)) for group in larger]
-    remarks += [(concerns, f"{said}{CONTAINED}") for concerns, said, many in wandering if not many]
-    remarks += list(_alike(alike))
-    remarks += [(cause.concerns, f"probable cause: {cause.sentence}") for cause in named]
-    warm = ("warm-up",) if observations.warm_up is not None else ()
-    return Misfit(reasons=tuple(reasons), remarks=tuple(remarks), causes=(*warm, *(cause.name for cause in named)))
-
-
-def _settled(linearised: Linearised) -> Iterator[tuple[Concerns, str]]:
-    """What settles after the start, where the estimate has it."""
-    own, settling = linearised.problem.own, linearised.problem.observations.warm_up
-    if own is None or settling is None:
-        return
-    first, values = own.linear_count, linearised.point.own[0]
-    said = list[str]()
-    for kind, words in WORDS.items():
-        size, unit = UNITS[kind]
-        found = [own.members[name] for name in (f"{kind}.bias.warmup", f"{kind}.bias.warmup2") if name in own.members]
-        if found:
-            settled = sum(values[members.start - first : members.stop - first] for members in found)
-            largest = np.abs(settled).max() / size
-            said.append(f"of the {words} {'' if said else 'settle '}by up to {largest:.2g} {unit}".replace(" °", "°"))
-    yield (
-        "both",
-        f"warm-up after power-on: biases {' and '.join(said)}, with a time constant of {settling:.0f} s; "
-        "parameters are those of the settled device and u contains what is not known of it; switch on earlier",
+    remarks += [(cause.concerns, f"probable cause: {cause.sentence}") for cause in named if cause not in harmful]
+    return Misfit(
+        reasons=tuple((cause.concerns, _damaging(cause)) for cause in harmful),
+        remarks=tuple(remarks),
+        causes=tuple(cause.name for cause in named),
     )
 
 
-def _wandering(linearised: Linearised, observations: Observations) -> Iterator[tuple[Concerns, str, bool]]:
-    """The sensors that wander more than the others of their kind, where the estimate has such, and whether
-    they do so beyond use."""
-    problem, first = linearised.problem, 0
-    for block, group in zip(problem.instrument.blocks, GROUPS, strict=False):
-        own = [block.sensors[c - first] for c in problem.wandering if first <= c < first + block.size]
-        first += block.size
-        if own:
-            (size, unit), names = group.unit, ", ".join(f"{block.kind}.bias.{sensor}" for sensor in own)
-            by, others = getattr(linearised.scatter, f"{block.kind}_wandering"), _scatter(group, linearised)
-            said = f"{names} wander{'s' if len(own) == 1 else ''} from rest to rest by {by / size:.2g} {unit}"
-            said += f", those of the other {WORDS[block.kind]} by {others / size:.2g} {unit}"
-            many = by > max(MANY * _noise(group, observations), NOTHING[block.kind])
-            yield group.concerns, said.replace(" °", "°"), many
-
-
-def _alike(alike: Iterable[Neighbours]) -> Iterator[tuple[Concerns, str]]:
-    """The kinds of sensors whose biases are alike in neighbouring rests."""
-    for each in alike:
-        if (correlation := each.alone) > 0.0:
+def _wandering(estimate: Estimate, linearised: Linearised) -> Iterator[tuple[Concerns, str, str]]:
+    """In-run biases of kinds of sensors, and of single sensors, that are far beyond usual: what they concern, the name
+    of the cause, and a remark."""
+    by_name, rests = {h.name: h for h in estimate.hyperparameters}, linearised.problem.observations.rests
+    longest = max(float(rests.stop[p.rests].max() - rests.start[p.rests].min()) for p in linearised.problem.parts)
+    for block in linearised.problem.instrument.blocks:
+        kind: Concerns = "accel" if block.kind == "accel" else "gyro"
+        size, lasting = by_name.get(f"{kind}_in_run"), by_name.get(f"{kind}_time")
+        drift = by_name.get(f"{kind}.bias.drift")
+        if drift is not None and _beyond(drift):
+            yield kind, "drift", _drift_said(kind, longest, linearised)
+        if size is None or lasting is None:
+            continue
+        words, of_kind = WORDS[kind], _sized(kind, size.value)
+        if _beyond(size) and not (drift is not None and _beyond(drift)):
+            drifts = lasting.value > longest
             yield (
-                each.kind,
-                f"biases of the {WORDS[each.kind]} are alike in neighbouring rests, by a correlation of "
-                f"{correlation:.2f}: an instability that lasts longer than a rest{CONTAINED}",
+                kind,
+                "drift" if drifts else "in-run bias",
+                f"biases of the {words} wander by {of_kind} in the session, where {_sized(kind, size.usual)} is usual"
+                + (", and last longer than it: a drift, or warm-up after power-on; switch on earlier" if drifts else "")
+                + CONTAINED,
             )
+        for sensor in block.sensors:
+            unlike = by_name.get(f"{kind}.in_run.{sensor}")
+            if unlike is not None and _beyond(unlike):
+                own = _sized(kind, unlike.value * size.value)
+                remark = f"{kind}.bias.{sensor} wanders by {own}, those of the other {words} by {of_kind}{CONTAINED}"
+                yield kind, "wandering sensor", remark
+
+
+def _drift_said(kind: str, seconds: float, linearised: Linearised) -> str:
+    """By how much biases drift over a session where that is a group of parameters."""
+    problem, point, name = linearised.problem, linearised.point, f"{kind}.bias.drift"
+    if name in problem.instrument.members:
+        slopes = point.values[problem.instrument.members[name]]
+    else:
+        assert problem.own is not None
+        own, first = problem.own.members[name], problem.own.linear_count
+        slopes = point.own[:, own.start - first : own.stop - first]
+    return (
+        f"biases of the {WORDS[kind]} drift by {_sized(kind, seconds * float(np.abs(slopes).max()))} over the session"
+        f"{CONTAINED}; let the device warm up, or make the session shorter"
+    )
+
+
+def _beyond(found: HyperparameterEstimate) -> bool:
+    """Whether a size is far beyond the usual one."""
+    return found.low > BEYOND_USUAL * found.usual
+
+
+def _sized(kind: str, value: float) -> str:
+    """A bias with its unit."""
+    size, unit = UNITS[kind]
+    return f"{value / size:.2g} {unit}".replace(" °", "°")
 
 
 def _likely(
@@ -227,32 +253,31 @@ def _likely(
     standing = [c for c in likely if c.probability < NAMED_PROBABILITY]
     if ratios.get("turn", 0.0) <= TURNS_MORE * ratios.get("gyro", 0.0):
         return standing
-    lost = [c for c in likely if c.name == "lost samples"]
-    untold = lost and lost[0].probability > LOST_PROBABILITY
-    random = [_movement(), *(_untold(c, observations) for c in lost)] if untold else [*lost, _movement()]
-    return random + [c for c in standing if c not in lost]
+    untold = [_untold(c, observations) for c in likely if c.name == "lost samples"]
+    return [_movement(), *untold, *standing]
 
 
-def group_chances(linearised: Linearised, alone: Projection) -> list[float]:
-    """Probability, by group, that chance alone makes residuals as large, by the projection with the noise within rests
-    alone, and the scatter of sensors that wander."""
-    noise = linearised.noise
-    (rest, of_rest), (merged, of_merged), r = noise.rest_directions, noise.merged_directions, noise.rest.shape[1]
+def group_chances(linearised: Linearised, alone: Remaining, part: SessionSpan) -> list[float]:
+    """Probability, by group of a session, that chance alone makes residuals as large as they are beside the noise
+    within rests, in the directions of its scatter."""
+    noise, weights = linearised.noise, alone.step.told.weights
+    (at_rest, of_rest), (in_turn, of_turn), after = noise.rest_directions, noise.turn_directions, alone.left
     found = []
     for group in GROUPS:
-        places = [COMPONENTS.index(name) for name in (group.component, *BESIDE.get(group.component, ()))]
-        of = np.isin(of_rest, places), np.isin(of_merged, places)
-        found.append(variance_chance(alone, rest[:, :, of[0]], merged[:, r:, of[1]]))
+        places = [SCATTER.index(name) for name in (group.component, *BESIDE.get(group.component, ()))]
+        if group.component in REST_MODES:
+            own, W, Z, left = part.rests, weights.rest, at_rest[:, :, np.isin(of_rest, places)], after.rest
+        else:
+            own, W, Z, left = part.turns, weights.turn, in_turn[:, :, np.isin(of_turn, places)], after.turn
+        found.append(SumOfSquares.along(W[own] @ Z[own], left[0][own], left[1][own]).chance)
     return found
 
 
 def _scatter(group: Group, linearised: Linearised) -> float:
-    return float(getattr(linearised.scatter, group.component))
-
-
-def _ratio(group: Group, linearised: Linearised, observations: Observations) -> float:
-    """The scatter of a group in parts of its noise."""
-    return _scatter(group, linearised) / _noise(group, observations)
+    """The scatter of a group, with that of the in-run bias."""
+    components = linearised.components
+    in_run = {"accel": components.accel_in_run, "gyro": components.gyro_in_run}.get(group.component, 0.0)
+    return float(np.hypot(getattr(components, group.component), in_run))
 
 
 def _noise(group: Group, observations: Observations) -> float:
@@ -267,12 +292,6 @@ def _typical(covariance: Array) -> float:
     return float(np.sqrt(np.median(np.trace(covariance, axis1=1, axis2=2) / covariance.shape[1])))
 
 
-def _many(group: Group, ratios: dict[str, float], linearised: Linearised) -> bool:
-    """Whether a group scatters beyond use. Velocities may: they carry little of what is estimated."""
-    floor = NOTHING.get(group.component, np.inf)
-    return ratios[group.component] > MANY and _scatter(group, linearised) > floor
-
-
 def _said(group: Group, ratio: float, linearised: Linearised) -> str:
     size, unit = group.unit
     said = f"{_scatter(group, linearised) / size:.2g} {unit}".replace(" °", "°")
@@ -280,31 +299,26 @@ def _said(group: Group, ratio: float, linearised: Linearised) -> str:
 
 
 def _larger(group: Group, ratio: float, linearised: Linearised) -> str:
-    if group.component == "turn" and linearised.scatter.aliased > 0.0:
-        return _aliased(linearised)
+    turns = linearised.problem.observations.turns
+    if group.component == "turn" and turns is not None:
+        largest = linearised.components.aliased * float(np.sqrt(turns.aliased.max()))
+        if largest > linearised.components.turn:
+            return _aliased(largest, linearised)
     if _scatter(group, linearised) == 0.0:
         return f"the {group.words} are further from the fit than their noise explains"
-    return f"the {group.words} scatter by {_said(group, ratio, linearised)}{AT_RANDOM}"
+    said = f"the {group.words} scatter by {_said(group, ratio, linearised)}"
+    if ratio > MANY and _scatter(group, linearised) > NOTHING.get(group.component, np.inf):
+        said += f", more than {MANY:.0f}: something is there that the model does not have"
+        if group.component == "turn":
+            said += f"; look for lost or held samples{jittering(linearised.problem.observations)}"
+    return f"{said}{AT_RANDOM}"
 
 
-def _aliased(linearised: Linearised) -> str:
-    turns = linearised.problem.observations.turns
-    assert turns is not None
-    largest = linearised.scatter.aliased * float(np.sqrt(turns.aliased.max())) / DEGREE
+def _aliased(largest: float, linearised: Linearised) -> str:
     return (
-        f"the rotations of the turns err by up to about {largest:.2g}° where rates jump from sample to sample, as "
-        f"instantaneous samples of jerky turns do{CONTAINED}; turn smoothly, or sample faster"
+        f"the rotations of the turns err by up to about {largest / DEGREE:.2g}° where rates jump from sample to "
+        f"sample, as instantaneous samples of jerky turns do{CONTAINED}; turn smoothly, or sample faster"
         + jittering(linearised.problem.observations)
-    )
-
-
-def _too_large(group: Group, ratio: float, linearised: Linearised) -> tuple[Concerns, str]:
-    observations = linearised.problem.observations
-    return (
-        group.concerns,
-        f"the {group.words} scatter by {_said(group, ratio, linearised)}, more than {MANY:.0f}: something is there "
-        "that the model does not have"
-        + (f"; look for lost or held samples{jittering(observations)}" if group.component == "turn" else ""),
     )
 
 
@@ -317,7 +331,7 @@ def lost_by_velocities(linear: Linearised, observations: Observations) -> tuple[
         return (), ()
     whole = joint(observations).linearised
     assert whole is not None
-    found = _standing_loss(next(each_session(whole)))
+    found = _standing_loss(whole)
     if found is None:
         return (), ()
     return ((_damaging(found),), ()) if found.damage > DAMAGE else ((), (f"probable cause: {found.sentence}",))
@@ -325,8 +339,12 @@ def lost_by_velocities(linear: Linearised, observations: Observations) -> tuple[
 
 def _standing_loss(linearised: Linearised) -> Cause | None:
     """The turn that lacks samples most likely, where it stands out."""
-    found = lost_in_a_turn(linearised, Projection(linearised, linearised.scatter))
-    return found if found is not None and found.probability < CAUSE_PROBABILITY else None
+    session = LinearisedSession(linearised)
+    if not session.turned:
+        return None
+    whole = Remaining.of(linearised, linearised.components)
+    found = [cause for own in tested(linearised, list(lost_in_a_turn(session, whole)))[0] for cause in own]
+    return next((cause for cause in found if cause.probability <= standing_out([cause.probability])), None)
 
 
 def _damaging(cause: Cause) -> str:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from tumble.acceptance.conformity import Verdict
     from tumble.calibration.calibration_file import Calibration
     from tumble.calibration.check import FieldCheck
     from tumble.calibration.compare import Comparison
@@ -44,10 +45,8 @@ if TYPE_CHECKING:
     from tumble.programme.positions import Move, Position
     from tumble.reduction.observations import Observations
     from tumble.registry.due import Due
-    from tumble.registry.limits import Verdict
     from tumble.registry.monitor import Monitored
-    from tumble.registry.records import LaunchRow, ParameterRow, Record
-    from tumble.registry.store import LimitsRecord
+    from tumble.registry.types import LimitsRecord, Record
     from tumble.units import Array
 
 Content = dict[str, Any]
@@ -319,15 +318,18 @@ def records_data(records: Sequence[Record]) -> Content:
     return {"records": records}
 
 
-def record_data(
-    record: Record, launches: Sequence[LaunchRow], rows: Sequence[ParameterRow], verdict: Verdict | None
-) -> Content:
+def record_data(record: Record, calibration: Calibration, verdict: Verdict | None) -> Content:
     """A record with its launches, its parameters (of the result: launch 0), and the verdict."""
+    from tumble.registry.submission import logs_of
+
+    numbered = [(0, calibration.parameters), *((i, x.parameters) for i, x in enumerate(calibration.launches, 1))]
+    parameters = [{"launch": launch} | _of(p, "name value u unit dof") for launch, several in numbered for p in several]
+    launches = [{"session": session, "log_sha256": log} for session, log in logs_of(calibration)]
     judged = None
     if verdict is not None:
         said = {"reasons": verdict.reasons(), "parameters": verdict.judgements}
         judged = _of(verdict, "result occasion frame") | said
-    return {"record": record, "launches": list(launches), "parameters": list(rows), "verdict": judged}
+    return {"record": record, "launches": launches, "parameters": parameters, "verdict": judged}
 
 
 def trend_data(found: Monitored) -> Content:

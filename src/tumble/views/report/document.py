@@ -6,14 +6,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
+from tumble.acceptance.certificate import Certificate, check_certificate, recorded_on
+from tumble.acceptance.conformity import RESULTS, LimitJudgement, Result, Verdict, verdicts
+from tumble.acceptance.limits import Limits
 from tumble.calibration import further
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import remarks
 from tumble.calibration.further import left_by_matrix, left_said
 from tumble.errors import InputError
-from tumble.export.certificate import Certificate, check_certificate, recorded_on
-from tumble.registry.conformity import verdicts
-from tumble.registry.limits import RESULTS, LimitJudgement, Limits, Result, Verdict
 from tumble.views.blocks import Block, Document, Facts, Items, Part, Section, Text, Tone, section
 from tumble.views.numbers import NONE, device_name
 from tumble.views.registry import TONES

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from tumble.acceptance.conformity import RULE, LimitJudgement, Verdict
+from tumble.acceptance.limits import Limits
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import remarks
-from tumble.registry.limits import RULE, LimitJudgement, Limits, Verdict
 from tumble.units import engineering
 from tumble.views.blocks import Block, Items, Section, Text, table
 from tumble.views.numbers import Units, cells, limit_cell, shown_units

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tumble.acceptance.conformity import RESULTS, LimitJudgement
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import expanded
 from tumble.calibration.further import (
@@ -24,7 +25,6 @@ from tumble.calibration.further import (
 )
 from tumble.calibration.half import WORDS, accepted_kinds
 from tumble.calibration.results import Parameter
-from tumble.registry.limits import RESULTS, LimitJudgement
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import group_name, variable_of
 from tumble.units import Array, engineering

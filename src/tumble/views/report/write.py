@@ -43,8 +43,8 @@ def write_report(
     ending = out.suffix.lower()
     if ending not in ENDINGS:
         raise InputError(f"{out}: expected a name that ends in .html or .pdf, found {out.suffix or 'no ending'!r}")
-    from tumble.export.certificate import judged_by, read_certificate
-    from tumble.registry.limits import limits_of
+    from tumble.acceptance.certificate import judged_by, read_certificate
+    from tumble.acceptance.limits import limits_of
 
     stated = None if certificate is None else read_certificate(Path(certificate))
     acceptance = None if stated is None else judged_by(stated)

@@ -11,7 +11,6 @@ L̂ = (I + [ψ×]) L; Γ_pq = γ_pq + γ_qp. Arrays of vectors have the componen
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -21,13 +20,13 @@ from tumble.earth import EARTH_RATE, earth_rate
 from tumble.errors import ProgrammeError
 from tumble.programme.positions import Programme
 from tumble.rotation import rotation_matrix
+from tumble.sensors.model import ACCEL_ANGLES
 from tumble.units import Array, IntArray
 
 _N, _U, _E = 0, 1, 2
 
-ACCEL_PAIRS = ((1, 0), (2, 0), (2, 1))
-"""Where γ_yx, γ_zx, γ_zy of the accelerometers are in M."""
-_GYRO_PAIRS = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
+_PAIRS = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
+"""Where γ_xy, γ_xz, γ_yx, γ_yz, γ_zx, γ_zy are in M and E."""
 
 
 # -------------------- bias and scale factor of an accelerometer --------------------
@@ -150,9 +149,9 @@ def axis_angle_rms(tilt: float, bias: float, angle: float) -> float:
 # -------------------- the scalar method --------------------
 
 
-def coefficient_error(matrix: Array, matrix_error: Array, parameters: Array) -> Array:
+def coefficient_error(matrix: Array, change: Array, parameters: Array) -> Array:
     """Error ΔX (9,) of the scalar method when H (N, 9) is taken wrong by δH (N, 9): Eq. (14)."""
-    return np.asarray(-np.linalg.pinv(matrix) @ (matrix_error @ parameters))
+    return -solved(matrix, change @ parameters)
 
 
 def scalar_residuals(vertical: Array, bias: Array, scale: Array, angles: Array) -> tuple[Array, Array]:
@@ -160,11 +159,11 @@ def scalar_residuals(vertical: Array, bias: Array, scale: Array, angles: Array) 
     linearising Eqs. (1) and (12), and from the estimated orientation û = ŵ/|ŵ| in h. §4; b and γ in rad.
 
     With (|ŵ| − g)/g in place of the quadratic form the first part has the square of e across the vertical only."""
-    u = np.asarray(vertical)
-    M = _accel_matrix_error(scale, angles)
+    u, M, Γ = np.asarray(vertical), matrix_error(scale, angles), matrix_error(np.zeros(3), angles)
     e = bias + applied(M, u)
     across = e - u * dot(u, e)[..., None]
-    linearisation = 0.5 * dot(e, e) + dot(u, applied(_second_order_matrix(scale, angles), u))
+    second_order = np.asarray(scale)[..., None] * Γ - 0.5 * (Γ**2).sum(axis=-1)[..., None] * np.eye(3)
+    linearisation = 0.5 * dot(e, e) + dot(u, applied(second_order, u))  # diag(1 + k) A(γ) beyond I + M
     return linearisation, -dot(across, across) - dot(applied(transposed(M), u), across)
 
 
@@ -255,7 +254,7 @@ def gyrocompass_error(accel_error: Array, azimuth: Array, turn_error: Array, lat
     return np.asarray(-up * np.asarray(accel_error) + 0.5 * north * np.sin(azimuth) * turn_error)
 
 
-def gyro_matrix_rate_error(attitude: Array, matrix_error: Array, latitude: float) -> Array:
+def gyro_matrix_rate_error(attitude: Array, E: Array, latitude: float) -> Array:
     """Gyro error E Lᵀ Ω (..., 3), rad/s, in the body, that scale-factor and axis errors E (..., 3, 3) cause at rest:
     stage 3 takes it for bias before stage 4 has found E.
 
@@ -263,18 +262,18 @@ def gyro_matrix_rate_error(attitude: Array, matrix_error: Array, latitude: float
     scalar method the part along Ω, the dot product the part along the vertical. For E of 1e-4 it is 1.5e-3 °/h, one
     or two orders less than the bias, as the paper says; up and down it cancels but for E_pq × tilt."""
     L = np.asarray(attitude)
-    return applied(matrix_error, applied(transposed(L), np.array(earth_rate(latitude))))
+    return applied(E, applied(transposed(L), np.array(earth_rate(latitude))))
 
 
 # -------------------- scale factors and axis angles of the gyros: the indirect method --------------------
 
 
-def turn_error(attitude: Array, axis: Array, angle: Array, matrix_error: Array) -> Array:
+def turn_error(attitude: Array, axis: Array, angle: Array, E: Array) -> Array:
     """Attitude error Δψ (..., 3), rad, about N, U, E, that gyro scale-factor and axis errors E (..., 3, 3) make in a
     turn by `angle` (..., rad, signed) about the geographic unit vector `axis` (..., 3) from `attitude` (..., 3, 3):
     Eq. (6.2). Any rate profile gives the same."""
     L, n = np.asarray(attitude), np.asarray(axis)
-    Fn = applied(L, applied(matrix_error, applied(transposed(L), n)))
+    Fn = applied(L, applied(E, applied(transposed(L), n)))
     return _swept(n, angle, Fn)
 
 
@@ -285,13 +284,11 @@ def turn_bias_error(attitude: Array, axis: Array, angle: Array, duration: Array,
     return _swept(np.asarray(axis), angle, applied(attitude, bias)) * per_radian[..., None]
 
 
-def turn_earth_error(
-    attitude: Array, axis: Array, angle: Array, duration: Array, matrix_error: Array, latitude: float
-) -> Array:
+def turn_earth_error(attitude: Array, axis: Array, angle: Array, duration: Array, E: Array, latitude: float) -> Array:
     """Attitude error Δψ (..., 3), rad, that the Earth's rate times gyro errors E makes in a turn at constant rate, of
     order ΩT E: what the programme's matrix (6.3) leaves out. Arguments as in `turn_error`. §6.2."""
     L, n = np.asarray(attitude), np.asarray(axis)
-    F = L @ matrix_error @ transposed(L)
+    F = L @ E @ transposed(L)
     earth = np.array(earth_rate(latitude))
     total = np.zeros(np.broadcast_shapes(F.shape[:-1], n.shape))
     for node, weight in zip(*_LEGENDRE, strict=True):
@@ -322,7 +319,8 @@ def indirect_matrix(programme: Programme) -> Array:
     """Matrix (2K, 9) of the indirect method for the K known turns of a programme, Earth's rate apart: derivative of y
     (north, east of each turn) with respect to the gyros' k (3) and γ (6). Eq. (6.3)."""
     turns = turns_of(programme)
-    change = turn_error(turns.start, turns.axis, turns.angle, _GYRO_BASIS[:, None])
+    each = matrix_error(np.eye(9)[:, :3], np.eye(9)[:, 3:])
+    change = turn_error(turns.start, turns.axis, turns.angle, each[:, None])
     return horizontal_differences(change, np.zeros(3)).reshape(9, -1).T
 
 
@@ -441,45 +439,28 @@ def _swept(axis: Array, angle: Array, vector: Array) -> Array:
     return np.asarray(Θ * along + np.sin(Θ) * (vector - along) + (1.0 - np.cos(Θ)) * np.cross(axis, vector))
 
 
-def _placed(values: Array, places: Sequence[tuple[int, int]]) -> Array:
-    """Matrices (..., 3, 3), zero but for values (..., m) at m places."""
-    v = np.asarray(values, dtype=float)
-    out = np.zeros((*v.shape[:-1], 3, 3))
-    for i, (p, q) in enumerate(places):
-        out[..., p, q] = v[..., i]
+def matrix_error(scale: Array, angles: Array) -> Array:
+    """M or E (..., 3, 3), of first order, of k (..., 3) and of γ_yx, γ_zx, γ_zy (..., 3) of accelerometers, or of all
+    six angles γ_xy, γ_xz, γ_yx, γ_yz, γ_zx, γ_zy (..., 6) of gyros."""
+    pairs = [_PAIRS[i] for i in (ACCEL_ANGLES if angles.shape[-1] == len(ACCEL_ANGLES) else range(6))]
+    out = np.zeros((*angles.shape[:-1], 3, 3))
+    out[..., [0, 1, 2], [0, 1, 2]] = scale
+    out[..., [p for p, _ in pairs], [q for _, q in pairs]] = angles
     return out
-
-
-_DIAGONAL = ((0, 0), (1, 1), (2, 2))
-
-
-def _accel_matrix_error(scale: Array, angles: Array) -> Array:
-    """M (..., 3, 3) of k (..., 3) and γ_yx, γ_zx, γ_zy (..., 3)."""
-    return _placed(scale, _DIAGONAL) + _placed(angles, ACCEL_PAIRS)
-
-
-def gyro_matrix_error(scale: Array, angles: Array) -> Array:
-    """E (..., 3, 3) of k (..., 3) and γ_xy, γ_xz, γ_yx, γ_yz, γ_zx, γ_zy (..., 6)."""
-    return _placed(scale, _DIAGONAL) + _placed(angles, _GYRO_PAIRS)
 
 
 def _angle_sums(angles: Array) -> Array:
     """Γ (..., 3, 3) of γ_yx, γ_zx, γ_zy: γ_pq + γ_qp."""
-    lower = _placed(angles, ACCEL_PAIRS)
+    lower = matrix_error(np.zeros(3), np.asarray(angles))
     return lower + transposed(lower)
-
-
-def _second_order_matrix(scale: Array, angles: Array) -> Array:
-    """What diag(1 + k) A(γ) has beyond I + M, to second order (..., 3, 3)."""
-    Γ = _placed(angles, ACCEL_PAIRS)
-    return np.asarray(scale)[..., None] * Γ - 0.5 * _placed((Γ**2).sum(axis=-1), _DIAGONAL)
 
 
 def accelerometer_errors(values: Array, vertical: Array) -> Array:
     """Errors over g (..., 3) at rest of accelerometers with b, k, γ (..., 9), for verticals (..., 3) in the body."""
     v = np.asarray(values)
-    return v[..., :3] + applied(_accel_matrix_error(v[..., 3:6], v[..., 6:]), vertical)
+    return v[..., :3] + applied(matrix_error(v[..., 3:6], v[..., 6:]), vertical)
 
 
-_GYRO_BASIS = gyro_matrix_error(np.eye(9)[:, :3], np.eye(9)[:, 3:])
-"""E (9, 3, 3) of each of the gyros' k and γ, taken as 1."""
+def solved(rows: Array, right: Array) -> Array:
+    """Least squares (..., m) of rows (..., r, m) for right-hand sides (..., r)."""
+    return applied(np.asarray(np.linalg.pinv(rows), dtype=float), right)

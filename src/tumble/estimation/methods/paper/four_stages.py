@@ -6,7 +6,7 @@
     4  scale factors and axis angles of the gyros         from turns, by the indirect method
 
 All stages together are a pass. It starts from the models of the pass before (at first from nominal sensors), looks at
-readings compensated by them, and composes what it finds with them, exactly (`compensation`). `iterations` repeats it.
+readings compensated by them, and composes what it finds with them, exactly. `iterations` repeats it.
 Stage 3 is the one of the paper's ways that needs neither more positions nor an azimuth: it holds for any bias, where
 the polar axis (17) and the scalar method want one far below the Earth's rate. Stage 4 uses the programme matrix of
 §6.3 and plain least squares, as the paper has it.
@@ -24,7 +24,7 @@ import numpy as np
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError, ProgrammeError, SessionError
-from tumble.estimation.methods.paper.compensation import compensated, composed, triad_model
+from tumble.estimation.methods.paper.accuracy_formulas import solved
 from tumble.estimation.methods.paper.gyro_bias import STANDING, vertical_bias
 from tumble.estimation.methods.paper.indirect import (
     RecordedTurn,
@@ -37,7 +37,7 @@ from tumble.estimation.methods.paper.indirect import (
 from tumble.estimation.methods.paper.levelling import triad
 from tumble.programme.positions import Programme
 from tumble.reduction.observations import Observations
-from tumble.sensors.model import SensorModel
+from tumble.sensors.model import SensorModel, triad_model
 from tumble.units import Array
 
 
@@ -70,26 +70,24 @@ def accelerometer_pass(
     method: PaperMethod, course: ProgrammeCourse, readings: Array, gravity: Array, before: SensorModel
 ) -> SensorModel:
     """Stages 1 and 2: the model after a pass over readings (..., N, 3), given the one before."""
-    found = method.accelerometers(compensated(before, readings), course.nominal, gravity)
-    return composed(before, found)
+    return before.composed(method.accelerometers(before.apply(readings), course.nominal, gravity))
 
 
 def gyro_bias_pass(course: ProgrammeCourse, rates: Array, force: Array, before: SensorModel) -> SensorModel:
     """Stage 3: the gyro model with the biases of this pass, from rates (..., N, 3) and calibrated specific forces."""
-    bias = vertical_bias(compensated(before, rates), force, course.earth_rate, course.nominal)
-    return composed(before, SensorModel(matrix=np.eye(3), bias=bias))
+    bias = vertical_bias(before.apply(rates), force, course.earth_rate, course.nominal)
+    return before.composed(SensorModel(matrix=np.eye(3), bias=bias))
 
 
 def gyro_matrix_pass(course: ProgrammeCourse, rates: Array, force: Array, C: Array, before: SensorModel) -> SensorModel:
     """Stage 4: the gyro model after a pass, with turns C (..., K, 3, 3) integrated about the model `before`."""
-    y = differences(course, rates, force, C, before)
-    x = (np.linalg.pinv(course.matrix) @ y[..., None])[..., 0]
-    return composed(before, triad_model(np.zeros_like(x[..., :3]), x[..., :3], x[..., 3:]))
+    x = solved(course.matrix, differences(course, rates, force, C, before))
+    return before.composed(triad_model(np.zeros_like(x[..., :3]), x[..., :3], x[..., 3:]))
 
 
 def differences(course: ProgrammeCourse, rates: Array, force: Array, C: Array, model: SensorModel) -> Array:
     """y (..., 2T) of the indirect method for a gyro model and the turns integrated about it."""
-    attitude = triad(force, compensated(model, rates))
+    attitude = triad(force, model.apply(rates))
     return horizontal_differences(course.series, attitude, force, C, course.duration, course.earth_rate)
 
 

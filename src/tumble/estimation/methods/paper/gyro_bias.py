@@ -14,7 +14,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.estimation.methods.paper.levelling import triad, vertical
+from tumble.estimation.methods.paper.accuracy_formulas import applied, solved, transposed
+from tumble.estimation.methods.paper.levelling import triad
+from tumble.rotation import unit_vector
 from tumble.units import Array
 
 STANDING = 1e-6
@@ -27,7 +29,7 @@ def vector_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
     To be believed along the polar axis, where sensor errors enter times deviations from the programme, Eq. (17),
     and along the vertical, Eq. (18). TRIAD's azimuth is not linear in the bias: at the polar axis −δω_E²/2Ω is
     left, which the paper does not have (1.8 % of 0.3 °/h)."""
-    return np.asarray(rate - np.einsum("...ij,i->...j", triad(force, rate), earth_rate))
+    return np.asarray(rate - applied(transposed(triad(force, rate)), earth_rate))
 
 
 def vertical_bias(rate: Array, force: Array, earth_rate: Array, nominal: Array) -> Array:
@@ -45,17 +47,12 @@ def scalar_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
     Every rest is left with (δω_N² + δω_U² − δω_E²)/2Ω, which cancels over a programme in which the sensors stand
     both ways."""
     Ω = float(np.linalg.norm(earth_rate))
-    polar = np.einsum("...ij,i->...j", triad(force, rate), earth_rate) / Ω
-    return _solved(polar, ((rate**2).sum(axis=-1) - Ω**2) / (2.0 * Ω))
+    polar = applied(transposed(triad(force, rate)), earth_rate) / Ω
+    return solved(polar, ((rate**2).sum(axis=-1) - Ω**2) / (2.0 * Ω))
 
 
 def invariant_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
     """Bias (..., 3) from the dot-product invariant û·ω̂ − Ω sin B = û·δω by least squares: linear in the bias, and
     without an azimuth. Not in the paper, where the scalar method has to take its place."""
-    u = vertical(force)
-    return _solved(u, (u * rate).sum(axis=-1) - earth_rate[1])
-
-
-def _solved(rows: Array, right: Array) -> Array:
-    """Least squares (..., m) of rows (..., r, m) and right-hand sides (..., r)."""
-    return np.asarray((np.linalg.pinv(rows) @ right[..., None])[..., 0])
+    u = unit_vector(force)
+    return solved(u, (u * rate).sum(axis=-1) - earth_rate[1])

@@ -32,8 +32,9 @@ from tumble.estimation.methods.paper.accuracy_formulas import (
     indirect_accelerometer_matrix,
     indirect_matrix,
 )
-from tumble.estimation.methods.paper.levelling import carried, vertical
+from tumble.estimation.methods.paper.levelling import carried
 from tumble.programme.positions import Programme
+from tumble.rotation import unit_vector
 from tumble.units import DEGREE, Array
 
 LEAK = 1e-6
@@ -135,7 +136,7 @@ def horizontal_differences(
 ) -> Array:
     """y (..., 2T): change of the north and east specific force, in units of its modulus, over every turn that counts.
     `attitude` (..., N, 3, 3) by TRIAD and `force` (..., N, 3) are those of the rests. §6.2."""
-    f = vertical(force)
+    f = unit_vector(force)
     rows = []
     for series in course:
         L = carried_attitudes(series, attitude, C, duration, earth_rate)

@@ -20,15 +20,8 @@ import numpy as np
 from scipy import linalg
 
 from tumble.errors import InputError
-from tumble.estimation.estimate import SCATTER_PROBABILITY, Estimate, Fit, chance_of, scatter_of, sigmas
-from tumble.estimation.methods.paper.compensation import (
-    ACCEL_ANGLES,
-    compensated,
-    perfect,
-    remaining,
-    triad_model,
-    triad_parameters,
-)
+from tumble.estimation.agreement import Residuals, explaining
+from tumble.estimation.estimate import Estimate
 from tumble.estimation.methods.paper.four_stages import (
     PaperMethod,
     ProgrammeCourse,
@@ -38,11 +31,10 @@ from tumble.estimation.methods.paper.four_stages import (
     gyro_bias_pass,
     gyro_matrix_pass,
 )
-from tumble.estimation.methods.paper.levelling import vertical
 from tumble.reduction.observations import Observations
 from tumble.reduction.turns import Turns
-from tumble.rotation import rotation_matrix
-from tumble.sensors.model import Block, SensorModel
+from tumble.rotation import rotation_matrix, unit_vector
+from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, Block, SensorModel, triad_model, triad_parameters
 from tumble.sensors.parameters import group_name
 from tumble.units import Array
 
@@ -61,7 +53,7 @@ def iterated(observations: Observations, method: PaperMethod, iterations: int) -
     derivative = np.zeros((len(values), len(launch.data)))
     increments = []
     for _ in range(iterations):
-        turned = launch.turned(launch.after_rests(values))
+        turned = launch.turned(launch.after_pass(launch.data, values, None))
         by_data, by_start = launch.derivatives(launch.after_pass, values, turned)
         after = launch.after_pass(launch.data, values, turned)
         derivative = by_data + by_start @ derivative
@@ -78,8 +70,10 @@ class _Turned:
     about: SensorModel
 
     def rotations(self, model: SensorModel) -> Array:
-        """C (..., K, 3, 3) about `model`: exp([−(M : E + B δ)×]) C."""
-        E, δ = remaining(model, self.about)
+        """C (..., K, 3, 3) about `model`, where rates compensated by `about` are (I + E) ω + δ: exp([−(M : E + B δ)×])
+        C."""
+        E = np.linalg.solve(self.about.matrix, model.matrix) - np.eye(3)
+        δ = np.linalg.solve(self.about.matrix, (model.bias - self.about.bias)[..., None])[..., 0]
         turned = np.einsum("kipq,...pq->...ki", self.turns.M, E) + np.einsum("kip,...p->...ki", self.turns.B, δ)
         return np.asarray(rotation_matrix(-turned) @ self.turns.C)
 
@@ -114,37 +108,40 @@ class _SessionData:
         return tuple(name for block in self.blocks for name in block.names)
 
     @property
+    def kinds(self) -> dict[str, slice]:
+        """Where the data of each kind are, by the group of residuals that they make."""
+        n, last = 3 * len(self.observations.rests), len(self.data) - 1
+        return {"accelerometers": slice(0, n), "gyro rests": slice(n, min(2 * n, last)), "gyro turns": slice(2 * n, -1)}
+
+    @property
     def steps(self) -> Array:
         """Steps of the central differences for the data and the values."""
-        rests, turns = 3 * len(self.observations.rests), 3 * len(self.course.duration)
-        gyros = [] if self.observations.gyro_block is None else [(rests, 1e-9), (turns, 1e-6)]
-        data = [np.full(n, step) for n, step in [(rests, 1e-5), *gyros, (1, 1e-5)]]
+        data = np.full(len(self.data), 1e-5)
+        data[self.kinds["gyro rests"]], data[self.kinds["gyro turns"]] = 1e-9, 1e-6
         values = [{"accel.bias": 1e-5, "gyro.bias": 1e-9}.get(group_name(name), 1e-6) for name in self.names]
-        return np.concatenate([*data, values])
+        return np.concatenate([data, values])
 
     def readings(self, data: Array) -> tuple[Array, Array, Array, Array]:
         """Specific forces and rates (..., N, 3), errors of turns (..., K, 3), both empty without gyros, and g (...)."""
-        n = 3 * len(self.observations.rests)
-        force, rest, gravity = np.split(data, [n, data.shape[-1] - 1], axis=-1)
-        rate, turning = np.split(rest, [n], axis=-1)
-        return _vectors(force), _vectors(rate), _vectors(turning), gravity[..., 0]
+        parts = (data[..., kind] for kind in self.kinds.values())
+        force, rate, turning = (part.reshape(*part.shape[:-1], -1, 3) for part in parts)
+        return force, rate, turning, data[..., -1]
 
     def models(self, values: Array) -> tuple[SensorModel, SensorModel]:
         """Models in body axes; without gyros those of perfect ones."""
         signs = [block.axes.sum(axis=0) for block in self.blocks]
         accel = triad_model(signs[0] * values[..., :3], values[..., 3:6], values[..., 6:9])
         if len(signs) == 1:
-            return accel, perfect()
+            return accel, PERFECT_TRIAD
         return accel, triad_model(signs[1] * values[..., 9:12], values[..., 12:15], values[..., 15:])
 
     def values(self, accel: SensorModel, gyro: SensorModel) -> Array:
         """Parameters of models in body axes: `models` inverted."""
-        signs = [block.axes.sum(axis=0) for block in self.blocks]
-        bias, scale, angles = triad_parameters(accel)
-        parts = [signs[0] * bias, scale, angles[..., ACCEL_ANGLES]]
-        if len(signs) == 2:
-            bias, scale, angles = triad_parameters(gyro)
-            parts += [signs[1] * bias, scale, angles]
+        parts = []
+        for block, model in zip(self.blocks, (accel, gyro), strict=False):
+            bias, scale, angles = triad_parameters(model)
+            angles = angles if block.kind == "gyro" else angles[..., ACCEL_ANGLES]
+            parts += [block.axes.sum(axis=0) * bias, scale, angles]
         return np.concatenate(parts, axis=-1)
 
     def turned(self, values: Array) -> _Turned | None:
@@ -155,37 +152,29 @@ class _SessionData:
         about = self.observations.turns_about(block.model(values[9:]))
         return _Turned(turns=about, about=self.models(values)[1])
 
-    def after_rests(self, values: Array) -> Array:
-        """Values (m,) after stages 1 to 3 of a pass that starts from values (m,)."""
-        force, rate, _, gravity = self.readings(self.data)
-        accel, gyro = self.models(values)
-        accel = accelerometer_pass(self.method, self.course, force, gravity, accel)
-        if len(self.blocks) == 2:
-            gyro = gyro_bias_pass(self.course, rate, compensated(accel, force), gyro)
-        return self.values(accel, gyro)
-
     def after_pass(self, data: Array, values: Array, turned: _Turned | None) -> Array:
-        """Values (..., m) after all stages of a pass over data (..., d) that starts from values (..., m)."""
+        """Values (..., m) after all stages of a pass over data (..., d) that starts from values (..., m); after the
+        stages of the rests where the turns are not integrated."""
         force, rate, turning, gravity = self.readings(data)
         accel, gyro = self.models(values)
         accel = accelerometer_pass(self.method, self.course, force, gravity, accel)
-        if turned is not None:
-            corrected = compensated(accel, force)
+        if len(self.blocks) == 2:
+            corrected = accel.apply(force)
             gyro = gyro_bias_pass(self.course, rate, corrected, gyro)
-            C = rotation_matrix(turning) @ turned.rotations(gyro)
-            gyro = gyro_matrix_pass(self.course, rate, corrected, C, gyro)
+            if turned is not None:
+                C = rotation_matrix(turning) @ turned.rotations(gyro)
+                gyro = gyro_matrix_pass(self.course, rate, corrected, C, gyro)
         return self.values(accel, gyro)
 
     def residuals(self, data: Array, values: Array, turned: _Turned | None) -> Array:
         """What is left at values (..., m): |w| − g of every rest, û·ω − Ω sin B of every rest, y of every turn."""
         force, rate, turning, gravity = self.readings(data)
         accel, gyro = self.models(values)
-        corrected = compensated(accel, force)
+        corrected = accel.apply(force)
         parts = [np.linalg.norm(corrected, axis=-1) - gravity[..., None]]
         if turned is not None:
-            ω = compensated(gyro, rate)
             C = rotation_matrix(turning) @ turned.rotations(gyro)
-            parts.append((vertical(corrected) * ω).sum(axis=-1) - self.course.earth_rate[1])
+            parts.append((unit_vector(corrected) * gyro.apply(rate)).sum(axis=-1) - self.course.earth_rate[1])
             parts.append(differences(self.course, rate, corrected, C, gyro))
         return np.concatenate(parts, axis=-1)
 
@@ -212,10 +201,6 @@ class _SessionData:
         return np.asarray(linalg.block_diag(*parts), dtype=float)
 
 
-def _vectors(flat: Array) -> Array:
-    return flat.reshape(*flat.shape[:-1], -1, 3)
-
-
 # Uncertainty, and how well it fits
 
 
@@ -230,110 +215,45 @@ class _PassScatter:
 
 
 _GROUPS = {
-    "accelerometers": ("accel", "m/s^2"),
-    "gyro rests": ("rest", "rad/s"),
-    "gyro turns": ("turn", "rad"),
+    "accelerometers": ("accel", "m/s^2", 1),
+    "gyro rests": ("rest", "rad/s", 1),
+    "gyro turns": ("turn", "rad", 2),
 }
-"""Groups of residuals: the scatter they judge, and its unit."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _PassResiduals:
-    """The residuals that a pipeline leaves, and their derivatives with respect to the data: at fixed values, and with
-    what the values take up."""
-
-    launch: _SessionData
-    residual: Array
-    direct: Array
-    total: Array
-
-    def rows(self, group: str) -> slice:
-        """Residuals of a group."""
-        n = len(self.launch.observations.rests)
-        return {"accelerometers": slice(0, n), "gyro rests": slice(n, 2 * n), "gyro turns": slice(2 * n, None)}[group]
-
-    def agreement(self, group: str, scatter: _PassScatter) -> tuple[float, float]:
-        """Sum of the squared residuals of a group in units of their variances, scaled so that it has the mean of a
-        chi-square with the degrees of freedom that are also returned (matched in mean and variance)."""
-        rows, noise = self.rows(group), self.launch.covariance(scatter)
-        scale = np.sqrt(np.einsum("rd,de,re->r", self.direct[rows], noise, self.direct[rows]))
-        normalised = self.total[rows] / scale[:, None]
-        left = normalised @ noise @ normalised.T
-        trace, squares = float(np.trace(left)), float((left**2).sum())
-        if trace < 1e-6:
-            return 0.0, 0.0
-        return float(((self.residual[rows] / scale) ** 2).sum()) * trace / squares, trace**2 / squares
-
-    def normalised(self, group: str, scatter: _PassScatter, size: int) -> Array:
-        """Residuals of a group, `size` at a time, in units of their standard deviation; zero where the method takes
-        them up whatever they are."""
-        rows, noise = self.rows(group), self.launch.covariance(scatter)
-        raw = np.einsum("rd,de,re->r", self.direct[rows], noise, self.direct[rows])
-        left = np.einsum("rd,de,re->r", self.total[rows], noise, self.total[rows])
-        squares = (self.residual[rows] ** 2 / raw).reshape(-1, size).sum(axis=1)
-        expected = (left / raw).reshape(-1, size).sum(axis=1)
-        return np.asarray(np.sqrt(squares / np.where(expected > 1e-3, expected, np.inf)))
-
-    def groups(self) -> tuple[str, ...]:
-        return tuple(_GROUPS) if len(self.launch.blocks) == 2 else ("accelerometers",)
-
-    def found_scatter(self) -> _PassScatter:
-        """The scatter that explains the residuals of each group in turn, where they need one."""
-        scatter = _PassScatter()
-        for group in self.groups():
-            statistic, degrees = self.agreement(group, scatter)
-            if degrees < 0.5 or chance_of(statistic, degrees) > SCATTER_PROBABILITY:
-                continue
-
-            def excess(trial: float, name: str = group, known: _PassScatter = scatter) -> float:
-                statistic, degrees = self.agreement(name, replace(known, **{_GROUPS[name][0]: trial}))
-                return statistic - degrees
-
-            start = float(np.sqrt(np.median(np.diag(self._noise(group)))))
-            scatter = replace(scatter, **{_GROUPS[group][0]: scatter_of(excess, start)})
-        return scatter
-
-    def _noise(self, group: str) -> Array:
-        """Covariance of the data of one kind, without scatter."""
-        n, noise = 3 * len(self.launch.observations.rests), self.launch.covariance(_PassScatter())
-        kind = {"accelerometers": slice(0, n), "gyro rests": slice(n, 2 * n), "gyro turns": slice(2 * n, -1)}[group]
-        return noise[kind, kind]
-
-    def fits(self, scatter: _PassScatter) -> dict[str, Fit]:
-        found = {}
-        for group in self.groups():
-            name, unit = _GROUPS[group]
-            statistic, degrees = self.agreement(group, scatter)
-            found[group] = Fit(chi_square=statistic, degrees=degrees, scatter=getattr(scatter, name), scatter_unit=unit)
-        return found
-
-    def rest_sigmas(self, scatter: _PassScatter) -> Array:
-        """How many sigmas each rest is out, (N,): the worse of accelerometers and gyros."""
-        groups = [group for group in self.groups() if group != "gyro turns"]
-        return np.asarray(np.max([self._sigmas(group, scatter, 1) for group in groups], axis=0))
-
-    def turn_sigmas(self, scatter: _PassScatter) -> Array:
-        """How many sigmas each recorded turn is out, (K,); zero for those the method does not use."""
-        out = np.zeros(len(self.launch.course.duration))
-        counted = [t.turn for series in self.launch.course.series for t in series if t.counts]
-        if counted:
-            out[counted] = self._sigmas("gyro turns", scatter, 2)
-        return out
-
-    def _sigmas(self, group: str, scatter: _PassScatter, size: int) -> Array:
-        degrees = self.agreement(group, scatter)[1]
-        return sigmas(self.normalised(group, scatter, size), degrees, getattr(scatter, _GROUPS[group][0]) > 0.0)
+"""Groups of residuals: the scatter they judge, its unit, and how many a rest or a turn has."""
 
 
 def _estimate(launch: _SessionData, values: Array, derivative: Array, increments: tuple[Array, ...]) -> Estimate:
     """The estimate of values (m,) with their derivative (m, d) with respect to the data."""
-    turned = launch.turned(values)
+    turned, n = launch.turned(values), len(launch.observations.rests)
     u = np.sqrt(np.diag(derivative @ launch.covariance(_PassScatter()) @ derivative.T))
     limit, converged = _limit(launch, values, turned, u)
     direct, by_values = launch.derivatives(launch.residuals, limit, turned)
-    residual = launch.residuals(launch.data, limit, turned)
-    left = _PassResiduals(launch=launch, residual=residual, direct=direct, total=direct + by_values @ derivative)
-    scatter = left.found_scatter()
+    residual, total = launch.residuals(launch.data, limit, turned), direct + by_values @ derivative
+    rows = {"accelerometers": slice(0, n), "gyro rests": slice(n, 2 * n), "gyro turns": slice(2 * n, None)}
+    groups = {name: _GROUPS[name] for name in list(_GROUPS)[: 3 if len(launch.blocks) == 2 else 1]}
+
+    def residuals_of(name: str, scatter: _PassScatter) -> Residuals:
+        noise, own = launch.covariance(scatter), rows[name]
+        variance = np.einsum("rd,de,re->r", direct[own], noise, direct[own])
+        return Residuals(residual=residual[own], variance=variance, left=total[own] @ noise @ total[own].T)
+
+    scatter = _PassScatter()
+    for name, (of, _, _) in groups.items():
+
+        def at(trial: float, name: str = name, of: str = of, known: _PassScatter = scatter) -> Residuals:
+            return residuals_of(name, replace(known, **{of: trial}))
+
+        noise = np.diag(launch.covariance(_PassScatter()))[launch.kinds[name]]
+        scatter = replace(scatter, **{of: explaining(at, float(np.sqrt(np.median(noise))))})
+    fits, outliers = {}, {}
+    for name, (of, unit, size) in groups.items():
+        found, size_of_scatter = residuals_of(name, scatter), getattr(scatter, of)
+        fits[name] = found.fit(size_of_scatter, unit)
+        outliers[name] = found.sigmas(size, scaled=size_of_scatter > 0.0)
+    turn_sigmas = np.zeros(len(launch.course.duration))
+    counted = [t.turn for series in launch.course.series for t in series if t.counts]
+    if counted:
+        turn_sigmas[counted] = outliers.pop("gyro turns")
     noise = derivative @ launch.covariance(scatter) @ derivative.T
     accel, *gyro = launch.blocks
     return Estimate(
@@ -346,11 +266,11 @@ def _estimate(launch: _SessionData, values: Array, derivative: Array, increments
         null=np.empty((0, len(values))),
         accel=accel.model(values[:9]),
         gyro=gyro[0].model(values[9:]) if gyro else None,
-        rest_residual=launch.residuals(launch.data, values, turned)[left.rows("accelerometers")],
-        rest_sigmas=left.rest_sigmas(scatter),
-        turn_sigmas=left.turn_sigmas(scatter),
+        rest_residual=launch.residuals(launch.data, values, turned)[:n],
+        rest_sigmas=np.max(list(outliers.values()), axis=0),
+        turn_sigmas=turn_sigmas,
         increments=increments,
-        fits=left.fits(scatter),
+        fits=fits,
         converged=converged,
     )
 

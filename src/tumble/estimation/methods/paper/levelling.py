@@ -12,16 +12,10 @@ from tumble.rotation import rotation_matrix, unit_vector
 from tumble.units import Array
 
 
-def vertical(force: Array) -> Array:
-    """Direction û = ŵ/|ŵ| of the vertical in the body (..., 3) from the specific force at rest: the base vector
-    of TRIAD, whose levelling the gyros do not touch."""
-    return unit_vector(force)
-
-
 def triad(force: Array, rate: Array) -> Array:
     """Attitude body → geographic N, U, E (..., 3, 3) from the specific force and the Earth's rate measured at rest:
     e_U ∥ ŵ, e_E ∥ ω̂ × e_U, e_N = e_U × e_E."""
-    up = vertical(force)
+    up = unit_vector(force)
     east = unit_vector(np.cross(rate, up))
     return np.stack([np.cross(up, east), up, east], axis=-2)
 

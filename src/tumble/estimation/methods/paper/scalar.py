@@ -16,12 +16,12 @@ import numpy as np
 
 from tumble.errors import ProgrammeError
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.methods.paper.compensation import triad_model
+from tumble.estimation.methods.paper.accuracy_formulas import solved
 from tumble.estimation.methods.paper.four_stages import PaperMethod
 from tumble.estimation.methods.paper.iterations import iterated
-from tumble.estimation.methods.paper.levelling import vertical
 from tumble.reduction.observations import Observations
-from tumble.sensors.model import SensorModel
+from tumble.rotation import unit_vector
+from tumble.sensors.model import SensorModel, triad_model
 from tumble.units import Array
 
 Form = Literal["quadratic", "norm"]
@@ -53,16 +53,15 @@ def scalar_differences(readings: Array, gravity: Array, form: Form) -> Array:
 
 def scalar_fit(readings: Array, verticals: Array, gravity: Array, form: Form = "quadratic") -> SensorModel:
     """Model of a triad from readings (..., N, 3) at N ≥ 9 rests by least squares, Eq. (13), with the verticals
-    (..., N, 3) of the programme or of `vertical(readings)`. The model is the exact one of Eq. (1)."""
-    rows, z = scalar_rows(verticals), scalar_differences(readings, gravity, form)
-    X = (np.linalg.pinv(rows) @ z[..., None])[..., 0]
+    (..., N, 3) of the programme or of `unit_vector(readings)`. The model is the exact one of Eq. (1)."""
+    X = solved(scalar_rows(verticals), scalar_differences(readings, gravity, form))
     return triad_model(np.asarray(gravity)[..., None] * X[..., :3], X[..., 3:6], X[..., 6:])
 
 
 def accelerometers(readings: Array, nominal: Array, gravity: Array) -> SensorModel:
     """Stages 1 and 2 at once, with the estimated orientation: the programme's `nominal` is not used."""
     del nominal
-    return scalar_fit(readings, vertical(readings), gravity)
+    return scalar_fit(readings, unit_vector(readings), gravity)
 
 
 def check_positions(nominal: Array) -> None:

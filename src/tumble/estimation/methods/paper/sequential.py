@@ -14,12 +14,11 @@ import numpy as np
 
 from tumble.errors import ProgrammeError
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.methods.paper.compensation import triad_model
 from tumble.estimation.methods.paper.four_stages import PaperMethod
 from tumble.estimation.methods.paper.iterations import iterated
-from tumble.estimation.methods.paper.levelling import vertical
 from tumble.reduction.observations import Observations
-from tumble.sensors.model import SensorModel
+from tumble.rotation import unit_vector
+from tumble.sensors.model import SensorModel, triad_model
 from tumble.units import Array, BoolArray
 
 EXACT = 1e-6
@@ -57,7 +56,7 @@ def bias_and_scale(readings: Array, cosines: Array, gravity: Array | float) -> t
 def levelled_cosines(force: Array, axes: Array) -> Array:
     """Cosines (..., N, n) of sensing axes (n, 3) with the vertical as the accelerometers find it: TRIAD levelling,
     cos α̂ = d·û. They err by the angles the pass does not know yet, Eq. (7)."""
-    return np.asarray(vertical(force) @ axes.T)
+    return np.asarray(unit_vector(force) @ axes.T)
 
 
 # Stage 2

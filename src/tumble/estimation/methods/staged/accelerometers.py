@@ -8,20 +8,13 @@ orientation and the second-order errors of (15) do not remain.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.estimation.estimate import (
-    SCATTER_PROBABILITY,
-    Fit,
-    Solution,
-    chance_of,
-    least_squares,
-    scatter_of,
-    sigmas,
-)
-from tumble.estimation.gauss_newton import gauss_newton
+from tumble.estimation.estimate import Fit, Solution, least_squares, sigmas
+from tumble.estimation.gauss_newton import with_scatter
 from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis, unit_vector
 from tumble.sensors.model import SensorModel
@@ -49,32 +42,11 @@ class Accelerometers:
     increments: tuple[Array, ...]
 
 
-def estimate_accelerometers(observations: Observations) -> Accelerometers:
-    """The accelerometers from all rests, with scatter between rests where the residuals need it."""
-    values = observations.start_values(observations.accel_block)
-    scatter = 0.0
-    values, system, increments = _accelerometers_at(observations, values, scatter)
-    degrees = system.residual.size - (len(values) - len(system.solution().null))
-    if degrees > 0 and chance_of(_chi_square(system), degrees) < SCATTER_PROBABILITY:
-        start = float(np.sqrt(np.median(np.trace(observations.rests.accel_covariance, axis1=1, axis2=2))))
-        for _ in range(3):
-            linearised = values
-
-            def excess(trial: float, at: Array = linearised) -> float:
-                return _chi_square(_rest_rows(observations, at, trial)) - degrees
-
-            scatter = scatter_of(excess, start)
-            values, system, more = _accelerometers_at(observations, values, scatter)
-            increments += more
-    return _finished(observations, values, system, scatter, float(degrees), increments)
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _RestRows:
     """Whitened residuals (N, n − 2) and their derivatives with respect to the parameters (N, n − 2, m), to minus
     the readings (N, n − 2, n) and to g (N, n − 2)."""
 
-    values: Array
     residual: Array
     jacobian: Array
     reading: Array
@@ -84,6 +56,12 @@ class _RestRows:
     def solution(self) -> Solution:
         m = self.jacobian.shape[-1]
         return least_squares(self.jacobian.reshape(-1, m), self.residual.ravel(), self.spread)
+
+    def chi_square(self) -> float:
+        """Of the residuals after a step."""
+        m = self.jacobian.shape[-1]
+        after = self.residual.ravel() - self.jacobian.reshape(-1, m) @ self.solution().step
+        return float(after @ after)
 
 
 def _rest_rows(observations: Observations, values: Array, scatter: float) -> _RestRows:
@@ -100,7 +78,6 @@ def _rest_rows(observations: Observations, values: Array, scatter: float) -> _Re
     whiten = np.swapaxes(np.linalg.solve(np.swapaxes(lower, 1, 2), np.swapaxes(free, 1, 2)), 1, 2)
     homogeneous = np.concatenate([g * vertical, np.ones((len(vertical), 1))], axis=1)
     return _RestRows(
-        values=values,
         residual=np.einsum("irp,ip->ir", whiten, readings - model.predict(g * vertical)),
         jacobian=np.einsum("irp,pqm,iq->irm", whiten, derivative, homogeneous),
         reading=whiten,
@@ -109,37 +86,28 @@ def _rest_rows(observations: Observations, values: Array, scatter: float) -> _Re
     )
 
 
-def _accelerometers_at(
-    observations: Observations, values: Array, scatter: float
-) -> tuple[Array, _RestRows, tuple[Array, ...]]:
-    """Gauss–Newton at a given scatter."""
-    values, increments = gauss_newton(
-        lambda at: _rest_rows(observations, at, scatter).solution(), values, limits_of(observations.accel_block.names)
+def estimate_accelerometers(observations: Observations) -> Accelerometers:
+    """The accelerometers from all rests, with scatter between rests where the residuals need it."""
+    block, site, rests = observations.accel_block, observations.site, observations.rests
+    size = float(np.sqrt(np.median(np.trace(rests.accel_covariance, axis1=1, axis2=2))))
+
+    def agreement_at(values: Array) -> tuple[Callable[[float], float], float, float]:
+        rows = _rest_rows(observations, values, 0.0)
+        degrees = rows.residual.size - (len(values) - len(rows.solution().null))
+        return lambda scatter: _rest_rows(observations, values, scatter).chi_square(), degrees, size
+
+    values, scatter, increments = with_scatter(
+        lambda at, scatter: _rest_rows(observations, at, scatter).solution(),
+        agreement_at,
+        observations.start_values(block),
+        limits_of(block.names),
     )
-    return values, _rest_rows(observations, values, scatter), increments
-
-
-def _chi_square(rows: _RestRows) -> float:
-    m = rows.jacobian.shape[-1]
-    after = rows.residual.ravel() - rows.jacobian.reshape(-1, m) @ rows.solution().step
-    return float(after @ after)
-
-
-def _finished(
-    observations: Observations,
-    values: Array,
-    rows: _RestRows,
-    scatter: float,
-    degrees: float,
-    increments: tuple[Array, ...],
-) -> Accelerometers:
-    block, site = observations.accel_block, observations.site
-    solution = rows.solution()
-    m = len(values)
+    rows = _rest_rows(observations, values, scatter)
+    solution, m = rows.solution(), len(values)
+    degrees = float(rows.residual.size - (m - len(solution.null)))
     by_rest = solution.gain.reshape(m, *rows.residual.shape)
     by_gravity = -np.einsum("mir,ir->m", by_rest, rows.gravity)
     model = block.model(values)
-    force = model.apply(observations.rests.accel)
     left = np.eye(rows.residual.size) - rows.jacobian.reshape(-1, m) @ solution.gain
     expected = np.maximum(np.diag(left @ left.T), 1e-12)
     normalised = (rows.residual.ravel() / np.sqrt(expected)).reshape(rows.residual.shape)
@@ -152,9 +120,9 @@ def _finished(
         null=solution.null * rows.spread,
         gain=np.einsum("mir,irp->mip", by_rest, rows.reading),
         by_gravity=by_gravity,
-        vertical=unit_vector(force),
+        vertical=unit_vector(model.apply(rests.accel)),
         covariance=solution.covariance + site.gravity_u**2 * np.outer(by_gravity, by_gravity),
-        fit=Fit(chi_square=_chi_square(rows), degrees=degrees, scatter=scatter, scatter_unit="m/s^2"),
+        fit=Fit(chi_square=rows.chi_square(), degrees=degrees, scatter=scatter, scatter_unit="m/s^2"),
         sigmas=sigmas(worst, degrees, scatter > 0.0),
         increments=increments,
     )

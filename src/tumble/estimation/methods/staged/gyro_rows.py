@@ -26,7 +26,7 @@ from tumble.estimation.methods.staged.accelerometers import Accelerometers
 from tumble.reduction.observations import Observations
 from tumble.reduction.turns import Turns
 from tumble.rotation import onto_body, rotation_matrix, skew, tangent_basis
-from tumble.sensors.model import SensorModel
+from tumble.sensors.model import beyond_body
 from tumble.units import Array
 
 
@@ -60,193 +60,100 @@ def gyro_rows(
     observations: Observations, accel: Accelerometers, turns: Turns, values: Array, scatter: GyroScatter
 ) -> GyroRows:
     """Residuals with their first-order dependence on everything uncertain; `turns` integrated about `values`."""
-    state = _State.of(observations, accel, values, scatter)
-    rests = len(observations.rests)
-    spare = state.model.matrix.shape[0] - 3 if observations.turn_readings else 0
-    size = 3 * rests + 2 * len(turns) + spare * (rests + len(turns))
-    design = _Design(
-        residual=np.zeros(size),
-        jacobian=np.zeros((size, len(values))),
-        by_vertical=np.zeros((size, rests, 3)),
-        by_rate=np.zeros((size, rests, 3)),
-        by_unseen=np.zeros((size, rests, 3)),
-        turning=np.zeros((size, size)),
-        by_rest_scatter=np.zeros((size, size)),
-        by_turn_scatter=np.zeros((size, size)),
-    )
-    for i in range(rests):
-        _add_rest(design, state, i)
-    for j in range(len(turns)):
-        _add_turn(design, state, turns, j, slice(3 * rests + 2 * j, 3 * rests + 2 * j + 2))
-    if spare:
-        _add_spare(design, state, observations, values)
-    return _with_covariance(state, design)
+    block, rests, site, u = observations.gyro_block, observations.rests, observations.site, accel.vertical
+    assert block is not None
+    N, K, m = len(rests), len(turns), len(values)
+    spare = block.size - 3 if observations.turn_readings else 0
+    of_turns, size = 3 * N, 3 * N + 2 * K + spare * (N + K)
+    residual, jacobian = np.zeros(size), np.zeros((size, m))
+    by_vertical, by_rate, by_unseen = np.zeros((3, size, N, 3))
+    noise, by_rest_scatter, by_turn_scatter = np.zeros((3, size, size))
 
+    # the rates at rest, ω, and −dω/dθ; the Earth's rate, of which the measured horizontal part is believed as `known`
+    model, to_body = block.model(values), onto_body(block.axes)
+    inverse = np.asarray(np.linalg.inv(to_body @ model.matrix), dtype=float) @ to_body
+    derivative = np.einsum("ap,pqm->aqm", inverse, block.jacobian(values))
+    rate, rate_covariance = (rests.gyro - model.bias) @ inverse.T, inverse @ rests.gyro_covariance @ inverse.T
+    by_values = np.einsum("aqm,iq->iam", derivative, np.column_stack([rate, np.ones(N)]))
+    horizontal = np.eye(3) - u[:, :, None] * u[:, None, :]
+    if site.latitude is None:
+        up_rate, variance = 0.0, EARTH_RATE**2 / 3.0
+        unseen = np.broadcast_to(variance * np.eye(3), (N, 3, 3))
+    else:
+        up_rate, variance = EARTH_RATE * np.sin(site.latitude), 0.5 * (EARTH_RATE * np.cos(site.latitude)) ** 2
+        unseen = variance * horizontal
+    measured = 0.5 * np.einsum("iab,ibc,ica->i", horizontal, rate_covariance, horizontal) + scatter.rest**2
+    known = (variance / (variance + measured))[:, None, None]
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Design:
-    """The rows while they are put together: residual (r,), derivatives with respect to the values (r, m), to the
-    vertical, the measured rate and the unseen Earth's rate of every rest (r, N, 3), the covariance (r, r) from
-    the noise of the turns, and what a unit variance of scatter adds to the rows of the turns."""
+    # rests: Ω sin B û − ω along û, the dot-product invariant, and two horizontal axes
+    i, at_rest = np.arange(N), np.arange(3 * N).reshape(N, 3)
+    basis = np.concatenate([u[:, None, :], tangent_basis(u)], axis=1)
+    residual[:of_turns] = -_times(basis, up_rate * u - rate).ravel()
+    jacobian[:of_turns] = (basis @ by_values).reshape(-1, m)
+    by_vertical[at_rest, i[:, None]] = up_rate * basis
+    by_vertical[at_rest[:, 0], i] = u * (u * rate).sum(axis=1)[:, None] - rate
+    by_rate[at_rest, i[:, None]] = by_unseen[at_rest, i[:, None]] = -basis
 
-    residual: Array
-    jacobian: Array
-    by_vertical: Array
-    by_rate: Array
-    by_unseen: Array
-    turning: Array
-    by_rest_scatter: Array
-    by_turn_scatter: Array
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _State:
-    """What the rows need: the gyro model, the rates ω (N, 3) it gives at rest with their covariance, the verticals
-    and how they depend on noise and on the accelerometer values, and the Earth's rate as far as it is known."""
-
-    accel: Accelerometers
-    model: SensorModel
-    derivative: Array
-    """(3, 4, m): of the effective triad, in body rate: −dω = derivative · (ω, 1)."""
-    rate: Array
-    rate_covariance: Array
-    vertical: Array
-    vertical_by_noise: Array
-    vertical_by_values: Array
-    accel_covariance: Array
-    basis: Array
-    """(N, 3, 3): rows û and two horizontal unit vectors."""
-    up_rate: float
-    unseen: Array
-    """(N, 3, 3): covariance of the part of the Earth's rate that is not known in the body."""
-    known: Array
-    """(N,): how far the measured horizontal rate is to be believed, 0 … 1."""
-    gravity_u: float
-
-    @staticmethod
-    def of(observations: Observations, accel: Accelerometers, values: Array, scatter: GyroScatter) -> _State:
-        block, rests, site = observations.gyro_block, observations.rests, observations.site
-        assert block is not None
-        model = block.model(values)
-        to_body = onto_body(block.axes)
-        inverse = np.asarray(np.linalg.inv(to_body @ model.matrix), dtype=float) @ to_body
-        rate = (rests.gyro - model.bias) @ inverse.T
-        rate_covariance = inverse @ rests.gyro_covariance @ inverse.T
-        u = accel.vertical
-        horizontal = np.eye(3) - u[:, :, None] * u[:, None, :]
-        if site.latitude is None:
-            up_rate, variance = 0.0, EARTH_RATE**2 / 3.0
-            unseen = np.broadcast_to(variance * np.eye(3), (len(u), 3, 3))
-        else:
-            up_rate, variance = EARTH_RATE * np.sin(site.latitude), 0.5 * (EARTH_RATE * np.cos(site.latitude)) ** 2
-            unseen = variance * horizontal
-        noise = 0.5 * np.einsum("iab,ibc,ica->i", horizontal, rate_covariance, horizontal) + scatter.rest**2
-        force = accel.model.apply(rests.accel)
-        by_force = horizontal / np.linalg.norm(force, axis=1)[:, None, None]
-        pinv = accel.model.inverse()
-        homogeneous = np.concatenate([force, np.ones((len(force), 1))], axis=1)
-        by_value = np.einsum("pqm,iq->ipm", observations.accel_block.jacobian(accel.values), homogeneous)
-        return _State(
-            accel=accel,
-            model=model,
-            derivative=np.einsum("ap,pqm->aqm", inverse, block.jacobian(values)),
-            rate=rate,
-            rate_covariance=rate_covariance,
-            vertical=u,
-            vertical_by_noise=by_force @ pinv,
-            vertical_by_values=-by_force @ pinv @ by_value,
-            accel_covariance=rests.accel_covariance + accel.fit.scatter**2 * np.eye(rests.accel.shape[1]),
-            basis=np.concatenate([u[:, None, :], tangent_basis(u)], axis=1),
-            up_rate=float(up_rate),
-            unseen=unseen,
-            known=variance / (variance + noise),
-            gravity_u=site.gravity_u,
-        )
-
-
-def _add_rest(design: _Design, state: _State, i: int) -> None:
-    """Ω sin B û − ω in the basis of the vertical; its first row is the dot-product invariant Ω sin B − û·ω."""
-    rows, basis, u, rate = slice(3 * i, 3 * i + 3), state.basis[i], state.vertical[i], state.rate[i]
-    design.residual[rows] = -basis @ (state.up_rate * u - rate)
-    design.jacobian[rows] = basis @ _by_values(state, rate)
-    design.by_vertical[rows, i] = state.up_rate * basis
-    design.by_vertical[3 * i, i] = u * (u @ rate) - rate
-    design.by_rate[rows, i] = -basis
-    design.by_unseen[rows, i] = -basis
-
-
-def _by_values(state: _State, rate: Array) -> Array:
-    """−dω/dθ (3, m) of a rate."""
-    return np.asarray(np.einsum("aqm,q->am", state.derivative, np.append(rate, 1.0)))
-
-
-def _add_turn(design: _Design, state: _State, turns: Turns, j: int, rows: slice) -> None:
-    """C û_last − exp([ω T×]) û_first, across the vertical."""
-    a, b, T, C = int(turns.first[j]), int(turns.last[j]), float(turns.duration[j]), turns.C[j]
-    u, known = state.vertical[a], float(state.known[a])
-    horizontal = np.eye(3) - np.outer(u, u)
-    earth = T * (state.up_rate * u + known * horizontal @ state.rate[a])
-    carried = rotation_matrix(earth)
-    back = C @ state.vertical[b]
+    # turns: C û_b − exp([ω T×]) û_a, across the vertical
+    a, b, T = turns.first, turns.last, turns.duration
+    in_turn = of_turns + np.arange(2 * K).reshape(K, 2)
+    earth = T[:, None] * (up_rate * u[a] + _times(known[a] * horizontal[a], rate[a]))
+    carried, back = rotation_matrix(earth), _times(turns.C, u[b])
     across = tangent_basis(back)
     by_angle = across @ skew(back)
-    by_matrix = np.einsum("ipq,pqm->im", turns.M[j], state.derivative[:, :3]) + turns.B[j] @ state.derivative[:, 3]
-    by_earth = T * across @ carried @ skew(u) @ (np.eye(3) - 0.5 * skew(earth)) @ horizontal
-    design.residual[rows] = -across @ (back - carried @ u)
-    design.jacobian[rows] = by_angle @ by_matrix - known * by_earth @ _by_values(state, state.rate[a])
-    design.by_vertical[rows, b] += across @ C
-    design.by_vertical[rows, a] -= across @ carried
-    design.by_rate[rows, a] += known * by_earth
-    design.by_unseen[rows, a] += (known - 1.0) * by_earth
-    design.turning[rows, rows] = by_angle @ turns.covariance[j] @ by_angle.T
-    design.by_turn_scatter[rows, rows] = by_angle @ by_angle.T
-    design.by_rest_scatter[rows, rows] = T**2 * by_angle @ by_angle.T
+    by_matrix = np.einsum("kipq,pqm->kim", turns.M, derivative[:, :3]) + turns.B @ derivative[:, 3]
+    by_earth = T[:, None, None] * across @ carried @ skew(u[a]) @ (np.eye(3) - 0.5 * skew(earth)) @ horizontal[a]
+    residual[in_turn] = -_times(across, back - _times(carried, u[a]))
+    jacobian[in_turn] = by_angle @ by_matrix - known[a] * by_earth @ by_values[a]
+    by_vertical[in_turn, b[:, None]] += across @ turns.C
+    by_vertical[in_turn, a[:, None]] -= across @ carried
+    by_rate[in_turn, a[:, None]] += known[a] * by_earth
+    by_unseen[in_turn, a[:, None]] += (known[a] - 1.0) * by_earth
+    own = in_turn[:, :, None], in_turn[:, None, :]
+    noise[own] = by_angle @ turns.covariance @ np.swapaxes(by_angle, 1, 2)
+    by_turn_scatter[own] = by_angle @ np.swapaxes(by_angle, 1, 2)
+    by_rest_scatter[own] = T[:, None, None] ** 2 * by_turn_scatter[own]
 
+    if spare:  # what n gyros say of themselves: nothing in the directions that no rate explains, at rest or in a turn
+        readings = observations.turn_readings
+        assert readings is not None
+        seconds = np.concatenate([np.ones(N), T])
+        y = np.concatenate([rests.gyro, readings.integral]) - np.outer(seconds, model.bias)
+        free = beyond_body(model.matrix)
+        of_body = np.column_stack([y @ model.inverse().T, seconds])
+        rows = of_turns + 2 * K + np.arange(spare * (N + K)).reshape(N + K, spare)
+        residual[rows], own = y @ free.T, (rows[:, :, None], rows[:, None, :])
+        jacobian[rows] = free @ np.einsum("pqm,iq->ipm", block.jacobian(values), of_body)
+        noise[own] = free @ np.concatenate([rests.gyro_covariance, readings.covariance]) @ free.T
+        by_rest_scatter[rows[:N, :, None], rows[:N, None, :]] = np.eye(spare)
+        by_turn_scatter[rows[N:, :, None], rows[N:, None, :]] = np.eye(spare)
 
-def _add_spare(design: _Design, state: _State, observations: Observations, values: Array) -> None:
-    """What n gyros say of themselves: y − b, at rest or integrated over a turn, has nothing in the directions that
-    no rate explains."""
-    block, rests, turns = observations.gyro_block, observations.rests, observations.turns
-    readings = observations.turn_readings
-    assert block is not None
-    assert turns is not None
-    assert readings is not None
-    basis, _ = np.linalg.qr(state.model.matrix, mode="complete")
-    free, inverse, derivative = basis[:, 3:].T, state.model.inverse(), block.jacobian(values)
-    seconds = np.concatenate([np.ones(len(rests)), turns.duration])
-    readings_of_all = np.concatenate([rests.gyro, readings.integral]) - np.outer(seconds, state.model.bias)
-    covariances = np.concatenate([rests.gyro_covariance, readings.covariance])
-    first, size = 3 * len(rests) + 2 * len(turns), len(free)
-    for i, (y, covariance) in enumerate(zip(readings_of_all, covariances, strict=True)):
-        rows = slice(first + size * i, first + size * (i + 1))
-        design.residual[rows] = free @ y
-        design.jacobian[rows] = free @ np.einsum("pqm,q->pm", derivative, np.append(inverse @ y, seconds[i]))
-        design.turning[rows, rows] = free @ covariance @ free.T
-        scatter = design.by_rest_scatter if i < len(rests) else design.by_turn_scatter
-        scatter[rows, rows] = np.eye(size)
-
-
-def _with_covariance(state: _State, design: _Design) -> GyroRows:
-    """The covariance of the rows from all that is uncertain, and what of it the accelerometer values share."""
-    accel = state.accel
-    by_values = np.einsum("rik,ikm->rm", design.by_vertical, state.vertical_by_values)
-    by_noise = np.einsum("rik,ikp->rip", design.by_vertical, state.vertical_by_noise)
-    by_noise += np.einsum("rm,mip->rip", by_values, accel.gain)
-    common = np.vstack([accel.null, accel.by_gravity * state.gravity_u])  # unseen combinations, and g
-    by_common = by_values @ common.T
-    covariance = design.turning + by_common @ by_common.T
-    for by, of in (
-        (by_noise, state.accel_covariance),
-        (design.by_rate, state.rate_covariance),
-        (design.by_unseen, state.unseen),
-    ):
-        covariance += np.einsum("rip,ipq,siq->rs", by, of, by, optimize=True)
-    shared = np.einsum("rip,ipq,miq->rm", by_noise, state.accel_covariance, accel.gain, optimize=True)
+    # the covariance of the rows from all that is uncertain, and what of it the accelerometer values share
+    force, to_force = accel.model.apply(rests.accel), accel.model.inverse()
+    by_force = horizontal / np.linalg.norm(force, axis=1)[:, None, None]
+    reading_by_value = np.einsum(
+        "pqm,iq->ipm", observations.accel_block.jacobian(accel.values), np.column_stack([force, np.ones(N)])
+    )
+    by_accel = np.einsum("rik,ikm->rm", by_vertical, -by_force @ to_force @ reading_by_value)
+    by_noise = np.einsum("rik,ikp->rip", by_vertical, by_force @ to_force)
+    by_noise += np.einsum("rm,mip->rip", by_accel, accel.gain)
+    common = np.vstack([accel.null, accel.by_gravity * site.gravity_u])  # unseen combinations, and g
+    by_common = by_accel @ common.T
+    accel_covariance = rests.accel_covariance + accel.fit.scatter**2 * np.eye(rests.accel.shape[1])
+    noise += by_common @ by_common.T
+    for by, covariance in ((by_noise, accel_covariance), (by_rate, rate_covariance), (by_unseen, unseen)):
+        noise += np.einsum("rip,ipq,siq->rs", by, covariance, by, optimize=True)
+    shared = np.einsum("rip,ipq,miq->rm", by_noise, accel_covariance, accel.gain, optimize=True)
     return GyroRows(
-        residual=design.residual,
-        jacobian=design.jacobian,
-        noise=covariance,
-        by_rest_scatter=design.by_rest_scatter + np.einsum("rip,sip->rs", design.by_rate, design.by_rate),
-        by_turn_scatter=design.by_turn_scatter,
+        residual=residual,
+        jacobian=jacobian,
+        noise=noise,
+        by_rest_scatter=by_rest_scatter + np.einsum("rip,sip->rs", by_rate, by_rate),
+        by_turn_scatter=by_turn_scatter,
         with_accel=-(shared + by_common @ common),
     )
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    """Matrices (N, p, q) times vectors (N, q)."""
+    return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])

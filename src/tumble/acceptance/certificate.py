@@ -1,0 +1,270 @@
+"""What a certificate says that no recording knows: who calibrated what for whom, when, where and by which rule it is
+judged; from a TOML file, whose laboratory and signatories may stand in a file of their own. docs/certificate.md has
+every key.
+
+number = "2026-0042"            # unique, stands on every page
+country = "DE"                  # where the certificate is issued, ISO 3166-1
+laboratory = "laboratory.toml"  # [laboratory] and [[person]]; or the table [laboratory] itself
+
+[customer]
+name = "A customer"
+city = "Perm"
+country = "RU"
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from datetime import date
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails
+
+from tumble.acceptance.limits import Limits, limits_of
+from tumble.acceptance.schedule import Occasion
+from tumble.documents import is_plain, shown, text_of_document, toml_of
+from tumble.errors import InputError, did_you_mean
+
+if TYPE_CHECKING:
+    from tumble.calibration.calibration_file import Calibration
+
+RELATES = (
+    "This certificate relates only to the item described in it, in the state in which it was calibrated; it may be "
+    "reproduced only as a whole, unless the laboratory agrees in writing."
+)
+STATES: Mapping[str, str] = {
+    "as-found": "as found: calibrated before any adjustment",
+    "as-left": "as left: calibrated after adjustment",
+    "unchanged": "not adjusted: as found and as left",
+}
+"""The state of the item when it was calibrated."""
+
+
+def _without_control_characters(text: str) -> str:
+    if not is_plain(text.replace("\n", " ").replace("\t", " ")):
+        raise ValueError(f"expected no control characters, found {shown(text)}")
+    return text
+
+
+_Str = Annotated[str, AfterValidator(_without_control_characters)]
+_Text = Annotated[_Str, Field(pattern=r"^\S+(\s+\S+)*$")]
+_Country = Annotated[_Str, Field(pattern="^[A-Z]{2}$")]
+_Path = Annotated[_Str, Field(min_length=1)]
+
+_ACCREDITED = ("procedure", "traceability", "issued")
+"""Without these a certificate is not one of ISO/IEC 17025, 7.8."""
+
+
+class _CertificateTable(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+class Party(_CertificateTable):
+    """A laboratory or a customer: `code` is the laboratory's accreditation number, `logo` the path of its picture."""
+
+    name: _Text
+    city: _Text
+    country: _Country
+    code: _Text | None = None
+    email: _Str | None = Field(default=None, pattern=r"^\S+$")
+    street: _Text | None = None
+    postcode: _Text | None = None
+    logo: _Str | None = Field(default=None, pattern=r"^\S.*\.(svg|png)$")
+
+    @property
+    def address(self) -> str:
+        """Street, postcode, city and country on one line."""
+        town = f"{self.postcode} {self.city}" if self.postcode else self.city
+        return ", ".join(part for part in (self.street, town, self.country) if part)
+
+
+class Person(_CertificateTable):
+    """Who answers for a certificate."""
+
+    name: _Text
+    role: _Text | None = None
+
+
+class Certificate(_CertificateTable):
+    """The administrative part of a calibration certificate. Without `begin` and `end` the date is that of the
+    recording. `state` is that of the item when it was calibrated: before an adjustment, after it, or without one;
+    `as_found` the calibration file from before. `limits` is the file of acceptance limits, `check` which of its checks
+    the statement of conformity is about, `agreed` how they and the decision rule were agreed with the customer,
+    `traceability` how gravity, time and table are traced, `replaces` the
+    number of a certificate that this one takes the place of."""
+
+    number: _Text
+    country: _Country
+    begin: date | None = None
+    end: date | None = None
+    received: date | None = None
+    issued: date | None = None
+    place: Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"] = "laboratory"
+    state: Literal["as-found", "as-left", "unchanged"] = "unchanged"
+    as_found: _Path | None = None
+    procedure: _Text | None = None
+    limits: _Path | None = None
+    check: Occasion | None = None
+    agreed: _Text | None = None
+    traceability: tuple[_Str, ...] = Field(default=(), strict=False)
+    remarks: tuple[_Str, ...] = Field(default=(), strict=False)
+    replaces: _Text | None = None
+    laboratory: Party
+    customer: Party
+    person: tuple[Person, ...] = Field(min_length=1, strict=False)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.begin is not None and self.end is not None and self.end < self.begin:
+            raise ValueError(f"end: expected a day not before the begin, {self.begin}, found {self.end}")
+        if self.as_found is not None and self.state != "as-left":
+            raise ValueError(f'as_found: expected only with state = "as-left", found {self.state!r}')
+        if self.replaces == self.number:
+            raise ValueError(f"replaces: expected the number of another certificate, found its own, {self.number!r}")
+        missing = [name for name in _ACCREDITED if not getattr(self, name)] if self.laboratory.code else []
+        missing += ["agreed"] if self.laboratory.code and self.limits is not None and self.agreed is None else []
+        if missing:
+            raise ValueError(
+                f"{missing[0]}: expected this key under an accreditation number (laboratory.code), found none of "
+                f"{', '.join(missing)}"
+            )
+        return self
+
+    def days(self, calibration: Calibration) -> tuple[date, date]:
+        """First and last day of the calibration: as stated, or those of the recordings. Raises InputError without."""
+        recorded = [date.fromisoformat(moment[:10]) for moment in recorded_on(calibration)]
+        begin = self.begin or (min(recorded) if recorded else self.end)
+        end = self.end or (max(recorded) if recorded else self.begin)
+        if begin is None or end is None:
+            raise InputError(
+                "certificate: begin: expected the day of the calibration, found none, and none in the recording; state "
+                "begin and end, or date in [session]"
+            )
+        return begin, end
+
+
+def check_certificate(certificate: Certificate, calibration: Calibration, as_found: Calibration | None) -> None:
+    """Check that a certificate fits the calibration it is of, and the one from before an adjustment: received before
+    calibrated before issued, every recording within the days of the calibration, and two recordings for as found and
+    as left. Raises InputError, one line."""
+    begin, end = certificate.days(calibration)
+    order = (("received", certificate.received), ("begin", begin), ("end", end), ("issued", certificate.issued))
+    stated = [(name, day) for name, day in order if day is not None]
+    for (earlier, first), (later, second) in pairwise(stated):
+        if second < first:
+            raise InputError(f"certificate: {later}: expected a day not before {earlier}, {first}, found {second}")
+    for recorded in recorded_on(calibration):
+        day = date.fromisoformat(recorded[:10])
+        if not begin <= day <= end:
+            raise InputError(
+                f"certificate: begin, end: expected days that hold every recording, found {begin} to {end} and a "
+                f"recording of {day}"
+            )
+    if as_found is None:
+        return
+    before, after = (made.provenance.get("log_sha256") for made in (as_found, calibration))
+    if before == after and before is not None:
+        raise InputError(
+            "certificate: as_found: expected a calibration from before the adjustment, found one of the same recording"
+        )
+    if max(recorded_on(as_found), default="") > min(recorded_on(calibration), default="9"):
+        raise InputError(
+            f"certificate: as_found: expected a recording from before that of the result, {recorded_on(calibration)[0]}"
+            f", found {recorded_on(as_found)[-1]}"
+        )
+
+
+def recorded_on(calibration: Calibration) -> list[str]:
+    """When the recordings behind a calibration were made, ISO 8601, each once and in their order; what is not known is
+    left out."""
+    sessions = [launch.circumstances.date for launch in calibration.launches]
+    every = [*sessions, *(member.date for member in calibration.together), calibration.circumstances.date]
+    return sorted({moment for moment in every if moment is not None})
+
+
+def judged_by(certificate: Certificate) -> Limits | None:
+    """The acceptance limits of the check that a certificate states conformity with; None without limits. Raises
+    InputError where its file has limits of both checks and the certificate does not say which."""
+    if certificate.limits is None:
+        return None
+    limits = limits_of(Path(certificate.limits))
+    checks = [occasion for occasion in limits.checks if limits.checks[occasion]]
+    if certificate.check is None and len(checks) > 1:
+        raise InputError(
+            f"certificate: check: expected 'incoming' or 'periodic', for {certificate.limits} has limits of both, "
+            "found none"
+        )
+    if certificate.check is not None and certificate.check not in checks:
+        raise InputError(
+            f"certificate: check: expected {checks[0]!r}, whose limits {certificate.limits} has, found "
+            f"{certificate.check!r}"
+        )
+    kept = certificate.check or checks[0]
+    return replace(limits, checks={kept: limits.checks[kept]})
+
+
+def read_certificate(path: Path) -> Certificate:
+    """The administrative part of a certificate from its TOML file, and of the file of the laboratory that it names.
+    Paths are relative to the file they stand in. Raises InputError, one line with the first fault."""
+    content = _parsed(path)
+    named = content.get("laboratory")
+    if isinstance(named, str):
+        own = path.parent / named
+        content = {"person": [], **_parsed(own), **{key: content[key] for key in content if key != "laboratory"}}
+        content["laboratory"] = _with_paths(content.get("laboratory"), "logo", own.parent)
+    else:
+        content["laboratory"] = _with_paths(named, "logo", path.parent)
+    content = _with_paths(_with_paths(content, "as_found", path.parent), "limits", path.parent)
+    try:
+        return Certificate.model_validate({key: value for key, value in content.items() if value is not None})
+    except ValidationError as error:
+        faults = sorted(error.errors(include_url=False), key=lambda fault: fault["type"] != "extra_forbidden")
+        raise InputError(f"{path}: {_said(faults[0])}; see docs/certificate.md") from None
+
+
+_PATTERNS: Mapping[str, str] = {
+    "country": "two capital letters of ISO 3166-1, such as 'DE'",
+    "email": "an address without spaces",
+    "logo": "the name of a picture, .svg or .png",
+}
+
+
+def _said(fault: ErrorDetails) -> str:
+    """What is wrong with a key of the file, as "key: expected …, found …"."""
+    *table, key = fault["loc"] or ("certificate",)
+    where, found = ".".join(map(str, (*table, key))), fault["input"]
+    match fault["type"]:
+        case "extra_forbidden":
+            return f"unknown key '{where}'{did_you_mean(str(key), {**Certificate.model_fields, **Party.model_fields})}"
+        case "missing":
+            return f"{where}: expected this key, found none"
+        case "value_error":
+            return f"{where}: {fault['ctx']['error']}" if fault["loc"] else str(fault["ctx"]["error"])
+        case "literal_error":
+            return f"{where}: expected {fault['ctx']['expected']}, found {found!r}"
+        case "string_pattern_mismatch":
+            return f"{where}: expected {_PATTERNS.get(str(key), 'a text, without spaces at its ends')}, found {found!r}"
+        case "date_type":
+            return f"{where}: expected a day without quotes, such as 2026-05-04, found {found!r}"
+        case _:
+            return f"{where}: {fault['msg']}, found {found!r}"
+
+
+def _parsed(path: Path) -> dict[str, Any]:
+    try:
+        return toml_of(text_of_document(path), str(path))
+    except OSError as error:
+        raise InputError(f"{path}: expected a TOML file with the data of the certificate: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected UTF-8 text, found {error.reason}; save it as UTF-8") from None
+
+
+def _with_paths(table: Any, key: str, folder: Path) -> Any:
+    """A table with the path under a key taken from a folder."""
+    if isinstance(table, dict) and isinstance(table.get(key), str):
+        return table | {key: str(folder / table[key])}
+    return table

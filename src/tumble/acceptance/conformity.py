@@ -1,0 +1,220 @@
+"""What acceptance limits say of a calibration, at its reference temperature or at every temperature between two.
+
+The decision rule is RULE. With the limits low, high and the expanded uncertainty U = t₉₅.₄₅(ν) u:
+
+    pass                inside the limits by at least U: low + U ≤ value ≤ high − U
+    conditional pass    inside by less
+    conditional fail    outside by no more than U
+    fail                outside by more
+
+Over temperature a bias or a scale factor is the whole sum θ + θ₁ (T − T₀) + θ₂ (T − T₀)² with U of the sum
+(`tumble.calibration.temperature_curves`). It is judged at the temperature where it is worst: where it fails, else where
+it is nearest to failing. What was not measured passes nowhere: beyond the range of the rests there is no U. Other
+parameters are the same at all temperatures.
+
+Source: ILAC-G8:09/2019, 4.2.3 (guard band w = U on either side of a limit, JCGM 106:2012, 8.3).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from tumble.acceptance.limits import Limits
+from tumble.acceptance.schedule import OCCASIONS, Occasion
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.coverage import expanded, expanded_of
+from tumble.calibration.half import accepted_kinds, accepted_part
+from tumble.calibration.results import Parameter
+from tumble.calibration.temperature_curves import changing, curve, measured_range
+from tumble.sensors.parameters import FURTHER, group_name, group_of, meant_by
+
+RULE = (
+    "decision rule: pass where the value is inside its limits by at least U (95.45 %), conditional pass where it is "
+    "inside by less, conditional fail where it is outside by no more than U, fail where it is outside by more (guard "
+    "band w = U: ILAC-G8:09/2019, 4.2.3)"
+)
+Result = Literal["fail", "undecided", "conditional fail", "conditional pass", "pass"]
+RESULTS: tuple[Result, ...] = get_args(Result)
+"""The worst first; undecided is what has no value or no U, or was not measured at all temperatures."""
+_OF_A_VALUE: tuple[Result, ...] = ("fail", "conditional fail", "conditional pass")
+
+STEP = 0.25
+"""K, between the temperatures at which a parameter is judged."""
+SLACK = 1.0
+"""K: so near to an end of the wanted temperatures a rest counts as being there."""
+CHANGING = {group.base for group in FURTHER if group.variable == "temperature"}
+"""The groups of parameters that may change with temperature."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LimitJudgement:
+    """A parameter (SI) against its limits; `expanded` is U. A parameter that was not determined has no value. Over
+    temperature it is that `at` the temperature, °C, where it is worst; `beyond` says that not all temperatures were
+    measured."""
+
+    name: str
+    unit: str
+    value: float | None
+    expanded: float | None
+    low: float
+    high: float
+    result: Result
+    at: float | None = None
+    beyond: bool = False
+
+    @property
+    def named(self) -> str:
+        """The parameter, with the temperature at which it is worst."""
+        return self.name if self.at is None else f"{self.name} at {self.at:.1f} °C".replace("at -", "at −")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Verdict:
+    """Every parameter that has a limit, judged in the frame of the limits; over the `temperatures`, °C, between which
+    these hold, and what of them was not measured, in words."""
+
+    occasion: Occasion
+    frame: str
+    judgements: tuple[LimitJudgement, ...]
+    temperatures: tuple[float, float] | None = None
+    unmeasured: str = ""
+
+    @property
+    def over(self) -> str:
+        """Between which temperatures a verdict stands, in words; nothing where it is that at the reference."""
+        if self.temperatures is None:
+            return ""
+        low, high = (f"{end:g}".replace("-", "−") for end in self.temperatures)
+        return (
+            f"{'within limits' if self.result == 'pass' else 'not shown to be within limits'} from {low} to {high} °C"
+        )
+
+    @property
+    def result(self) -> Result:
+        """The worst of the results."""
+        return min((j.result for j in self.judgements), key=RESULTS.index)
+
+    def reasons(self) -> list[str]:
+        """Which parameters do not pass, and why, in words."""
+        unmeasured = f"not measured {self.unmeasured}" if self.unmeasured else "not known over temperature"
+        undecided = [j for j in self.judgements if j.result == "undecided"]
+        groups: dict[str, list[LimitJudgement]] = {
+            **{worse: [j for j in self.judgements if j.result == worse] for worse in _OF_A_VALUE},
+            unmeasured: [j for j in undecided if j.beyond],
+            "without U": [j for j in undecided if j.expanded is None and j.value is not None and not j.beyond],
+            "not determined": [j for j in undecided if j.value is None],
+        }
+        return [f"{what}: {', '.join(j.named for j in judged)}" for what, judged in groups.items() if judged]
+
+
+def verdicts(calibration: Calibration, limits: Limits) -> list[Verdict]:
+    """What the limits say of a calibration, for each check that they are for. Of one whose accelerometers or gyros
+    alone are accepted, the others are not determined.
+
+    Raises CalibrationError where it cannot be taken to the frame of the limits."""
+    every = (verdict_at(calibration, limits, occasion) for occasion in OCCASIONS if limits.checks.get(occasion))
+    return [verdict for verdict in every if verdict is not None]
+
+
+def verdict_at(calibration: Calibration, limits: Limits, occasion: Occasion) -> Verdict | None:
+    """What the limits say of a calibration at a check; None where they have none for it. Raises as `verdicts`."""
+    if len(accepted_kinds(calibration)) == 1:
+        calibration = accepted_part(calibration)
+    if calibration.frame != limits.frame:
+        calibration = calibration.in_frame(limits.frame)
+    verdict = judge(limits, occasion, calibration.parameters, calibration.outcome.unobservable)
+    return None if verdict is None else over_temperature(verdict, calibration, limits)
+
+
+def judge(
+    limits: Limits, occasion: Occasion, parameters: Iterable[Parameter], unobservable: Iterable[str] = ()
+) -> Verdict | None:
+    """The verdict on the parameters of a calibration in the frame of the limits; None where the limits have none for
+    such a check. Parameters that have a limit and were not determined do not pass: those that the calibration calls
+    `unobservable`, and a kind without any parameter."""
+    by_key = limits.checks.get(occasion)
+    if not by_key:
+        return None
+    judged, named = [], list(unobservable)
+    missing = [name for name in named if limits.of(name, occasion) is not None]
+    for p in parameters:
+        named.append(p.name)
+        if (between := limits.of(p.name, occasion)) is not None:
+            judged.append(_judgement(p.name, p.unit, p.value, expanded(p), between))
+    missing += [key for key in by_key if not any(meant_by(key, name) for name in named)]
+    for name in missing:
+        between = limits.of(name, occasion) or (-math.inf, math.inf)
+        judged.append(_judgement(name, group_of(name).unit, None, None, between))
+    return Verdict(occasion=occasion, frame=limits.frame, judgements=tuple(judged))
+
+
+def _judgement(
+    name: str, unit: str, value: float | None, U: float | None, between: tuple[float, float]
+) -> LimitJudgement:
+    """A value (SI) with its U judged by the limits it has to be between."""
+    low, high = between
+    result = _result(value, U, low, high)
+    return LimitJudgement(name=name, unit=unit, value=value, expanded=U, low=low, high=high, result=result)
+
+
+def judge_value(value: float, u: float | None, low: float, high: float, dof: float | None = None) -> Result:
+    """The verdict on a value with its standard uncertainty and degrees of freedom (module docstring); undecided without
+    one, with too few for a U, or where a limit is not a number."""
+    return _result(value, None if u is None else expanded_of(u, dof), low, high)
+
+
+def _result(value: float | None, U: float | None, low: float, high: float) -> Result:
+    if value is None or U is None or math.isnan(low) or math.isnan(high):
+        return "undecided"
+    inside = min(value - low, high - value)
+    if inside >= 0.0:
+        return "pass" if inside >= U else "conditional pass"
+    return "conditional fail" if inside >= -U else "fail"
+
+
+# -------------------- over temperature --------------------
+
+
+def over_temperature(verdict: Verdict, calibration: Calibration, limits: Limits) -> Verdict:
+    """The verdict at every temperature between which the limits hold; the same where these are not given."""
+    if limits.temperatures is None:
+        return verdict
+    low, high = limits.temperatures
+    measured, known = measured_range(calibration), set(changing(calibration))
+    reached = measured is not None and max(low, measured.low) < min(high, measured.high)
+    if measured is None or not reached:
+        unmeasured = f"from {_celsius(low)} to {_celsius(high)} °C"
+    else:
+        gaps = [(low, measured.low)] if measured.low > low + SLACK else []
+        gaps += [(measured.high, high)] if measured.high < high - SLACK else []
+        unmeasured = " and ".join(f"from {_celsius(a)} to {_celsius(b)} °C" for a, b in gaps)
+    judged = []
+    for judgement in verdict.judgements:
+        if judgement.value is not None and group_name(judgement.name) in CHANGING:
+            if judgement.name in known and measured is not None and reached:
+                judgement = _worst(judgement, calibration, max(low, measured.low), min(high, measured.high))
+            if (unmeasured or judgement.name not in known) and judgement.result in ("pass", "conditional pass"):
+                judgement = replace(judgement, result="undecided", beyond=True)
+        judged.append(judgement)
+    return replace(verdict, judgements=tuple(judged), temperatures=limits.temperatures, unmeasured=unmeasured)
+
+
+def _worst(judgement: LimitJudgement, calibration: Calibration, low: float, high: float) -> LimitJudgement:
+    """A parameter judged at the temperature, °C, between two where it fails by most, or is nearest to failing."""
+    at = np.linspace(low, high, max(int(np.ceil((high - low) / STEP)), 1) + 1)
+    found = curve(calibration, judgement.name, at)
+    U = np.zeros(len(at)) if found.expanded is None else found.expanded
+    inside = np.minimum(found.value - judgement.low, judgement.high - found.value)
+    i = int(np.argmin(inside + U if np.any(inside < -U) else inside if np.any(inside < 0.0) else inside - U))
+    value, U_there = float(found.value[i]), None if found.expanded is None else float(U[i])
+    result = _result(value, U_there, judgement.low, judgement.high)
+    return replace(judgement, value=value, expanded=U_there, result=result, at=float(at[i]))
+
+
+def _celsius(value: float) -> str:
+    return f"{value:.1f}".replace("-", "−")

@@ -1,1 +1,0 @@
-"""The joint method: everything a session contains in one likelihood."""

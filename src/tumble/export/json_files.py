@@ -1,0 +1,143 @@
+"""Targets that read JSON.
+
+imucal (MaD Lab, FAU Erlangen), a FerrarisCalibrationInfo of format 2.0.0:
+
+    acc = R_a⁻¹ K_a⁻¹ (acc_m − b_a)
+    gyr = R_g⁻¹ K_g⁻¹ (gyr_m − K_ga acc − b_g)
+
+so with M = K R, K the diagonal of the sensitivities along the sensors' axes and R the axes themselves as unit rows,
+nothing of either matrix is lost. Units m/s² and, as is imucal's custom, deg/s, before and after.
+
+DepthAI (Luxonis OAK cameras), an `ImuCalibrationParams`:
+
+    corrected = A raw + b,    accelerometer and gyroscope = [A | b], 3 × 4, single precision
+
+so A = M⁻¹ and b = −M⁻¹ bias; m/s² and rad/s. `noise` has a name alone: its numbers, whose units DepthAI does not state,
+are those of a new object, zero.
+
+MATLAB, from which `loadparams` takes the parameters of an `imuSensor`, to simulate this device:
+
+    reading = 1/100 AxesMisalignment true + ConstantBias
+
+so AxesMisalignment = 100 M, 3 × 3, and of the gyros ConstantBias = b. The accelerometer of imuSensor reads gravity
+less acceleration, −f: at rest with Z down +9.81. What it gives, with the other sign, is to be what the device reads,
+M f + b; so its ConstantBias is −b. Temperatures of the simulation and noise are left as they are.
+
+Source: imucal, documentation of FerrarisCalibrationInfo; depthai-core, ImuParameters.hpp (members, and [1 | 0] where
+nothing is known) and CalibrationHandler; MathWorks, documentation of accelparams, gyroparams, imuSensor and loadparams.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.half import WORDS
+from tumble.export.exported import NO_UNCERTAINTY, SINGLE_PRECISION, Exported, examples, one_line, origin, triads
+from tumble.export.larger_model import g_sensitivity, not_held, still
+from tumble.sensors.model import SensorModel
+from tumble.units import DEGREE, Array
+
+UNKNOWN = SensorModel(matrix=np.eye(3), bias=np.zeros(3))
+"""What DepthAI keeps where nothing is known."""
+
+
+def imucal(calibration: Calibration) -> Exported:
+    """The JSON file of a calibration for imucal."""
+    known = triads(calibration, "imucal")
+    accel, gyro = known["accel"], known["gyro"]
+    (K_a, R_a), (K_g, R_g) = (_scale_and_axes(model) for model in (accel, gyro))
+    sensitivity = g_sensitivity(calibration)
+    losses = (*not_held(calibration, {"gyro.g_sensitivity"}), NO_UNCERTAINTY)
+    worked = [
+        *examples({"accel": accel}, "example {kind}: {reading} is {true} {unit}"),
+        *examples({"gyro": gyro}, "example {kind}: {reading} is {true} deg/s", {"gyro": DEGREE}),
+    ]
+    content = {
+        "acc_unit": "m/s^2",
+        "gyr_unit": "deg/s",
+        "from_acc_unit": "m/s^2",
+        "from_gyr_unit": "deg/s",
+        "comment": "; ".join([*origin(calibration), *worked, *still(sensitivity), *losses]),
+        "K_a": K_a.tolist(),
+        "R_a": R_a.tolist(),
+        "b_a": accel.bias.tolist(),
+        "K_g": K_g.tolist(),
+        "R_g": R_g.tolist(),
+        "K_ga": (sensitivity / DEGREE).tolist(),
+        "b_g": (gyro.bias / DEGREE).tolist(),
+        "cal_type": "Ferraris",
+        "_format_version": "2.0.0",
+    }
+    return _written(content, losses, indent=4)
+
+
+def depthai(calibration: Calibration) -> Exported:
+    """The JSON file of a calibration for DepthAI."""
+    known = triads(calibration, "depthai", needed=())
+    losses = (
+        *(f"{words}: not known, [1 | 0] in this file" for kind, words in WORDS.items() if kind not in known),
+        "noise densities are left at zero: set `noise` from `tumble noise`",
+        *not_held(calibration),
+        SINGLE_PRECISION,
+        NO_UNCERTAINTY,
+    )
+    axes = {axis: {"noiseDensity": 0.0, "randomWalk": 0.0, "biasStability": 0.0} for axis in "xyz"}
+    content = {
+        "comment": "; ".join([*origin(calibration), *examples(known), *losses]),
+        "noise": {"name": one_line(calibration.model or ""), "accelerometer": axes, "gyroscope": axes},
+        "accelerometer": _affine(known.get("accel", UNKNOWN)),
+        "gyroscope": _affine(known.get("gyro", UNKNOWN)),
+    }
+    return _written(content, losses, indent=1)
+
+
+def matlab_imu(calibration: Calibration) -> Exported:
+    """The JSON file of a calibration for MATLAB; the part has the serial number for its name."""
+    known = triads(calibration, "matlab-imu", needed=())
+    sign = "imuSensor's accelerometer has the opposite sign of the device: negate what it gives"
+    losses = (
+        *([sign] if "accel" in known else []),
+        "noise is not in this file: set NoiseDensity, BiasInstability and RandomWalk from `tumble noise`",
+        *not_held(calibration),
+        NO_UNCERTAINTY,
+    )
+    names = {"accel": ("Accelerometer", -1.0), "gyro": ("Gyroscope", 1.0)}
+    parts = {
+        names[kind][0]: {
+            "ConstantBias": (names[kind][1] * model.bias).tolist(),
+            "AxesMisalignment": (100.0 * model.matrix).tolist(),
+        }
+        for kind, model in known.items()
+    }
+    worked = examples(known, "example {kind}: {true} reads {reading}")
+    content = {"comment": "; ".join([*origin(calibration), *worked, *losses]), part_name(calibration.serial): parts}
+    return _written(content, losses, indent=1)
+
+
+def part_name(serial: str) -> str:
+    """A serial number as a name that MATLAB takes: letters, digits and underscores, a letter first."""
+    name = re.sub(r"[^A-Za-z0-9_]", "_", serial)
+    return name if name[:1].isalpha() else f"imu_{name}"
+
+
+def _scale_and_axes(model: SensorModel) -> tuple[Array, Array]:
+    norms = np.linalg.norm(model.matrix, axis=1)
+    return np.diag(norms), model.matrix / norms[:, None]
+
+
+def _affine(model: SensorModel) -> list[list[float]]:
+    """[A | b] (3, 4), in single precision."""
+    inverse = model.inverse()
+    both = np.column_stack([inverse, -inverse @ model.bias])
+    return [[float(f"{np.float32(number):.9g}") for number in row] for row in both]
+
+
+def _written(content: Mapping[str, Any], losses: Iterable[str], *, indent: int) -> Exported:
+    text = json.dumps(content, indent=indent, allow_nan=False)
+    return Exported(content=f"{text}\n".encode(), losses=tuple(losses))

@@ -1,0 +1,153 @@
+"""Tables for spreadsheets and scripts, and a file for MATLAB (version 5) and GNU Octave.
+
+`csv` has one quantity a row: name, value, u, unit, and for a parameter its prior, learned fraction, k, degrees of
+freedom and its covariance with every parameter, in a column of that name. `accel.matrix.2.1` is row 2, column 1 of M,
+`accel.bias_of.2` the bias of channel 2, both counted from 1:
+
+    reading = matrix · true + bias
+
+`csv-thermal` has one temperature a row, within the measured range: the temperature in °C, then the value of each
+parameter that changes with it and U (95.45 %), in a column of that name, SI.
+
+`mat` has the same as `csv` as arrays:
+
+    true = accel_matrix \\ (reading - accel_bias)    columns: one sample each; least squares for more than three sensors
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.temperature_curves import Curve, Range, changing, curve, model_at, own_thermometers
+from tumble.export.exported import UNITS, Exported, example, examples, models, numbers, origin
+from tumble.export.larger_model import NOT_IN_MATRIX, not_held
+from tumble.export.thermal import range_of, said, warm_end
+from tumble.sensors.model import SensorKind
+from tumble.sensors.parameters import THERMAL, group_name, variable_of
+from tumble.units import Array
+
+NOT_RESULTS = "rests, turns, launches and iterations of the calibration have no place in this file"
+_MORE = ("prior", "learned", "k", "dof")
+_STEPS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+_MOST_ROWS = 25
+
+
+def csv_table(calibration: Calibration) -> Exported:
+    """The .csv file of a calibration."""
+    losses = (NOT_RESULTS, *not_held(calibration, said=NOT_IN_MATRIX))
+    names = [p.name for p in calibration.parameters]
+    rows = [["name", "value", "u", "unit", *_MORE, *names]]
+    empty, no_more = [""] * len(names), [""] * len(_MORE)
+    for i, p in enumerate(calibration.parameters):
+        more = ["" if (value := getattr(p, name)) is None else repr(value) for name in _MORE]
+        shared = empty if calibration.covariance is None else [repr(c) for c in numbers(calibration.covariance[i])]
+        rows.append([p.name, repr(p.value), "" if p.u is None else repr(p.u), p.unit, *more, *shared])
+    rows += [[name, repr(value), "", unit, *no_more, *empty] for name, value, unit in _models(calibration)]
+    return _written((*origin(calibration), "reading = matrix * true + bias, SI", *losses), rows, losses)
+
+
+def _models(calibration: Calibration) -> Iterator[tuple[str, float, str]]:
+    """Entries of matrices, biases and examples: name, value, unit."""
+    for kind, model in models(calibration).items():
+        worked = example(kind, model)
+        for p, row in enumerate(model.matrix, 1):
+            yield from ((f"{kind}.matrix.{p}.{q}", value, "1") for q, value in enumerate(numbers(row), 1))
+        channels = (("bias_of", model.bias), ("example.reading", worked.reading), ("example.true", worked.true))
+        for name, vector in channels:
+            yield from ((f"{kind}.{name}.{p}", value, UNITS[kind]) for p, value in enumerate(numbers(vector), 1))
+
+
+def _written(comments: Iterable[str], rows: Iterable[Sequence[str]], losses: tuple[str, ...]) -> Exported:
+    buffer = io.StringIO()
+    buffer.writelines(f"# {comment}\n" for comment in comments)
+    csv.writer(buffer, lineterminator="\n").writerows(rows)
+    return Exported(content=buffer.getvalue().encode(), losses=losses)
+
+
+def csv_thermal(calibration: Calibration) -> Exported:
+    """The .csv file of a calibration over temperature."""
+    known = models(calibration)
+    measured = range_of(calibration, "csv-thermal")
+    at = temperatures(measured, float(calibration.reference_temperature or 0.0))
+    curves = [curve(calibration, name, at) for name in changing(calibration)]
+    made_of = {group_name(p.name) for p in calibration.parameters if variable_of(group_name(p.name)) in THERMAL}
+    losses = (
+        f"biases on straight lines between the rows are within {said(_between(calibration, curves, at))}",
+        *not_held(calibration, {group_name(each.name) for each in curves} | made_of),
+        "parameters that do not change with temperature, and covariances, have no place in this file",
+    )
+    warm = warm_end(measured)
+    comments = [
+        *origin(calibration),
+        f"reference temperature {calibration.reference_temperature:g} degC; measured from {measured.low:.1f} to "
+        f"{measured.high:.1f} degC, nothing is known outside",
+        *own_thermometers(calibration),
+        *examples(
+            {kind: model_at(calibration, kind, warm) for kind in known},
+            f"example {{kind}} at {warm!r} degC: reading {{reading}} is {{true}}",
+        ),
+        *losses,
+    ]
+    rows = [["temperature_degC", *(title for each in curves for title in (each.name, f"U({each.name})"))]]
+    for i, temperature in enumerate(numbers(at)):
+        row = [f"{temperature:.9g}"]
+        for each in curves:
+            row += [f"{each.value[i]:.9g}", "" if each.expanded is None else f"{each.expanded[i]:.4g}"]
+        rows.append(row)
+    return _written(comments, rows, losses)
+
+
+def temperatures(measured: Range, reference: float) -> Array:
+    """Temperatures of the rows, °C: round ones, the reference, and both ends of the range."""
+    span = measured.high - measured.low
+    step = next((step for step in _STEPS if span / step <= _MOST_ROWS), _STEPS[-1])
+    first, last = math.ceil(measured.low / step), math.floor(measured.high / step)
+    round_ones = np.round(np.arange(first, last + 1) * step, 1)
+    return np.unique(np.concatenate([[measured.low, reference, measured.high], round_ones]))
+
+
+def _between(calibration: Calibration, curves: list[Curve], at: Array) -> dict[SensorKind, float]:
+    """How far biases on straight lines between the rows are from the calibration's, SI, by kind of sensor."""
+    middle = 0.5 * (at[1:] + at[:-1])
+    error = dict.fromkeys(models(calibration), 0.0)
+    for each in curves:
+        for kind in error:
+            if group_name(each.name) == f"{kind}.bias":
+                straight = 0.5 * (each.value[1:] + each.value[:-1])
+                off = np.abs(straight - curve(calibration, each.name, middle).value).max()
+                error[kind] = max(error[kind], float(off))
+    return error
+
+
+def mat(calibration: Calibration) -> Exported:
+    """The .mat file of a calibration."""
+    from scipy.io import savemat
+
+    parameters = calibration.parameters
+    losses = (NOT_RESULTS, *not_held(calibration, said=NOT_IN_MATRIX))
+    numeric = {
+        f"parameter_{name}": np.array([np.nan if (value := getattr(p, name)) is None else value for p in parameters])
+        for name in ("value", *_MORE, "u")
+    }
+    content = {
+        "serial": calibration.serial,
+        "frame": calibration.frame,
+        "about": "\n".join([*origin(calibration), "true = accel_matrix \\ (reading - accel_bias), SI", *losses]),
+        "parameter_name": np.array([p.name for p in parameters], dtype=object),
+        "parameter_unit": np.array([p.unit for p in parameters], dtype=object),
+        **numeric,
+        "covariance": np.empty((0, 0)) if calibration.covariance is None else calibration.covariance,
+    }
+    for kind, model in models(calibration).items():
+        worked = example(kind, model)
+        content[f"{kind}_matrix"], content[f"{kind}_bias"] = model.matrix, model.bias
+        content[f"{kind}_example_reading"], content[f"{kind}_example_true"] = worked.reading, worked.true
+    buffer = io.BytesIO()
+    savemat(buffer, content, oned_as="column")  # type: ignore[arg-type]  # the stubs know file names only
+    return Exported(content=buffer.getvalue(), losses=losses)

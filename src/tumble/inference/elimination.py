@@ -1,0 +1,475 @@
+"""Compiled loops that eliminate what belongs to single rests from the rows of a chain of rests linked by turns, and put
+it back.
+
+Rows are whitened and in the form [coefficients | right-hand side]; unknowns are d numbers of every rest (the three
+angles of its attitude first, then the states of its sensors) and p parameters common to all. With δᵢ the unknowns of
+rest i, the rows of rest i and of the turn that follows it are
+
+    [ δᵢ (d) | parameters (p) | right-hand side ]             rest, (N, r, d + p + 1)
+    [ δᵢ (d) | δᵢ₊₁ (d) | parameters (p) | right-hand side ]   turn, (K, t, 2d + p + 1)
+
+and `link[i]` is the turn from rest i to rest i + 1, −1 where nothing links them. A bias that is a Gauss–Markov process
+has its states among the unknowns, and its steps among the rows of the turns. The elimination is orthogonal (a square-
+root information filter): Householder reflections of what involves δᵢ leave d rows that give δᵢ once the rest is known,
+rows on δᵢ₊₁, carried on, and rows on the parameters alone, folded into one triangle. Nothing is squared, and the cost
+is linear in the number of rests. A column of which nothing but rounding is left is no information: its unknown, a
+heading that nothing shows, stays where it is. Sums over rows are taken for all columns side by side, so that the loops
+over columns are vector instructions.
+
+Sums are taken in the order that is written: a compiler that may choose another one chooses differently from one
+compilation to the next, and rows of a campaign would differ in the last digit from process to process.
+
+`elimination.pxd` says what of this is compiled, and how; the rules of `tumble.reduction.kernels` hold.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg.lapack import dtpqrt
+
+from tumble.units import Array, IntArray
+
+try:
+    import cython
+except ImportError:
+    from tumble import uncompiled as cython
+
+if not cython.compiled:
+    from numpy import cos, fabs, sin, sqrt
+
+ROUNDING = 1e-10
+"""A column that an elimination leaves with less than this part of its length has nothing left in it."""
+
+BUFFER = 96
+"""Rows on the parameters that are folded into the triangle together."""
+
+MANY = 200
+"""Parameters from which on that is a factorisation by LAPACK, in blocks: the loops wait for memory there."""
+
+WIDE = 32
+"""Columns of such a block."""
+
+LARGE = 20
+"""Unknowns of a rest from which on its elimination is one by LAPACK, too."""
+
+
+def eliminate(
+    rest: Array, turn: Array, link: IntArray, factor: Array, triangle: Array, begins: Array | None = None
+) -> None:
+    """Eliminate the unknowns of all rests: `factor` (N, d, 2d + p + 1) gets the rows that give them, and the rows on
+    the parameters are folded into `triangle` (p + 1, p + 1), which may hold others before. What is known of the first
+    rest before any reading are the rows `begins` (d, 2d + p + 1), nothing where None."""
+    if begins is None:
+        begins = np.zeros((factor.shape[1], factor.shape[2]))
+    if factor.shape[1] > LARGE:
+        _eliminate_large(rest, turn, link, factor, triangle, begins)
+        return
+    r, t, d, p = rest.shape[1], turn.shape[1], factor.shape[1], len(triangle) - 1
+    columns, most = 2 * d + p + 1, d + r + t
+    buffer = BUFFER if p < MANY else len(rest) * most
+    work, carried, kept = np.zeros((most, columns)), begins.copy(), np.zeros((buffer + most, p + 1))
+    length, product = np.zeros(2 * d), np.zeros(columns)
+    count = _eliminate(rest, turn, link, factor, triangle, ROUNDING * ROUNDING, work, carried, kept, length, product)
+    if p < MANY:
+        _fold(kept, product, count, triangle)
+    else:
+        fold(kept[:count], triangle)
+
+
+def _eliminate_large(rest: Array, turn: Array, link: IntArray, factor: Array, triangle: Array, begins: Array) -> None:
+    """The same by LAPACK, a rest at a time, for arrays, whose many states make its blocks worth their call."""
+    d, kept, carried = factor.shape[1], list[Array](), begins
+    for i, k in enumerate(link.tolist()):
+        own = np.zeros((rest.shape[1], carried.shape[1]))
+        own[:, :d], own[:, 2 * d :] = rest[i, :, :d], rest[i, :, d:]
+        rows = np.concatenate([carried, own, *([turn[k]] if k >= 0 else [])])
+        width = 2 * d if k >= 0 else d
+        length = np.sqrt((rows[:, :width] ** 2).sum(axis=0))
+        reduced = np.asarray(np.linalg.qr(rows, mode="r"))
+        factor[i] = 0.0
+        carried = np.zeros_like(carried)
+        pivot = np.abs(reduced.diagonal()[:width])
+        if np.all(pivot > ROUNDING * np.maximum(length, 1e-300)):
+            factor[i] = reduced[:d]
+            top = width
+        else:  # a heading that nothing shows: reflections one by one
+            reduced, top = np.ascontiguousarray(rows), 0
+            for c in range(width):
+                seen = _reflected(reduced, top, c, ROUNDING * ROUNDING * length[c] ** 2)
+                if c < d and seen:
+                    factor[i, c] = reduced[top]
+                top += seen
+        if k >= 0:
+            following = reduced[d:top] if top == width else reduced[:top]
+            for row in following:
+                first = int(np.flatnonzero(row)[0]) if np.any(row) else width
+                if d <= first < width:
+                    carried[first - d, :d], carried[first - d, 2 * d :] = row[d : 2 * d], row[2 * d :]
+        kept.append(reduced[top:, 2 * d :])
+    fold(np.concatenate(kept), triangle)
+
+
+def _reflected(work: Array, top: int, column: int, least: float) -> bool:
+    """`_reflect` of all rows, in arrays."""
+    below = work[top:, column]
+    square = float(below @ below)
+    if square <= least:
+        work[top:, column] = 0.0
+        return False
+    head = float(below[0])
+    diagonal = -np.sqrt(square) if head > 0.0 else np.sqrt(square)
+    v = below.copy()
+    v[0] = head - diagonal
+    work[top:] -= np.outer(v / (diagonal * (diagonal - head)), v @ work[top:])
+    work[top, column], work[top + 1 :, column] = diagonal, 0.0
+    return True
+
+
+def fold(rows: Array, triangle: Array) -> None:
+    """Fold rows (n, p + 1) into an upper triangle (p + 1, p + 1)."""
+    if len(triangle) > MANY:
+        _fold_many(rows[np.any(rows, axis=1)], triangle)
+        return
+    whole = np.ascontiguousarray(triangle)
+    _fold(rows.copy(), np.zeros(len(whole)), len(rows), whole)
+    if whole is not triangle:
+        triangle[:] = whole
+
+
+def _fold_many(rows: Array, triangle: Array) -> None:
+    """The same by LAPACK, from the first column on that is not zero; rows that are a triangle there cost a third."""
+    for first in np.flatnonzero(np.any(rows, axis=0))[:1]:
+        upper = triangle[first:, first:]
+        below = rows[:, first:]
+        triangular = len(below) <= len(upper) and not np.any(np.tril(below, -1))
+        upper[:] = np.triu(dtpqrt(len(below) if triangular else 0, min(WIDE, len(upper)), upper, below)[0])
+
+
+def _eliminate(
+    rest: Array,
+    turn: Array,
+    link: IntArray,
+    factor: Array,
+    triangle: Array,
+    rounding: float,
+    work: Array,
+    carried: Array,
+    kept: Array,
+    length: Array,
+    product: Array,
+) -> int:
+    """One rest after the other; how many rows on the parameters are left to be folded, in `kept`. `length`: squares of
+    the columns before anything was taken off them."""
+    d, p, columns = factor.shape[1], triangle.shape[0] - 1, work.shape[1]
+    buffer, count = kept.shape[0] - work.shape[0], 0
+    with cython.nogil:
+        for i in range(rest.shape[0]):
+            rows = _gather(work, carried, rest, i, turn, link[i])
+            for c in range(2 * d):
+                length[c] = length[c + d] if c < d else 0.0
+                for row in range(d, rows):
+                    length[c] += work[row, c] * work[row, c]
+            top = 0
+            for c in range(d):
+                seen = _reflect(work, product, top, c, rows, rounding * length[c])
+                for column in range(columns):
+                    factor[i, c, column] = work[top, column] if seen else 0.0
+                top += seen
+            carried[:, :] = 0.0
+            for c in range(d, 2 * d):
+                if _reflect(work, product, top, c, rows, rounding * length[c]):
+                    for column in range(d, columns):
+                        carried[c - d, column - d if column < 2 * d else column] = work[top, column]
+                    top += 1
+            for row in range(top, rows):
+                for column in range(p + 1):
+                    kept[count + row - top, column] = work[row, 2 * d + column]
+            count += rows - top
+            if count > buffer:
+                _fold(kept, product, count, triangle)
+                count = 0
+    return count
+
+
+def _gather(work: Array, carried: Array, rest: Array, i: int, turn: Array, k: int) -> int:
+    """Put what involves the unknowns of rest i together: carried rows, its own, and those of turn k; how many."""
+    d, columns = carried.shape[0], carried.shape[1]
+    rows = d
+    for row in range(d):
+        for column in range(columns):
+            work[row, column] = carried[row, column]
+    for row in range(rest.shape[1]):
+        for column in range(d):
+            work[rows, column], work[rows, d + column] = rest[i, row, column], 0.0
+        for column in range(2 * d, columns):
+            work[rows, column] = rest[i, row, column - d]
+        rows += 1
+    if k >= 0:
+        for row in range(turn.shape[1]):
+            for column in range(columns):
+                work[rows, column] = turn[k, row, column]
+            rows += 1
+    return rows  # type: ignore[no-any-return]
+
+
+def _reflect(work: Array, product: Array, top: int, column: int, rows: int, least: float) -> bool:
+    """Reflect rows top … rows − 1 so that below row `top` the column is zero. False, and the column cleared, where it
+    has nothing in it."""
+    columns, square = work.shape[1], 0.0
+    for row in range(top, rows):
+        square += work[row, column] * work[row, column]
+    if square <= least:
+        for row in range(top, rows):
+            work[row, column] = 0.0
+        return False
+    head = work[top, column]
+    diagonal = -sqrt(square) if head > 0.0 else sqrt(square)
+    work[top, column] = head - diagonal
+    scale = 1.0 / (diagonal * (diagonal - head))
+    for other in range(column + 1, columns):
+        product[other] = 0.0
+    for row in range(top, rows):
+        part = work[row, column]
+        if part != 0.0:
+            for other in range(column + 1, columns):
+                product[other] += part * work[row, other]
+    for other in range(column + 1, columns):
+        product[other] *= scale
+    for row in range(top, rows):
+        part = work[row, column]
+        if part != 0.0:
+            for other in range(column + 1, columns):
+                work[row, other] -= product[other] * part
+    work[top, column] = diagonal
+    for row in range(top + 1, rows):
+        work[row, column] = 0.0
+    return True
+
+
+def _fold(kept: Array, product: Array, count: int, triangle: Array) -> None:
+    """Fold rows (count, p + 1), which are overwritten, into an upper triangle (p + 1, p + 1): Householder reflections
+    of the rows together with one row of the triangle at a time. Rows that are 0 in a column have no part in that of its
+    row, so that those of a triangle cost a third."""
+    size = triangle.shape[0]
+    for c in range(size):
+        square = 0.0
+        for row in range(count):
+            square += kept[row, c] * kept[row, c]
+        if square == 0.0:
+            continue
+        head = triangle[c, c]
+        root = sqrt(square + head * head)
+        diagonal = -root if head > 0.0 else root
+        top = head - diagonal
+        scale = 1.0 / (diagonal * (diagonal - head))
+        triangle[c, c] = diagonal
+        for other in range(c + 1, size):
+            product[other] = top * triangle[c, other]
+        for row in range(count):
+            part = kept[row, c]
+            if part != 0.0:
+                for other in range(c + 1, size):
+                    product[other] += part * kept[row, other]
+        for other in range(c + 1, size):
+            product[other] *= scale
+            triangle[c, other] -= product[other] * top
+        for row in range(count):
+            part = kept[row, c]
+            if part != 0.0:
+                for other in range(c + 1, size):
+                    kept[row, other] -= product[other] * part
+
+
+def given_others(factor: Array) -> tuple[Array, Array, Array, Array]:
+    """The rows of all rests solved for their unknowns: what these are known to given the others, R⁻¹ (N, d, d), how
+    they go with those of the next rest (N, d, d) and with the parameters (N, d, p), and their values (N, d) where these
+    are zero."""
+    N, d = factor.shape[:2]
+    inverse, by_next = np.zeros((N, d, d)), np.zeros((N, d, d))
+    by, unknowns = np.zeros((N, d, factor.shape[2] - 2 * d - 1)), np.empty((N, d))
+    _solve_all(factor, inverse, by_next, by, unknowns)
+    return inverse, by_next, by, unknowns
+
+
+def put_back(
+    factor: Array, link: IntArray, parameters: Array, covariance: Array, unknowns: Array
+) -> tuple[Array, Array]:
+    """The unknowns (N, d) of the rests for parameters (p,), written to `unknowns`, and their covariances from the
+    covariance (p, p) of the parameters: with themselves and those of the next rest (2, N, d, d), and with the
+    parameters (N, d, p). An unknown that nothing shows is zero, and without variance."""
+    inverse, by_next, by, unknowns[:] = given_others(factor)
+    N, d, p = by.shape
+    own, shared = np.zeros((2, N, d, d)), np.reshape(by.reshape(N * d, p) @ covariance, by.shape)
+    _put_back(link, parameters, inverse, by_next, by, unknowns, own, shared)
+    return own, shared
+
+
+def _solve_all(factor: Array, inverse: Array, by_next: Array, by: Array, unknowns: Array) -> None:
+    """The rows of all rests, solved for their unknowns."""
+    with cython.nogil:
+        for i in range(factor.shape[0]):
+            _inverse(factor[i], inverse[i])
+            _solve_for(inverse[i], factor[i], by_next[i], by[i], unknowns[i])
+
+
+def _put_back(
+    link: IntArray,
+    parameters: Array,
+    inverse: Array,
+    by_next: Array,
+    by: Array,
+    unknowns: Array,
+    own: Array,
+    shared: Array,
+) -> None:
+    """One rest after the other, from the last; `shared` begins as the part that goes with the parameters."""
+    N, d, p = by.shape[0], by.shape[1], by.shape[2]
+    with cython.nogil:
+        for i in range(N - 1, -1, -1):
+            for a in range(d):
+                for b in range(p):
+                    unknowns[i, a] += by[i, a, b] * parameters[b]
+            _add_product(inverse[i], inverse[i], own[0, i])
+            if link[i] >= 0:
+                for a in range(d):
+                    for b in range(d):
+                        unknowns[i, a] += by_next[i, a, b] * unknowns[i + 1, b]
+                        for q in range(p):
+                            shared[i, a, q] += by_next[i, a, b] * shared[i + 1, b, q]
+                _add_product(by[i], shared[i + 1], own[1, i])
+                _add_product(by_next[i], own[0, i + 1], own[1, i])
+                _add_product(own[1, i], by_next[i], own[0, i])
+            _add_product(shared[i], by[i], own[0, i])
+
+
+def whitening(noise: Array, directions: Array, component: IntArray, variance: Array) -> Array:
+    """Inverse Cholesky factors (N, n, n) of N + Σ v Z Zᵀ, `directions` Z (N, n, q) being each of the component whose
+    `variance` it has. Raises LinAlgError where a covariance is none."""
+    factors = np.zeros(noise.shape)
+    if not _whiten(noise, directions, component, variance, np.zeros(noise.shape[1:]), factors):
+        raise np.linalg.LinAlgError("Matrix is not positive definite")
+    return factors
+
+
+def _whiten(noise: Array, directions: Array, component: IntArray, variance: Array, work: Array, factors: Array) -> bool:
+    """One covariance after the other; false where one is none."""
+    N, n, q = noise.shape[0], noise.shape[1], directions.shape[2]
+    with cython.nogil:
+        for k in range(N):
+            for a in range(n):
+                for b in range(a + 1):
+                    work[a, b] = noise[k, a, b]
+            for c in range(q):
+                v = variance[component[c]]
+                if v > 0.0:
+                    for a in range(n):
+                        part = v * directions[k, a, c]
+                        if part != 0.0:
+                            for b in range(a + 1):
+                                work[a, b] += part * directions[k, b, c]
+            for a in range(n):
+                for b in range(a + 1):
+                    total = work[a, b]
+                    for c in range(b):
+                        total -= work[a, c] * work[b, c]
+                    if b < a:
+                        work[a, b] = total / work[b, b]
+                    elif total > 0.0:
+                        work[a, a] = sqrt(total)
+                    else:
+                        return False
+            for a in range(n):
+                scale = 1.0 / work[a, a]
+                for c in range(a):
+                    part = work[a, c] * scale
+                    for b in range(c + 1):
+                        factors[k, a, b] -= part * factors[k, c, b]
+                factors[k, a, a] = scale
+    return True
+
+
+def _solve_for(inverse: Array, factor: Array, by_next: Array, by: Array, value: Array) -> None:
+    """What the rows of a rest, solved for its unknowns, say of them: by how much they change with those of the next
+    rest (d, d) and with the parameters (d, p), and their value (d,) where these are zero."""
+    d, p = by.shape[0], by.shape[1]
+    for a in range(d):
+        by_next[a, :], by[a, :], value[a] = 0.0, 0.0, 0.0
+        for b in range(a, d):
+            for column in range(d):
+                by_next[a, column] -= inverse[a, b] * factor[b, d + column]
+            for column in range(p):
+                by[a, column] -= inverse[a, b] * factor[b, 2 * d + column]
+            value[a] += inverse[a, b] * factor[b, 2 * d + p]
+
+
+def _add_product(a: Array, b: Array, out: Array) -> None:
+    """Add a bᵀ; a covariance stands for its own transpose."""
+    for i in range(a.shape[0]):
+        for j in range(b.shape[0]):
+            total = 0.0
+            for c in range(a.shape[1]):
+                total += a[i, c] * b[j, c]
+            out[i, j] += total
+
+
+def _inverse(factor: Array, inverse: Array) -> None:
+    """Inverse of the triangle in the first columns of a rest's factor; rows and columns of unknowns that nothing shows
+    are zero."""
+    d = factor.shape[0]
+    inverse[:, :] = 0.0
+    for a in range(d - 1, -1, -1):
+        if factor[a, a] == 0.0:
+            continue
+        inverse[a, a] = 1.0 / factor[a, a]
+        for b in range(a + 1, d):
+            total = 0.0
+            for c in range(a + 1, b + 1):
+                total -= factor[a, c] * inverse[c, b]
+            inverse[a, b] = total / factor[a, a]
+
+
+def carry(vertical: Array, C: Array, link: IntArray, turned: Array, attitudes: Array) -> None:
+    """Attitudes (N, 3, 3) with the verticals (N, 3), and with the heading that the turns C (K, 3, 3) carry along each
+    chain, whose first heading is any; in turn k the Earth turns by `turned[k]` about the vertical."""
+    with cython.nogil:
+        for i in range(vertical.shape[0]):
+            north = attitudes[i, 0]
+            north[:] = 0.0
+            if i > 0 and link[i - 1] >= 0:
+                _turn_north(attitudes[i - 1], C[link[i - 1]], turned[link[i - 1]], north)
+            _complete(vertical[i], attitudes[i], north)
+
+
+def _turn_north(before: Array, C: Array, turned: float, north: Array) -> None:
+    """North of the attitude before, less by how far the Earth turns, after the turn C."""
+    cosine, sine = cos(turned), sin(turned)
+    for a in range(3):
+        for b in range(3):
+            north[a] += (cosine * before[0, b] - sine * before[2, b]) * C[b, a]
+
+
+def _complete(u: Array, L: Array, north: Array) -> None:
+    """An attitude with the vertical u and a north that is near to north, or any where it is none."""
+    along = _dot(north, u)
+    if fabs(_dot(north, north) - along * along) < 1e-2:  # nothing before, or north has become the vertical
+        least = 0
+        for a in range(1, 3):
+            if fabs(u[a]) < fabs(u[least]):
+                least = a
+        north[:] = 0.0
+        north[least] = 1.0
+        along = u[least]
+    for a in range(3):
+        north[a] -= along * u[a]
+    size = sqrt(_dot(north, north))
+    for a in range(3):
+        north[a] /= size
+        L[1, a] = u[a]
+    L[2, 0] = north[1] * u[2] - north[2] * u[1]
+    L[2, 1] = north[2] * u[0] - north[0] * u[2]
+    L[2, 2] = north[0] * u[1] - north[1] * u[0]
+
+
+def _dot(a: Array, b: Array) -> float:
+    """Scalar product of vectors of three."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]  # type: ignore[no-any-return]

@@ -1,0 +1,178 @@
+"""How well an estimate fits: chi-square by group of residuals, and how far each rest and turn is from the others.
+
+A rest or turn is judged by how much chi-square falls without it, in as many directions as it has residuals. One that is
+spoilt must not decide a parameter, and must not hide behind the scatter it makes. So where one stands out the maximum
+is taken with Student-t rows of NU degrees of freedom, as a mixture of scales: the rows of a rest's accelerometers, of
+its gyros and of a turn have the weight
+
+    w = (ν + q)/(ν + χ²)
+
+each for itself, taken again at every linearisation. Those whose weight falls below LEAST_WEIGHT are left out, by
+number; the estimate is that of all others, which have their whole weight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import special
+
+from tumble.estimation.estimate import Fit
+from tumble.inference.hyperparameters import Components, Noise, Weights
+from tumble.inference.likelihood import Problem
+from tumble.inference.step import Left
+from tumble.units import Array, BoolArray
+
+GROUPS = ("accelerometers", "gyro rests", "gyro turns", "velocities of turns")
+SCATTER_OF = ("accel", "gyro", "turn", "velocity")
+SCATTER_UNITS = ("m/s^2", "rad/s", "rad", "m/s")
+TOTAL = "noise within rests"
+"""The name of the fit of everything before any scatter."""
+NU = 4.0
+"""Degrees of freedom of the rows of a robust fit."""
+LEAST_WEIGHT = 0.1
+"""A row of less weight is left out."""
+STANDS_OUT = 4.0
+"""Sigmas by the scale of the others: where no rest or turn is further out the maximum is as good as a robust one."""
+SETTLED = 0.05
+"""A change of weights that is none."""
+LEFT_OUT = 1e-6
+"""The weight of what is left out."""
+FREE = 0.01
+"""Of the variance of the noise: directions in which residuals have less say nothing."""
+ROUNDED = 1e-9
+"""Of the largest: directions of a projector below it are rounding."""
+LEAST_CHANCE = 1e-300
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Residuals:
+    """By group of a rest's accelerometers, its gyros (N,) and of the turns (K,): falls of chi-square without each, and
+    the directions in which it has residuals; of what is left out, the chi-square of its readings about what all others
+    predict."""
+
+    falls: tuple[Array, Array, Array]
+    counts: tuple[Array, Array, Array]
+
+
+def residuals(problem: Problem, noise: Noise, weights: Weights, after: Left) -> Residuals:
+    """How far rests and turns are from a fit by what it leaves of the rows of these weights."""
+    rest_kept, turn_kept = kept(noise)
+    rest = weights.rest, after.rest, rest_kept
+    groups = *((*rest, rows) for rows in _of_sensors(problem)), (weights.turn, after.turn, turn_kept, slice(None))
+    falls, counts = zip(*(_falls(*group) for group in groups), strict=True)
+    return Residuals(falls=falls, counts=counts)
+
+
+def _of_sensors(problem: Problem) -> tuple[slice, slice]:
+    """The rows of a rest that are the accelerometers' and the gyros'."""
+    n = problem.observations.accel_block.size
+    return slice(n), slice(n, n + problem.observations.rests.gyro.shape[1])
+
+
+def kept(noise: Noise) -> tuple[Array, Array]:
+    """Square roots of the weights of single rows."""
+    return (np.ones(noise.rest.shape[:2]), np.ones(noise.turn.shape[:2])) if noise.kept is None else noise.kept
+
+
+def _falls(W: Array, after: tuple[Array, Array], kept: Array, rows: slice) -> tuple[Array, Array]:
+    """Of weighted rows (N, r), W being the weights and `after` the whitened residuals with their covariances: falls of
+    chi-square, and directions, of some of the rows."""
+    if not W[:, rows].size:
+        return np.zeros(len(W)), np.zeros(len(W), dtype=np.int64)
+    back = np.swapaxes(W, 1, 2)
+    pull, Q = (back @ after[0][:, :, None])[:, rows, 0], (back @ after[1] @ W)[:, rows, rows]
+    whole = np.linalg.inv(back @ W)[:, rows, rows]  # the covariance of the noise, weights included
+    size = np.sqrt(np.diagonal(whole, axis1=1, axis2=2))
+    variance, directions = np.linalg.eigh(Q * size[:, :, None] * size[:, None, :])
+    seen = variance > FREE
+    square = ((pull * size)[:, None] @ directions)[:, 0] ** 2
+    fall = (square / np.where(seen, variance, np.inf)).sum(axis=1)
+    count = seen.sum(axis=1)
+    weight = kept[:, rows]
+    for i in np.flatnonzero(weight.min(axis=1) < 1.0):
+        some = variance[i] > ROUNDED * variance[i].max()
+        along = directions[i][:, some]
+        spread = np.diag(1.0 / variance[i][some])
+        less = whole[i] * (1.0 - np.outer(weight[i], weight[i])) / np.outer(size[i], size[i])
+        own = spread - along.T @ less @ along
+        difference = spread @ along.T @ (pull[i] * size[i])
+        fall[i], count[i] = difference @ np.linalg.solve(own, difference), len(difference)
+    return fall, count
+
+
+def student(shown: Residuals) -> list[Array]:
+    """The weights of Student-t rows: of the accelerometers and of the gyros at rest, by rest, and of the turns."""
+    every = zip(shown.falls, shown.counts, strict=True)
+    return [np.minimum((NU + count) / (NU + fall), 1.0) for fall, count in every]
+
+
+def weighted(problem: Problem, noise: Noise, weights: list[Array]) -> Noise:
+    """The noise with weights of the accelerometers and of the gyros at rest, by rest, and of the turns."""
+    rest, turn = np.ones(noise.rest.shape[:2]), np.ones(noise.turn.shape[:2])
+    for rows, own in zip(_of_sensors(problem), weights, strict=False):
+        rest[:, rows] = np.sqrt(own)[:, None]
+    turn[:] = np.sqrt(weights[2])[:, None]
+    return replace(noise, kept=(rest, turn))
+
+
+def same_weights(kept: tuple[Array, Array] | None, before: tuple[Array, Array]) -> bool:
+    """Whether the weights of single rows have settled."""
+    assert kept is not None
+    return all(bool(np.all(np.abs(a**2 - b**2) < SETTLED)) for a, b in zip(kept, before, strict=True))
+
+
+def left_out(problem: Problem, noise: Noise) -> tuple[BoolArray, BoolArray, BoolArray]:
+    """The rests whose accelerometers, and whose gyros, and the turns that are left out."""
+    rest, turn = kept(noise)
+    parts = *(rest[:, rows] for rows in _of_sensors(problem)), turn
+    accel, gyro, by_turn = (np.any(part < LEAST_WEIGHT**0.5, axis=1) for part in parts)
+    return accel, gyro, by_turn
+
+
+def sigmas(problem: Problem, noise: Noise, weights: Weights, after: Left) -> tuple[Array, Array, Array]:
+    """How far each rest is from the fit by its accelerometers and by its gyros (N,), and each turn (K,), as Gaussian
+    sigmas of the same probability: by Fisher's distribution, for the scale is that of the others."""
+    shown, fits = residuals(problem, noise, weights, after), chi_squares(problem, after)
+    every = list[Array]()
+    for fall, count, omitted, name in zip(shown.falls, shown.counts, left_out(problem, noise), GROUPS[:3], strict=True):
+        degrees = fits[name].degrees if name in fits else 0.0
+        k = np.maximum(count, 1)
+        others = np.maximum(degrees - k * max(1, omitted.sum()), 1.0)
+        chance = special.fdtrc(k, others, fall / k)
+        every.append(0.0 - special.ndtri(0.5 * np.maximum(chance, LEAST_CHANCE)))
+    accel, gyro, turn = every
+    return accel, gyro, turn
+
+
+def chi_squares(problem: Problem, after: Left, components: Components | None = None) -> dict[str, Fit]:
+    """Chi-square of every group of residuals there is, with the scatter beside the noise."""
+    v, turn = 6 if problem.instrument.in_velocities else 3, np.arange(after.turn[0].shape[1])
+    accel, gyro = (np.arange(rows.start or 0, rows.stop) for rows in _of_sensors(problem))
+    rows = (after.rest, accel), (after.rest, gyro), (after.turn, np.r_[turn[:3], turn[v:]]), (after.turn, turn[3:v])
+    there = 1 if problem.observations.gyro_block is None else 4 if problem.instrument.in_velocities else 3
+    out = dict[str, Fit]()
+    for name, component, unit, ((residual, covariance), own) in zip(
+        GROUPS[:there], SCATTER_OF, SCATTER_UNITS, rows, strict=False
+    ):
+        out[name] = Fit(
+            chi_square=float((residual[:, own] ** 2).sum()),
+            degrees=float(np.diagonal(covariance, axis1=1, axis2=2)[:, own].sum()),
+            scatter=0.0 if components is None else float(getattr(components, component)),
+            scatter_unit=unit,
+        )
+    return out
+
+
+def with_total(fits: Mapping[str, Fit], alone: Mapping[str, Fit]) -> Mapping[str, Fit]:
+    """The same, and that of everything with the noise within rests `alone`."""
+    every = alone.values()
+    total = Fit(
+        chi_square=sum(each.chi_square for each in every),
+        degrees=sum(each.degrees for each in every),
+        scatter=0.0,
+        scatter_unit="",
+    )
+    return {**fits, TOTAL: total}

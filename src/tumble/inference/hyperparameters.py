@@ -1,0 +1,298 @@
+"""What the model does not know about itself: the hyperparameters φ, their priors, and how each enters the likelihood.
+
+| φ | what | prior |
+|---|---|---|
+| ln σ of a component of scatter | rests, turns, velocities … | σ exponential, its mean the noise it stands beside |
+| ln σ_b, ln τ_b of a kind | in-run bias, a Gauss–Markov process | log-normal about the grade's size and 300 s, ÷× 5 |
+| p of a sensor | its scatter and in-run bias are exp(max(p, 0)) times those of its kind | N(0, ln 3) |
+| p of a group | its size is exp(max(p, 0)) times the usual one | N(0, ln k) |
+
+A component of scatter may be small, and is never excluded: no test decides whether it is there. With λ = exp(max(p, 0))
+half of the prior says that the sheet holds, the other half that it is too small by a factor of the order k: 2 for a
+data sheet, 3 for a grade that is stated, 10 for one that is guessed. A prior is never narrowed.
+
+`Hyperparameter` has all that the maximum (`tumble.inference.maximum`) and the integral (`tumble.inference.integral`)
+need of an element of φ; `table` makes those of a problem, in their order. Adding one is adding an entry there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from tumble.inference.elimination import whitening
+from tumble.inference.variables import at_two_temperatures, both_ways
+from tumble.sensors.parameters import Variable, variable_of
+from tumble.units import Array, BoolArray, IntArray
+
+if TYPE_CHECKING:
+    from tumble.inference.likelihood import Problem
+
+SCATTER = ("accel", "gyro", "turn", "velocity", "apart", "jumps", "aliased", "aliased_apart")
+"""The components of scatter, white from rest to rest and from turn to turn."""
+OF_TURNS = SCATTER[2:]
+"""Those that concern turns alone."""
+CORRELATION_TIME = 300.0
+"""s: the usual correlation time of an in-run bias."""
+IN_RUN_WITHIN = float(np.log(5.0))
+"""Standard deviation of the logarithms of its size and of its correlation time about the usual ones."""
+SHEET, STATED, GUESSED = 2.0, 3.0, 10.0
+"""The factor by which a usual size may be too small where it is from a data sheet, from a grade that is stated, or from
+one that is guessed."""
+UNLIKE = 3.0
+"""The same of the scatter and the in-run bias of a sensor, over those of the others of its kind."""
+REST_MODES = {"accel": "readings of the accelerometers at rest", "gyro": "readings of the gyros at rest"}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Components:
+    """Components of variance beside the noise within rests, as standard deviations: of the readings at rest of the
+    accelerometers (m/s²) and gyros (rad/s) from rest to rest; of the rotations (rad) and velocities (m/s) of turns; of
+    the integrals (rad) of gyros beyond the rotation of the body; c of (A3), the error of the integral over a jump
+    between samples in parts of its size times the interval; the error of a rotation in parts of what `aliased` samples
+    would make it, and that of what gyros say beyond it in the same parts. Then the in-run bias of each kind, a
+    stationary Gauss–Markov process: its standard deviation and correlation time (s). By how many times the scatter at
+    rest and the in-run bias of a sensor are larger than those of its kind is `unlike` (n,), accelerometers before
+    gyros; 1 where empty."""
+
+    accel: float = 0.0
+    gyro: float = 0.0
+    turn: float = 0.0
+    velocity: float = 0.0
+    apart: float = 0.0
+    jumps: float = 0.0
+    aliased: float = 0.0
+    aliased_apart: float = 0.0
+    accel_in_run: float = 0.0
+    gyro_in_run: float = 0.0
+    accel_time: float = CORRELATION_TIME
+    gyro_time: float = CORRELATION_TIME
+    unlike: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def variances(self) -> Array:
+        """The squares of those of SCATTER."""
+        return np.array([getattr(self, name) for name in SCATTER]) ** 2
+
+    @property
+    def of_turns(self) -> float:
+        """The largest number of those that concern turns alone: whether there is any."""
+        return float(max(getattr(self, name) for name in OF_TURNS))
+
+    @property
+    def wanders(self) -> bool:
+        """Whether biases are a process in time."""
+        return self.accel_in_run > 0.0 or self.gyro_in_run > 0.0
+
+    def in_run(self, accelerometers: int, gyros: int) -> tuple[Array, Array]:
+        """Standard deviations and correlation times (n,) of the in-run biases of sensors, accelerometers first."""
+        counts = [accelerometers, gyros]
+        sigma = np.repeat([self.accel_in_run, self.gyro_in_run], counts)
+        return sigma * self.unlike if len(self.unlike) else sigma, np.repeat([self.accel_time, self.gyro_time], counts)
+
+
+NO_COMPONENTS = Components()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Noise:
+    """Covariance of the rows without scatter, of the rests (N, r, r) and of the turns (K, t, t), and the directions Z
+    (N, r, q), (K, t, q) of the components of scatter, each with the place in SCATTER of the one it belongs to:
+    Σ = N + Σ v Z Zᵀ. `kept` are the square roots (N, r), (K, t) of the weights that single rows have beside that: 1 but
+    for those of rests and turns that do not fit."""
+
+    rest: Array
+    turn: Array
+    rest_directions: tuple[Array, IntArray]
+    turn_directions: tuple[Array, IntArray]
+    kept: tuple[Array, Array] | None = None
+
+    def at_rest(self, components: Components) -> tuple[Array, IntArray]:
+        """The directions of the scatter at rest, those of sensors unlike others longer, and what they are of."""
+        Z, of = self.rest_directions
+        return (Z * components.unlike if len(components.unlike) else Z), of
+
+    def weights(self, components: Components) -> Weights:
+        """The weights of the rows with components of variance."""
+        variances = components.variances
+        rest = whitening(self.rest, *self.at_rest(components), variances)
+        turn = whitening(self.turn, *self.turn_directions, variances)
+        if self.kept is not None:
+            rest, turn = rest * self.kept[0][:, None], turn * self.kept[1][:, None]
+        return Weights(rest=rest, turn=turn, components=components)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Weights:
+    """Inverses of the Cholesky factors of the covariances of the rows of rests (N, r, r) and of turns (K, t, t), and
+    the components of variance they are with."""
+
+    rest: Array
+    turn: Array
+    components: Components
+
+
+Place = Literal["scatter", "in-run", "time", "unlike", "group", "own group"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Hyperparameter:
+    """An element of φ: its name, unit and words; where it enters; its prior: about `usual`, SI, exponential of that
+    mean (`scatter`), or normal in the logarithm with the standard deviation `within`."""
+
+    name: str
+    unit: str
+    words: str
+    place: Place
+    usual: float
+    within: float = 0.0
+    members: slice | None = None
+
+    @property
+    def bounded(self) -> bool:
+        """Whether values below zero are those at zero: p of λ = exp(max(p, 0))."""
+        return self.place in ("unlike", "group", "own group")
+
+    @property
+    def centre(self) -> float:
+        """The most likely φ by the prior alone."""
+        return 0.0 if self.bounded else float(np.log(self.usual))
+
+    def value(self, phi: float) -> float:
+        """The quantity, SI."""
+        return float(np.exp(max(phi, 0.0) if self.bounded else phi))
+
+    def prior(self, phi: float) -> tuple[float, float, float]:
+        """Logarithm of the density of φ, less a constant, its derivative, and the curvature of its negative."""
+        if self.place == "scatter":
+            x = np.exp(phi) / self.usual
+            return float(phi - np.log(self.usual) - x), float(1.0 - x), float(x)
+        z = (phi - self.centre) / self.within
+        return float(-0.5 * z * z), float(-z / self.within), self.within**-2
+
+
+def table(problem: Problem, noise: Noise, seen: BoolArray) -> tuple[Hyperparameter, ...]:
+    """The hyperparameters of a problem: the components of scatter that are `seen`, the in-run biases, and the groups
+    whose size is by a prior."""
+    return (*_scatter(noise, seen), *_in_run(problem), *_groups(problem))
+
+
+def _scatter(noise: Noise, seen: BoolArray) -> Iterator[Hyperparameter]:
+    """The components of scatter: each stands beside the noise along its directions."""
+    units = dict(zip(SCATTER, ("m/s^2", "rad/s", "rad", "m/s", "rad", "1", "1", "1"), strict=True))
+    words = (
+        *REST_MODES.values(),
+        *("rotations of the turns", "velocities of the turns", "what spare gyros say of the turns"),
+        *("velocities over jumps between samples", "rotations over jumps between samples"),
+        "what spare gyros say over jumps between samples",
+    )
+    both = (noise.rest, *noise.rest_directions), (noise.turn, *noise.turn_directions)
+    for place, (name, said) in enumerate(zip(SCATTER, words, strict=True)):
+        if not seen[place]:
+            continue
+        beside = list[float]()
+        for covariance, Z, of in both:
+            own = Z[:, :, of == place]
+            if own.size:
+                along = (own**2).sum(axis=1)
+                size = np.einsum("kaq,kab,kbq->kq", own, covariance, own)[along > 0.0] / along[along > 0.0] ** 2
+                beside.extend(size.ravel().tolist())
+        if beside:
+            usual = float(np.sqrt(np.median(beside)))
+            yield Hyperparameter(name=name, unit=units[name], words=said, place="scatter", usual=usual)
+
+
+def _in_run(problem: Problem) -> Iterator[Hyperparameter]:
+    """In-run biases of both kinds, and sensors whose bias wanders more than that of the others."""
+    rests, first = problem.observations.rests, 0
+    if len(rests) < 2:
+        return
+    covariances = rests.accel_covariance, rests.gyro_covariance
+    for block, covariance in zip(problem.instrument.blocks, covariances, strict=False):
+        kind, unit = ("accel", "m/s^2") if block.kind == "accel" else ("gyro", "rad/s")
+        noise = float(np.sqrt(np.median(np.trace(covariance, axis1=1, axis2=2)) / block.size))
+        usual = problem.observations.in_run.get(kind, noise)
+        words = {"accel": "accelerometers", "gyro": "gyros"}[kind]
+        yield Hyperparameter(
+            name=f"{kind}_in_run",
+            unit=unit,
+            words=f"in-run bias of the {words}",
+            place="in-run",
+            usual=usual,
+            within=IN_RUN_WITHIN,
+        )
+        yield Hyperparameter(
+            name=f"{kind}_time",
+            unit="s",
+            words=f"correlation time of the in-run bias of the {words}",
+            place="time",
+            usual=CORRELATION_TIME,
+            within=IN_RUN_WITHIN,
+        )
+        for c, sensor in enumerate(block.sensors if block.size > 1 else ()):
+            yield Hyperparameter(
+                name=f"{kind}.in_run.{sensor}",
+                unit="1",
+                words=f"scatter and in-run bias of {kind} {sensor} over those of the others",
+                place="unlike",
+                usual=1.0,
+                within=float(np.log(UNLIKE)),
+                members=slice(first + c, first + c + 1),
+            )
+        first += block.size
+
+
+def _groups(problem: Problem) -> Iterator[Hyperparameter]:
+    """The groups of parameters beyond the linear model, in common and of each session. The lag multiplies others: a
+    wide prior would let both grow. Curvatures are not wider than usual where there are but two temperatures, nor is a
+    hysteresis where they came one way: what a bias has beyond its usual size would be taken for one."""
+    observations = problem.observations
+    held: set[Variable | None] = {"lag"}
+    if at_two_temperatures(observations):
+        held.add("temperature²")
+    if not both_ways(observations):
+        held.add("hysteresis")
+    for of, place in ((problem.instrument, "group"), (problem.own, "own group")):
+        if of is None:
+            continue
+        for group in of.further:
+            members = of.members[group.name]
+            if variable_of(group.name) in held and place == "group":
+                continue
+            if place == "own group":
+                members = slice(members.start - of.linear_count, members.stop - of.linear_count)
+            yield Hyperparameter(
+                name=group.name,
+                unit="1",
+                words=f"size of {group.name} over the usual one",
+                place="group" if place == "group" else "own group",
+                usual=1.0,
+                within=float(np.log(observations.too_small.get(group.name, STATED))),
+                members=members,
+            )
+
+
+def components_of(entries: tuple[Hyperparameter, ...], phi: Array, sensors: int) -> Components:
+    """The components of variance at φ."""
+    values = {h.name: h.value(p) for h, p in zip(entries, phi.tolist(), strict=True) if h.place != "unlike"}
+    unlike = np.ones(sensors)
+    for h, p in zip(entries, phi.tolist(), strict=True):
+        if h.place == "unlike":
+            unlike[h.members] = h.value(p)
+    known: dict[str, Any] = {each.name: values[each.name] for each in fields(Components) if each.name in values}
+    return Components(**known, unlike=unlike)
+
+
+def sized(problem: Problem, entries: tuple[Hyperparameter, ...], phi: Array) -> Problem:
+    """The problem with the priors of its groups as large as φ says."""
+    expected, usual = problem.usual
+    known, own = usual.copy(), problem.own_usual.copy()
+    for h, p in zip(entries, phi.tolist(), strict=True):
+        if h.place == "group":
+            known[1:][h.members] *= h.value(p)
+        elif h.place == "own group":
+            own[h.members] *= h.value(p)
+    return replace(problem, measured=(expected, known), own_known=own)

@@ -1,0 +1,276 @@
+"""The posterior with the hyperparameters integrated out, by importance sampling.
+
+Integrated is over the elements of φ that matter: along which, a standard deviation either way, a parameter of the
+linear model moves by more than NOTICED of its u, or its u by as much. The others stay at the maximum. Points φ_i are of
+a fixed low-discrepancy sequence, so that a result is the same to the last digit. The proposal q is a Gaussian copula:
+ℓ along every element through the maximum, by cubics between KNOTS where it and its score are taken, is that element's
+own density, of which
+
+    φ = F⁻¹(N(z)),   z normal with the correlations of the curvature of −ℓ
+
+Of a size λ = exp(max(p, 0)) whose maximum is 1 half of the density is that of p < 0, by its prior. With the weights
+w_i ∝ e^{ℓ(φ_i)}/q(φ_i), smoothed by the Pareto
+distribution that fits the largest (Vehtari et al. 2024, Pareto smoothed importance sampling), and the step m_i and
+covariance V_i at each
+
+    x̄ = Σ w m,    C = Σ w (V + m mᵀ) − x̄ x̄ᵀ
+
+and the coverage factor k of a parameter is the half width at 95.45 % of its mixture of Gaussians over its u. Rows do
+not change, so that each point costs one elimination. The effective number of points 1/Σ w² and the shape of the Pareto
+distribution say how good the proposal was.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from tumble.inference.hyperparameters import components_of, sized
+from tumble.inference.in_run import of_session
+from tumble.inference.linearisation import with_priors
+from tumble.inference.maximum import Evaluated, Maximum
+from tumble.inference.step import deviance, joined, tell
+from tumble.units import Array
+
+POINTS = 64
+MOST_PARAMETERS = 200
+"""Of an array of more parameters the maximum alone is taken: priors and scatter matter least to it, and a point costs a
+hundred times as much."""
+KNOTS = (-5.0, -2.5, -1.0, 1.0, 2.0)
+"""Where ℓ is looked at along an element of φ, in standard deviations by its curvature."""
+FINE = 241
+"""Points of the densities along the elements."""
+TAIL = 4.0
+"""Standard deviations beyond the last knots that they reach."""
+WIDER = 1.15
+"""Times what the curvature says: the proposal is to be wider than the posterior."""
+NOTICED = 0.1
+"""Of u: an element of φ that does less to the parameters is not integrated over."""
+POOR = 0.7
+"""Shape of the Pareto distribution of the weights from which on the integral is not to be relied on."""
+COVERAGE = 0.9545
+MOST_DEGREES = 1e6
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Posterior:
+    """What is known of gravity and the parameters with the hyperparameters integrated out: the mean step from the last
+    linearisation (1 + m,) and the covariance (1 + m, 1 + m), biases being the means over the session; degrees of
+    freedom (m,) of Student's t with the same coverage factor; `process_step` and `process_covariance` (n, n) of the
+    biases as the means of their processes, what the next minute's or another day's are about; how many points there
+    were, their effective number, and the Pareto shape of the weights; and median, lower and upper limit of the middle
+    68 % of every hyperparameter (D, 3), SI."""
+
+    step: Array
+    covariance: Array
+    degrees: Array
+    process_step: Array
+    process_covariance: Array
+    points: int
+    effective: float
+    pareto: float
+    hyperparameters: Array
+
+
+def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
+    """The posterior about a maximum; with a single point that at the maximum itself."""
+    best = fitted.best
+    points = 1 if len(best.step.parameters) > MOST_PARAMETERS else points
+    phi, log_q = best.phi[None].repeat(points, axis=0), np.zeros(points)
+    if points > 1:
+        axes, correlation = _axes(fitted)
+        value, vectors = np.linalg.eigh(correlation)
+        normal = special.ndtri(_sequence(points, len(axes)))
+        z = WIDER * normal @ (vectors * np.sqrt(value)).T
+        log_q -= 0.5 * (normal**2).sum(axis=1)
+        for own, axis in zip(z.T, axes, strict=True):
+            x = np.interp(special.ndtr(own), axis.cumulative, axis.phi)
+            phi[:, axis.element] = x
+            log_q += np.interp(x, axis.phi, axis.log_density) + 0.5 * own**2
+    every = [_at(fitted, own) for own in phi]
+    weight, pareto = smoothed(np.array([value for value, *_ in every]) - log_q)
+    steps, covariances = np.array([each[1] for each in every]), np.array([each[2] for each in every])
+    mean = weight @ steps
+    covariance = np.einsum("k,kab->ab", weight, covariances) + ((steps - mean).T * weight) @ (steps - mean)
+    process, own = np.array([each[3] for each in every]), np.array([each[4] for each in every])
+    of_process = weight @ process
+    spread = ((process - of_process).T * weight) @ (process - of_process)
+    deviations = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    return Posterior(
+        step=mean,
+        covariance=covariance,
+        degrees=_degrees((steps - mean)[:, 1:], deviations[:, 1:], weight, np.sqrt(np.diag(covariance))[1:]),
+        process_step=of_process,
+        process_covariance=np.einsum("k,kab->ab", weight, own) + spread,
+        points=points,
+        effective=float(1.0 / (weight**2).sum()),
+        pareto=pareto,
+        hyperparameters=_summary(fitted, phi, weight),
+    )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Axis:
+    """The posterior density of an element of φ along it through the maximum: at points `phi`, its logarithm and the
+    distribution function."""
+
+    element: int
+    phi: Array
+    log_density: Array
+    cumulative: Array
+
+
+def _axes(fitted: Maximum) -> tuple[list[_Axis], Array]:
+    """ℓ along every element of φ that matters, and the correlations (k, k) of these by its curvature."""
+    best, bounded = fitted.best, np.array([h.bounded for h in fitted.entries])
+    linear = slice(1, 1 + fitted.free.instrument.linear_count)
+    mean, u = best.step.parameters[linear], np.sqrt(best.step.covariance.diagonal()[linear])
+    axes, bends = list[_Axis](), list[Array]()
+    for i, h in enumerate(fitted.entries):
+        at_bound = bool(bounded[i] and best.phi[i] <= 0.0)
+        bend = best.information[i, i] if at_bound else fitted.curvature[i, i]
+        size = 1.0 / np.sqrt(max(bend, h.prior(float(best.phi[i]))[2]))
+        knots, matters, scores = [(0.0, 0.0, best.gradient[i])], False, list[Array]()
+        for away in (-1.0, 1.0, *KNOTS[:2], *KNOTS[4:]):
+            if at_bound and away < 0.0:
+                continue
+            phi = best.phi.copy()
+            phi[i] += away * size
+            there = Evaluated.of(fitted.free, fitted.entries, fitted.at, phi)
+            knots.append((away * size, there.value - best.value, there.gradient[i]))
+            if abs(away) == 1.0:
+                scores.append(there.gradient)
+                moved = np.abs(there.step.parameters[linear] - mean) / u
+                wider = np.abs(np.sqrt(there.step.covariance.diagonal()[linear]) / u - 1.0)
+                matters |= bool(max(moved.max(), wider.max()) > NOTICED)
+            if away == 1.0 and not matters:
+                break
+        if matters:
+            axes.append(_axis(i, best.phi[i], sorted(knots), size, h.within if at_bound else 0.0))
+            bends.append(np.zeros(len(best.phi)) if at_bound else (scores[0] - scores[1]) / (2.0 * size))
+    elements = [axis.element for axis in axes]
+    curvature = np.array(bends).reshape(len(axes), -1)[:, elements]
+    curvature = 0.5 * (curvature + curvature.T)
+    alone = np.array([bool(bounded[i] and best.phi[i] <= 0.0) for i in elements], dtype=bool)
+    curvature[alone], curvature[:, alone] = 0.0, 0.0
+    diagonal = np.sqrt(np.maximum(curvature.diagonal(), 1e-12))
+    scaled = curvature / np.outer(diagonal, diagonal)
+    np.fill_diagonal(scaled, 1.0)
+    value, vectors = np.linalg.eigh(scaled)
+    return axes, np.asarray((vectors / np.maximum(value, 0.1)) @ vectors.T)
+
+
+def _axis(element: int, centre: float, knots: list[tuple[float, float, float]], size: float, within: float) -> _Axis:
+    """The density by values and slopes of its logarithm at knots, cubics between them and straight beyond; on the left
+    of a bound that of the prior, normal with a standard deviation `within`."""
+    x, y, slope = (np.array(each) for each in zip(*knots, strict=True))
+    grid = np.linspace((-3.0 * within if within else x[0] - TAIL * size), x[-1] + TAIL * size, FINE)
+    step, right = np.diff(x), np.clip(np.searchsorted(x, grid), 1, len(x) - 1)
+    h, left = step[right - 1], right - 1
+    t = np.clip((grid - x[left]) / h, 0.0, 1.0)
+    log_density = (1 + 2 * t) * (1 - t) ** 2 * y[left] + t * (1 - t) ** 2 * h * slope[left]
+    log_density += t * t * (3 - 2 * t) * y[right] - t * t * (1 - t) * h * slope[right]
+    log_density += np.minimum(grid - x[0], 0.0) * max(slope[0], 0.3 / size)
+    log_density += np.maximum(grid - x[-1], 0.0) * min(slope[-1], -0.3 / size)
+    if within:
+        log_density = np.where(grid < 0.0, -0.5 * (grid / within) ** 2, log_density)
+    density = np.exp(log_density - log_density.max())
+    cumulative = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
+    area = cumulative[-1] * (grid[1] - grid[0])
+    log_density = np.log(np.maximum(density, 1e-300)) - np.log(area)
+    return _Axis(element=element, phi=centre + grid, log_density=log_density, cumulative=cumulative / cumulative[-1])
+
+
+def _at(fitted: Maximum, phi: Array) -> tuple[float, Array, Array, Array, Array]:
+    """ℓ at φ, and there the step of gravity and the parameters, its covariance, both with the biases of the session,
+    and the step and covariance of the biases of the processes."""
+    entries, free = fitted.entries, fitted.free
+    components, problem = components_of(entries, phi, free.sensors), sized(free, entries, phi)
+    rows = with_priors(fitted.at.rows, problem, fitted.at.point, fitted.at.about)
+    told = tell(problem, rows, fitted.at.noise.weights(components))
+    known = joined(problem, rows, told)
+    value = -0.5 * deviance(problem, told, known)
+    value += sum(h.prior(p)[0] for h, p in zip(entries, phi.tolist(), strict=True))
+    q, biases = len(problem.own_known), 1 + free.biases
+    change, covariance = known.parameters.copy(), known.roots[0][q:, q:] @ known.roots[0][q:, q:].T
+    process = change[biases], covariance[np.ix_(biases, biases)]
+    if told.process is not None and len(problem.parts) == 1:
+        more, by, apart = of_session(told, np.concatenate([known.own[0], known.parameters]))
+        to_session = np.eye(len(change))
+        to_session[biases] += by[:, q:]
+        change[biases] += more
+        covariance = to_session @ covariance @ to_session.T
+        covariance[np.ix_(biases, biases)] += apart
+    return float(value), change, covariance, *process
+
+
+def _sequence(points: int, dimensions: int) -> Array:
+    """Additive recurrence: points (points, D) of low discrepancy in the unit cube, by the root of x^{D+1} = x + 1."""
+    root = 2.0
+    for _ in range(60):
+        root = (1.0 + root) ** (1.0 / (dimensions + 1.0))
+    steps = root ** -np.arange(1.0, dimensions + 1.0)
+    return np.asarray((0.5 + np.outer(np.arange(1, points + 1), steps)) % 1.0)
+
+
+def smoothed(log_weight: Array) -> tuple[Array, float]:
+    """Weights whose largest are those that a Pareto distribution fitted to them expects, and its shape."""
+    count, order = len(log_weight), np.argsort(log_weight)
+    weight = np.exp(log_weight - log_weight.max())
+    tail = int(min(0.2 * count, 3.0 * np.sqrt(count)))
+    if tail < 5:
+        return np.asarray(weight / weight.sum()), 0.0
+    largest, least = order[-tail:], weight[order[-tail - 1]]
+    above = weight[largest] - least
+    if above[0] <= 0.0 or above[-1] <= 0.0:
+        return np.asarray(weight / weight.sum()), 0.0
+    shape, scale = _pareto(above)
+    rank = (np.arange(tail) + 0.5) / tail
+    expected = scale * np.expm1(-shape * np.log1p(-rank)) / shape if abs(shape) > 1e-9 else -scale * np.log1p(-rank)
+    weight[largest] = np.minimum(least + expected, 1.0)
+    return np.asarray(weight / weight.sum()), shape
+
+
+def _pareto(above: Array) -> tuple[float, float]:
+    """Shape and scale of the generalised Pareto distribution of values in ascending order (Zhang and Stephens 2009)."""
+    n, quarter = len(above), above[int(len(above) / 4 + 0.5) - 1]
+    m = 30 + int(np.sqrt(n))
+    b = 1.0 / above[-1] + (1.0 - np.sqrt(m / (np.arange(1, m + 1) - 0.5))) / (3.0 * max(quarter, 1e-300))
+    k = np.log1p(-b[:, None] * above).mean(axis=1)
+    level = n * (np.log(-b / k) - k - 1.0)
+    chance = np.exp(level - level.max())
+    chosen = float(b @ chance / chance.sum())
+    shape = float(np.log1p(-chosen * above).mean())
+    return (n * shape + 5.0) / (n + 10.0), -shape / chosen
+
+
+def _degrees(means: Array, deviations: Array, weight: Array, u: Array) -> Array:
+    """Degrees of freedom (m,) of the t whose coverage factor at COVERAGE is the half width of the mixtures of Gaussians
+    (points, m) over their u (m,)."""
+    low, high = np.zeros(len(u)), np.full(len(u), 20.0)
+    safe, known = np.where(deviations > 0.0, deviations, 1.0), u > 0.0
+    for _ in range(40):
+        k = 0.5 * (low + high)
+        inside = special.ndtr((k * u - means) / safe) - special.ndtr((-k * u - means) / safe)
+        small = weight @ inside < COVERAGE
+        low, high = np.where(small, k, low), np.where(small, high, k)
+    factor = np.where(known, 0.5 * (low + high), 0.0)
+    degrees = np.geomspace(1.0, MOST_DEGREES, 400)
+    factors = special.stdtrit(degrees, 0.5 + 0.5 * COVERAGE)
+    return np.asarray(np.interp(-factor, -factors, degrees))
+
+
+def _summary(fitted: Maximum, phi: Array, weight: Array) -> Array:
+    """Median and the limits of the middle 68 % of every hyperparameter (D, 3); of those that are not integrated over by
+    the curvature at the maximum."""
+    out = np.empty((len(fitted.entries), 3))
+    for i, h in enumerate(fitted.entries):
+        at, order = fitted.best.phi[i], np.argsort(phi[:, i])
+        limits = at + np.array([0.0, -1.0, 1.0]) / np.sqrt(fitted.curvature[i, i])
+        if np.ptp(phi[:, i]) > 0.0:
+            share = np.cumsum(weight[order]) - 0.5 * weight[order]
+            limits = np.interp([0.5, 0.16, 0.84], share, phi[order, i])
+        out[i] = [h.value(float(p)) for p in limits]
+    return out

@@ -1,0 +1,219 @@
+"""Joint method: maximum likelihood over everything a session contains.
+
+All parameters of the instrument, the attitudes of all rests, in-run biases and local gravity are found at once from the
+rest means of both blocks, the rotations and velocities of the turns, the Earth's rate and the measured gravity
+(`tumble.inference.likelihood`), at the joint maximum with what the model does not know about itself
+(`tumble.inference.maximum`), over which the posterior is then integrated (`tumble.inference.integral`). The table's
+angles are not used. The estimate reaches the Cramér–Rao bound.
+
+What is seen: a parameter of the linear model counts as determined when it is known DETERMINED times better than its
+limit; so does a combination of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from tumble.estimation.common_errors import common_covariance
+from tumble.estimation.estimate import (
+    DETERMINED,
+    Estimate,
+    GroupFinding,
+    HyperparameterEstimate,
+    Integral,
+    LeftOut,
+    OwnEstimate,
+    ProcessBias,
+)
+from tumble.estimation.prediction import prediction
+from tumble.estimation.turns_about import TurnsAbout
+from tumble.inference.fits import chi_squares, left_out, sigmas, with_total
+from tumble.inference.hyperparameters import Components
+from tumble.inference.integral import POINTS, Posterior, posterior
+from tumble.inference.lag import KEPT, maximum_with_lag
+from tumble.inference.likelihood import NO_PRIOR, Linearised, Prior, Problem, instruments_of
+from tumble.inference.linearisation import at_reference
+from tumble.inference.maximum import MAX_ITERATIONS, Maximum, without_outliers
+from tumble.inference.start import start_of
+from tumble.inference.step import left
+from tumble.reduction.observations import Observations
+from tumble.sensors.compensation import specific_force
+from tumble.sensors.instrument import Instrument
+from tumble.units import Array
+
+QUICK_STEPS = 12
+"""Linearisations of a quick estimate: that of a sound session takes six."""
+
+
+def joint(
+    observations: Observations,
+    *,
+    prior: Prior = NO_PRIOR,
+    instrument: Instrument | None = None,
+    quick: bool = False,
+) -> Estimate:
+    """All parameters of a session by maximum likelihood, with covariance and outcome. The `instrument` says which;
+    where None, the groups whose usual size the observations know. Rests and turns that do not fit are left out; their
+    sigmas say which they are. A `quick` one is the maximum alone, settled or not: it is for a page that follows a
+    session and cannot wait for one that contradicts itself."""
+    usual, own = instruments_of(observations)
+    problem = Problem.of(observations, prior, instrument=instrument or usual, own=own, usual=observations.usual)
+    at, first = start_of(problem)
+    fitted, by_lag = maximum_with_lag(problem, at, QUICK_STEPS if quick else MAX_ITERATIONS)
+    if fitted.converged and not quick:
+        fitted = without_outliers(fitted)
+    shown = posterior(fitted, 1 if quick else POINTS)
+    return _estimate(problem, fitted, shown, first + fitted.increments, by_lag)
+
+
+def _estimate(
+    free: Problem, fitted: Maximum, shown: Posterior, increments: tuple[Array, ...], by_lag: Array
+) -> Estimate:
+    problem, instrument, noise, best = fitted.problem, fitted.problem.instrument, fitted.at.noise, fitted.best
+    accel_sigmas, gyro_sigmas, turn_sigmas = sigmas(problem, noise, best.step.told.weights, best.left)
+    alone = chi_squares(problem, left(problem, fitted.at.solved(problem, Components())))
+    observations, linear = problem.observations, instrument.linear_count
+    values = fitted.at.point.values + shown.step[1:]
+    common = common_covariance(observations, instrument) + by_lag
+    covariance = shown.covariance[1:, 1:] + common
+    spread = problem.spread[:linear]
+    observable = np.ones(len(values), dtype=bool)
+    observable[:linear] = np.sqrt(np.diag(covariance)[:linear]) < spread / DETERMINED
+    findings = tuple(_findings(fitted, covariance))
+    for finding in findings:
+        observable[instrument.members[finding.name]] = finding.kept
+    accel = problem.accel_model(values)
+    return Estimate(
+        method="joint",
+        names=instrument.names,
+        units=instrument.units,
+        values=values,
+        covariance=covariance,
+        observable=observable,
+        null=_undetermined(covariance[:linear, :linear] / np.outer(spread, spread)),
+        accel=accel,
+        gyro=None if observations.gyro_block is None else problem.gyro_model(values),
+        rest_residual=np.linalg.norm(_force(fitted), axis=1) - observations.site.gravity,
+        rest_sigmas=np.maximum(accel_sigmas, gyro_sigmas),
+        gyro_rest_sigmas=gyro_sigmas,
+        turn_sigmas=turn_sigmas,
+        increments=increments,
+        fits=with_total(chi_squares(problem, best.left, fitted.components), alone),
+        converged=fitted.converged,
+        instrument=instrument,
+        groups=findings,
+        degrees=shown.degrees,
+        prediction=prediction(
+            instrument,
+            values,
+            covariance,
+            gravity=observations.site.gravity,
+            rate=_usual_rate(fitted.at.about),
+        ),
+        linearised=_linearised(fitted, free),
+        own=_own(fitted),
+        hyperparameters=tuple(_hyperparameters(fitted, shown)),
+        integral=Integral(points=shown.points, effective=shown.effective, pareto=shown.pareto),
+        process_bias=tuple(_process_bias(fitted, shown, common)),
+        left_out=LeftOut(**dict(zip(("accel", "gyro", "turn"), left_out(problem, noise), strict=True))),
+    )
+
+
+def _hyperparameters(fitted: Maximum, shown: Posterior) -> Iterator[HyperparameterEstimate]:
+    """What the session says of every hyperparameter."""
+    for h, (value, low, high) in zip(fitted.entries, shown.hyperparameters.tolist(), strict=True):
+        yield HyperparameterEstimate(
+            name=h.name, unit=h.unit, words=h.words, value=value, low=low, high=high, usual=h.usual
+        )
+
+
+def _process_bias(fitted: Maximum, shown: Posterior, common: Array) -> Iterator[ProcessBias]:
+    """The biases as the means of their processes, and how far that of the next minute may be."""
+    problem, biases, components = fitted.problem, fitted.problem.biases, fitted.components
+    accelerometers = problem.instrument.accel.size
+    sigma, _ = components.in_run(accelerometers, problem.sensors - accelerometers)
+    variances = np.diag(shown.process_covariance) + np.diag(common)[biases]
+    values = fitted.at.point.values[biases] + shown.process_step
+    for i, value, variance, own in zip(biases.tolist(), values.tolist(), variances.tolist(), sigma, strict=True):
+        u, next_u = np.sqrt(variance), np.sqrt(variance + own**2)
+        yield ProcessBias(name=problem.instrument.names[i], value=value, u=float(u), next_u=float(next_u))
+
+
+def _undetermined(covariance: Array) -> Array:
+    """The combinations (q, n) of parameters whose variance is too large, of their covariance in units of the spreads.
+    None has one larger than the sum of all."""
+    if np.trace(covariance) <= DETERMINED**-2:
+        return np.zeros((0, len(covariance)))
+    variance, combinations = np.linalg.eigh(covariance)
+    return np.asarray(combinations[:, variance > DETERMINED**-2].T)
+
+
+def _linearised(fitted: Maximum, free: Problem) -> Linearised:
+    """The likelihood about the solution, with the lag as in the problem in which it is free."""
+    at, problem = fitted.at, fitted.problem
+    if free.lag is not None:
+        measured = problem.measured[0].copy(), problem.measured[1].copy()
+        for values, others in zip(measured, free.measured, strict=True):
+            values[1 + free.lag] = others[1 + free.lag]
+        problem = replace(problem, measured=measured, lag_known=False, by_lag=free.by_lag)
+    return Linearised(
+        problem=problem,
+        point=at.point,
+        about=at.about,
+        rows=at.rows,
+        noise=at.noise,
+        components=fitted.components,
+    )
+
+
+def _usual_rate(about: TurnsAbout | None) -> float | None:
+    """The rate of the session's turns, rad/s, root mean square; None without turns."""
+    if about is None or not len(about.moments):
+        return None
+    moments = about.moments
+    return float(np.sqrt(moments.body_rates[:, [0, 3, 5]].sum() / moments.T.sum()))
+
+
+def _force(fitted: Maximum) -> Array:
+    """Specific forces (N, 3) at rest by the whole model."""
+    problem, at = fitted.problem, fitted.at
+    accel = problem.observations.rests.accel
+    if "temperature" in problem.variables:
+        accel = at_reference(problem, at.point, at.rows)
+    return specific_force(problem.instrument, fitted.point.values, accel)
+
+
+def _own(fitted: Maximum) -> OwnEstimate | None:
+    """What each of several sessions has of its own."""
+    own = fitted.problem.own
+    if own is None:
+        return None
+    first, q = own.linear_count, len(fitted.problem.own_known)
+    variance = np.diagonal(fitted.best.step.own_covariance, axis1=1, axis2=2)[:, :q]
+    return OwnEstimate(
+        names=own.names[first:],
+        units=own.units[first:],
+        values=fitted.point.own,
+        u=np.sqrt(variance),
+        priors=fitted.problem.own_known,
+    )
+
+
+def _findings(fitted: Maximum, covariance: Array) -> Iterator[GroupFinding]:
+    """What the session says of each further group."""
+    problem = fitted.problem
+    instrument, sized, usual = problem.instrument, problem.measured[1][1:], problem.usual[1][1:]
+    for group in instrument.further:
+        own = instrument.members[group.name]
+        size = usual[own] if group.variable == "lag" else sized[own]
+        learned = np.clip(1.0 - np.diag(covariance)[own] / size**2, 0.0, 1.0)
+        yield GroupFinding(
+            name=group.name,
+            kept=bool(learned.max() > KEPT),
+            prior=float(usual[own][0]),
+            widened=float(size[0] / usual[own][0]),
+            learned=tuple(learned.tolist()),
+        )

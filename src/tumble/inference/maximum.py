@@ -1,0 +1,364 @@
+"""The joint maximum of the likelihood over the unknowns x and the hyperparameters φ.
+
+x are gravity, the parameters, what each session has of its own, the attitudes and the states of the in-run biases: what
+is linear, or nearly so, given φ (`tumble.inference.hyperparameters`). Maximised is
+
+    ℓ(φ) = ln p(φ) − ½ [rᵀV⁻¹r + x̂ᵀP₀x̂ + ln |V| − ln |P₀| + 2 Σ ln |diag R|]
+
+the logarithm of the posterior of φ with x integrated out, r being the residuals at x̂(φ) (`tumble.inference.step`).
+
+    x   Gauss–Newton: x ← x + argmin over the rows linearised at x. Turns are integrated again about the current
+        parameters wherever the second-order effect of the change since counts.
+    φ   at fixed rows a trust region: s = B⁻¹g, |s|∞ ≤ Δ, with the analytic score g, and B, at first the information of
+        the score, then by the updates of Broyden, Fletcher, Goldfarb and Shanno. Sizes λ = exp(max(p, 0)) have p ≥ 0:
+        below, p has nothing to do with the data.
+
+It ends where a step of x is negligible beside u (CONVERGED) and ½ gᵀB⁻¹g, what ℓ would still gain, below GAIN
+for every element of φ (`Status.converged`); or it runs out, which is said and is no result.
+
+A chain of turns whose heading the gyros hardly see (no better than UNSEEN) keeps it where it is: it is still an unknown
+of every step, so that it takes nothing from the parameters. So does gravity of an unknown place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from tumble.estimation.turns_about import TurnsAbout
+from tumble.inference.fits import (
+    LEAST_WEIGHT,
+    LEFT_OUT,
+    STANDS_OUT,
+    residuals,
+    same_weights,
+    sigmas,
+    student,
+    weighted,
+)
+from tumble.inference.hyperparameters import SCATTER, Components, Hyperparameter, Noise, components_of, sized, table
+from tumble.inference.likelihood import Point, Problem, Rows, noise_of
+from tumble.inference.linearisation import linearise, with_priors
+from tumble.inference.step import Left, Step, left, scatter_score, solve
+from tumble.units import Array, BoolArray
+
+MAX_ITERATIONS = 40
+"""Linearisations at most."""
+BEYOND = 3.0
+"""Times the usual: scatter or a size for which another maximum is looked for."""
+USELESS = {"turn": 1e-2, "velocity": 0.1}
+"""rad and m/s: the scatter of turns that say nothing."""
+STEPS = 6
+"""Steps over φ at one linearisation at most."""
+CONVERGED = 1e-3
+"""Of the standard uncertainty: a step of x that is negligible."""
+GAIN = 0.5 * 0.05**2
+"""What ℓ would still gain by each element of φ where φ counts as settled: they are within 0.05 of their standard
+deviations, root mean square."""
+FURTHEST = 2.0
+"""Δ at first and at most."""
+SQUARED = 10.0
+"""Error after a step of Gauss–Newton, in units of the spreads, over the square of the step."""
+UNSEEN = 0.2
+"""rad: a heading that the gyros know to no better."""
+TO_AND_FRO = 6
+"""Linearisations after which a heading that still moves is one that the gyros do not know either."""
+PLACE_UNKNOWN = 1e-3
+"""Normal gravity is known to a third of that anywhere."""
+SENSED = 0.2
+"""Of the rests: what the scatter of a single sensor is told by at first, until its curvature is known."""
+LEAST_DEGREES = 0.5
+"""Of freedom: a component of scatter of which the fit leaves less is not estimated. It is by what is left of it, in the
+end by rounding, that its variance would be divided."""
+
+
+class Status(Enum):
+    """Why the iteration ended."""
+
+    converged = "x and φ settled"
+    ran_out = "the steps ran out before x and φ settled"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class At:
+    """A point, the turns about parameters near it, the rows linearised there, and their noise."""
+
+    point: Point
+    about: TurnsAbout | None
+    rows: Rows
+    noise: Noise
+
+    @staticmethod
+    def of(problem: Problem, point: Point, about: TurnsAbout | None, kept: tuple[Array, Array] | None = None) -> At:
+        """The rows of a problem at a point, and their noise, with the square roots of the weights that are `kept`."""
+        rows = linearise(problem, point, about)
+        return At(point=point, about=about, rows=rows, noise=replace(noise_of(problem, rows), kept=kept))
+
+    def solved(self, problem: Problem, components: Components) -> Step:
+        """The least-squares step from here with the priors of a problem and components of variance."""
+        return solve(problem, with_priors(self.rows, problem, self.point, self.about), self.noise.weights(components))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Evaluated:
+    """ℓ at φ and one linearisation: its `value`, `gradient` (D,) and the `information` (D, D) of the score as far as it
+    is had in closed form; the problem with priors of that size, the step and what it leaves."""
+
+    phi: Array
+    value: float
+    gradient: Array
+    information: Array
+    problem: Problem
+    step: Step
+    left: Left
+
+    @staticmethod
+    def of(problem: Problem, entries: tuple[Hyperparameter, ...], at: At, phi: Array) -> Evaluated:
+        """ℓ and its score at φ."""
+        components, wide = components_of(entries, phi, problem.sensors), sized(problem, entries, phi)
+        step = at.solved(wide, components)
+        after = left(wide, step)
+        by_variance, of_variance, by_sensor = scatter_score(at.noise, step, after)
+        twice = 2.0 * components.variances
+        scatter, of_scatter = twice * by_variance, np.outer(twice, twice) * of_variance
+        by_size, by_time, told = (np.zeros(0),) * 3 if step.told.process is None else step.told.process.scores(step)
+        square = (at.point.values + step.parameters[1:] - wide.measured[0][1:]) ** 2 + step.covariance.diagonal()[1:]
+        own_variance = np.diagonal(step.own_covariance, axis1=1, axis2=2)[:, : len(wide.own_known)]
+        own_square = (at.point.own + step.own) ** 2 + own_variance
+        accelerometers = problem.instrument.accel.size
+        D, place = len(entries), list[int]()
+        value, gradient, information = -0.5 * step.deviance, np.zeros(D), np.zeros((D, D))
+        for i, (h, p) in enumerate(zip(entries, phi.tolist(), strict=True)):
+            kind = slice(accelerometers) if h.name.startswith("accel") else slice(accelerometers, None)
+            if h.place == "scatter":
+                place.append(i)
+                gradient[i] = scatter[SCATTER.index(h.name)]
+            elif h.place == "in-run":
+                gradient[i], information[i, i] = by_size[kind].sum(), 2.0 * told[kind].sum()
+            elif h.place == "time":
+                gradient[i], information[i, i] = by_time[kind].sum(), 0.5 * told[kind].sum()
+            elif h.place == "unlike":
+                own = twice[SCATTER.index(h.name.partition(".")[0])] * by_sensor[h.members]
+                gradient[i] = by_size[h.members].sum() + own.sum()
+                information[i, i] = 2.0 * told[h.members].sum() + len(problem.link) * SENSED
+            else:
+                s, c2, variance = (
+                    (wide.measured[1][1:][h.members], square[h.members], step.covariance.diagonal()[1:][h.members])
+                    if h.place == "group"
+                    else (wide.own_known[h.members], own_square[:, h.members], own_variance[:, h.members])
+                )
+                gradient[i] = (c2 / s**2 - 1.0).sum()
+                information[i, i] = 2.0 * np.clip(1.0 - variance / s**2, 0.0, 1.0).sum()
+            density, slope, curvature = h.prior(p)
+            value += density
+            gradient[i] += slope
+            information[i, i] += curvature
+        index = [SCATTER.index(entries[i].name) for i in place]
+        information[np.ix_(place, place)] += of_scatter[np.ix_(index, index)]
+        return Evaluated(
+            phi=phi, value=value, gradient=gradient, information=information, problem=wide, step=step, left=after
+        )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Maximum:
+    """The maximum: the problem with groups of usual size, the hyperparameters and ℓ there, the linearisation it is of,
+    the point after the last step, B (D, D), the changes of the parameters by linearisation, and why the iteration
+    ended."""
+
+    free: Problem
+    entries: tuple[Hyperparameter, ...]
+    best: Evaluated
+    at: At
+    point: Point
+    curvature: Array
+    increments: tuple[Array, ...]
+    status: Status
+
+    @property
+    def converged(self) -> bool:
+        """Whether it is one."""
+        return self.status is Status.converged
+
+    @property
+    def components(self) -> Components:
+        """The components of variance at the maximum."""
+        return self.best.step.told.weights.components
+
+    @property
+    def problem(self) -> Problem:
+        """The problem with priors of the size at the maximum."""
+        return self.best.problem
+
+
+def maximum(
+    problem: Problem, at: At, phi: Array | None = None, iterations: int = MAX_ITERATIONS, robust: bool = False
+) -> Maximum:
+    """The joint maximum of x and φ from a linearisation on, and from φ where that is known; a `robust` one with
+    Student-t rows (`tumble.inference.fits`)."""
+    plain = at.solved(problem, Components())
+    entries = table(problem, at.noise, _seen(at.noise, left(problem, plain), plain))
+    bounded = np.array([h.bounded for h in entries], dtype=bool)
+    phi = np.array([h.centre for h in entries]) if phi is None or len(phi) != len(entries) else phi
+    increments, radius, B, enough = list[Array](), FURTHEST, np.zeros((0, 0)), GAIN * len(entries)
+    while True:
+        best = Evaluated.of(problem, entries, at, phi)
+        B = best.information if not len(increments) else B
+        for _ in range(STEPS):
+            held = bounded & (best.phi <= 0.0) & (best.gradient <= 0.0)
+            free = np.flatnonzero(~held)
+            step = np.zeros(len(phi))
+            step[free] = np.linalg.solve(B[np.ix_(free, free)], best.gradient[free])
+            gain = 0.5 * float(best.gradient @ step)
+            if gain < enough:
+                break
+            step *= min(1.0, radius / float(np.abs(step).max()))
+            wanted = np.where(bounded, np.maximum(best.phi + step, 0.0), best.phi + step)
+            tried = Evaluated.of(problem, entries, at, wanted)
+            moved_by, change = wanted - best.phi, best.gradient - tried.gradient
+            expected = float(best.gradient @ moved_by - 0.5 * moved_by @ B @ moved_by)
+            ratio = (tried.value - best.value) / expected if expected > 0.0 else 0.0
+            B = _updated(B, moved_by, change)
+            radius = 0.3 * float(np.abs(moved_by).max()) if ratio < 0.1 else min(2.0 * radius, FURTHEST)
+            if tried.value > best.value:
+                best = tried
+        phi = best.phi
+        point, by = moved(best.problem, at.point, best.step, keep=len(increments) >= TO_AND_FRO)
+        increments.append(by)
+        about, kept, weights_settled = integrated(problem, point, at.about), at.noise.kept, True
+        if robust:
+            shown = residuals(best.problem, at.noise, best.step.told.weights, best.left)
+            kept = weighted(problem, at.noise, student(shown)).kept
+            weights_settled = at.noise.kept is not None and same_weights(kept, at.noise.kept)
+        ended = negligible(best.problem, best.step) and about is at.about and gain < enough and weights_settled
+        if ended or len(increments) >= iterations:
+            return Maximum(
+                free=problem,
+                entries=entries,
+                best=best,
+                at=at,
+                point=point,
+                curvature=B,
+                increments=tuple(increments),
+                status=Status.converged if ended else Status.ran_out,
+            )
+        at = At.of(problem, point, about, kept)
+
+
+def likeliest(problem: Problem, at: At, iterations: int = MAX_ITERATIONS) -> Maximum:
+    """The likelier of two maxima: that from the usual φ, and, where it has scatter or sizes far beyond these, that from
+    turns which nothing is expected of. Where turns are spoilt, parameters and accelerometers may take the blame."""
+    first = maximum(problem, at, iterations=iterations)
+    far = [h for h, p in zip(first.entries, first.best.phi.tolist(), strict=True) if h.value(p) > BEYOND * h.usual]
+    if not any(h.place in ("scatter", "group") for h in far) or problem.observations.turns is None:
+        return first
+    phi = np.array([np.log(USELESS.get(h.name, h.usual)) if not h.bounded else 0.0 for h in first.entries])
+    second = maximum(problem, at, phi, iterations)
+    return second if second.converged and second.best.value > first.best.value else first
+
+
+def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maximum:
+    """The maximum without the rests and turns that do not fit; the same where all do."""
+    problem, at = fitted.free, fitted.at
+    weights = fitted.best.step.told.weights
+    if max(float(each.max(initial=0.0)) for each in sigmas(problem, at.noise, weights, fitted.best.left)) < STANDS_OUT:
+        return fitted
+    by_student = maximum(problem, at, fitted.best.phi, iterations, robust=True)
+    at, best = by_student.at, by_student.best
+    out = [w < LEAST_WEIGHT for w in student(residuals(problem, at.noise, best.step.told.weights, best.left))]
+    if not any(each.any() for each in out):
+        return fitted
+    noise = weighted(problem, at.noise, [np.where(each, LEFT_OUT, 1.0) for each in out])
+    return maximum(problem, replace(at, noise=noise), best.phi, iterations)
+
+
+def _updated(B: Array, step: Array, change: Array) -> Array:
+    """The update of Broyden, Fletcher, Goldfarb and Shanno of a curvature by the change of the gradient over a step,
+    damped by Powell so that it stays positive; the same where there was no step."""
+    along = B @ step
+    square, seen = float(step @ along), float(step @ change)
+    if square <= 0.0 or not np.isfinite(seen):
+        return B
+    share = 1.0 if seen >= 0.2 * square else 0.8 * square / (square - seen)
+    mixed = share * change + (1.0 - share) * along
+    return np.asarray(B - np.outer(along, along) / square + np.outer(mixed, mixed) / float(step @ mixed))
+
+
+def _seen(noise: Noise, after: Left, step: Step) -> BoolArray:
+    """Whether a fit leaves something of each component (c,) of scatter."""
+    degrees, weights = np.zeros(len(SCATTER)), step.told.weights
+    rows = (weights.rest, after.rest[1], noise.rest_directions), (weights.turn, after.turn[1], noise.turn_directions)
+    for W, covariance, (Z, of) in rows:
+        WZ = W @ Z
+        whole, left_of = (WZ**2).sum(axis=1), (WZ * (covariance @ WZ)).sum(axis=1)
+        share = (left_of / np.where(whole > 0.0, whole, 1.0)).sum(axis=0)
+        degrees += np.bincount(of, share, len(degrees))
+    return np.asarray(degrees > LEAST_DEGREES)
+
+
+def negligible(problem: Problem, step: Step) -> bool:
+    """Whether what is left to do after a step is: Gauss–Newton squares the error, in units of the spreads."""
+    change = np.abs(_with_gravity_kept(problem, step)[0][1:])
+    u = np.sqrt(step.covariance.diagonal()[1:])
+    after = change * min(1.0, SQUARED * float(np.max(change / problem.spread)))
+    return bool(np.all(after <= CONVERGED * u + 1e-15))
+
+
+def moved(problem: Problem, point: Point, step: Step, keep: bool = False) -> tuple[Point, Array]:
+    """The point after a step, shortened so that no parameter moves by more than its spread, and the change of the
+    parameters. Chains whose heading is hardly seen `keep` it, or all chains."""
+    parameters, angles, own = _with_gravity_kept(problem, step)
+    share = 1.0 / max(1.0, float(np.max(np.abs(parameters[1:]) / problem.spread)))
+    angles, chain = share * angles, problem.chain
+    hidden = np.bincount(chain, heading_information(problem, step)) < UNSEEN**-2 * _overshot(step)
+    if keep or hidden.any():
+        mean = np.bincount(chain, angles[:, 2]) / np.bincount(chain)
+        angles[:, 2] -= np.where(hidden | keep, mean, 0.0)[chain]
+    return point.moved(share * parameters, angles, share * own), share * parameters[1:]
+
+
+def _with_gravity_kept(problem: Problem, step: Step) -> tuple[Array, Array, Array]:
+    """The step of gravity and the parameters (1 + m,), of the angles (N, 3) and of what each session has of its own.
+    Gravity of an unknown place (u above PLACE_UNKNOWN of it) stays what it is: no reading tells it from the scale
+    factors, and steps along both, whose product counts, would go to and fro. The step is that of everything else given
+    gravity, δ − C_g δ_g / C_gg; what is not known of gravity stays in the covariance."""
+    gravity_u = float(problem.measured[1][0])
+    if gravity_u < PLACE_UNKNOWN * float(problem.measured[0][0]):
+        return step.parameters, step.angles, step.own
+    q = len(problem.own_known)
+    by_gravity = step.parameters[0] / step.covariance[0, 0]
+    angles = step.angles - by_gravity * step.shared[1][:, :3, q]
+    own = step.own - by_gravity * step.own_covariance[:, :q, q]
+    return step.parameters - by_gravity * step.covariance[:, 0], angles, own
+
+
+def _overshot(step: Step) -> float:
+    """Chi-square after a step per row, 1 at least: so many times less is known than the noise has it. A heading by
+    residuals that are many times the Earth's rate would turn to and fro."""
+    rest, turn = step.told.whitened
+    return float(max(1.0, step.square / (rest.shape[0] * rest.shape[1] + turn.shape[0] * turn.shape[1])))
+
+
+def heading_information(problem: Problem, step: Step) -> Array:
+    """What the gyros of each rest (N,) and of the turn after it say of the heading of both, rad⁻²."""
+    (rest, turn), d = step.told.whitened, step.unknowns.shape[1]
+    n = problem.observations.accel_block.size
+    own = (rest[:, n:, 2] ** 2).sum(axis=1)
+    own[problem.before_turn] += ((turn[:, :, 2] + turn[:, :, d + 2]) ** 2).sum(axis=1)
+    return np.asarray(own)
+
+
+def integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> TurnsAbout | None:
+    """The turns, integrated again if the parameters have moved too far since."""
+    if about is None:
+        return None
+    changes = problem.changed_in_turns(point)
+    of_gyros = slice(problem.instrument.accel.size, None)
+    if changes is not None and about.small(changes[:, of_gyros], problem.noise_of_turns):
+        changes = None
+    gyro_changes = 0.0 if changes is None else changes[:, of_gyros]
+    if about.good_for(problem.instrument, point.values, problem.noise_of_turns, gyro_changes):
+        return about
+    return TurnsAbout.of(problem.observations, problem.instrument, point.values, changes)

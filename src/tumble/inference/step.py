@@ -1,0 +1,289 @@
+"""The least-squares step of a linearised likelihood, with what belongs to single rests eliminated, its restricted
+likelihood and the score of that, and what it leaves of residuals.
+
+Rows are whitened. Of each session the unknowns of the rests, angles and states of in-run biases, are eliminated, which
+leaves a triangle: what the session says of what it has of its own, of gravity and of the common parameters (`Told`).
+Priors are folded in after that (`joined`).
+
+With V the covariance of all rows and R the triangular factor of the elimination, priors of the groups included, is
+
+    −2 ℓ = rᵀV⁻¹r + x̂ᵀP₀x̂ + ln |V| − ln |P₀| + 2 Σ ln |diag R|                        (restricted likelihood)
+
+every determinant a sum of logarithms of diagonals that are there. With D = ∂V/∂v and P the projector onto residuals is
+the score by the variance v of a component of scatter ½ (rᵀPDPr − tr PD); by the logarithm of a prior's size λ, of a
+group c, it is Σ (E c²/λ²s² − 1), which is Fisher's identity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg.blas import dtrmm
+from scipy.linalg.lapack import dtrtri
+
+from tumble.inference.elimination import eliminate, fold, put_back
+from tumble.inference.hyperparameters import SCATTER, Noise, Weights
+from tumble.inference.in_run import InRun
+from tumble.inference.likelihood import Problem, Rows
+from tumble.inference.residual_loops import leave, score
+from tumble.inference.session_spans import SessionSpan
+from tumble.units import Array, IntArray
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Known:
+    """What is known once the attitudes are eliminated: the least-squares step of gravity and the parameters (1 + m,),
+    and of what each session has of its `own` (S, q); `roots` U (S, q + 1 + m, q + 1 + m), triangles, of the covariances
+    U Uᵀ of what each has of its own, then gravity and the parameters; the sum of squares that is left, priors included;
+    and the diagonal of the triangle it is from."""
+
+    parameters: Array
+    own: Array
+    roots: Array
+    square: float
+    pivots: Array
+
+    @property
+    def variances(self) -> Array:
+        """Of what each session has of its own, gravity and the parameters (S, q + 1 + m)."""
+        return np.asarray((self.roots**2).sum(axis=2))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Told:
+    """What rows say without any prior: their weights, the process of the biases, the whitened rows of rests and turns,
+    those that give the unknowns of the rests (N, d, ·), and of each session, these eliminated, a triangle
+    (q + 1 + p, q + 1 + p) of what it has of its own, gravity and the common parameters."""
+
+    weights: Weights
+    process: InRun | None
+    whitened: tuple[Array, Array]
+    factor: Array
+    sessions: Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Step(Known):
+    """The least-squares step, with the `unknowns` (N, d) of the rests, angles and then states of in-run biases; the
+    covariance of gravity and the parameters, and that of each session, of what it has of its own, gravity and the
+    parameters; twice the negative logarithm of the restricted likelihood, less its constant; what the rows told; and
+    `shared`, covariances of the unknowns of the rests with themselves and those of the next (2, N, d, d) and with the
+    others (N, d, p)."""
+
+    covariance: Array
+    own_covariance: Array
+    unknowns: Array
+    deviance: float
+    told: Told
+    shared: tuple[Array, Array]
+
+    @property
+    def angles(self) -> Array:
+        """The step of the angles (N, 3) of the attitudes."""
+        return self.unknowns[:, :3]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Left:
+    """Whitened residuals after a step, and their covariances, 1 where the fit has no part in them: (N, r) and (N, r, r)
+    of the rests, (K, t) and (K, t, t) of the turns."""
+
+    rest: tuple[Array, Array]
+    turn: tuple[Array, Array]
+
+
+def solve(problem: Problem, rows: Rows, weight: Weights) -> Step:
+    """The least-squares step with the attitudes eliminated, and with what each session has of its own."""
+    return completed(problem, rows, tell(problem, rows, weight))
+
+
+def completed(problem: Problem, rows: Rows, told: Told) -> Step:
+    """The least-squares step of what rows have told and of their priors."""
+    known, N, d = joined(problem, rows, told), len(problem.link), told.factor.shape[1]
+    unknowns, shared = np.empty((N, d)), []
+    own_covariance = known.roots @ np.swapaxes(known.roots, 1, 2)
+    for part, own, covariance in zip(problem.parts, known.own, own_covariance, strict=True):
+        both, link = np.concatenate([own, known.parameters]), _links(part, told.process)
+        shared.append(put_back(told.factor[part.rests], link, both, covariance, unknowns[part.rests]))
+    return Step(
+        parameters=known.parameters,
+        own=known.own,
+        roots=known.roots,
+        covariance=own_covariance[0, len(problem.own_known) :, len(problem.own_known) :],
+        own_covariance=own_covariance,
+        square=known.square,
+        pivots=known.pivots,
+        unknowns=unknowns,
+        deviance=deviance(problem, told, known),
+        told=told,
+        shared=(np.concatenate([each[0] for each in shared], axis=1), np.concatenate([each[1] for each in shared])),
+    )
+
+
+def tell(problem: Problem, rows: Rows, weight: Weights) -> Told:
+    """What the rows of every session say by themselves."""
+    process = InRun.of(problem, weight.components) if weight.components.wanders else None
+    rest, turn = whitened_rows(problem, rows, weight, process)
+    size = len(problem.own_known) + len(rows.prior)
+    d = 3 if process is None else 3 + len(process.sigma)
+    factor, sessions, joints = np.empty((len(rest), d, 2 * d + size)), np.zeros((len(problem.parts), size, size)), turn
+    if process is not None:
+        joints = np.zeros((len(rest), turn.shape[1] + d - 3, 2 * d + size))
+        joints[problem.before_turn, : turn.shape[1]] = turn
+        joints[:, turn.shape[1] :] = process.steps(d, joints.shape[2])
+    begins = np.zeros((d, 2 * d + size))  # a chain of states begins as its process is
+    begins[3:, 3:d] = np.eye(d - 3)
+    for part, triangle in zip(problem.parts, sessions, strict=True):
+        between = joints[part.turns if process is None else part.rests]
+        eliminate(rest[part.rests], between, _links(part, process), factor[part.rests], triangle, begins)
+    return Told(weights=weight, process=process, whitened=(rest, turn), factor=factor, sessions=sessions)
+
+
+def _links(part: SessionSpan, process: InRun | None) -> IntArray:
+    """What joins each rest of a session to the next, −1 where nothing does: its turn, or the steps of the biases with
+    it."""
+    return part.link if process is None else np.append(np.arange(len(part.link) - 1), -1)
+
+
+def joined(problem: Problem, rows: Rows, told: Told) -> Known:
+    """What all sessions together say, with the priors of the rows."""
+    q, triangle, heads = len(problem.own_known), rows.prior, []
+    for session, residual in zip(told.sessions, rows.own, strict=True):
+        wide = with_own(problem, session, residual)
+        heads.append(wide[:q])
+        fold(triangle, wide[q:, q:])
+        triangle = wide[q:, q:]
+    parameters, root = _solved(triangle)
+    own = [_put_back_own(head, parameters, root) for head in heads]
+    return Known(
+        parameters=parameters,
+        own=np.array([each[0] for each in own]),
+        roots=np.array([each[1] for each in own]),
+        square=float(triangle[-1, -1] ** 2),
+        pivots=np.concatenate([each.diagonal() for each in (*heads, triangle[:-1])]),
+    )
+
+
+def with_own(problem: Problem, session: Array, residual: Array) -> Array:
+    """What a session says, a triangle, with the prior of what it has of its own, of whitened residual (q,)."""
+    wide, q = session.copy(), len(residual)
+    if q:
+        prior = np.zeros((q, len(wide)))
+        prior[:, :q], prior[:, -1] = np.diag(1.0 / problem.own_known), residual
+        fold(prior, wide)
+    return wide
+
+
+def whitened_rows(problem: Problem, rows: Rows, weight: Weights, process: InRun | None) -> tuple[Array, Array]:
+    """The whitened rows of the rests and of the turns, as the elimination has them: after the unknowns of the rests
+    what a session has of its own, then gravity and the common parameters."""
+    rest = _own_first(problem, weight.rest @ rows.rest, 3)
+    turn = _own_first(problem, weight.turn @ rows.turn, 6)
+    if process is None:
+        return rest, turn
+    n, (N, r, c), (K, t, k) = len(process.sigma), rest.shape, turn.shape
+    wide, wide_turn = np.empty((N, r, c + n)), np.empty((K, t, k + 2 * n))
+    wide[:, :, :3], wide[:, :, 3 + n :] = rest[:, :, :3], rest[:, :, 3:]
+    wide[:, :, 3 : 3 + n] = weight.rest[:, :, :n] * process.sigma
+    wide_turn[:, :, :3], wide_turn[:, :, 3 + n : 6 + n] = turn[:, :, :3], turn[:, :, 3:6]
+    wide_turn[:, :, 6 + 2 * n :] = turn[:, :, 6:]
+    wide_turn[:, :, 3 : 3 + n] = weight.turn @ rows.bias * (0.5 * process.sigma)
+    wide_turn[:, :, 6 + n : 6 + 2 * n] = wide_turn[:, :, 3 : 3 + n]
+    return wide, wide_turn
+
+
+def _own_first(problem: Problem, rows: Array, angles: int) -> Array:
+    """Rows in which what a session has of its own stands before gravity and the common parameters."""
+    q = len(problem.own_known)
+    if q == 0:
+        return rows
+    last = rows.shape[2] - 1
+    order = [*range(angles), *range(last - q, last), *range(angles, last - q), last]
+    return np.take(rows, order, axis=2)
+
+
+def _put_back_own(head: Array, parameters: Array, root: Array) -> tuple[Array, Array]:
+    """What a session has of its own (q,), from the rows (q, q + p + 1) that give it once the parameters are known, and
+    a root (q + p, q + p) of its covariance with them."""
+    q = len(head)
+    if q == 0:
+        return np.zeros(0), root
+    inverse, whole = inverse_of(head[:, :q]), np.zeros((q + len(root), q + len(root)))
+    by_parameter = -inverse @ head[:, q:-1]
+    whole[:q, :q], whole[:q, q:], whole[q:, q:] = inverse, by_parameter @ root, root
+    return inverse @ head[:, -1] + by_parameter @ parameters, whole
+
+
+def deviance(problem: Problem, told: Told, known: Known) -> float:
+    """−2 log of the restricted likelihood, less its constant."""
+    own = told.weights.rest, told.weights.turn
+    whitened = np.concatenate([each.diagonal(0, 1, 2).ravel() for each in own])
+    pivots = np.abs(np.concatenate([told.factor.diagonal(0, 1, 2).ravel(), known.pivots]))
+    steps = 0.0 if told.process is None else told.process.log_determinant
+    sizes = np.concatenate([problem.measured[1][1 + problem.instrument.linear_count :], problem.own_known])
+    priors = np.log(sizes[sizes > 0.0]).sum()
+    return float(2.0 * (np.log(pivots[pivots > 0.0]).sum() - np.log(whitened).sum() + priors) + steps + known.square)
+
+
+def _solved(triangle: Array) -> tuple[Array, Array]:
+    """Step (1 + m,) of gravity and the parameters, and a root of their covariance; of gravity zero where it is taken as
+    exact."""
+    first = int(triangle[0, 0] == 0.0)
+    p = len(triangle) - 1
+    step, root = np.zeros(p), np.zeros((p, p))
+    root[first:, first:] = inverse_of(triangle[first:p, first:p])
+    step[first:] = root[first:, first:] @ triangle[first:p, p]
+    return step, root
+
+
+def inverse_of(triangle: Array) -> Array:
+    """The inverse of an upper triangle. Raises LinAlgError where it has none."""
+    inverse, singular = dtrtri(triangle)
+    if singular:
+        raise np.linalg.LinAlgError("Singular matrix")
+    return np.asarray(inverse)
+
+
+def left(problem: Problem, step: Step) -> Left:
+    """What a step leaves of the residuals."""
+    rest, turn = step.told.whitened
+    of_rests = np.zeros(rest.shape[:2]), np.zeros((*rest.shape[:2], rest.shape[1]))
+    of_turns = np.empty(turn.shape[:2]), np.empty((*turn.shape[:2], turn.shape[1]))
+    known = step.unknowns, *step.shared
+    for s, part in enumerate(problem.parts):
+        others, every = np.concatenate([step.own[s], step.parameters]), np.arange(part.rests.start, part.rests.stop)
+        for rows, first, (residual, covariance), own in (
+            (rest[part.rests], every, of_rests, part.rests),
+            (turn[part.turns], part.rests.start + part.first, of_turns, part.turns),
+        ):
+            predicted = _predicted(rows, step.roots[s])
+            residual[own] = leave(rows, first, known, others, predicted)
+            covariance[own] = predicted
+    return Left(rest=of_rests, turn=of_turns)
+
+
+def _predicted(rows: Array, root: Array) -> Array:
+    """Covariances (M, r, r) of what rows predict with unknowns (p,) whose covariance has this `root`, alone."""
+    M, r, _ = rows.shape
+    by = rows[:, :, -1 - len(root) : -1].reshape(M * r, len(root))
+    along = dtrmm(1.0, root.T, by.T, lower=1).T.reshape(M, r, len(root))
+    return np.asarray(along @ np.swapaxes(along, 1, 2))
+
+
+def scatter_score(noise: Noise, step: Step, after: Left) -> tuple[Array, Array, Array]:
+    """The score (c,) of the restricted likelihood by the variances of the components of scatter, its information
+    (c, c), of which the part within a rest and within a turn is taken, and the score by the variance of the scatter of
+    every sensor at rest (n,), in parts of that of its kind. Raises LinAlgError where residuals are beyond all
+    measure."""
+    weights = step.told.weights
+    (at_rest, of_rest), (in_turn, of_turn) = noise.at_rest(weights.components), noise.turn_directions
+    n = len(of_rest)
+    by_sensor, of_sensors = np.zeros(n), np.zeros((n, n))
+    score(weights.rest @ at_rest, np.arange(n), after.rest, by_sensor, of_sensors)
+    kind = np.eye(len(SCATTER))[of_rest]
+    slope, information = by_sensor @ kind, kind.T @ of_sensors @ kind
+    score(weights.turn @ in_turn, of_turn, after.turn, slope, information)
+    if not (np.isfinite(slope).all() and np.isfinite(information).all()):
+        raise np.linalg.LinAlgError("residuals are beyond all measure")
+    return slope, information, by_sensor

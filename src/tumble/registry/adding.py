@@ -1,0 +1,148 @@
+"""Adding calibrations, and limits of device types, to a registry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import TYPE_CHECKING
+
+from tumble.acceptance.conformity import verdict_at
+from tumble.acceptance.limits import parse_limits
+from tumble.acceptance.schedule import Occasion
+from tumble.calibration.calibration_file import Calibration
+from tumble.errors import InputError
+from tumble.files import FilePath
+from tumble.registry.due import keep_forecasts
+from tumble.registry.store import rows
+from tumble.registry.store.connect import Registry
+from tumble.registry.submission import NOTHING_SAID, Particulars, Submission, logs_of, read_submission
+from tumble.registry.types import LimitsRecord, Record
+
+if TYPE_CHECKING:
+    from sqlalchemy import Connection
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Added:
+    """A record, and whether it is new: a calibration that was there already is not added again."""
+
+    record: Record
+    new: bool
+
+
+def add_calibration(
+    registry: Registry, calibration: Calibration | FilePath, particulars: Particulars = NOTHING_SAID
+) -> Added:
+    """Add a calibration, or that of a file, unless it is there already, with what it does not say of itself. Raises as
+    `read_submission` and `add`.
+
+    >>> import tumble
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
+    >>> tumble.calibrate(folder).write("calibration.json")
+    >>> with tumble.open_registry("registry.sqlite", create=True) as registry:
+    ...     added = tumble.add_calibration(registry, "calibration.json")
+    >>> added.record.serial, added.new
+    ('mems-1', True)
+    """
+    return add(registry, read_submission(calibration, particulars))
+
+
+def add(registry: Registry, submission: Submission) -> Added:
+    """Add a calibration, unless it is there already.
+
+    Raises InputError, one line: another type for a known serial, a log that another record stands on, a correction
+    without a reason or of something that is no longer in force."""
+    with registry.writing() as connection:
+        number, new = add_within(connection, submission, datetime.now(UTC), rows.limits_in_force(connection).get)
+        record = rows.record_of(connection, number)
+        corrected = None if record.supersedes is None else rows.record_of(connection, record.supersedes)
+    if new:
+        keep_forecasts(registry, {record.serial, record.serial if corrected is None else corrected.serial})
+    return Added(record=record, new=new)
+
+
+def add_within(
+    connection: Connection, submission: Submission, added: datetime, limits_of: Callable[[str], LimitsRecord | None]
+) -> tuple[int, bool]:
+    """`add` in a transaction of the caller's: the number of the record, and whether it is new; `limits_of` gives the
+    limits that were in force for a type."""
+    known = rows.number_of(connection, submission.sha256)
+    if known is not None:
+        return known, False
+    calibration, particulars, name = submission.calibration, submission.particulars, submission.name
+    corrected = _corrected(connection, submission)
+    of_device = rows.records_of_device(connection, calibration.serial)
+    standing = [record for record in of_device if record.superseded_by is None and record != corrected]
+    for record in standing:
+        if calibration.model is not None and record.model not in (None, calibration.model):
+            raise InputError(
+                f"{name}: device.model: expected {record.model!r}, as device {calibration.serial} has it in record "
+                f"{record.number}, found {calibration.model!r}; serial numbers must be unique"
+            )
+    logs = {log for _, log in logs_of(calibration)} - {""}
+    for record in rows.records_with_logs(connection, logs):
+        if record.superseded_by is None and record.number != particulars.supersedes:
+            raise InputError(
+                f"{name}: expected a log that is not in the registry, found that of record {record.number} "
+                f"({record.serial}, {record.method}); to correct that record give --supersedes {record.number}"
+            )
+    model = calibration.model or next((r.model for r in standing if r.model is not None), None)  # that is known
+    first = not standing if corrected is None else corrected.occasion == "incoming"
+    occasion = particulars.occasion or ("incoming" if first else "periodic")
+    limits = None if model is None else limits_of(model)
+    values = {
+        "sha256": submission.sha256,
+        "serial": calibration.serial,
+        "model": model,
+        "method": calibration.method,
+        "frame": calibration.frame,
+        "performed": submission.performed,
+        "occasion": occasion,
+        "state": particulars.state,
+        "limits": None if limits is None else limits.number,
+        "verdict": None if limits is None else _judged(calibration, limits, occasion),
+        "supersedes": particulars.supersedes,
+        "reason": particulars.reason,
+        "added": added,
+    }
+    return rows.add_record(connection, values, submission.file, logs), True
+
+
+def _corrected(connection: Connection, submission: Submission) -> Record | None:
+    """The record that a submission corrects."""
+    number, reason = submission.particulars.supersedes, submission.particulars.reason
+    if (number is None) != (reason is None):
+        raise InputError(f"{submission.name}: expected --supersedes NUMBER with --reason TEXT, found one of them")
+    if number is None:
+        return None
+    record = rows.record_of(connection, number)
+    if record.superseded_by is not None:
+        raise InputError(
+            f"record {number}: expected one that is in force, found one superseded by {record.superseded_by}; "
+            "supersede that one"
+        )
+    return record
+
+
+def _judged(calibration: Calibration, limits: LimitsRecord, occasion: Occasion) -> str | None:
+    """What limits say of a calibration, in a word; None where they have none for such a check."""
+    parsed = parse_limits(limits.file, limits.systematic, limits.name)
+    try:
+        verdict = verdict_at(calibration, parsed, occasion)
+    except InputError:
+        return "other frame"
+    return None if verdict is None else verdict.result
+
+
+def set_limits(registry: Registry, model: str, file: str, systematic: str | None) -> tuple[LimitsRecord, bool]:
+    """Put limits in force for a device type, from now on; and whether they are other ones than before."""
+    with registry.writing() as connection:
+        added, before = datetime.now(UTC), rows.limits_in_force(connection).get(model)
+        if before is not None:
+            if (before.file, before.systematic) == (file, systematic):
+                return before, False
+            added = max(added, before.added + timedelta(microseconds=1))  # those may come from a clock that is ahead
+        limits = rows.add_limits(connection, model, file, systematic, added)
+    keep_forecasts(registry)
+    return limits, True

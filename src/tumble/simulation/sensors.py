@@ -1,0 +1,103 @@
+"""Simulated sensors at work: what a block reads, without its white noise, in forces and rates at times of a session.
+
+In-run, a bias changes by a stationary Gauss–Markov process of standard deviation σ and correlation time τ, sampled in
+the middles t_k of the rests,
+
+    β_{k+1} = e^(−Δt/τ) β_k + σ √(1 − e^(−2Δt/τ)) z_{k+1},     β_0 = σ z_0,     Δt = t_{k+1} − t_k
+
+with independent standard normal z. It stays so for the rest and goes straight to the next through the move, whose mean
+is (β_k + β_{k+1})/2. With τ = 0 it is held through the move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.sensors.instrument import readings
+from tumble.sensors.model import Block
+from tumble.sensors.parameters import Variable
+from tumble.simulation.climate import Climate
+from tumble.simulation.scenario import Scenario
+from tumble.units import Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class InRunBias:
+    """What the biases of a block change by, `values` (R, n) at the rests (R, 2), s; on the way from one to the next
+    they are `held`, or go straight."""
+
+    rests: Array
+    values: Array
+    held: bool
+
+    def at(self, when: Array) -> Array:
+        """The same (..., n) at times (...), s."""
+        if self.held:
+            return np.asarray(self.values[np.maximum(np.searchsorted(self.rests[:, 0], when, side="right") - 1, 0)])
+        knots = self.rests.ravel()
+        return np.stack([np.interp(when, knots, np.repeat(own, 2)) for own in self.values.T], axis=-1)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SimulatedBlock:
+    """A block with its coefficients K (n, 15) in the middle of the session, s, or at the reference temperature, and
+    what they change by, `changes` (n, 15), with time, 1/s, and with what goes with the temperature; lever arms (n, 3),
+    m; the density of its white noise, and the standard deviation of its in-run bias with its correlation time, s."""
+
+    block: Block
+    coefficients: Array
+    changes: Mapping[Variable, Array]
+    climate: Climate | None
+    middle: float
+    arms: Array
+    white: float
+    instability: float
+    instability_time: float
+
+    @staticmethod
+    def of(block: Block, scenario: Scenario, middle: float) -> SimulatedBlock:
+        """A block of a scenario."""
+        noise, instrument, values = scenario.noise, scenario.instrument, scenario.values
+        accel = block.kind == "accel"
+        changes = {variable: instrument.change(block, values, variable) for _, _, variable in instrument.changes}
+        return SimulatedBlock(
+            block=block,
+            coefficients=instrument.coefficients(block, values),
+            changes={variable: change for variable, change in changes.items() if np.any(change)},
+            climate=scenario.climate,
+            middle=middle,
+            arms=instrument.levers(values) if accel else np.zeros((block.size, 3)),
+            white=noise.accel_white if accel else noise.gyro_white,
+            instability=noise.accel_instability if accel else noise.gyro_instability,
+            instability_time=noise.instability_time,
+        )
+
+    def bias(self, normal: Array, rests: Array) -> InRunBias:
+        """What biases change by in a session with these rests (R, 2), s, of standard normal numbers (R, n): a process
+        that lasts, by how much they differ from their means over the rests, which are the parameters."""
+        values = self.instability * normal
+        if self.instability_time > 0.0:
+            ρ = np.exp(-np.diff(rests.mean(axis=1)) / self.instability_time)
+            for k, alike in enumerate(ρ):
+                values[k + 1] = alike * values[k] + np.sqrt(1.0 - alike**2) * values[k + 1]
+            values -= values.mean(axis=0)
+        return InRunBias(rests=rests, values=values, held=self.instability_time == 0.0)
+
+    def read(self, force: Array, rate: Array, when: Array, seconds: Array | None = None) -> Array:
+        """Readings (N, n) in forces, (N, 3), or (N, n, 3) where those at each sensor are others, and rates (N, 3) of
+        the body, at times (N,), s from the start of the session; over so many `seconds` (N,) about them, of the mean
+        temperatures."""
+        out = readings(self.block, self.coefficients, force, rate)
+        if not self.changes:
+            return out
+        now: dict[Variable, Array] = {"time": (when - self.middle)[:, None]}
+        if self.climate is not None and seconds is None:
+            now |= self.climate.variables(when, self.block.thermometer)
+        elif self.climate is not None and seconds is not None:
+            now |= self.climate.means(when - 0.5 * seconds, when + 0.5 * seconds, self.block.thermometer)
+        for variable, change in self.changes.items():
+            out = out + now[variable] * readings(self.block, change, force, rate)
+        return out

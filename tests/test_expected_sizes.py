@@ -1,0 +1,58 @@
+"""What a session will say of its own noise and of the sizes of groups, and what `calibrate` then states."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tumble.planning.bounds import bound, stated
+from tumble.planning.expected_sizes import _expected_scatter, _expected_size
+from tumble.planning.setup import Setup
+from tumble.recording.session import USUAL_CLOCK_U
+
+
+@settings(deadline=None)
+@given(st.floats(0.5, 1e3), st.floats(1.01, 10.0))
+def test_scatter_is_expected_smaller_the_more_residuals_there_are(degrees: float, more: float) -> None:
+    """From the √2 of the prior to nothing, as ν^(−1/4) in the end."""
+    assert 0.0 < _expected_scatter(more * degrees) < _expected_scatter(degrees) < np.sqrt(2.0)
+    assert _expected_scatter(1e-9) == pytest.approx(np.sqrt(2.0), rel=5e-3)
+    assert _expected_scatter(16e3) == pytest.approx(0.5 * _expected_scatter(1e3), rel=0.05)
+
+
+@settings(deadline=None)
+@given(st.floats(1e-3, 0.999), st.floats(2.0, 10.0), st.floats(1e-6, 1e3))
+def test_a_group_is_expected_no_smaller_than_usual_and_no_larger_than_its_prior(
+    learned: float, too_small: float, usual: float
+) -> None:
+    """Half of the prior of λ² is 1, the other half e^{2|z|} with z of the standard deviation ln k, cut off at four."""
+    within, sizes = np.log(too_small), np.full(3, usual)
+    found = _expected_size(sizes, (1.0 - learned) * sizes[None] ** 2, within)
+    p = np.linspace(0.0, 4.0, 4001)
+    prior = np.average(np.exp(2.0 * within * p), weights=np.exp(-0.5 * p**2))
+    assert np.all(found >= 1.0 - 1e-6)
+    assert np.all(found**2 <= (0.5 + 0.5 * prior) * 1.02)
+    np.testing.assert_allclose(_expected_size(sizes, sizes[None] ** 2, within) ** 2, 0.5 + 0.5 * prior, rtol=0.02)
+
+
+@pytest.mark.parametrize("grade", ["mems", "navigation"])
+@pytest.mark.parametrize("terms", ["linear", "full"])
+def test_what_is_stated_is_never_below_the_bound(grade: str, terms: str) -> None:
+    setup = Setup.of(grade=grade, terms=terms)  # type: ignore[arg-type]
+    least, said = bound(setup), stated(setup)
+    assert np.all(said.u >= least.u)
+    assert stated(setup, gyros=False).rms("accel.scale") > bound(setup, gyros=False).rms("accel.scale")
+
+
+def test_the_time_base_is_in_the_scale_factors_of_the_gyros_together() -> None:
+    """30 ppm where no clock is stated."""
+    setup = Setup.of()
+    usual, exact = stated(setup), stated(replace(setup, clock_u=0.0))
+    of_scale = np.array([name.startswith("gyro.scale") for name in usual.names])
+    more = np.outer(of_scale, of_scale) * USUAL_CLOCK_U**2
+    u = np.sqrt(np.diag(usual.covariance))
+    np.testing.assert_allclose((usual.covariance - exact.covariance - more) / np.outer(u, u), 0.0, atol=1e-9)
