@@ -55,7 +55,7 @@ def draw_recording(figure: Figure, observed: Observed) -> None:
             for file, start in zip(files, starts, strict=True):
                 middle = 0.5 * (file.edges[1:] + file.edges[:-1]) - file.edges[0] + start
                 label = drawable(column) if file is files[0] else None
-                values = getattr(file, kind)[:, i] / size
+                values = getattr(file, kind).means[:, i] / size
                 axes.plot(middle, values, color=COLOURS[i % len(COLOURS)], linewidth=0.8, label=label)
         axes.set_ylabel(unit)
         _spans(axes, rests, _between(found))
