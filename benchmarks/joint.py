@@ -1,6 +1,6 @@
 """How many joint estimates of a full session a core makes in a second, and how their time grows with the session.
 
-The set-up of §8 of the turntable method (15 rests, 14 turns, 21 parameters), from observations, one thread; and the
+The set-up of the turntable paper (15 rests, 14 turns, 21 parameters), from observations, one thread; and the
 same with all groups of parameters. A longer session is the programme so many times over. A figure is the median over
 sessions, or of several estimates of one. The answer is printed last.
 """

@@ -1,14 +1,13 @@
 """Does the joint estimate reach the Cramér–Rao bound, are its chi-square and its uncertainties right, and how far from
 the bound are the other methods?
 
-The set-up of §8 of the turntable method: programme rough-table, rests of 120 s, half turns of 20 s, table and mounting
+The set-up of the turntable paper: programme rough-table, rests of 120 s, half turns of 20 s, table and mounting
 ±1°, N_a = 10⁻⁴ m/s²/√Hz, N_g = 0.003 °/√h; errors of the instrument drawn anew in every run. Observations are made
 directly from the truth, so that their noise is known. The bound is that of the same observations at the true values.
 
 Ratio: rms error over runs and over the parameters of a group, over the rms bound. Chi-square: of all residuals against
 the noise within rests, before any scatter is estimated. Coverage: how often |value − truth| < 1.96 u, by parameter,
-with the u that the method gives, scatter included where it has estimated one (it does in about half of the runs, for
-chance exceeds its median in half of them).
+with the u that the method gives, in which scatter and in-run biases are integrated over, although there are none.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from tumble.estimation.methods.paper.sequential import sequential
 from tumble.estimation.methods.staged.method import staged
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.inference.fits import TOTAL
-from tumble.inference.hyperparameters import Scatter
+from tumble.inference.hyperparameters import Components
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import Point, Problem, weights
 from tumble.inference.linearisation import linearise
@@ -95,7 +94,7 @@ def _bound(scenario: Scenario, observations: Observations, truth: Array, number:
     point = Point(values=truth, gravity=scenario.site.gravity, attitudes=way.attitudes)
     problem = Problem.of(observations)
     rows = linearise(problem, point, TurnsAbout.of(observations, problem.instrument, truth))
-    step = solve(problem, rows, weights(problem, rows, Scatter()))
+    step = solve(problem, rows, weights(problem, rows, Components()))
     return np.sqrt(np.diag(step.covariance)[1:])
 
 

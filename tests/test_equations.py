@@ -48,3 +48,31 @@ def test_every_function_of_the_paper_that_cites_an_equation_is_in_the_index() ->
             if isinstance(node, ast.FunctionDef) and CITED.search(ast.get_docstring(node) or "") and name not in names:
                 missing.append(name)
     assert missing == []
+
+
+MATHEMATICS = (ROOT / "docs" / "mathematics.md").read_text(encoding="utf-8")
+
+
+def test_every_equation_of_the_joint_method_is_in_its_index_and_names_what_exists() -> None:
+    index = MATHEMATICS.partition("## 14.")[2]
+    numbered = re.findall(r"\\tag\{(\d+)\}", MATHEMATICS)
+    assert numbered == [str(i + 1) for i in range(len(numbered))]
+    assert set(re.findall(r"\((\d+)\)", index)) == set(numbered)
+    for name in re.findall(r"`([\w.]+)`", index):
+        path = ROOT / "src" / (name.replace(".", "/") + ".py")
+        if path.is_file():
+            continue
+        module, _, defined = name.rpartition(".")
+        source = (ROOT / "src" / (module.replace(".", "/") + ".py")).read_text(encoding="utf-8")
+        assert re.search(rf"^(?:def|class) {defined}\b", source, re.MULTILINE), name
+
+
+CITATION = re.compile(r"docs/mathematics\.md \(\d+(?:\),? (?:and )?\(\d+)*\)")
+
+
+def test_what_the_source_cites_of_the_joint_method_is_an_equation_of_the_page() -> None:
+    numbered = set(re.findall(r"\\tag\{(\d+)\}", MATHEMATICS))
+    for path in sorted((ROOT / "src").rglob("*.py")):
+        text = " ".join(path.read_text(encoding="utf-8").split())
+        for cited in CITATION.findall(text):
+            assert set(re.findall(r"\((\d+)\)", cited)) <= numbered, f"{path.name}: {cited}"

@@ -18,12 +18,12 @@ def test_mean_and_spread_of_a_lag_are_those_of_its_likelihood(
     """The likelihood of a ramp, from a lag that is held at −20 s, be it much narrower than the grid and away from it;
     the parameters move with the lag."""
 
-    def about(_problem: object, _free: object, _at: object, _scatter: object, lags: Array) -> tuple[Array, Array]:
+    def about(_fitted: object, _free: object, lags: Array) -> tuple[Array, Array]:
         return ((lags - centre) / spread) ** 2, np.column_stack([np.zeros_like(lags), 2.0 * lags])
 
     monkeypatch.setattr(of_lag, "_about", about)
     nothing = cast(Any, None)
-    lags, weight, moved = of_lag._resolved(nothing, nothing, nothing, nothing, -20.0 + of_lag.LAGS_ABOUT)
+    lags, weight, moved = of_lag._resolved(nothing, nothing, -20.0 + of_lag.LAGS_ABOUT)
     mean = float(weight @ lags)
     assert mean == pytest.approx(centre, abs=0.03 * spread)
     assert np.sqrt(weight @ (lags - mean) ** 2) == pytest.approx(spread, rel=0.03)

@@ -10,12 +10,12 @@ import pytest
 from formula_setup import device_setup
 
 from tumble.estimation.turns_about import TurnsAbout
-from tumble.inference.hyperparameters import Scatter
+from tumble.inference.hyperparameters import Components
 from tumble.inference.likelihood import NO_PRIOR, Point, Prior, Problem, Rows, bases, noise_of, weights
 from tumble.inference.linearisation import linearise
 from tumble.inference.maximum import heading_information
 from tumble.inference.row_loops import inverse_left_jacobian
-from tumble.inference.step import left, solve, variance_slopes
+from tumble.inference.step import left, solve
 from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
 from tumble.rotation import rotation_matrix, rotation_vector
@@ -162,22 +162,22 @@ def test_the_jacobian_of_rotation_vectors_is_that_of_differences(angle: float) -
 # -------------------- elimination --------------------
 
 
-def dense(problem: Problem, rows: Rows, scatter: Scatter) -> tuple[Array, Array, list[tuple[str, int]]]:
+def dense(problem: Problem, rows: Rows, scatter: Components) -> tuple[Array, Array, list[tuple[str, int]]]:
     """All whitened rows over all unknowns at once: angles of rest 0, 1, …, then the parameters; and which they are, the
-    rows of a rest that no turn follows, or of a turn and the rest before it."""
+    rows of a rest or of a turn."""
     weight, turns = weights(problem, rows, scatter), problem.observations.turns
     assert turns is not None
-    rest, merged = weight.rest @ rows.rest, weight.merged @ rows.merged(turns.first)
+    rest, turn = weight.rest @ rows.rest, weight.turn @ rows.turn
     N, p = len(rest), len(rows.prior) - 1
     lines, right, which = [], [], []
-    for i in range(N):
-        k = int(problem.link[i])
-        found, wide = (rest[i], 3) if k < 0 else (merged[k], 6)
-        block = np.zeros((len(found), 3 * N + p))
-        block[:, 3 * i : 3 * i + wide], block[:, 3 * N :] = found[:, :wide], found[:, wide:-1]
-        lines.append(block)
-        right.append(found[:, -1])
-        which.append(("rest", i) if k < 0 else ("merged", k))
+    every = (("rest", rest, range(N), 3), ("turn", turn, turns.first.tolist(), 6))
+    for kind, found, first, wide in every:
+        for k, i in enumerate(first):
+            block = np.zeros((found.shape[1], 3 * N + p))
+            block[:, 3 * i : 3 * i + wide], block[:, 3 * N :] = found[k, :, :wide], found[k, :, wide:-1]
+            lines.append(block)
+            right.append(found[k, :, -1])
+            which.append((kind, k))
     block = np.zeros((p + 1, 3 * N + p))
     block[:, 3 * N :] = rows.prior[:, :-1]
     return np.concatenate([*lines, block]), np.concatenate([*right, rows.prior[:, -1]]), which
@@ -196,7 +196,7 @@ def test_elimination_is_least_squares(axes: Array, only_programmed: bool) -> Non
         problem = Problem.of(observations)
         about = TurnsAbout.of(observations, problem.instrument, point.values)
         assert np.sum(problem.link < 0) == 6
-    rows, scatter = linearise(problem, point, about), Scatter(accel=1e-5, gyro=1e-8, turn=1e-6)
+    rows, scatter = linearise(problem, point, about), Components(accel=1e-5, gyro=1e-8, turn=1e-6)
     step = solve(problem, rows, weights(problem, rows, scatter))
     jacobian, residual, which = dense(problem, rows, scatter)
     scale = np.linalg.norm(jacobian, axis=0)
@@ -233,8 +233,8 @@ def test_a_free_heading_takes_no_information() -> None:
     observations = problem.observations
     problem = Problem.of(replace(observations, site=replace(observations.site, latitude=None)))
     rows = linearise(problem, point, about)
-    step = solve(problem, rows, weights(problem, rows, Scatter()))
-    jacobian, residual, which = dense(problem, rows, Scatter())
+    step = solve(problem, rows, weights(problem, rows, Components()))
+    jacobian, residual, which = dense(problem, rows, Components())
     scale = np.linalg.norm(jacobian, axis=0)
     U, s, Vt = np.linalg.svd(jacobian / scale, full_matrices=False)
     assert s[-2] > 1e-9 > 1e3 * s[-1]
@@ -260,50 +260,25 @@ def bound(setup: Setup, only_programmed: bool) -> Array:
     point = Point(values=values, gravity=setup.gravity, attitudes=true_attitudes(chosen, 3))
     problem = Problem.of(observations)
     rows = linearise(problem, point, TurnsAbout.of(observations, problem.instrument, values))
-    variance = np.diag(solve(problem, rows, weights(problem, rows, Scatter())).covariance)[1:]
+    variance = np.diag(solve(problem, rows, weights(problem, rows, Components())).covariance)[1:]
     return np.sqrt([variance[i:j].mean() for i, j in ((0, 3), (3, 6), (6, 9), (9, 12), (12, 15), (15, 21))])
-
-
-@pytest.mark.parametrize("axes", [np.eye(3), PYRAMID], ids=["triad", "pyramid"])
-def test_slopes_of_the_variances_are_derivatives(axes: Array) -> None:
-    """Of the variances of gravity and the parameters by those of the components of scatter: central differences."""
-    problem, point, about = problem_at(scenario(axes, full=True), 1e-3)
-    turns = problem.observations.turns
-    assert turns is not None
-    jerky = replace(turns, aliased=np.linspace(1e-9, 1e-8, len(turns)))
-    problem = replace(
-        problem, observations=replace(problem.observations, turns=jerky), wandering=(1, 2 * len(axes) - 1)
-    )
-    rows = linearise(problem, point, about)
-    noise = noise_of(problem, rows)
-    of_turns = Scatter(turn=3e-5, velocity=1e-3, apart=2e-5, jumps=1e-2, aliased=0.5, aliased_apart=0.3)
-    of_biases = Scatter(accel=2e-4, gyro=1e-5, accel_wandering=1e-3, gyro_wandering=5e-5)
-    variance = of_turns.variances + of_biases.variances
-    found = variance_slopes(problem, solve(problem, rows, noise.weights(Scatter.of_variances(variance))), noise)
-    for a, slopes in enumerate(found):
-        if variance[a] == 0.0:
-            continue
-        change = 1e-4 * variance[a] * np.eye(len(variance))[a]
-        more, less = (
-            np.diag(solve(problem, rows, noise.weights(Scatter.of_variances(variance + each))).covariance)
-            for each in (change, -change)
-        )
-        numeric = (more - less) / (2.0 * change[a])
-        assert slopes == pytest.approx(numeric, rel=1e-4, abs=1e-6 * np.abs(numeric).max())
 
 
 def test_rests_and_turns_say_of_a_heading_by_how_much_their_rows_change_with_it() -> None:
     """All attitudes turn about the vertical by ε: the rows of the accelerometers stay, the others change by the Earth's
     rate, those of the turns by the more the longer they last."""
     problem, point, about = problem_at(scenario(), 0.0)
-    weight, turn = weights(problem, linearise(problem, point, about), Scatter()), 1e-4
+    weight, turn = weights(problem, linearise(problem, point, about), Components()), 1e-4
     angles = np.zeros((len(point.attitudes), 3))
     angles[:, 2] = turn
     here, there = (linearise(problem, p, about) for p in (point, point.moved(np.zeros(1 + len(point.values)), angles)))
     found = heading_information(problem, solve(problem, here, weight))
     first = problem.observations.turns.first  # type: ignore[union-attr]
-    changed = weight.merged @ (there.merged(first) - here.merged(first))[..., -1:] / turn
-    np.testing.assert_allclose(found[first], (changed**2).sum(axis=(1, 2)), rtol=1e-3)
+    at_rest = weight.rest @ (there.rest - here.rest)[..., -1:] / turn
+    in_turns = weight.turn @ (there.turn - here.turn)[..., -1:] / turn
+    expected = (at_rest**2).sum(axis=(1, 2))
+    expected[first] += (in_turns**2).sum(axis=(1, 2))
+    np.testing.assert_allclose(found, expected, rtol=1e-3)
 
 
 def test_velocities_scatter_across_the_vertical_of_the_point_however_wrong_the_raw_gyros_are() -> None:
@@ -313,8 +288,7 @@ def test_velocities_scatter_across_the_vertical_of_the_point_however_wrong_the_r
     turns = problem.observations.turns
     assert turns is not None
     noise = noise_of(problem, linearise(problem, point, about))
-    r = noise.rest.shape[1]
-    of_velocity = noise.merged[:, r + 3 : r + 6, r + 3 : r + 6] - turns.velocity_covariance
+    of_velocity = noise.turn[:, 3:6, 3:6] - turns.velocity_covariance
     by_gyros = (point.gravity * turns.duration) ** 2 * np.trace(turns.covariance, axis1=1, axis2=2) / 9.0
     east, up = (
         np.einsum("ki,kij,kj->k", e, of_velocity, e) for e in np.moveaxis(point.attitudes[turns.first], 1, 0)[[2, 1]]
@@ -338,7 +312,7 @@ def test_noise_of_nothing_is_no_scatter() -> None:
     problem, point, about = problem_at(scenario(setup=replace(SETUP, noise=NoiseModel(accel_white=1e-3))), 0.0)
     rows = linearise(problem, point, about)
     variance = 1e-6 / 120.0
-    np.testing.assert_allclose(weights(problem, rows, Scatter()).rest[:, 0, 0], variance**-0.5, rtol=1e-6)
+    np.testing.assert_allclose(weights(problem, rows, Components()).rest[:, 0, 0], variance**-0.5, rtol=1e-6)
 
 
 def test_other_chains_are_refused() -> None:

@@ -29,6 +29,7 @@ ANSWERS = {
     "formulas_against_simulation.py": "Do the formulas predict the simulation? yes",
     "joint_bound.py": "Does the joint estimate reach the bound? yes",
     "kalman_filter.py": "Does the Kalman filter win? In accuracy",
+    "metropolis.py": "Is the posterior what a sampler finds? ",
     "over_temperature.py": "Is u over temperature honest, and does a warm-up cost little? Yes",
     "paper_device.py": "Do the published tables come out? Mostly.",
     "populations.py": "Is u honest beyond the data sheet? Yes",

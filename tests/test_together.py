@@ -18,7 +18,7 @@ from tumble.calibration.together import calibrate_together
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.estimation.causes.linearised_session import LinearisedSession
-from tumble.estimation.causes.projection import projections
+from tumble.estimation.causes.projection import Remaining, projections
 from tumble.estimation.diagnosis.misfit import misfit
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.turns_about import TurnsAbout
@@ -151,18 +151,13 @@ def dense(problem: Problem, point: Point) -> Array:
     assert turns is not None
     N, m, q, S = len(problem.link), len(point.values), len(problem.own_known), len(problem.parts)
     blocks = []
-    for i in np.flatnonzero(problem.link < 0):
-        block = np.zeros((rows.rest.shape[1], 3 * N + S * q + 1 + m))
-        own = weight.rest[i] @ rows.rest[i]
-        block[:, 3 * i : 3 * i + 3], block[:, 3 * N + S * q :] = own[:, :3], own[:, 3 : 4 + m]
-        s = problem.of_session[0][i]
-        block[:, 3 * N + s * q : 3 * N + (s + 1) * q] = own[:, 4 + m : -1]
-        blocks.append(block)
-    for k, merged in enumerate(weight.merged @ rows.merged(turns.first)):
-        block, i, s = np.zeros((len(merged), 3 * N + S * q + 1 + m)), turns.first[k], problem.of_session[1][k]
-        block[:, 3 * i : 3 * i + 6], block[:, 3 * N + S * q :] = merged[:, :6], merged[:, 6 : 7 + m]
-        block[:, 3 * N + s * q : 3 * N + (s + 1) * q] = merged[:, 7 + m : -1]
-        blocks.append(block)
+    every = (weight.rest @ rows.rest, np.arange(N), 3), (weight.turn @ rows.turn, turns.first, 6)
+    for place, (found, first, wide) in enumerate(every):
+        for own, i, s in zip(found, first, problem.of_session[place], strict=True):
+            block = np.zeros((len(own), 3 * N + S * q + 1 + m))
+            block[:, 3 * i : 3 * i + wide], block[:, 3 * N + S * q :] = own[:, :wide], own[:, wide : wide + 1 + m]
+            block[:, 3 * N + s * q : 3 * N + (s + 1) * q] = own[:, wide + 1 + m : -1]
+            blocks.append(block)
     prior = np.zeros((1 + m, 3 * N + S * q + 1 + m))
     prior[:, 3 * N + S * q :] = rows.prior[:-1, :-1]
     own_prior = np.zeros((S * q, 3 * N + S * q + 1 + m))
@@ -297,6 +292,25 @@ def test_a_cause_is_named_in_the_session_it_is_in() -> None:
     (said,) = [sentence for _, sentence in (*found.reasons, *found.remarks) if "jump" in sentence]
     assert "session-2: " in said
     assert "after rest 7 " in said
+
+
+def test_each_session_with_what_the_others_say_knows_what_all_know_and_a_warm_up_in_one_is_said() -> None:
+    """Parameters are as well known from one session as from all, and a warm-up in one of two is in its process."""
+    observations = together(device("mems", SHORT, seed=5), [ramp(t, t) for t in (0.0, 40.0)])
+    rests, warm = observations.rests, observations.session == 1
+    settling = np.where(warm, np.exp(-(rests.start - rests.start[warm].min()) / 150.0), 0.0)
+    estimate = joint(replace(observations, rests=replace(rests, accel=rests.accel + 0.03 * settling[:, None])))
+    linearised = estimate.linearised
+    assert linearised is not None
+    assert estimate.instrument is not None
+    linear = estimate.instrument.linear_count
+    nothing = [np.zeros((*rows.shape[:2], 1)) for rows in (linearised.rows.rest, linearised.rows.turn)]
+    known = np.array([each.u[:linear] for each in projections(linearised, linearised.components, *nothing)])
+    whole = np.sqrt(Remaining.of(linearised, linearised.components).step.covariance.diagonal())[1 : 1 + linear]
+    np.testing.assert_allclose(known, np.broadcast_to(whole, (2, linear)), rtol=0.05)
+    found = misfit(estimate)
+    assert found is not None
+    assert any("biases of the accelerometers wander by" in said for _, said in found.remarks), found.remarks
 
 
 def test_a_ramp_that_turns_back_within_a_turn_is_followed() -> None:

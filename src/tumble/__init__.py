@@ -9,7 +9,7 @@ Conventions, for every module
               n  geographic N (north), U (up), E (east), right-handed in the order N, U, E
               s  sensor: one coordinate a sensor
     vectors   `vec_a` is resolved in frame a; `mat_ab` takes coordinates in b to a
-    model     reading = matrix @ true + bias; matrix n×3 = diag(1 + k) A(γ), Eq. (1) of the turntable method
+    model     reading = matrix @ true + bias; matrix n×3 = diag(1 + k) A(γ), Eq. (1) of the turntable paper
     gravity   an accelerometer at rest with its axis up reads +g; g is positive, m/s²
     samples   a sample is the mean over the interval that ends at its time stamp
     u         standard uncertainty (k = 1)

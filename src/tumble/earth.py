@@ -1,4 +1,4 @@
-"""Gravity and the Earth's rotation at a site: the two standards of the turntable method.
+"""Gravity and the Earth's rotation at a site: the two standards of a turntable.
 
 Source: WGS-84 (NIMA TR8350.2, 3rd edition): Somigliana's closed formula on the ellipsoid, eq. (4-1), and the
 second-order expansion in height, eq. (4-3).

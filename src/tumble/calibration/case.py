@@ -16,7 +16,7 @@ the azimuths are known it holds t to zero within the tolerance.
 Two blocks. Simultaneous verticals of both in three or more positions: Wahba again, weighted by the noise, with what
 each calibration leaves uncertain propagated.
 
-Source: ellipsoid method §5. Wahba's problem: Markley (1988), The Journal of the Astronautical Sciences 36, 245-258.
+Wahba's problem: Markley (1988), The Journal of the Astronautical Sciences 36, 245-258.
 """
 
 from __future__ import annotations

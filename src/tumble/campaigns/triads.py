@@ -10,7 +10,8 @@ to first order, so that Gauss–Newton on r for all nine parameters is the maxim
 free attitudes and equal noise in all readings. (Σ hᵀh)⁻¹ σ² is its covariance, at the true values the Cramér–Rao bound.
 
 LANES triads go through every loop side by side, a loop that the compiler turns into vector instructions; the plain twin
-is in tests/naive.py. Source: §4 of the turntable method, converged, with the weights of the readings' noise.
+is in tests/naive.py. Eqs. (12) and (13) of the turntable paper, converged, with the weights of
+the readings' noise.
 """
 
 from __future__ import annotations

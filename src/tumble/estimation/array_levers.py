@@ -2,7 +2,7 @@
 
 Sensor p at r_p reads, with k_p its row of the sensitivity matrix,
 
-    y_p = k_pᵀ (f + ω̇ × r_p + Ω² r_p) + own_p,     Ω² = ωωᵀ − |ω|² I                                            (4)
+    y_p = k_pᵀ (f + ω̇ × r_p + Ω² r_p) + own_p,     Ω² = ωωᵀ − |ω|² I                                            (12)
 
 The force f and ω̇ are unknowns of every sample: of y only the n − 6 combinations N count that H = [K, r × K] leaves.
 Ω² is that of the rates (I + E) ω at t − τ, to second order in τ: their error E and the delay τ of the accelerometers
@@ -19,7 +19,7 @@ it is faster than the samples, and against the gyros' differences it has a scale
 Its noise is that which the residuals show in each class of samples. As the classes are made by these residuals, they
 tell of n − 6 directions at once what is left: information is (1 − 2/(n − 6))² of that of known variances (Tyler 1987).
 
-Source: dynamics method §2 (4) and A7, with ω̇ as an unknown of every sample in place of the integration by parts.
+The equation is docs/mathematics.md (12).
 """
 
 from __future__ import annotations

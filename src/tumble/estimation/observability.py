@@ -1,6 +1,6 @@
 """What positions tell of the nine parameters of a triad, and which further ones would say what they do not.
 
-Judged by the rows of Eq. (13) of the turntable method in the directions in which the true vector stood: what a position
+Judged by the rows of Eq. (13) of the turntable paper in the directions in which the true vector stood: what a position
 says of biases, scale factors and axis angles through the length of the reading.
 """
 
@@ -77,7 +77,7 @@ def rough_directions(readings: Array) -> Array:
 
 def _direction_rows(block: Block, directions: Array) -> Array:
     """What positions with the true vector along `directions` (N, 3) in the body say of the nine parameters, biases in
-    parts of the modulus: rows (N, 9) of Eq. (13) of the turntable method."""
+    parts of the modulus: rows (N, 9) of Eq. (13) of the turntable paper."""
     homogeneous = np.concatenate([directions, np.ones((len(directions), 1))], axis=1)
     return np.asarray(np.einsum("ip,pqm,iq->im", directions @ block.axes.T, block.jacobian(np.zeros(9)), homogeneous))
 

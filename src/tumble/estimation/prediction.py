@@ -3,10 +3,10 @@
 Single parameters may be open while what they predict together is not: bias, K₂ and asymmetry of an accelerometer that
 stood on faces alone. What a user has of a calibration is the corrected specific force in any attitude,
 
-    u_f² = ⅓ Σ_p mean over directions u of J_p(u) Σ J_p(u)ᵀ                                                     (A4)
+    u_f² = ⅓ Σ_p mean over directions u of J_p(u) Σ J_p(u)ᵀ                                                     (27)
 
-with J_p the derivative of the reading of accelerometer p at g u; and likewise the corrected rate, at the rates of the
-session's turns about any axis, in any attitude.
+docs/mathematics.md (27), with J_p the derivative of the reading of accelerometer p at g u; and likewise the corrected
+rate, at the rates of the session's turns about any axis, in any attitude.
 """
 
 from __future__ import annotations

@@ -4,9 +4,9 @@ With the moments of a turn (`tumble.reduction.moments`) and s_p the column of se
 ΔK of the coefficients of a reading turns C into exp([φ×]) C and adds to V,
 
     φ = −P_pb ΔK_pb,    ΔV = −Q_pb ΔK_pb,    P = Φ_ijb s_jp,    Q = Ψ_ijb s_jp of gyros, Φ_ijb s_jp of accelerometers
-    (A6)
+    (9)
 
-for every function b of every sensor p. Lever arms and delays enter V alone, Eqs. (6) and (7).
+for every function b of every sensor p. Lever arms and delays enter V alone: docs/mathematics.md (9), (10) and (11).
 """
 
 from __future__ import annotations

@@ -79,12 +79,14 @@ def eliminate(
 def _eliminate_large(rest: Array, turn: Array, link: IntArray, factor: Array, triangle: Array, begins: Array) -> None:
     """The same by LAPACK, a rest at a time, for arrays, whose many states make its blocks worth their call."""
     d, kept, carried = factor.shape[1], list[Array](), begins
+    square = np.zeros(2 * d)
     for i, k in enumerate(link.tolist()):
         own = np.zeros((rest.shape[1], carried.shape[1]))
         own[:, :d], own[:, 2 * d :] = rest[i, :, :d], rest[i, :, d:]
         rows = np.concatenate([carried, own, *([turn[k]] if k >= 0 else [])])
         width = 2 * d if k >= 0 else d
-        length = np.sqrt((rows[:, :width] ** 2).sum(axis=0))
+        square = np.append(square[d:], np.zeros(d)) + (rows[d:, : 2 * d] ** 2).sum(axis=0)
+        length = np.sqrt(square[:width])  # of the columns before anything was taken off them
         reduced = np.asarray(np.linalg.qr(rows, mode="r"))
         factor[i] = 0.0
         carried = np.zeros_like(carried)

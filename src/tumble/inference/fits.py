@@ -7,8 +7,8 @@ its gyros and of a turn have the weight
 
     w = (ν + q)/(ν + χ²)
 
-each for itself, taken again at every linearisation. Those whose weight falls below LEAST_WEIGHT are left out, by
-number; the estimate is that of all others, which have their whole weight.
+each for itself, taken again at every linearisation: docs/mathematics.md (30). Those whose weight falls below
+LEAST_WEIGHT are left out, by number; the estimate is that of all others, which have their whole weight.
 """
 
 from __future__ import annotations
@@ -34,8 +34,9 @@ NU = 4.0
 """Degrees of freedom of the rows of a robust fit."""
 LEAST_WEIGHT = 0.1
 """A row of less weight is left out."""
-STANDS_OUT = 4.0
-"""Sigmas by the scale of the others: where no rest or turn is further out the maximum is as good as a robust one."""
+STANDS_OUT = 3.0
+"""Sigmas by the scale of the others: where none is further out the maximum is as good as a robust one. One of
+fourteen turns that spoils that scale is never beyond 3.9."""
 SETTLED = 0.05
 """A change of weights that is none."""
 LEFT_OUT = 1e-6

@@ -37,8 +37,9 @@ OF_TURNS = SCATTER[2:]
 """Those that concern turns alone."""
 CORRELATION_TIME = 300.0
 """s: the usual correlation time of an in-run bias."""
-IN_RUN_WITHIN = float(np.log(5.0))
-"""Standard deviation of the logarithms of its size and of its correlation time about the usual ones."""
+IN_RUN_WITHIN = float(np.log(5.0) / 1.645)
+"""Standard deviation of the logarithms of its size and of its correlation time about the usual ones: nine of ten are
+within ÷× 5. A wider one would make the mean square of sizes that a session does not show that of the few largest."""
 SHEET, STATED, GUESSED = 2.0, 3.0, 10.0
 """The factor by which a usual size may be too small where it is from a data sheet, from a grade that is stated, or from
 one that is guessed."""
@@ -51,12 +52,12 @@ REST_MODES = {"accel": "readings of the accelerometers at rest", "gyro": "readin
 class Components:
     """Components of variance beside the noise within rests, as standard deviations: of the readings at rest of the
     accelerometers (m/s²) and gyros (rad/s) from rest to rest; of the rotations (rad) and velocities (m/s) of turns; of
-    the integrals (rad) of gyros beyond the rotation of the body; c of (A3), the error of the integral over a jump
-    between samples in parts of its size times the interval; the error of a rotation in parts of what `aliased` samples
-    would make it, and that of what gyros say beyond it in the same parts. Then the in-run bias of each kind, a
-    stationary Gauss–Markov process: its standard deviation and correlation time (s). By how many times the scatter at
-    rest and the in-run bias of a sensor are larger than those of its kind is `unlike` (n,), accelerometers before
-    gyros; 1 where empty."""
+    the integrals (rad) of gyros beyond the rotation of the body; c of docs/mathematics.md (18), the error of the
+    integral over a jump between samples in parts of its size times the interval; the error of a rotation in parts of
+    what `aliased` samples would make it, and that of what gyros say beyond it in the same parts. Then the in-run bias
+    of each kind, a stationary Gauss–Markov process: its standard deviation and correlation time (s). By how many times
+    the scatter at rest and the in-run bias of a sensor are larger than those of its kind is `unlike` (n,),
+    accelerometers before gyros; 1 where empty."""
 
     accel: float = 0.0
     gyro: float = 0.0
@@ -288,8 +289,9 @@ def components_of(entries: tuple[Hyperparameter, ...], phi: Array, sensors: int)
 
 def sized(problem: Problem, entries: tuple[Hyperparameter, ...], phi: Array) -> Problem:
     """The problem with the priors of its groups as large as φ says."""
-    expected, usual = problem.usual
-    known, own = usual.copy(), problem.own_usual.copy()
+    expected, known, own = problem.measured[0], problem.usual[1].copy(), problem.own_usual.copy()
+    if problem.lag_known and problem.lag is not None:
+        known[1 + problem.lag] = problem.measured[1][1 + problem.lag]
     for h, p in zip(entries, phi.tolist(), strict=True):
         if h.place == "group":
             known[1:][h.members] *= h.value(p)

@@ -1,4 +1,4 @@
-"""The posterior with the hyperparameters integrated out, by importance sampling.
+"""The posterior with the hyperparameters integrated out, by importance sampling: docs/mathematics.md, section 11.
 
 Integrated is over the elements of φ that matter: along which, a standard deviation either way, a parameter of the
 linear model moves by more than NOTICED of its u, or its u by as much. The others stay at the maximum. Points φ_i are of
@@ -15,7 +15,8 @@ covariance V_i at each
 
     x̄ = Σ w m,    C = Σ w (V + m mᵀ) − x̄ x̄ᵀ
 
-and the coverage factor k of a parameter is the half width at 95.45 % of its mixture of Gaussians over its u. Rows do
+and the coverage factor k of a parameter is the half width at 95.45 % of its mixture of Gaussians over its u, of which u
+is half where a few points far out would make it more. Rows do
 not change, so that each point costs one elimination. The effective number of points 1/Σ w² and the shape of the Pareto
 distribution say how good the proposal was.
 """
@@ -50,6 +51,9 @@ NOTICED = 0.1
 """Of u: an element of φ that does less to the parameters is not integrated over."""
 POOR = 0.7
 """Shape of the Pareto distribution of the weights from which on the integral is not to be relied on."""
+SHOWN = 0.2
+"""Twice the members of a group of which the session learns something where it is as large as its prior allows for: of
+less, its size is not shown at all, and stays that of the sheet."""
 COVERAGE = 0.9545
 MOST_DEGREES = 1e6
 
@@ -98,10 +102,12 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
     of_process = weight @ process
     spread = ((process - of_process).T * weight) @ (process - of_process)
     deviations = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    factor = _coverage_factors(steps - mean, deviations, weight, np.sqrt(np.diag(covariance)))
+    shorter = np.where(factor > 0.0, np.minimum(0.5 * factor, 1.0), 1.0)
     return Posterior(
         step=mean,
-        covariance=covariance,
-        degrees=_degrees((steps - mean)[:, 1:], deviations[:, 1:], weight, np.sqrt(np.diag(covariance))[1:]),
+        covariance=covariance * np.outer(shorter, shorter),
+        degrees=_degrees(factor[1:]),
         process_step=of_process,
         process_covariance=np.einsum("k,kab->ab", weight, own) + spread,
         points=points,
@@ -145,13 +151,14 @@ def _axes(fitted: Maximum) -> tuple[list[_Axis], Array]:
                 moved = np.abs(there.step.parameters[linear] - mean) / u
                 wider = np.abs(np.sqrt(there.step.covariance.diagonal()[linear]) / u - 1.0)
                 matters |= bool(max(moved.max(), wider.max()) > NOTICED)
+                matters &= not at_bound or there.information[i, i] - h.within**-2 > SHOWN
             if away == 1.0 and not matters:
                 break
         if matters:
             axes.append(_axis(i, best.phi[i], sorted(knots), size, h.within if at_bound else 0.0))
             bends.append(np.zeros(len(best.phi)) if at_bound else (scores[0] - scores[1]) / (2.0 * size))
     elements = [axis.element for axis in axes]
-    curvature = np.array(bends).reshape(len(axes), -1)[:, elements]
+    curvature = np.array(bends).reshape(len(axes), len(best.phi))[:, elements]
     curvature = 0.5 * (curvature + curvature.T)
     alone = np.array([bool(bounded[i] and best.phi[i] <= 0.0) for i in elements], dtype=bool)
     curvature[alone], curvature[:, alone] = 0.0, 0.0
@@ -246,17 +253,20 @@ def _pareto(above: Array) -> tuple[float, float]:
     return (n * shape + 5.0) / (n + 10.0), -shape / chosen
 
 
-def _degrees(means: Array, deviations: Array, weight: Array, u: Array) -> Array:
-    """Degrees of freedom (m,) of the t whose coverage factor at COVERAGE is the half width of the mixtures of Gaussians
-    (points, m) over their u (m,)."""
+def _coverage_factors(means: Array, deviations: Array, weight: Array, u: Array) -> Array:
+    """The half widths at COVERAGE of the mixtures of Gaussians (points, m) over their u (m,); 0 where u is."""
     low, high = np.zeros(len(u)), np.full(len(u), 20.0)
-    safe, known = np.where(deviations > 0.0, deviations, 1.0), u > 0.0
+    safe = np.where(deviations > 0.0, deviations, 1.0)
     for _ in range(40):
         k = 0.5 * (low + high)
         inside = special.ndtr((k * u - means) / safe) - special.ndtr((-k * u - means) / safe)
         small = weight @ inside < COVERAGE
         low, high = np.where(small, k, low), np.where(small, high, k)
-    factor = np.where(known, 0.5 * (low + high), 0.0)
+    return np.where(u > 0.0, 0.5 * (low + high), 0.0)
+
+
+def _degrees(factor: Array) -> Array:
+    """Degrees of freedom (m,) of the t that has these coverage factors at COVERAGE."""
     degrees = np.geomspace(1.0, MOST_DEGREES, 400)
     factors = special.stdtrit(degrees, 0.5 + 0.5 * COVERAGE)
     return np.asarray(np.interp(-factor, -factors, degrees))

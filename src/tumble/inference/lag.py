@@ -2,7 +2,7 @@
 
 Everything else is linear, or nearly so, once the lag is known, which multiplies the coefficients over temperature: the
 likelihood has several minima over it, where the temperature hardly bends none that Gauss–Newton finds. So the estimate
-holds the likeliest lag, and in the end its probability is summed over a grid.
+holds the likeliest lag, and in the end its probability is summed over a grid: docs/mathematics.md (35).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def maximum_with_lag(problem: Problem, at: At, iterations: int) -> tuple[Maximum
     """The maximum with the likeliest lag, which is held, and what is to be added to the
     covariance (m, m) of the parameters because the lag is not known: with the solutions θ(λ)
 
-        C = C(λ) + E[(θ(λ) − E θ)(θ(λ) − E θ)ᵀ]                                                                   (A5)
+        C = C(λ) + E[(θ(λ) − E θ)(θ(λ) − E θ)ᵀ]                                                                   (35)
 
     Where a session hardly shows the lag, its likelihood is no parabola, and mean and spread are not those of the
     maximum. The lag that is held in the end is its mean."""

@@ -1,16 +1,16 @@
 """The joint likelihood of everything a session contains: what is unknown, its residuals and their noise.
 
 Unknowns: the parameters θ of the instrument, local gravity g, and the attitude L (body → geographic) of every rest.
-Minimised is the sum of squares, each over its covariance (turntable method §8; dynamics method §3), of
+Minimised is the sum of squares, each over its covariance (docs/mathematics.md, sections 1 to 5), of
 
     ŷ − Σ_b K_b(θ) β_b(f, ω)                   at rest, of both blocks: f = g u, u = Lᵀ e_U; ω = Lᵀ Ω
     log( C(θ) L_jᵀ e^{−[Ω×]T} L_i )            the turn from rest i to rest j, resolved in the body at its start
-    V(θ) − L_iᵀ ∫ e^{[Ω×]s} g e_U ds           its velocity, likewise, where levers and delay are unknowns        (9)
+    V(θ) − L_iᵀ ∫ e^{[Ω×]s} g e_U ds           its velocity, likewise, where levers and delay are unknowns       (13)
     g − g₀                                     the measured gravity
 
 C(θ) = exp([φ×]) C and V(θ) are about the parameters the turn was integrated with: φ and V change with the coefficients
 K by what `tumble.reduction.moments` has of the turn, to first order; levers and delays enter V linearly. The turn's
-rows are (9) in other axes, those in which its covariance is given. The Coriolis term of (9) is left out: it is below
+rows are (13) in other axes, those in which its covariance is given. The Coriolis term of (13) is left out: it is below
 0.1 σ for a table whose axes are within a metre. Gravity is the same for all rests, so it is an unknown that has been
 measured; no table angle has a prior unless a `Prior` is given. Parameters have priors: those of the linear model
 their limits, which decide what the data leave open and are nothing beside what they show; the others what
@@ -30,7 +30,7 @@ not see stays free and takes no information from the others. Without a latitude 
 
 Noise. Beside the noise within rests a session has components of variance (`Components`): a scatter of the readings of
 accelerometers and gyros from rest to rest; of the rotations and of the velocities of the turns, and of what n > 3 gyros
-say beyond the rotation; the error of velocities over forces that jump between samples (A3), and of rotations over rates
+say beyond the rotation; the error of velocities over forces that jump between samples (18), and of rotations over rates
 that do. The gyros of an array are not read at one instant, so that rates that jump from sample to sample make them
 disagree, too. The bias of every sensor is a process in time beside that (`tumble.inference.in_run`), with its states
 among the unknowns of the rests.
@@ -462,8 +462,8 @@ def _noise_of_session(problem: Problem) -> Noise:
 
 
 def _turn_noise(problem: Problem) -> Array:
-    """Covariance (K, t, t) of the rows of the turns: (8) with the variance of a mean over the turn in place of that of
-    white noise (A3), without what rotations do to velocities."""
+    """Covariance (K, t, t) of the rows of the turns: docs/mathematics.md (16), without what rotations do to
+    velocities."""
     turns, readings = problem.observations.turns, problem.observations.turn_readings
     assert turns is not None
     blocks = [turns.covariance + turns.duration[:, None, None] ** 2 * _unseen(problem) * np.eye(3)]

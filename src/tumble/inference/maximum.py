@@ -5,7 +5,8 @@ is linear, or nearly so, given φ (`tumble.inference.hyperparameters`). Maximise
 
     ℓ(φ) = ln p(φ) − ½ [rᵀV⁻¹r + x̂ᵀP₀x̂ + ln |V| − ln |P₀| + 2 Σ ln |diag R|]
 
-the logarithm of the posterior of φ with x integrated out, r being the residuals at x̂(φ) (`tumble.inference.step`).
+the logarithm of the posterior of φ with x integrated out, r being the residuals at x̂(φ) (`tumble.inference.step`):
+docs/mathematics.md (23), (28) and (29).
 
     x   Gauss–Newton: x ← x + argmin over the rows linearised at x. Turns are integrated again about the current
         parameters wherever the second-order effect of the change since counts.
@@ -57,6 +58,8 @@ CONVERGED = 1e-3
 GAIN = 0.5 * 0.05**2
 """What ℓ would still gain by each element of φ where φ counts as settled: they are within 0.05 of their standard
 deviations, root mean square."""
+NEAR, FAR_STEPS = 1.0, 2
+"""Of u: until x is so near, at most for so many linearisations, φ stays as it is, for residuals are of x then."""
 FURTHEST = 2.0
 """Δ at first and at most."""
 SQUARED = 10.0
@@ -202,11 +205,13 @@ def maximum(
     entries = table(problem, at.noise, _seen(at.noise, left(problem, plain), plain))
     bounded = np.array([h.bounded for h in entries], dtype=bool)
     phi = np.array([h.centre for h in entries]) if phi is None or len(phi) != len(entries) else phi
-    increments, radius, B, enough = list[Array](), FURTHEST, np.zeros((0, 0)), GAIN * len(entries)
+    near, gain = False, np.inf
+    increments, radius, B, enough = list[Array](), FURTHEST, np.zeros((0, 0)), GAIN * max(1, len(entries))
     while True:
         best = Evaluated.of(problem, entries, at, phi)
-        B = best.information if not len(increments) else B
-        for _ in range(STEPS):
+        near = near or len(increments) >= FAR_STEPS or negligible(best.problem, best.step, NEAR)
+        B = best.information if gain == np.inf else B
+        for _ in range(STEPS if near else 0):
             held = bounded & (best.phi <= 0.0) & (best.gradient <= 0.0)
             free = np.flatnonzero(~held)
             step = np.zeros(len(phi))
@@ -298,12 +303,13 @@ def _seen(noise: Noise, after: Left, step: Step) -> BoolArray:
     return np.asarray(degrees > LEAST_DEGREES)
 
 
-def negligible(problem: Problem, step: Step) -> bool:
-    """Whether what is left to do after a step is: Gauss–Newton squares the error, in units of the spreads."""
+def negligible(problem: Problem, step: Step, of_u: float = CONVERGED) -> bool:
+    """Whether what is left to do after a step is, in parts of u: Gauss–Newton squares the error, in units of the
+    spreads."""
     change = np.abs(_with_gravity_kept(problem, step)[0][1:])
     u = np.sqrt(step.covariance.diagonal()[1:])
     after = change * min(1.0, SQUARED * float(np.max(change / problem.spread)))
-    return bool(np.all(after <= CONVERGED * u + 1e-15))
+    return bool(np.all(after <= of_u * u + 1e-15))
 
 
 def moved(problem: Problem, point: Point, step: Step, keep: bool = False) -> tuple[Point, Array]:

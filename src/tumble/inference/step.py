@@ -221,7 +221,8 @@ def deviance(problem: Problem, told: Told, known: Known) -> float:
     whitened = np.concatenate([each.diagonal(0, 1, 2).ravel() for each in own])
     pivots = np.abs(np.concatenate([told.factor.diagonal(0, 1, 2).ravel(), known.pivots]))
     steps = 0.0 if told.process is None else told.process.log_determinant
-    sizes = np.concatenate([problem.measured[1][1 + problem.instrument.linear_count :], problem.own_known])
+    of_each = np.tile(problem.own_known, len(problem.parts))
+    sizes = np.concatenate([problem.measured[1][1 + problem.instrument.linear_count :], of_each])
     priors = np.log(sizes[sizes > 0.0]).sum()
     return float(2.0 * (np.log(pivots[pivots > 0.0]).sum() - np.log(whitened).sum() + priors) + steps + known.square)
 

@@ -12,8 +12,8 @@ In a body that is shaken the noise of these combinations differs from sample to 
 forces change between the instants at which the sensors are read. So the sums are kept apart by how much is left of a
 sample: of its n − 6 quietest directions, once what varies with the rates is taken out.
 
-Source: dynamics method A7, "the n − 3 parity combinations"; in place of its integration by parts the angular
-acceleration is an unknown of every sample, which takes three combinations more and no derivative of a noisy rate.
+Had the angular acceleration been integrated by parts, n − 3 combinations would be left; as an unknown of every sample
+it takes three of them, and no derivative of a noisy rate is needed: docs/mathematics.md (12).
 """
 
 from __future__ import annotations

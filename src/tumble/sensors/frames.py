@@ -23,7 +23,7 @@ The Jacobian of a change of frame: with δQ = Q [φ×] and the three conditions 
 
     δM′ = δM Q + M′[φ×],   c(δM Q) + c(M′[φ×]) = 0   gives φ,   δθ′ = (∂θ′/∂M′) δM′.
 
-Source: ellipsoid method §1 and §5 for `paper` and `case`; turntable method Eq. (1).
+Source of Eq. (1): the turntable paper (docs/equations.md).
 """
 
 from __future__ import annotations

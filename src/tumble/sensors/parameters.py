@@ -2,7 +2,7 @@
 
 A reading is linear in functions β of the specific force f and the rate ω,
 
-    y_p = Σ_b K_pb β_pb(f, ω),    β = 1, ω (3), f (3), products f_k f_l (6), |own|, own³                   (A5), (A6)
+    y_p = Σ_b K_pb β_pb(f, ω),    β = 1, ω (3), f (3), products f_k f_l (6), |own|, own³                   (3)
 
 own being the component of what sensor p measures along its nominal axis. K (n, 15) holds the sensitivity matrix and the
 bias, and every further group adds to it: a group is the constant array ∂K/∂θ, its `regressors` (n, 15, m). Some groups
@@ -11,7 +11,7 @@ change no reading at rest: lever arms and delays act in a turn alone, and are na
 Everything that deals with parameters loops over this table: estimation, bounds, planning, simulation, frames, the
 calibration file, terminal, report, registry and limits. A further group is one entry.
 
-Source of the groups: dynamics method, Eqs. (1), (2) and A7; of their usual size: its A4.
+The groups are those of docs/mathematics.md (1) and (2); their usual sizes those of data sheets of each class.
 """
 
 from __future__ import annotations

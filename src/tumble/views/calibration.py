@@ -57,7 +57,7 @@ WHAT_AN_INCREMENT_SAYS = (
     "gravity are in every iteration alike and in no increment: small increments say that the iterations have "
     "converged, not that the result is as exact as they are small. How exact it is, u says."
 )
-"""§8 of the turntable method."""
+"""What is said of iterations beside their increments."""
 
 
 def calibration_blocks(

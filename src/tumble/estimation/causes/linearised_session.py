@@ -51,11 +51,15 @@ class LinearisedSession:
     def accel(self) -> Block:
         return self.observations.accel_block
 
-    @cached_property
+    @property
     def turned(self) -> bool:
-        """Whether anything is turned: the parts of a rest are joined by turns of no duration."""
+        """Whether anything is turned in any session."""
+        return any(self.turned_in(s) for s in range(len(self.problem.parts)))
+
+    def turned_in(self, s: int) -> bool:
+        """Whether anything is turned in a session: the parts of a rest are joined by turns of no duration."""
         about = self.linearised.about
-        return about is not None and bool(np.any(about.moments.T >= SHORTEST_TURN))
+        return about is not None and bool(np.any(about.moments.T[self.problem.parts[s].turns] >= SHORTEST_TURN))
 
     @cached_property
     def steps(self) -> Array:

@@ -38,7 +38,7 @@ def causes(linearised: Linearised, alone: Remaining, whole: Remaining) -> list[l
         held = samples_held(session.observed[s])
         if held is not None:
             own[:] = [cause for cause in own if cause.name != held.name] + [held]
-        elif session.turned:
+        elif session.turned_in(s):
             lost = [cause for cause in own if cause.name == "lost samples"]
             lost.append(lost_in_all_turns(session, s, blamed, u))
             most = min(lost, key=lambda cause: cause.probability)

@@ -1,0 +1,163 @@
+"""Is the posterior of the joint method what a sampler finds? Yes: means and u are those of a Metropolis sampler.
+
+The joint method integrates over what the model does not know about itself, φ, by 128 points of a fixed sequence
+(`tumble.inference.integral`). Here φ is sampled by a random walk instead (Metropolis, with the steps of Haario's
+adaptation while it burns in), all elements of it at once, and at every draw gravity and the parameters have their exact
+conditional mean and covariance, so that of them nothing is left to chance. Compared are, of every parameter of the
+linear model, biases being the means over the session, the means, in units of u, and u. Sessions of five kinds, two of
+each: by hand, on a rough table, accelerometers alone with groups three times as large as usual, biases that wander, and
+recorded ones, where the recordings are at hand.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from tumble.calibration.observed import inspect_session, observations_for_calibration
+from tumble.estimation.estimate import Outcome
+from tumble.inference.hyperparameters import components_of, sized
+from tumble.inference.in_run import of_session
+from tumble.inference.integral import posterior
+from tumble.inference.likelihood import NO_PRIOR, Problem, instruments_of
+from tumble.inference.linearisation import with_priors
+from tumble.inference.maximum import Maximum, maximum
+from tumble.inference.start import start_of
+from tumble.inference.step import deviance, joined, tell
+from tumble.planning.setup import Setup
+from tumble.reduction.observations import Observations
+from tumble.sensors.parameters import usual_sizes
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.scenario import draw_further, scenario_of
+from tumble.units import Array
+
+DATA = Path(__file__).parents[2] / "shared" / "data"
+RECORDED = ("xsens-mti", "truth-handheld")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Compared:
+    """The largest difference of means, in u, and of u, in parts of it, of the parameters of the linear model; and the
+    effective number of points of the integral and the accepted part of the draws."""
+
+    means: float
+    u: float
+    effective: float
+    accepted: float
+
+
+def conditional(fitted: Maximum, phi: Array) -> tuple[float, Array, Array]:
+    """ℓ at φ, and the mean and covariance of gravity and the parameters given it."""
+    problem, at = sized(fitted.free, fitted.entries, phi), fitted.at
+    rows = with_priors(at.rows, problem, at.point, at.about)
+    told = tell(problem, rows, at.noise.weights(components_of(fitted.entries, phi, problem.sensors)))
+    known, q, biases = joined(problem, rows, told), len(problem.own_known), 1 + problem.biases
+    prior = sum(h.prior(p)[0] for h, p in zip(fitted.entries, phi.tolist(), strict=True))
+    change, covariance = known.parameters.copy(), known.roots[0][q:] @ known.roots[0][q:].T
+    if told.process is not None and len(problem.parts) == 1:
+        more, by, apart = of_session(told, np.concatenate([known.own[0], known.parameters]))
+        to_session = np.eye(len(change))
+        to_session[biases] += by[:, q:]
+        change[biases] += more
+        covariance = to_session @ covariance @ to_session.T
+        covariance[np.ix_(biases, biases)] += apart
+    return prior - 0.5 * deviance(problem, told, known), change, covariance
+
+
+def sampled(fitted: Maximum, draws: int, seed: int) -> tuple[Array, Array, float]:
+    """Mean and covariance of gravity and the parameters by so many draws after a quarter as many that burn in, and the
+    accepted part of the draws."""
+    rng, D = np.random.default_rng(seed), len(fitted.entries)
+    phi, burn = fitted.best.phi.copy(), draws // 4
+    steps = np.linalg.inv(fitted.best.information + 1e-6 * np.eye(D))
+    here, path, accepted = conditional(fitted, phi), [phi], 0
+    mean, square, within = np.zeros(len(here[1])), np.zeros((len(here[1]),) * 2), np.zeros((len(here[1]),) * 2)
+    for i in range(-burn, draws):
+        if i < 0 and i % 50 == 0 and len(path) > 10 * D:
+            steps = np.cov(np.array(path[len(path) // 3 :]).T) + 1e-6 * np.eye(D)
+        tried = phi + np.linalg.cholesky(steps) @ rng.standard_normal(D) * 2.38 / np.sqrt(D)
+        there = conditional(fitted, tried)
+        if np.log(rng.uniform()) < there[0] - here[0]:
+            phi, here = tried, there
+            accepted += i >= 0
+        path.append(phi)
+        if i >= 0:
+            mean += here[1] / draws
+            square += np.outer(here[1], here[1]) / draws
+            within += here[2] / draws
+    return mean, within + square - np.outer(mean, mean), accepted / draws
+
+
+def compared(fitted: Maximum, *, draws: int, seed: int) -> Compared:
+    """The integral about a maximum and a sampler."""
+    shown = posterior(fitted)
+    mean, covariance, accepted = sampled(fitted, draws, seed)
+    linear = slice(1, 1 + fitted.free.instrument.linear_count)
+    u, other = (np.sqrt(np.diag(each))[linear] for each in (covariance, shown.covariance))
+    return Compared(
+        means=float(np.abs((shown.step - mean)[linear] / u).max()),
+        u=float(np.abs(other / u - 1.0).max()),
+        effective=shown.effective,
+        accepted=accepted,
+    )
+
+
+def fitted_of(session: Observations) -> Maximum:
+    """The maximum of a session."""
+    instrument, own = instruments_of(session)
+    problem = Problem.of(session, NO_PRIOR, instrument=instrument, own=own, usual=session.usual)
+    return maximum(problem, start_of(problem)[0])
+
+
+def sessions(kind: str, seed: int) -> Observations:
+    """A simulated session of a kind."""
+    rng = np.random.default_rng([31, seed])
+    setup = Setup.of(grade="mems", positions=12, rest=5.0)
+    if kind == "rough table":
+        setup = Setup.of(grade="tactical", programme="rough-table")
+    scenario = scenario_of(setup, rng)
+    usual = usual_sizes("tactical" if kind == "rough table" else "mems")
+    if kind == "wandering":
+        noise = replace(setup.noise, accel_instability=3e-3, gyro_instability=3e-4)
+        scenario = scenario_of(replace(setup, noise=noise), rng)
+    if kind == "accelerometers":
+        few = {name: usual[name] for name in ("accel.quadratic", "accel.cubic", "accel.asymmetry")}
+        more = draw_further({name: 3.0 * size for name, size in few.items()}, scenario.accel, scenario.gyro, rng)
+        session = simulate_observations(replace(scenario, truth=dict(scenario.truth) | more), rng)
+        N = len(session.rests)
+        rests = replace(session.rests, gyro=np.empty((N, 0)), gyro_covariance=np.empty((N, 0, 0)))
+        return replace(session, gyro_block=None, turns=None, turn_samples=None, rests=rests, usual=few)
+    return replace(simulate_observations(scenario, rng), usual=usual if seed else {})
+
+
+def every(count: int) -> Iterator[tuple[str, Observations]]:
+    """So many sessions of each kind, and the recorded ones that are at hand."""
+    for kind in ("accelerometers", "by hand", "rough table", "wandering"):
+        for seed in range(count):
+            yield kind, sessions(kind, seed)
+    for name in RECORDED[:count] if DATA.is_dir() and count > 1 else ():
+        observations = observations_for_calibration(inspect_session(DATA / name))
+        if not isinstance(observations, Outcome):
+            yield name, observations
+
+
+def main() -> None:
+    short = "--short" in sys.argv
+    worst = [0.0, 0.0]
+    print("session            means, u   u, parts   points   accepted")
+    for name, session in list(every(2))[:1] if short else every(2):
+        found = compared(fitted_of(session), draws=1500 if short else 12000, seed=1)
+        line = f"{found.means:8.3f} {found.u:10.3f} {found.effective:8.0f} {found.accepted:10.2f}"
+        print(f"{name:18s} {line}", flush=True)
+        worst = [max(worst[0], found.means), max(worst[1], found.u)]
+    agrees = "Yes" if worst[0] < 0.1 and worst[1] < 0.05 else "No"
+    by = f"means within {worst[0]:.2f} u, u within {100 * worst[1]:.0f} %"
+    print(f"Is the posterior what a sampler finds? {agrees}: {by}")
+
+
+if __name__ == "__main__":
+    main()
