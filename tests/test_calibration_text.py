@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from calibrated import calibration
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,7 +21,7 @@ from tumble.calibration.further import decided_by_priors, group_lines, predicted
 from tumble.calibration.launches import Run, difference_percent, mean_of_launches
 from tumble.calibration.results import Parameter
 from tumble.cli import main
-from tumble.estimation.estimate import GroupFinding, Outcome
+from tumble.estimation.estimate import GroupFinding, HyperparameterEstimate, Integral, Outcome, ProcessBias
 from tumble.estimation.prediction import Prediction
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
@@ -374,3 +375,28 @@ def test_a_table_keeps_every_number_and_the_width(width: int, data: st.DataObjec
 def test_lines_of_a_file_stay_lines_on_a_terminal() -> None:
     text = '[incoming]\n"accel.bias" = "5 mg"\n\n[periodic]'
     assert text_of([Items(items=(text,))], 40) == text_of([Items(items=(text,))]) == f"{text}\n"
+
+
+def test_all_shows_what_the_model_did_not_know_about_itself() -> None:
+    """A scatter in its engineering unit, a size without one, the integral, and u of the bias met next."""
+    made = calibration()
+    bias = made["accel.bias.x"]
+    size = HyperparameterEstimate(name="lever", unit="1", words="size", value=1.5, low=1.0, high=2.25, usual=1.0)
+    scatter = HyperparameterEstimate(
+        name="accel", unit="m/s^2", words="rests", value=20e-6 * G_STANDARD, low=0.0, high=0.0, usual=0.0
+    )
+    known = replace(
+        made,
+        hyperparameters=(scatter, size),
+        integral=Integral(points=64, effective=44.0, pareto=-0.22),
+        process_bias=(ProcessBias(name=bias.name, value=bias.value, u=1.0, next_u=2.0 * G_STANDARD),),
+    )
+    shown = text_of(calibration_blocks(known, every=True))
+    rows = {cells[0]: cells for cells in map(str.split, shown.splitlines()) if cells}
+    assert rows["accel"][2] == "20"
+    assert rows["accel"][-1] == "µg"
+    assert rows["lever"][2:] == ["1.5", "1", "2.25", "1"]
+    assert "at 64 points, effectively 44" in shown
+    assert "u the next minute" in shown
+    assert "68 % from" not in text_of(calibration_blocks(known))
+    assert "68 % from" not in text_of(calibration_blocks(made, every=True))

@@ -36,6 +36,7 @@ from tumble.views.numbers import (
     cells,
     device_name,
     factor,
+    fixed,
     in_engineering,
     percent,
     quantity_table,
@@ -82,6 +83,8 @@ def calibration_blocks(
         blocks.append(parameter_table(calibration, parameters, truth))
     if every and group_lines(calibration):
         blocks.append(group_table(calibration))
+    if every:
+        blocks += unknown_blocks(calibration)
     if several:
         blocks += [launch_table(calibration, parameters, deviations=which) for which in (False, True)[: 1 + passport]]
     if calibration.together:
@@ -166,6 +169,38 @@ def group_table(calibration: Calibration, *, of_a_page: bool = False) -> Table:
         row |= {"unit": line.shown if largest or of_a_page else "", "learned": line.learned_percent, "": line.remark}
         rows.append(row)
     return table(rows, words=("group", "what it is", "unit", ""), dense=True)
+
+
+def unknown_blocks(calibration: Calibration) -> list[Block]:
+    """What the model did not know about itself: every hyperparameter with its middle 68 % and the usual value, how the
+    posterior was integrated over them, and the biases that are met next. Nothing where nothing was estimated."""
+    if not calibration.hyperparameters:
+        return []
+    rows = []
+    for h in calibration.hyperparameters:
+        size, unit = (1.0, "") if h.unit == "1" else engineering(h.unit, h.value)
+        row = {"unknown": h.name, "what it is": h.words, "value": significant(h.value / size, 3)}
+        row |= {"68 % from": significant(h.low / size, 3), "to": significant(h.high / size, 3)}
+        rows.append(row | {"usual": significant(h.usual / size, 3), "unit": unit})
+    blocks: list[Block] = [table(rows, words=("unknown", "what it is", "unit"), dense=True)]
+    if (integral := calibration.integral) is not None:
+        said = f"integrated over them at {integral.points} points, effectively {integral.effective:.0f}; "
+        weights = f"shape of the Pareto distribution of their weights {fixed(integral.pareto, 2)}"
+        blocks.append(Text(text=f"{said}{weights}, above 0.7 not to be relied on"))
+    if calibration.process_bias:
+        blocks.append(_next_bias_table(calibration))
+    return blocks
+
+
+def _next_bias_table(calibration: Calibration) -> Table:
+    """The biases as the means of their processes, and u of the bias that is met the next minute."""
+    units, rows = shown_units(calibration.parameters), []
+    for bias in (each for each in calibration.process_bias if each.name in units):
+        size, unit = units[bias.name]
+        value, u = cells(bias.value, bias.u, size)
+        next_u = cells(bias.value, bias.next_u, size)[1]
+        rows.append({"mean of": bias.name, "value": value, "u": u, "u the next minute": next_u, "unit": unit})
+    return table(rows, words=("mean of", "unit"))
 
 
 def launch_table(

@@ -208,6 +208,7 @@ def _for_the_laboratory(one: _Reported, key: str) -> Iterator[Section | None]:
     recordings = recording.recordings(calibration)
     yield _result(one)
     yield result.beyond(calibration)
+    yield result.unknown(calibration)
     yield over_temperature.section(calibration, f"{key}-temperature")
     yield limits.section(calibration, one.acceptance, one.checks)
     yield _notes((*remarks(calibration), *calibration.notes))

@@ -43,7 +43,7 @@ from tumble.views.blocks import (
     section,
     table,
 )
-from tumble.views.calibration import group_table, launch_table
+from tumble.views.calibration import group_table, launch_table, unknown_blocks
 from tumble.views.numbers import (
     NONE,
     degrees,
@@ -144,6 +144,16 @@ def beyond(calibration: Calibration, *, for_customers: bool = False) -> Section 
     left = Text(text=f"{decided[0].upper()}{decided[1:]}.") if decided else None
     groups = group_table(calibration, of_a_page=True)
     return section("Beyond the linear model", Text(text=said), groups, left, parameters) if groups.rows else None
+
+
+def unknown(calibration: Calibration) -> Section | None:
+    """What the model did not know about itself, and what the recording says of it."""
+    said = (
+        "Scatter, in-run biases and the sizes of groups were estimated with the parameters, and U is an average over "
+        "what they may be. The middle 68 % of each stands beside its value; a size over the usual one has no unit."
+    )
+    blocks = unknown_blocks(calibration)
+    return section("What the model did not know about itself", Text(text=said), *blocks) if blocks else None
 
 
 def _further_table(parameters: Sequence[Parameter]) -> Table:
