@@ -47,9 +47,9 @@ from tumble.programme.positions import Programme
 from tumble.rotation import rotation_matrix
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, SensorModel, triad_model, triad_parameters
-from tumble.terminal.calibration import calibration_report
-from tumble.terminal.text import print_report
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
+from tumble.views.calibration import calibration_blocks
+from tumble.views.render.terminal import print_blocks
 
 LAUNCHES = 7
 MOST_OUTSIDE = 2
@@ -271,9 +271,9 @@ def print_launches(found: Sets) -> None:
     one, beside the truth."""
     truth = dict(zip((name for name, _, _ in ROWS), device()[[*range(9), *range(12, 21)]], strict=True))
     by_scalar = calibration_of(found, "scalar", range(9))
-    print_report(calibration_report(by_scalar, truth, [calibration_of(found, "sequential", range(9))]))
+    print_blocks(*calibration_blocks(by_scalar, truth, [calibration_of(found, "sequential", range(9))]))
     print()
-    print_report(calibration_report(calibration_of(found, "sequential", range(18)), truth))
+    print_blocks(*calibration_blocks(calibration_of(found, "sequential", range(18)), truth))
 
 
 def print_increments(title: str, published: Array, at: tuple[Array, Array], rows: range) -> list[int]:

@@ -23,11 +23,11 @@ from tumble.campaigns.trial import BLOCK, NAMES, Cell, session_rows, statics_row
 from tumble.cli import main
 from tumble.errors import InputError, MissingExtraError
 from tumble.planning.setup import Setup
-from tumble.report.campaign_picture import plot
 from tumble.rotation import rotation_matrix
 from tumble.sensors.grades import NoiseModel
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import itinerary, scenario_of
+from tumble.views.campaign import plot
 
 TABLE = Cell.of({"rest": 20.0})
 SESSIONS = {"seed": 3, "trials": 4, "grid": {"method": ["joint", "ellipsoid"], "table_error_deg": [0.5, 5]}}

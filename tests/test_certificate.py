@@ -34,9 +34,9 @@ from tumble.planning.setup import Setup
 from tumble.recording.circumstances import AirConditions, Circumstances
 from tumble.recording.session_file import session_of
 from tumble.registry.submission import Particulars, read_submission
-from tumble.report.certified import letterhead
-from tumble.report.write import write_report
 from tumble.simulation.session import simulate_session
+from tumble.views.report.certified import letterhead
+from tumble.views.report.write import write_report
 
 LOGO = '<svg xmlns="http://www.w3.org/2000/svg" width="9" height="9"><rect width="9" height="9"/></svg>'
 LABORATORY = """

@@ -26,11 +26,11 @@ from tumble.registry.adding import add
 from tumble.registry.monitor import monitored
 from tumble.registry.store.connect import open_registry
 from tumble.registry.submission import Particulars, read_submission
-from tumble.report.control_chart import write_chart
 from tumble.sensors.frames import Frame
 from tumble.sensors.model import Block
 from tumble.simulation.session import simulate_session
 from tumble.units import Array
+from tumble.views.control_chart import write_chart
 
 
 def moved(made: Calibration, by: dict[str, float]) -> Calibration:

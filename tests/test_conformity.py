@@ -20,8 +20,8 @@ from tumble.registry.adding import add, set_limits
 from tumble.registry.series import verdict_of
 from tumble.registry.store.connect import open_registry
 from tumble.registry.submission import Particulars, submission
-from tumble.report.limits import section
 from tumble.units import G_STANDARD
+from tumble.views.report.limits import section
 
 MADE = warmed(calibration())
 """Rests from −18.5 to 57.25 °C."""
@@ -94,9 +94,11 @@ def test_temperatures_that_are_none_are_refused(given: str) -> None:
 
 
 def test_the_report_says_between_which_temperatures_limits_hold() -> None:
-    assert "Periodic check: pass, within limits from −18 to 57 °C." in repr(section(MADE, limits("1 g")))
-    assert "at °C" in repr(section(MADE, limits("1 g")))
-    assert "not measured" in repr(section(replace(MADE, rests=()), limits("1 g")))
+    cold, given = replace(MADE, rests=()), limits("1 g")
+    shown, unknown = (repr(section(made, given, verdicts(made, given))) for made in (MADE, cold))
+    assert "Periodic check: pass, within limits from −18 to 57 °C." in shown
+    assert "at °C" in shown
+    assert "not measured" in unknown
 
 
 def test_the_registry_judges_a_record_over_temperature(tmp_path: Path) -> None:

@@ -3,21 +3,18 @@ accelerometer times the square of the force along body X."""
 
 from __future__ import annotations
 
-import io
 import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import read_calibration
 from tumble.inference.joint import joint
 from tumble.planning.bounds import bound
 from tumble.planning.setup import Setup
-from tumble.report.write import write_report
 from tumble.sensors import parameters
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import FUNCTIONS, PAIRS, PRODUCTS, ParameterGroup, group_of
@@ -25,8 +22,10 @@ from tumble.simulation.observations import simulate_observations
 from tumble.simulation.recording import record
 from tumble.simulation.scenario import Scenario, scenario_of
 from tumble.simulation.session import read_truth, simulate_session
-from tumble.terminal.calibration import calibration_report
 from tumble.units import Array
+from tumble.views.calibration import calibration_blocks
+from tumble.views.render.terminal import text_of
+from tumble.views.report.write import write_report
 
 NAME = "accel.of_x"
 NAMES = tuple(f"{NAME}.{sensor}" for sensor in "xyz")
@@ -110,9 +109,7 @@ def test_it_is_in_file_table_and_report(tmp_path: Path) -> None:
     assert set(content["accel"]["of_x"]) == set("xyz")
     assert read_calibration(file)[NAMES[1]].prior == pytest.approx(SIZE * finding["prior_widened"])
     for every in (False, True):
-        out = io.StringIO()
-        Console(file=out, width=100).print(calibration_report(read_calibration(file), every=every))
-        said = out.getvalue()
+        said = text_of(calibration_blocks(read_calibration(file), every=every), 100)
         assert NAME in said
         assert all((name in said) == every for name in NAMES)
     write_report([file], tmp_path / "report.html")

@@ -29,8 +29,8 @@ from tumble.reduction.allan_deviation import (
     identify,
     shown,
 )
-from tumble.report.allan_picture import plot
 from tumble.units import DEGREE_PER_HOUR, G_STANDARD, Array
+from tumble.views.noise import plot
 
 RATE = 100.0
 NO_FALSE_ALARM = 5.5  # standard uncertainties: 4e-8

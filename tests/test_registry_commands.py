@@ -111,7 +111,7 @@ def test_a_trend_has_a_line_for_each_parameter_and_a_chart(filled: Path) -> None
     assert line.split()[-1] == "pass"
     drawn = run("trend", "A-0007", "accel.bias.x", "-o", "chart.html")
     assert drawn.stderr == "written to chart.html\nchanged: accel.bias.x\n"
-    assert "Device A-0007" in (filled / "chart.html").read_text(encoding="utf-8")
+    assert "Control chart: A-0007" in (filled / "chart.html").read_text(encoding="utf-8")
     one = drawn.stdout
     assert "limits: -4 to 4 mg" in one
     assert "nothing shows the instability" in one

@@ -28,8 +28,8 @@ from tumble.registry.series import verdict_of
 from tumble.registry.store import rows
 from tumble.registry.store.connect import Registry, open_registry
 from tumble.registry.submission import Particulars, submission, utc
-from tumble.terminal.registry_lists import due_lines
 from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD
+from tumble.views.registry_lists import due_table
 
 MG = 1e-3 * G_STANDARD
 SYSTEMATIC = json.dumps(content(serial="passport", values={"accel.scale.x": 1e-3, "accel.scale.y": -2e-3}))
@@ -320,7 +320,7 @@ def test_a_drift_towards_a_limit_is_due_before_the_calendar_says_so(tmp_path: Pa
     assert item.drifts
     assert abs((item.by_drift.expected.date() - date(2025, 3, 1)).days) < 20
     assert str(item.day) < str(item.by_drift.expected.date())
-    assert "by the drift of accel.bias.x" in "".join(due_lines([item], date(2024, 6, 1)))
+    assert "by the drift of accel.bias.x" in due_table([item], date(2024, 6, 1)).rows[0][-1]
 
 
 def due_anew(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> list[Due]:

@@ -30,10 +30,10 @@ from tumble.registry.store.connect import open_registry
 from tumble.registry.submission import Particulars, submission, utc
 from tumble.registry.trend import YEAR, Trend, trend_of
 from tumble.registry.types import State
-from tumble.report.chart_panel import draw_panel
-from tumble.report.control_chart import write_chart
-from tumble.terminal.registry import sparkline
 from tumble.units import Array
+from tumble.views.chart_panel import draw_panel
+from tumble.views.control_chart import write_chart
+from tumble.views.registry import sparkline
 
 START = datetime(2020, 1, 1, tzinfo=UTC)
 

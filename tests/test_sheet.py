@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rich.console import Console
 from test_programme import FACES, rows_of_rests, rows_of_turns, triples, uncertainties
 
 from tumble.errors import InputError, ProgrammeError
@@ -34,10 +33,10 @@ from tumble.programme.positions import (
 from tumble.programme.sheet import SIGNATURES, sheet_drawing, sheet_page
 from tumble.programme.sheet_pictures import AXIS, CUBE, SCALE, VIEW, legend, picture
 from tumble.programme.sheet_words import clock, direction, move_text, sheet_rows
-from tumble.report.sheet import write_sheet
 from tumble.rotation import rotation_matrix
-from tumble.terminal.sheet import sheet_table
 from tumble.units import DEGREE, Array
+from tumble.views.render import terminal
+from tumble.views.sheet import sheet_blocks, write_sheet
 
 SVG = "{http://www.w3.org/2000/svg}"
 N, U, E = np.eye(3)
@@ -136,10 +135,7 @@ def test_every_position_and_move_is_in_the_rows_in_order(name: str) -> None:
 
 
 def printed(made: Programme) -> str:
-    console = Console(width=160, color_system=None, highlight=False)
-    with console.capture() as caught:
-        console.print(sheet_table(made))
-    return caught.get()
+    return terminal.text_of(sheet_blocks(made))
 
 
 @pytest.mark.parametrize("name", BUILT_IN)

@@ -13,10 +13,10 @@ from calibrated import HEXAD, calibration, warmed
 from tumble.calibration.calibration_file import read_calibration
 from tumble.calibration.results import Launch, coverage_factor
 from tumble.calibration.temperature_curves import changing, curve, measured_range, model_at, warm_rests
-from tumble.report.blocks import Figure, ReportTable
-from tumble.report.content import Source, document
-from tumble.report.over_temperature import section
 from tumble.units import G_STANDARD
+from tumble.views.blocks import Figure, Table
+from tumble.views.report.document import Source, document
+from tumble.views.report.over_temperature import section
 
 
 def test_the_model_at_a_temperature_corrects_as_the_calibration_does_there() -> None:
@@ -118,7 +118,7 @@ def test_the_report_has_every_parameter_at_both_ends_and_at_the_reference() -> N
     made = warmed(calibration())
     part = document([Source(file="c.json", sha256="0", calibration=made)]).parts[0]
     found = next(each for each in part.sections if each.title == "Over temperature")
-    table = next(block for block in found.blocks if isinstance(block, ReportTable))
+    table = next(block for block in found.blocks if isinstance(block, Table))
     assert table.columns == ("parameter", "at −18.5 °C", "U", "at 19.4 °C", "U", "at 57.2 °C", "U", "unit")
     assert [row[0] for row in table.rows] == list(changing(made))
     row = next(row for row in table.rows if row[0] == "accel.bias.y")
@@ -145,5 +145,5 @@ def test_without_a_thermometer_or_without_covariance_the_report_holds_what_there
     assert section(warmed(calibration(), low=20.0, high=20.0), "t") is None
     found = section(replace(warmed(calibration()), covariance=None), "t")
     assert found is not None
-    table = next(block for block in found.blocks if isinstance(block, ReportTable))
-    assert {row[2] for row in table.rows} == {"—"}
+    table = next(block for block in found.blocks if isinstance(block, Table))
+    assert {row[2] for row in table.rows} == {""}

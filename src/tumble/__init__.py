@@ -111,12 +111,12 @@ if TYPE_CHECKING:
     from tumble.registry.type_launches import device_launches as device_launches
     from tumble.registry.type_launches import type_spread as type_spread
     from tumble.registry.types import Record as Record
-    from tumble.report.sheet import write_sheet as write_sheet
-    from tumble.report.write import write_report as write_report
     from tumble.selftest import run_selftest as run_selftest
     from tumble.sensors.model import Block as Block
     from tumble.sensors.model import SensorModel as SensorModel
     from tumble.simulation.session import simulate_session as simulate_session
+    from tumble.views.report.write import write_report as write_report
+    from tumble.views.sheet import write_sheet as write_sheet
 
 __version__ = "0.1.0"
 
@@ -170,7 +170,7 @@ _PUBLIC = {
     "Draft": "drafting.draft",
     "Exported": "export.exported",
     "export_calibration": "export",
-    "write_report": "report.write",
+    "write_report": "views.report.write",
     "Registry": "registry.store.connect",
     "open_registry": "registry.store.connect",
     "add_calibration": "registry.adding",
@@ -196,7 +196,7 @@ _PUBLIC = {
     "plan": "planning.plan",
     "Programme": "programme.positions",
     "programme_of": "programme.positions",
-    "write_sheet": "report.sheet",
+    "write_sheet": "views.sheet",
     "CampaignResult": "campaigns.run",
     "FleetResult": "campaigns.run",
     "campaign": "campaigns.run",

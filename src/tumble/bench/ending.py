@@ -40,7 +40,7 @@ class Results:
     @staticmethod
     def of(calibration: Calibration) -> Results:
         """Of a calibration that is written."""
-        from tumble.calibration.shown import shown_units
+        from tumble.views.numbers import shown_units
 
         outcome, units = calibration.outcome, shown_units(calibration.parameters)
         rows = []

@@ -20,6 +20,8 @@ import numpy.typing as npt
 
 from tumble.calibration.calibration_content import FORMAT, content_of
 from tumble.calibration.coverage import with_degrees
+from tumble.calibration.data_frames import pandas_frame, polars_frame
+from tumble.calibration.further import headline
 from tumble.calibration.reframed import reframed
 from tumble.calibration.results import (
     Launch,
@@ -38,7 +40,6 @@ from tumble.calibration.results import (
     site_from,
     turn_from,
 )
-from tumble.calibration.shown import draw, headline, html, pandas_frame, polars_frame, text_table
 from tumble.documents import json_of, shown, text_of_document
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Fit, GroupFinding, HyperparameterEstimate, Integral, Outcome, ProcessBias
@@ -212,12 +213,16 @@ class Calibration(Mapping[str, Parameter]):
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the headline, the reasons and the table of parameters."""
-        return html(self)
+        from tumble.views.calibration import as_html
+
+        return as_html(self)
 
     def table(self) -> str:
         """The parameters in the field's units, with standard and expanded uncertainty (k = 2), as plain text; where
         there are such, with coverage factor, degrees of freedom, prior and learned fraction."""
-        return text_table(self)
+        from tumble.views.calibration import as_text
+
+        return as_text(self)
 
     def to_polars(self) -> pl.DataFrame:
         """The parameters as a polars frame, a row each, in SI: name, value, u, unit, deviation, run_to_run, and
@@ -231,6 +236,8 @@ class Calibration(Mapping[str, Parameter]):
     def plot(self, axes: Axes) -> None:
         """Draw the residual of every rest, |corrected reading| − g, on matplotlib axes, and the scatter between rests
         as a band; without rests the parameters in units of their uncertainty, hollow where a prior gives it."""
+        from tumble.views.calibration import draw
+
         draw(self, axes)
 
     def apply(

@@ -65,6 +65,13 @@ class GroupLine:
         return f"{low} %" if low == high else f"{low}–{high} %"
 
 
+def headline(calibration: Calibration) -> str:
+    """The device, the method, how many parameters, and whether it was accepted, in a line."""
+    several = f" of {len(calibration.launches)} launches" if calibration.launches else ""
+    count, verdict = len(calibration.parameters), calibration.outcome.verdict
+    return f"Calibration of {calibration.serial}: {calibration.method}{several}, {count} parameters, {verdict}"
+
+
 def described(name: str) -> str:
     """A parameter in words: "X accelerometer, bias", "angle of the Y accelerometer towards X"."""
     found = _NAME.fullmatch(name)

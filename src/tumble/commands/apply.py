@@ -23,8 +23,8 @@ def apply(calibration: Path, session: Path, out: Path, force: bool, verify: bool
     """
     from tumble.calibration.apply import applied, apply_to_session, rest_residuals
     from tumble.recording.session_file import read_session
-    from tumble.terminal.residuals import residual_table
-    from tumble.terminal.text import print_report
+    from tumble.views.checks import residual_table
+    from tumble.views.render.terminal import print_blocks
 
     described = read_session(session)
     described.check_new(out, force=force)
@@ -34,4 +34,4 @@ def apply(calibration: Path, session: Path, out: Path, force: bool, verify: bool
     for sentence in applied(calibration, described):
         say(sentence)
     if verify:
-        print_report(residual_table(residuals))
+        print_blocks(residual_table(residuals))

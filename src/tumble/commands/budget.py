@@ -28,10 +28,9 @@ def budget(methods: tuple[PlannedMethod, ...], iterations: int, as_json: bool, *
     """Expected errors of a calibration before it is made, from the accuracy formulas, and the least possible."""
     from tumble.planning.bounds import bound
     from tumble.planning.budget import budget
-    from tumble.terminal.budget import budget_report
-    from tumble.terminal.data import print_data
-    from tumble.terminal.planning_data import budget_data
-    from tumble.terminal.text import print_report
+    from tumble.views.planning import budget_table
+    from tumble.views.render.data import budget_data, print_data
+    from tumble.views.render.terminal import print_blocks
 
     if not methods:
         linear = options["noiseless"] or options["terms"] == "linear"
@@ -45,6 +44,6 @@ def budget(methods: tuple[PlannedMethod, ...], iterations: int, as_json: bool, *
     if as_json:
         print_data(budget_data(expected, least))
     else:
-        print_report(budget_report(expected, least))
+        print_blocks(budget_table(expected, least))
     for remark in expected.remarks:
         say(f"note: {remark}")

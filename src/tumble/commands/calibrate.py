@@ -71,7 +71,7 @@ if TYPE_CHECKING:
     help="Several launches: their instability together with that of all devices of the type in this registry.",
 )
 @JSON
-@click.option("--all", "every", is_flag=True, help="Show every parameter, not a line for each further group.")
+@click.option("--all", "every", is_flag=True, help="Show every parameter, and tables of groups, rests and fits.")
 def calibrate(
     sessions: tuple[Path, ...],
     methods: tuple[Method, ...],
@@ -179,15 +179,15 @@ def _show(
 ) -> None:
     """Print a calibration, beside those of other methods and the truth: as JSON, or in tables of `every` parameter."""
     if as_json:
-        from tumble.terminal.data import calibration_data, print_data
+        from tumble.views.render.data import calibration_data, print_data
 
         print_data(calibration_data(result, *others))
     else:
-        from tumble.terminal.calibration import calibration_report
-        from tumble.terminal.text import print_report
+        from tumble.views.calibration import calibration_blocks
+        from tumble.views.render.terminal import print_blocks
 
         known = None if true is None else _true_at(result, true)
-        print_report(calibration_report(result, known, others, every=every))
+        print_blocks(*calibration_blocks(result, known, others, every=every))
 
 
 def _truth(path: Path) -> dict[str, float]:

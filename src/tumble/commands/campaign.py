@@ -22,13 +22,12 @@ def campaign(file: Path, serial: bool, cluster: str | None, workers: int | None,
     """
     from tumble.campaigns.run import campaign
     from tumble.campaigns.summary import varying
-    from tumble.report.campaign_picture import plot
-    from tumble.terminal.campaign import summary_report
-    from tumble.terminal.text import print_report
+    from tumble.views.campaign import plot, summary_blocks
+    from tumble.views.render.terminal import print_blocks
 
     with task_progress("trials", out) as progress:
         result = campaign(file, out, serial=serial, cluster=cluster, workers=workers, progress=progress)
-    print_report(summary_report(result.lines))
+    print_blocks(*summary_blocks(result.lines))
     short = {(*line.point.values(), line.method): line for line in result.lines if line.why}
     for line in list(short.values())[:SHOWN]:
         where = ", ".join([*(f"{axis} {line.point[axis]}" for axis in varying(result.lines)), line.method])

@@ -35,9 +35,9 @@ def check(calibration: Path, session: Path, out: Path | None, force: bool, place
     """
     from tumble.calibration.check import check_calibration
     from tumble.recording.session_file import read_session
-    from tumble.terminal.data import field_check_data, print_data
-    from tumble.terminal.field_check import field_check_report
-    from tumble.terminal.text import print_report
+    from tumble.views.checks import field_check_blocks
+    from tumble.views.render.data import field_check_data, print_data
+    from tumble.views.render.terminal import print_blocks
 
     described = read_session(session)
     launches = () if place is None else _launches(place, described.device.serial)
@@ -48,7 +48,7 @@ def check(calibration: Path, session: Path, out: Path | None, force: bool, place
     if as_json:
         print_data(field_check_data(found))
     else:
-        print_report(field_check_report(found))
+        print_blocks(*field_check_blocks(found))
     for note in found.notes:
         say(f"note: {note}")
     for reason in found.reasons:

@@ -23,15 +23,15 @@ def compare(first: Path, second: Path, gyro: Path | None, as_json: bool) -> None
     Exit status 0: the largest |E_n| and χ² are within chance (probability 0.01 of so many, and 0.001); 1: otherwise.
     """
     from tumble.calibration.compare import compare_calibrations
-    from tumble.terminal.comparison import comparison_report
-    from tumble.terminal.data import comparison_data, print_data
-    from tumble.terminal.text import print_report
+    from tumble.views.checks import comparison_blocks
+    from tumble.views.render.data import comparison_data, print_data
+    from tumble.views.render.terminal import print_blocks
 
     found = compare_calibrations(first, second, gyro=gyro)
     if as_json:
         print_data(comparison_data(found))
     else:
-        print_report(comparison_report(found))
+        print_blocks(*comparison_blocks(found))
     for remark in found.remarks:
         say(f"note: {remark}")
     if found.missing:

@@ -87,9 +87,9 @@ def ellipsoid(
     The table has a header with the names of three columns, one per channel, and a row per position.
     """
     from tumble.calibration.from_readings import calibrate_table
-    from tumble.terminal.data import calibration_data, print_data
-    from tumble.terminal.readings import result_report
-    from tumble.terminal.text import print_report
+    from tumble.views.readings import readings_blocks
+    from tumble.views.render.data import calibration_data, print_data
+    from tumble.views.render.terminal import print_blocks
 
     result = calibrate_table(
         readings,
@@ -113,7 +113,7 @@ def ellipsoid(
     if as_json:
         print_data(calibration_data(result.calibration))
     else:
-        print_report(result_report(result))
+        print_blocks(*readings_blocks(result))
     say(f"written to {target}")
     for reason in result.calibration.outcome.reasons:
         warn(f"not accepted: {reason}")

@@ -30,8 +30,7 @@ def fleet(
     where it was when the same command is given again.
     """
     from tumble.campaigns.run import fleet
-    from tumble.terminal.data import print_data
-    from tumble.terminal.planning_data import fleet_data
+    from tumble.views.render.data import fleet_data, print_data
 
     with task_progress("sessions", out) as progress:
         result = fleet(sessions, out, method=method, serial=serial, cluster=cluster, workers=workers, progress=progress)

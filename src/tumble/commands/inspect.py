@@ -17,10 +17,9 @@ from tumble.commands.arguments import EXISTING_FOLDER, FILE, JSON, say, warn, wi
 def inspect(session: Path, picture: Path | None, as_json: bool) -> None:
     """Show the rests and turns found in SESSION, and what was rejected and why."""
     from tumble.calibration.observed import inspect_session
-    from tumble.report.recording_picture import plot
-    from tumble.terminal.data import inspection_data, print_data
-    from tumble.terminal.inspection import inspection_report
-    from tumble.terminal.text import print_report
+    from tumble.views.inspection import inspection_blocks, plot
+    from tumble.views.render.data import inspection_data, print_data
+    from tumble.views.render.terminal import print_blocks
 
     observed = inspect_session(session, progress=with_progress)
     if picture is not None:
@@ -29,7 +28,7 @@ def inspect(session: Path, picture: Path | None, as_json: bool) -> None:
     if as_json:
         print_data(inspection_data(observed))
     else:
-        print_report(inspection_report(observed))
+        print_blocks(*inspection_blocks(observed))
     for fault in (*observed.faults, *observed.gyro_faults):
         warn(f"fault: {fault}")
     sys.exit(1 if observed.faults else 0)

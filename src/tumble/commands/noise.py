@@ -45,10 +45,10 @@ def noise(
     """
     from tumble.calibration.quiet_samples import is_session, noise
     from tumble.drafting.new_session import Given, new_session
-    from tumble.report.allan_picture import plot as draw
-    from tumble.terminal.data import noise_data, print_data
-    from tumble.terminal.noise import noise_report
-    from tumble.terminal.text import print_report
+    from tumble.views.noise import noise_blocks
+    from tumble.views.noise import plot as draw
+    from tumble.views.render.data import noise_data, print_data
+    from tumble.views.render.terminal import print_blocks
 
     if is_session(recording):
         found = noise(recording)
@@ -71,4 +71,4 @@ def noise(
     if as_json:
         print_data(noise_data(found))
     else:
-        print_report(noise_report(found.source, found.panels))
+        print_blocks(*noise_blocks(found.source, found.panels))

@@ -49,10 +49,9 @@ def plan(
     from tumble.planning.reachable_attitudes import TurnTable
     from tumble.planning.requirements import wanted_of
     from tumble.programme.positions import from_attitudes
-    from tumble.terminal.data import print_data
-    from tumble.terminal.plan import plan_report, short_of
-    from tumble.terminal.planning_data import plan_data
-    from tumble.terminal.text import print_report
+    from tumble.views.planning import plan_blocks, short_of
+    from tumble.views.render.data import plan_data, print_data
+    from tumble.views.render.terminal import print_blocks
 
     setup = setup_of(options)
     if attitudes:
@@ -71,7 +70,7 @@ def plan(
     if as_json:
         print_data(plan_data(found, reasons))
     else:
-        print_report(plan_report(found, aim))
+        print_blocks(*plan_blocks(found, aim))
     for reason in reasons:
         warn(reason)
     sys.exit(1 if reasons else 0)
@@ -83,10 +82,9 @@ def _over_temperature(
     """Print the plan of recordings over temperature, and exit."""
     from tumble.planning.over_temperature import Chamber, plan_over_temperature, wanted_over_temperature
     from tumble.simulation.chamber import chamber_sessions
-    from tumble.terminal.data import print_data
-    from tumble.terminal.planning_data import thermal_plan_data
-    from tumble.terminal.text import print_report
-    from tumble.terminal.thermal_plan import short_over_temperature, thermal_plan_report
+    from tumble.views.planning import short_over_temperature, thermal_plan_blocks
+    from tumble.views.render.data import print_data, thermal_plan_data
+    from tumble.views.render.terminal import print_blocks
 
     wishes, (rate, time_constant) = wanted_over_temperature(wanted), chamber
     chosen = Chamber.of(per_minute=rate, time_constant=time_constant)
@@ -96,7 +94,7 @@ def _over_temperature(
     if as_json:
         print_data(thermal_plan_data(found, reasons))
     else:
-        print_report(thermal_plan_report(found))
+        print_blocks(*thermal_plan_blocks(found))
         for note in found.notes:
             say(f"note: {note}")
     for reason in reasons:

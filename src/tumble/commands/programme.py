@@ -32,17 +32,16 @@ def programme(
 ) -> None:
     """The operator's sheet of a built-in programme NAME or of a list of attitudes."""
     from tumble.programme.positions import programme_of
-    from tumble.report.sheet import write_sheet
-    from tumble.terminal.sheet import sheet_table
-    from tumble.terminal.text import print_report
     from tumble.units import DEGREE
+    from tumble.views.render.terminal import print_blocks
+    from tumble.views.sheet import sheet_blocks, write_sheet
 
     if (name is None) == (not attitudes):
         raise InputError("expected either the NAME of a programme or --attitude for each position")
     listed = programme_of(attitudes if name is None else name)
-    table = sheet_table(listed, rest=rest, rate=turn_rate * DEGREE)
+    sheet = sheet_blocks(listed, rest=rest, rate=turn_rate * DEGREE)
     if out is not None:
         pace = {"rest": rest, "rate": turn_rate * DEGREE}
         write_sheet(out, listed, **pace, serial=serial, number=sheet_number, revision=revision)
         say(f"written to {out}")
-    print_report(table)
+    print_blocks(*sheet)

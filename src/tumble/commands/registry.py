@@ -111,16 +111,15 @@ def add(
 def _print_record(opened: Registry, record: Record, as_json: bool, every: bool) -> bool:
     """Print a record with the verdict on it, and whether it passes."""
     from tumble.registry.series import calibration_in, verdict_of
-    from tumble.terminal.data import print_data
-    from tumble.terminal.registry import record_report
-    from tumble.terminal.registry_data import record_data
-    from tumble.terminal.text import print_report
+    from tumble.views.registry import record_blocks
+    from tumble.views.render.data import print_data, record_data
+    from tumble.views.render.terminal import print_blocks
 
     verdict, calibration = verdict_of(opened, record), calibration_in(opened, record, record.frame)
     if as_json:
         print_data(record_data(record, calibration, verdict))
     else:
-        print_report(record_report(record, calibration, verdict, every=every))
+        print_blocks(*record_blocks(record, calibration, verdict, every=every))
     if verdict is None or verdict.result == "pass":
         return True
     for reason in verdict.reasons():
@@ -137,27 +136,26 @@ def list_(serial: str | None, as_json: bool, place: str | None) -> None:
     from tumble.registry.due import due as due_of
     from tumble.registry.records import records
     from tumble.registry.store.connect import open_registry
-    from tumble.terminal.registry_lists import devices_lines, print_lines, records_lines
+    from tumble.views.registry_lists import device_table, record_table
+    from tumble.views.render.terminal import print_blocks
 
     with open_registry(place) as opened:
         if serial is not None:
             found = records(opened, serial)
             if as_json:
-                from tumble.terminal.data import print_data
-                from tumble.terminal.registry_data import records_data
+                from tumble.views.render.data import print_data, records_data
 
                 print_data(records_data(found))
             else:
-                print_lines(records_lines(found))
+                print_blocks(record_table(found))
             return
         latest = sorted(due_of(opened), key=lambda item: item.record.serial)
         if as_json:
-            from tumble.terminal.data import print_data
-            from tumble.terminal.registry_data import devices_data
+            from tumble.views.render.data import devices_data, print_data
 
             print_data(devices_data(latest))
         else:
-            print_lines(devices_lines(latest))
+            print_blocks(device_table(latest))
 
 
 @registry.command()
@@ -201,22 +199,21 @@ def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, e
     """
     from tumble.registry.monitor import monitored
     from tumble.registry.store.connect import open_registry
-    from tumble.terminal.data import print_data
-    from tumble.terminal.registry import history_report, trend_report
-    from tumble.terminal.registry_data import trend_data
-    from tumble.terminal.text import print_report
+    from tumble.views.registry import history_blocks, trend_blocks
+    from tumble.views.render.data import print_data, trend_data
+    from tumble.views.render.terminal import print_blocks
 
     with open_registry(place) as opened:
         found = monitored(opened, serial, parameter)
     if out is not None:
-        from tumble.report.control_chart import write_chart
+        from tumble.views.control_chart import write_chart
 
         write_chart(out, found)
         say(f"written to {out}")
     if as_json:
         print_data(trend_data(found))
     else:
-        print_report(trend_report(found, every=every) if parameter is None else history_report(found))
+        print_blocks(*(trend_blocks(found, every=every) if parameter is None else history_blocks(found)))
     changed = found.changed()
     if changed:
         say(f"changed: {', '.join(changed)}")
@@ -237,10 +234,10 @@ def limits(model: str | None, file: Path | None, as_json: bool, place: str | Non
     from tumble.registry.adding import set_limits
     from tumble.registry.store.connect import open_registry
     from tumble.registry.store.rows import every_limits
-    from tumble.terminal.data import print_data
-    from tumble.terminal.registry import limits_report, limits_table
-    from tumble.terminal.registry_data import limits_data
-    from tumble.terminal.text import print_report
+    from tumble.views.registry import limits_blocks
+    from tumble.views.registry_lists import limits_table
+    from tumble.views.render.data import limits_data, print_data
+    from tumble.views.render.terminal import print_blocks
 
     given = None if file is None else read_limits(file)
     with open_registry(place, create=given is not None) as opened:
@@ -257,9 +254,9 @@ def limits(model: str | None, file: Path | None, as_json: bool, place: str | Non
     if as_json:
         print_data(limits_data(every if model is None else [in_force[model]], in_force))
     elif model is None:
-        print_report(limits_table(every, in_force))
+        print_blocks(limits_table(every, in_force))
     else:
-        print_report(limits_report(in_force[model]))
+        print_blocks(*limits_blocks(in_force[model]))
 
 
 @registry.command()
@@ -273,18 +270,18 @@ def due(day: datetime | None, as_json: bool, place: str | None) -> None:
     """
     from tumble.registry.due import due as due_of
     from tumble.registry.store.connect import open_registry
-    from tumble.terminal.registry_lists import due_lines, print_lines
+    from tumble.views.registry_lists import due_table
+    from tumble.views.render.terminal import print_blocks
 
     today = datetime.now(UTC).date() if day is None else day.date()
     with open_registry(place) as opened:
         found = due_of(opened)
     if as_json:
-        from tumble.terminal.data import print_data
-        from tumble.terminal.registry_data import due_data
+        from tumble.views.render.data import due_data, print_data
 
         print_data(due_data(found, today))
     else:
-        print_lines(due_lines(found, today))
+        print_blocks(due_table(found, today))
     overdue = [item.record.serial for item in found if (item.day or date.max) < today]
     if overdue:
         warn(f"overdue: {', '.join(overdue)}")

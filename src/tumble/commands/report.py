@@ -17,7 +17,7 @@ from tumble.commands.arguments import FILE, say, warn
 @click.option("--certificate", type=FILE, help="TOML file with laboratory, customer, number: make a certificate.")
 def report(calibrations: tuple[Path, ...], out: Path, limits: Path | None, certificate: Path | None) -> None:
     """Report of a calibration, or of several of one device, in one file that needs nothing else."""
-    from tumble.report.write import write_report
+    from tumble.views.report.write import write_report
 
     reasons = write_report(calibrations, out, limits=limits, certificate=certificate)
     say(f"written to {out}")

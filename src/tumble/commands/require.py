@@ -46,10 +46,9 @@ def require(
 ) -> None:
     """The table, the mounting and the rests that a wanted accuracy needs; what no table can give is named."""
     from tumble.planning.requirements import require, wanted_of
-    from tumble.terminal.budget import requirements_report
-    from tumble.terminal.data import print_data
-    from tumble.terminal.planning_data import requirements_data
-    from tumble.terminal.text import print_report
+    from tumble.views.planning import requirement_blocks
+    from tumble.views.render.data import print_data, requirements_data
+    from tumble.views.render.terminal import print_blocks
 
     options["terms"] = options["terms"] or ("full" if method == "joint" else "linear")
     setup = setup_of(options)
@@ -59,7 +58,7 @@ def require(
     if as_json:
         print_data(requirements_data(needs))
     else:
-        print_report(requirements_report(needs))
+        print_blocks(*requirement_blocks(needs))
     if not needs.feasible:
         warn("not feasible: no table gives everything that is wanted; see what is limited")
     sys.exit(0 if needs.feasible else 1)

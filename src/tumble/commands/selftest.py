@@ -17,13 +17,13 @@ def selftest(out: Path | None, by: str | None) -> None:
     """Run the reference cases on this machine and compare them with published values, closed forms and truth."""
     from tumble.errors import InputError
     from tumble.selftest import run_selftest
-    from tumble.terminal.selftest import record_table
-    from tumble.terminal.text import print_report
+    from tumble.views.checks import selftest_table
+    from tumble.views.render.terminal import print_blocks
 
     if out is not None and out.exists():
         raise InputError(f"{out}: expected a new file for the record, found one that exists; records are kept")
     record = run_selftest(by=by, progress=lambda name: say(f"running: {name}"))
-    print_report(record_table(record))
+    print_blocks(selftest_table(record))
     click.echo(f"{record.software} on {record.machine['system']}, {record.date}, run by {record.by}")
     click.echo(f"loops over samples: {record.machine['loops']}")
     click.echo("passed" if record.passed else "FAILED")

@@ -21,15 +21,15 @@ def verify(calibration: Path, readings: Path, as_json: bool) -> None:
     each is left out in turn.
     """
     from tumble.calibration.verify import verify_calibration
-    from tumble.terminal.data import print_data, verification_data
-    from tumble.terminal.text import print_report
-    from tumble.terminal.verification import verification_report
+    from tumble.views.checks import verification_blocks
+    from tumble.views.render.data import print_data, verification_data
+    from tumble.views.render.terminal import print_blocks
 
     verification = verify_calibration(calibration, readings)
     if as_json:
         print_data(verification_data(verification))
     else:
-        print_report(verification_report(verification))
+        print_blocks(*verification_blocks(verification))
     for reason in verification.reasons:
         warn(f"not accepted: {reason}")
     sys.exit(1 if verification.reasons else 0)

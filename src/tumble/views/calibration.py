@@ -1,0 +1,368 @@
+"""Calibrations: parameters, groups, launches, iterations and methods side by side, rests, fits.
+
+Several launches have the form of the paper's Tables 1 to 3: every launch, the mean and the standard deviation from
+launch to launch, the mean increments of the iterations, and the difference of the methods in percent.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tumble.calibration.calibrate import ITERATED_METHODS
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.coverage import without_expanded
+from tumble.calibration.further import (
+    BY_PRIOR,
+    decided_by_priors,
+    group_lines,
+    headline,
+    linear_parameters,
+    other_factors,
+    predicted,
+    verdicts,
+)
+from tumble.calibration.launches import difference_percent
+from tumble.calibration.results import Parameter
+from tumble.estimation.diagnosis.site_gravity import gravity_said
+from tumble.estimation.estimate import Fit
+from tumble.sensors.parameters import sensor_kind
+from tumble.units import engineering
+from tumble.views.blocks import Block, Items, Table, Text, table
+from tumble.views.numbers import (
+    cells,
+    device_name,
+    factor,
+    fixed,
+    in_engineering,
+    percent,
+    quantity_table,
+    shown_units,
+    significant,
+    to_digits_of,
+    with_expanded,
+)
+from tumble.views.render.notebook import fragment
+from tumble.views.render.terminal import text_of
+from tumble.views.report.recording import checked, recordings, rests_said, tables_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+WHAT_AN_INCREMENT_SAYS = (
+    "All iterations work on the same readings. What a later one adds is the error that the one before made by its "
+    "method: table, mounting, squares of the parameters. Noise, changes of the sensors between rests and a wrong "
+    "gravity are in every iteration alike and in no increment: small increments say that the iterations have "
+    "converged, not that the result is as exact as they are small. How exact it is, u says."
+)
+"""What is said of iterations beside their increments."""
+
+
+def calibration_blocks(
+    calibration: Calibration,
+    truth: Mapping[str, float] | None = None,
+    others: Sequence[Calibration] = (),
+    *,
+    every: bool = False,
+) -> list[Block]:
+    """All that `tumble calibrate` says, the verdict first; `others` are calibrations of the same sessions by other
+    methods. Tables have the parameters of the linear model, and groups, rests and fits are a line each; with `every`,
+    all parameters, and tables of these."""
+    parameters = calibration.parameters if every else linear_parameters(calibration.parameters)
+    several, passport = bool(calibration.launches), any(p.deviation is not None for p in parameters)
+    device = device_name(calibration.serial, calibration.model)
+    blocks: list[Block] = [
+        Text(text=f"device {device} · method {calibration.method} · frame {calibration.frame}"),
+        *(Text(text=verdict) for verdict in verdicts(calibration)),
+        *(Text(text=f"remark: {remark}") for remark in calibration.outcome.remarks),
+    ]
+    if parameters:
+        blocks.append(parameter_table(calibration, parameters, truth))
+    if every and group_lines(calibration):
+        blocks.append(group_table(calibration))
+    if every:
+        blocks += unknown_blocks(calibration)
+    if several:
+        blocks += [launch_table(calibration, parameters, deviations=which) for which in (False, True)[: 1 + passport]]
+    if calibration.together:
+        blocks.append(_session_table(calibration))
+    if calibration.method in ITERATED_METHODS and calibration.iterations:
+        blocks += [iteration_table(calibration, parameters), Text(text=WHAT_AN_INCREMENT_SAYS)]
+    if parameters:
+        blocks += [method_table(calibration, other, parameters) for other in others]
+    if every:
+        blocks += [shown for one in recordings(calibration) for shown in tables_of(one) if shown and not several]
+    lines = [] if every else _groups_line(calibration)
+    lines += [rests_said(one) for one in recordings(calibration) if one.rests and not several]
+    lines += [] if every else _fits_line(calibration.fits)
+    if truth is not None:
+        lines.append(_truth_line(calibration, truth))
+    if calibration.prediction is not None:
+        lines.append(predicted(calibration.prediction))
+    if decided := decided_by_priors(calibration):
+        lines.append(decided)
+    if calibration.site is not None and not calibration.site.gravity_is_unit:
+        lines.append(gravity_said(calibration.site))
+    return [*blocks, Items(items=(*lines, *without_expanded(parameters), *calibration.notes))]
+
+
+# -------------------- tables --------------------
+
+
+def parameter_table(
+    calibration: Calibration, parameters: Sequence[Parameter], truth: Mapping[str, float] | None = None
+) -> Table:
+    """Parameters with their standard uncertainties; where a coverage factor is not 2, with U = k u; where there are
+    any, with deviations from the systematic values and from launch to launch; with `truth`, also true values and the
+    distance from them in units of u."""
+    several, expanded = bool(calibration.launches), other_factors(parameters)
+    passport = any(p.deviation is not None for p in parameters)
+
+    def before(p: Parameter, size: float) -> dict[str, str]:
+        row = {"k": factor(p) if p.u else "", "U (95 %)": with_expanded(p, size)[1]} if expanded else {}
+        row |= {"run to run": to_digits_of(p.run_to_run, p.u, size)} if several else {}
+        return row | ({"deviation": to_digits_of(p.deviation, p.u, size)} if passport else {})
+
+    def after(p: Parameter, size: float) -> dict[str, str]:
+        if truth is None:
+            return {}
+        true = truth.get(p.name) if p.u else None
+        distance = "" if true is None or not p.u else f"{(p.value - true) / p.u:+z.2f}"
+        return {"truth": to_digits_of(true, p.u, size), "(value − truth)/u": distance}
+
+    return quantity_table(parameters, before, after, headings=("parameter", "mean" if several else "value", "u (k=1)"))
+
+
+def whole_table(calibration: Calibration) -> Table:
+    """All parameters with u and U = k u; where there are any, with coverage factors other than 2 and degrees of
+    freedom, priors and learned fractions."""
+    parameters = calibration.parameters
+    factors, priors = other_factors(parameters), any(p.prior is not None for p in parameters)
+
+    def after(p: Parameter, size: float) -> dict[str, str]:
+        row = {}
+        if factors:
+            row = {"k": factor(p), "dof": "" if p.dof is None else f"{p.dof:.0f}" if p.k else f"{p.dof:.1g}"}
+        if priors:
+            row |= {"prior": "" if p.prior is None else f"{p.prior / size:.2g}", "learned": percent(p.learned)}
+        return row
+
+    def expanded(p: Parameter, size: float) -> dict[str, str]:
+        return {"U (95 %)": with_expanded(p, size)[1]}
+
+    return quantity_table(parameters, expanded, after, headings=("parameter", "value", "u"))
+
+
+def group_table(calibration: Calibration, *, of_a_page: bool = False) -> Table:
+    """A line for each group beyond the linear model: its largest |value| with u, what the session has learned of it,
+    and how much its prior was widened; on a page with what it is and its prior."""
+    rows = []
+    for line in group_lines(calibration):
+        largest = line.largest
+        value, u = ("", "") if largest is None else cells(abs(largest.value), largest.u, line.size)
+        row = {"group": line.name} | ({"what it is": line.words} if of_a_page else {})
+        row |= {"largest": value, "u" if of_a_page else "u (k=1)": u}
+        row |= {"prior": "" if line.prior is None else significant(line.prior / line.size, 4)} if of_a_page else {}
+        row |= {"unit": line.shown if largest or of_a_page else "", "learned": line.learned_percent, "": line.remark}
+        rows.append(row)
+    return table(rows, words=("group", "what it is", "unit", ""), dense=True)
+
+
+def unknown_blocks(calibration: Calibration) -> list[Block]:
+    """What the model did not know about itself: every hyperparameter with its middle 68 % and the usual value, how the
+    posterior was integrated over them, and the biases that are met next. Nothing where nothing was estimated."""
+    if not calibration.hyperparameters:
+        return []
+    rows = []
+    for h in calibration.hyperparameters:
+        size, unit = (1.0, "") if h.unit == "1" else engineering(h.unit, h.value)
+        row = {"unknown": h.name, "what it is": h.words, "value": significant(h.value / size, 3)}
+        row |= {"68 % from": significant(h.low / size, 3), "to": significant(h.high / size, 3)}
+        rows.append(row | {"usual": significant(h.usual / size, 3), "unit": unit})
+    blocks: list[Block] = [table(rows, words=("unknown", "what it is", "unit"), dense=True)]
+    if (integral := calibration.integral) is not None:
+        said = f"integrated over them at {integral.points} points, effectively {integral.effective:.0f}; "
+        weights = f"shape of the Pareto distribution of their weights {fixed(integral.pareto, 2)}"
+        blocks.append(Text(text=f"{said}{weights}, above 0.7 not to be relied on"))
+    if calibration.process_bias:
+        blocks.append(_next_bias_table(calibration))
+    return blocks
+
+
+def _next_bias_table(calibration: Calibration) -> Table:
+    """The biases as the means of their processes, and u of the bias that is met the next minute."""
+    units, rows = shown_units(calibration.parameters), []
+    for bias in (each for each in calibration.process_bias if each.name in units):
+        size, unit = units[bias.name]
+        value, u = cells(bias.value, bias.u, size)
+        next_u = cells(bias.value, bias.next_u, size)[1]
+        rows.append({"mean of": bias.name, "value": value, "u": u, "u the next minute": next_u, "unit": unit})
+    return table(rows, words=("mean of", "unit"))
+
+
+def launch_table(
+    calibration: Calibration, parameters: Sequence[Parameter], *, deviations: bool = False, of_a_page: bool = False
+) -> Table:
+    """The value of every parameter in every launch, the mean and the standard deviation from launch to launch, as in
+    the paper's Tables 1 to 3; with `deviations`, those from the systematic values, which is what the paper has. On a
+    page to the digits of U, without the mean, which stands in the table of results."""
+    units, rows = shown_units(calibration.parameters), []
+    launches = [{q.name: q for q in launch.parameters} for launch in calibration.launches]
+
+    def shown(q: Parameter, size: float) -> str:
+        if of_a_page:
+            return with_expanded(q, size)[0]
+        return to_digits_of(q.deviation if deviations else q.value, q.u, size)
+
+    for p in parameters:
+        size, unit = units[p.name]
+        values = [shown(own[p.name], size) if p.name in own else "" for own in launches]
+        u = p.u if p.u is None or not of_a_page else (p.k or 0.0) * p.u
+        mean = [] if of_a_page else [shown(p, size)]
+        rows.append((p.name, *values, *mean, to_digits_of(p.run_to_run, u, size), unit))
+    names = [launch.session for launch in calibration.launches] + ([] if of_a_page else ["mean"])
+    return Table(
+        columns=("deviation of" if deviations else "parameter", *names, "run to run", "unit"),
+        rows=tuple(rows),
+        text=(0, len(names) + 2),
+    )
+
+
+def _session_table(calibration: Calibration) -> Table:
+    """The sessions of one estimate: rests, turns and temperatures of each."""
+    rows = []
+    for member in calibration.together:
+        low, high = (f"{celsius:z.1f}" for celsius in member.temperatures)
+        counts = {"rests": str(member.rests), "turns": str(member.turns)}
+        rows.append({"session": member.session, **counts, "from °C": low, "to °C": high})
+    return table(rows, words=("session",))
+
+
+def iteration_table(calibration: Calibration, parameters: Sequence[Parameter]) -> Table:
+    """What every iteration added to every parameter, of several launches the mean, beside the uncertainty."""
+    heading = "mean increment of" if calibration.launches else "increment of"
+    units, rows = shown_units(calibration.parameters), []
+    for p in parameters:
+        size, unit = units[p.name]
+        steps = {f"iteration {i}": f"{step[p.name] / size:.3g}" for i, step in enumerate(calibration.iterations, 1)}
+        rows.append({heading: p.name, **steps, "u (k=1)": cells(p.value, p.u or 0.0, size)[1], "unit": unit})
+    return table(rows, words=(heading, "unit"))
+
+
+def method_table(calibration: Calibration, other: Calibration, parameters: Sequence[Parameter]) -> Table:
+    """The parameters by another method beside those of a calibration, and the difference other − this, also in % of
+    this, as in the last column of the paper's Table 1."""
+    units, theirs, rows = shown_units(calibration.parameters), {p.name: p for p in other.parameters}, []
+    for p in parameters:
+        if p.name not in theirs:
+            continue
+        (size, unit), value = units[p.name], theirs[p.name].value
+        rows.append(
+            {
+                "parameter": p.name,
+                calibration.method: to_digits_of(p.value, p.u, size),
+                other.method: to_digits_of(value, p.u, size),
+                "difference": to_digits_of(value - p.value, 0.1 * (p.u or 0.0), size),
+                "%": f"{difference_percent(value, p.value):+z.2f}" if p.value else "",
+                "unit": unit,
+            }
+        )
+    return table(rows)
+
+
+# -------------------- lines --------------------
+
+
+def _groups_line(calibration: Calibration) -> list[str]:
+    """The groups beyond the linear model in a line, with what the session has learned of each."""
+    said = []
+    for line in group_lines(calibration):
+        widened = f" ({line.remark})" if line.largest is not None and line.remark else ""
+        said.append(f"{line.name} {line.learned_percent or line.remark}{widened if line.learned_percent else ''}")
+    return [f"groups beyond bias, scale and axes, learned: {', '.join(said)}; --all shows them"] if said else []
+
+
+def _fits_line(fits: Mapping[str, Fit]) -> list[str]:
+    """Chi-square of each kind of residuals, with its degrees of freedom and the scatter added, in a line."""
+    said = []
+    for name, fit in fits.items():
+        if not checked(fit):
+            said.append(f"{name}: no more data than unknowns, so that nothing checks the fit")
+        else:
+            scatter = f", scatter {in_engineering(fit.scatter_unit, fit.scatter)}" if fit.scatter > 0.0 else ""
+            said.append(f"{name} {fit.chi_square:.1f} for {fit.degrees:.1f}{scatter}")
+    return [f"chi-square for degrees of freedom: {'; '.join(said)}"] if said else []
+
+
+def _truth_line(calibration: Calibration, truth: Mapping[str, float]) -> str:
+    z = [(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth]
+    if not z:
+        return "truth: no parameter was estimated that it has"
+    rms = math.sqrt(sum(v * v for v in z) / len(z))
+    return f"truth: {len(z)} parameters, rms of (value − truth)/u {rms:.2f}, expected about 1"
+
+
+# -------------------- in a notebook --------------------
+
+
+def as_text(calibration: Calibration) -> str:
+    """The headline, the reasons against it and the remarks, all parameters, and the notes."""
+    return "\n".join(filter(None, text_of(_short(calibration)).splitlines()))
+
+
+def as_html(calibration: Calibration) -> str:
+    """The same as HTML, everything escaped."""
+    return fragment(_short(calibration))
+
+
+def _short(calibration: Calibration) -> list[Block]:
+    outcome = calibration.outcome
+    said, notes = (*outcome.reasons, *outcome.remarks), tuple(f"note: {note}" for note in calibration.notes)
+    blocks: list[Block] = [Text(text=headline(calibration)), *([Items(items=said)] if said else [])]
+    return [*blocks, whole_table(calibration), *([Items(items=notes)] if notes else [])]
+
+
+_GROUPS = {"accel": "#1f4e79", "gyro": "#c0561a", "mag": "#3d7d52"}
+
+
+def draw(calibration: Calibration, axes: Axes) -> None:
+    """The residual of every rest on axes, with the scatter between rests as a band; without rests the parameters in
+    units of their uncertainty."""
+    axes.axhline(0.0, color="0.7", linewidth=0.8)
+    if calibration.rests:
+        _draw_residuals(calibration, axes)
+    else:
+        _draw_parameters(calibration, axes)
+    axes.set_title(headline(calibration), fontsize="medium")
+
+
+def _draw_residuals(calibration: Calibration, axes: Axes) -> None:
+    residual = np.array([rest.residual for rest in calibration.rests])
+    size, unit = engineering("m/s^2", float(np.abs(residual).max()))
+    fit = calibration.fits.get("accelerometers")
+    if fit is not None and fit.scatter > 0.0:
+        band = fit.scatter / size
+        axes.axhspan(-band, band, color=_GROUPS["accel"], alpha=0.12, linewidth=0, label="scatter between rests")
+        axes.legend(frameon=False)
+    number = np.arange(1, len(residual) + 1)
+    axes.vlines(number, 0.0, residual / size, color=_GROUPS["accel"], linewidth=1.0)
+    axes.plot(number, residual / size, "o", color=_GROUPS["accel"], markersize=4.0)
+    axes.set(xlabel="rest", ylabel=f"|f| − g, {unit}")
+
+
+def _draw_parameters(calibration: Calibration, axes: Axes) -> None:
+    shown = [(i, p, p.value / p.u) for i, p in enumerate(p for p in calibration.parameters if p.u) if p.u]
+    for kind, colour in _GROUPS.items():
+        for filled in (True, False):  # hollow: known by the prior rather than by the data
+            at = [
+                (i, ratio)
+                for i, p, ratio in shown
+                if sensor_kind(p.name) == kind and filled == (p.learned is None or p.learned >= BY_PRIOR)
+            ]
+            face = colour if filled else "none"
+            axes.plot(*zip(*at, strict=True) if at else ([], []), "o", color=colour, markerfacecolor=face, markersize=4)
+    axes.set_xticks(range(len(shown)), [p.name for _, p, _ in shown], rotation=90)
+    axes.set_ylabel("value / u")

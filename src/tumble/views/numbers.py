@@ -1,0 +1,159 @@
+"""Numbers and names as text: one choice of units, one formatting of a value and its uncertainty.
+
+Cells of tables have a hyphen for a minus and nothing where a number is not known; sentences of a page have a real minus
+(`fixed`, `significant`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Protocol, TypeVar
+
+from tumble.calibration.results import Parameter
+from tumble.sensors.parameters import group_name, shown_in
+from tumble.units import engineering, rounded
+from tumble.views.blocks import Table, table
+
+NONE = "—"
+"""What a page shows where there is no number."""
+
+
+class Quantity(Protocol):
+    """What has a name, a value and a unit, both SI: a parameter of a calibration or of a registry, a hyperparameter of
+    the model."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def value(self) -> float: ...
+    @property
+    def unit(self) -> str: ...
+
+
+class UncertainQuantity(Quantity, Protocol):
+    """With its standard uncertainty, SI; None where it is not known."""
+
+    @property
+    def u(self) -> float | None: ...
+
+
+Q = TypeVar("Q", bound=UncertainQuantity)
+Units = Mapping[str, tuple[float, str]]
+"""The unit in which each quantity is shown, by its name: (size in SI, name of the unit)."""
+
+
+def shown_units(quantities: Iterable[Quantity]) -> Units:
+    """The unit in which each quantity is shown: one for all of a group, by their root mean square."""
+    groups: dict[str, list[Quantity]] = {}
+    for quantity in quantities:
+        groups.setdefault(group_name(quantity.name), []).append(quantity)
+    return {
+        quantity.name: shown_in(group, members[0].unit, math.sqrt(sum(q.value**2 for q in members) / len(members)))
+        for group, members in groups.items()
+        for quantity in members
+    }
+
+
+def cells(value: float | None, u: float | None, size: float = 1.0) -> tuple[str, str]:
+    """A value and its uncertainty (standard or expanded) in a unit of this size, both to the second significant digit
+    of the uncertainty; without one the value to six digits."""
+    if value is None:
+        return "", ""
+    if u is None:
+        return f"{value / size:.6g}", ""
+    return rounded(value / size, u / size)
+
+
+def to_digits_of(value: float | None, u: float | None, size: float) -> str:
+    """Another number of a quantity, to the digits of its uncertainty."""
+    return cells(value, u or 0.0, size)[0]
+
+
+def _nothing(quantity: UncertainQuantity, size: float) -> dict[str, str]:  # noqa: ARG001
+    """No further cells."""
+    return {}
+
+
+def quantity_table(
+    quantities: Sequence[Q],
+    before: Callable[[Q, float], dict[str, str]] = _nothing,
+    after: Callable[[Q, float], dict[str, str]] = _nothing,
+    *,
+    headings: tuple[str, str, str] = ("parameter", "value", "u (k=1)"),
+    caption: str = "",
+    dense: bool = False,
+) -> Table:
+    """Quantities by name with their standard uncertainties, a row each, and further cells, by their headings, `before`
+    and `after` the unit, of a quantity that is shown in a unit of some size."""
+    units, rows = shown_units(quantities), []
+    for quantity in quantities:
+        size, unit = units[quantity.name]
+        row = dict(zip(headings, (quantity.name, *cells(quantity.value, quantity.u, size)), strict=True))
+        rows.append(row | before(quantity, size) | {"unit": unit} | after(quantity, size))
+    words = (headings[0], "unit", "what it is")
+    return table(rows, words=words, columns=() if rows else (*headings, "unit"), caption=caption, dense=dense)
+
+
+def in_engineering(unit: str, value: float, digits: int = 3) -> str:
+    """A quantity of an SI unit to so many digits, with the engineering unit of its size; "–" where it is infinite."""
+    size, shown = engineering(unit, value)
+    return f"{value / size:.{digits}g} {shown}" if math.isfinite(value) else "–"
+
+
+def probability_text(probability: float) -> str:
+    """A probability to two digits, none as if it were 1."""
+    return "above 0.99" if probability > 0.99 else f"{probability:.2g}"
+
+
+def percent(fraction: float | None) -> str:
+    """A fraction in whole %."""
+    return "" if fraction is None else f"{100.0 * fraction:.0f} %"
+
+
+def minus(text: str) -> str:
+    """A number with a real minus."""
+    return text.replace("-", "−")
+
+
+def fixed(value: float, digits: int) -> str:
+    """A number with so many digits behind the point; never a negative zero."""
+    return minus(f"{value:z.{digits}f}")
+
+
+def significant(value: float, digits: int) -> str:
+    """A number with so many significant digits, a small or large one with a power of ten."""
+    mantissa, _, exponent = f"{value:.{digits}g}".partition("e")
+    return minus(mantissa) + (f"·10{raised(int(exponent))}" if exponent else "")
+
+
+def raised(exponent: int) -> str:
+    """An exponent as it stands above the line."""
+    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def limit_cell(value: float, size: float) -> str:
+    """An acceptance limit in a unit of this size, where there is one."""
+    return f"{value / size:.6g}" if math.isfinite(value) else ""
+
+
+def with_expanded(parameter: Parameter, size: float) -> tuple[str, str]:
+    """Value and U of a parameter in a unit of this size, to the second significant digit of U."""
+    if parameter.u is None or parameter.k is None:
+        return cells(parameter.value, parameter.u, size)[0], ""
+    return cells(parameter.value, parameter.k * parameter.u, size)
+
+
+def factor(parameter: Parameter) -> str:
+    """The coverage factor, where U is stated."""
+    return "" if parameter.k is None else f"{parameter.k:.2f}"
+
+
+def degrees(parameter: Parameter) -> str:
+    """The degrees of freedom of u; infinite where it is known."""
+    return "∞" if parameter.dof is None else f"{parameter.dof:.{1 if parameter.dof < 100.0 else 0}f}"
+
+
+def device_name(serial: str, model: str | None) -> str:
+    """A device by its serial number, with its type."""
+    return serial if model is None else f"{serial} ({model})"

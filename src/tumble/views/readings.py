@@ -1,0 +1,112 @@
+"""A calibration from a table of readings."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tumble.calibration.from_readings import ReadingsCalibration, paper_form
+from tumble.calibration.further import group_lines, linear_parameters, predicted
+from tumble.calibration.readings_table import Nominal
+from tumble.estimation.ellipsoid import TRIAD, EllipsoidFit
+from tumble.sensors.frames import Convention, frame_of
+from tumble.units import engineering
+from tumble.views.blocks import Block, Items, Table, Text, table
+from tumble.views.calibration import group_table, parameter_table
+from tumble.views.numbers import cells
+
+
+def readings_blocks(result: ReadingsCalibration) -> list[Block]:
+    """The verdict, parameters, positions, and what the fit says."""
+    calibration, nominal, fit = result.calibration, result.nominal, result.fit
+    blocks: list[Block] = [
+        Text(text=f"{result.table.path.name} · {nominal.sensor} · method ellipsoid · frame {calibration.frame}"),
+        Text(text=calibration.outcome.verdict),
+        *(Text(text=f"remark: {remark}") for remark in calibration.outcome.remarks),
+    ]
+    lines = []
+    if fit is not None and result.recorded:
+        blocks.append(_correction_table(result))
+        lines.append(_samples_line(nominal, fit))
+    elif fit is not None:
+        blocks.append(parameter_table(calibration, linear_parameters(calibration.parameters)))
+        blocks += [group_table(calibration)] if group_lines(calibration) else []
+        blocks += [_paper_table(result)] if calibration.frame == "paper" else []
+        blocks.append(_position_table(result, fit))
+        lines.append(_fit_line(nominal, fit))
+    if calibration.prediction is not None:
+        lines.append(predicted(calibration.prediction))
+    return [*blocks, Items(items=(*lines, *calibration.notes))]
+
+
+def _correction_table(result: ReadingsCalibration) -> Table:
+    """What corrects the readings, an axis a line: true = matrix (reading − bias), the bias in the unit of the readings,
+    the matrix in that of the result per unit of the readings, each row with the largest u of its elements."""
+    calibration, nominal = result.calibration, result.nominal
+    hard, soft = ("hard iron", "soft iron") if nominal.sensor == "mag" else ("bias", "matrix")
+    values = np.array([p.value for p in calibration.parameters[:9]])
+    convention = Convention(frame=frame_of(calibration.frame), block=TRIAD)
+    by_values, matrix = convention.jacobian(values)[:, :3], convention.model(values).inverse()
+    to_result = 1.0 / (nominal.scale * nominal.per_factor)
+    change = -np.einsum("ip,pqm,qj->ijm", matrix, by_values, matrix) * to_result[:, None]
+    known = np.zeros((9, 9)) if calibration.covariance is None else calibration.covariance[:9, :9]
+    u = np.sqrt(np.einsum("ijm,mn,ijn->ij", change, known, change)).max(axis=1)
+    rows = []
+    for i, axis in enumerate("xyz"):
+        bias = cells(values[i] * nominal.scale[i], float(np.sqrt(known[i, i]) * abs(nominal.scale[i])))
+        row = [cells(float(element), float(u[i])) for element in matrix[i] * to_result]
+        rows.append((axis, *bias, *(element for element, _ in row), row[i][1]))
+    columns = ("axis", f"{hard} {nominal.unit}", "u (k=1)", f"{soft}: x", "y", "z", "u (k=1)")
+    return Table(columns=columns, rows=tuple(rows))
+
+
+def _samples_line(nominal: Nominal, fit: EllipsoidFit) -> str:
+    """How many samples there are, how they scatter and what u is made from."""
+    return (
+        f"a recording, {len(fit.used)} samples: true = matrix · (reading − bias), in {nominal.per}; a sample "
+        f"scatters by {100.0 * fit.scatter / nominal.modulus:.2g} % of the vector; u is of "
+        f"{fit.noise_degrees + 1:.0f} stretches left out in turn, since neighbours err alike"
+    )
+
+
+def _paper_table(result: ReadingsCalibration) -> Table:
+    form, nominal = paper_form(result), result.nominal
+    known = form.covariance is not None
+    u = np.zeros(9) if form.covariance is None else np.sqrt(np.diag(form.covariance))
+    rows = []
+    for i, axis in enumerate("xyz"):
+        shown = [
+            cells(float(value), float(each), size)
+            for value, each, size in (
+                (form.k[i], u[i], 1.0),
+                (form.theta[i], u[3 + i], 1e-5),
+                (form.b[i], u[6 + i], 1e-5),
+            )
+        ]
+        rows.append((axis, *(cell for value, each in shown for cell in (value, each if known else ""))))
+    headings = (f"k {nominal.unit}/{nominal.per}", "θ 1e-5 rad", f"b 1e-5 {nominal.per}")
+    return Table(columns=("axis", *(cell for name in headings for cell in (name, "u (k=1)"))), rows=tuple(rows))
+
+
+def _position_table(result: ReadingsCalibration, fit: EllipsoidFit) -> Table:
+    """Residual |corrected reading| less the modulus of every position, plain and against the fit through the others."""
+    size, unit = engineering(result.nominal.result_unit, float(np.abs(fit.residual[fit.used]).max()))
+    rows = []
+    for i, line in enumerate(result.table.lines):
+        row = {"position": str(i + 1), "line": str(line), f"residual {unit}": f"{fit.residual[i] / size:+z.2f}"}
+        row[f"left out {unit}"] = f"{fit.leave_one_out[i] / size:+z.2f}" if fit.degrees else ""
+        row["u (k=1)"] = f"{fit.leave_one_out_u[i] / size:.2f}" if fit.degrees else ""
+        row["sigmas"] = f"{fit.sigmas[i]:.1f}" if fit.degrees else ""
+        rows.append(row | {"": "" if fit.used[i] else "bad"})
+    return table(rows, words=())
+
+
+def _fit_line(nominal: Nominal, fit: EllipsoidFit) -> str:
+    if fit.degrees == 0:
+        return "no more positions than parameters, so that nothing checks the fit"
+    size, unit = engineering(nominal.result_unit, fit.scatter)
+    if fit.scatter == 0.0:
+        return f"{int(fit.used.sum())} positions for 9 parameters: no scatter"
+    return (
+        f"{int(fit.used.sum())} positions for 9 parameters: a reading scatters by {fit.scatter / size:.3g} {unit}, "
+        f"estimated with {fit.degrees} degrees of freedom"
+    )

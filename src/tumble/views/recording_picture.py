@@ -1,0 +1,143 @@
+"""The recording as a picture: what the sensors read over time, with its rests and its turns.
+
+`draw_recording` draws a session as it was recorded, `overview` what a calibration file has of it. The files of a log
+stand one after the other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tumble.units import DEGREE, Array
+from tumble.views.render.characters import drawable
+from tumble.views.render.pictures import COLOURS, PAGE, drawn
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from tumble.calibration.observed import Observed
+    from tumble.calibration.results import RestResult, TurnResult
+
+_RESTS, _TURNS = "#e3e8ee", "#f6e3d6"
+"""Colours of the spans of rests and turns."""
+
+_NUMBER = 7.0
+"""Height of the number of a rest, points; a digit is 0.65 of it wide."""
+
+_DRAWN = 0.8
+"""The part of a figure's width that readings take, about; the rest is for scale and legend."""
+
+Spans = Sequence[tuple[float, float]]
+"""Start and stop, s."""
+
+
+def draw_recording(figure: Figure, observed: Observed) -> None:
+    """Accelerometers, and below them gyros, of all blocks of the log of a session."""
+    files, log = observed.reduction.files, observed.session.log
+    starts = _starts([float(file.edges[-1] - file.edges[0]) for file in files])
+    begin = [float(file.edges[0]) for file in files]
+    found = [
+        (r.start - begin[r.file] + starts[r.file], r.stop - begin[r.file] + starts[r.file], r.file)
+        for r in observed.segmentation.rests
+    ]
+    rests = [(start, stop) for start, stop, _ in found]
+    panels = [("accel", log.accel, 1.0, "m/s²")] + ([("gyro", log.gyro, DEGREE, "°/s")] if log.gyro else [])
+    axes_of = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (kind, channels, size, unit) in zip(axes_of, panels, strict=True):
+        assert channels is not None
+        for i, column in enumerate(channels.columns):
+            for file, start in zip(files, starts, strict=True):
+                middle = 0.5 * (file.edges[1:] + file.edges[:-1]) - file.edges[0] + start
+                label = drawable(column) if file is files[0] else None
+                values = getattr(file, kind).means[:, i] / size
+                axes.plot(middle, values, color=COLOURS[i % len(COLOURS)], linewidth=0.8, label=label)
+        axes.set_ylabel(unit)
+        _spans(axes, rests, _between(found))
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    _numbers(axes_of[0], rests)
+    axes_of[-1].set_xlabel("time, s")
+
+
+def overview(name: str, rests: Sequence[RestResult], turns: Sequence[TurnResult], columns: Sequence[str]) -> str:
+    """The mean readings of the accelerometers at the rests over time, and the angle of every turn between them, as the
+    SVG of a figure `name`; the accelerometers are called by their columns."""
+    lasted = [max((r.stop for r in rests if r.file == file), default=0.0) for file in range(rests[-1].file + 1)]
+    starts = _starts(lasted)
+    spans = [(r.start + starts[r.file], r.stop + starts[r.file]) for r in rests]
+    between = [(spans[t.first][1], spans[t.last][0]) for t in turns]
+
+    def draw(figure: Figure) -> None:
+        told = any(t.angle is not None for t in turns)
+        all_axes = figure.subplots(2 if told else 1, 1, sharex=True, squeeze=False, height_ratios=(2, 1)[: 1 + told])
+        top = all_axes[0, 0]
+        means = np.array([r.accel.mean for r in rests if r.accel is not None])
+        for i in range(means.shape[1]):
+            label = drawable(columns[i]) if i < len(columns) else str(i)
+            _steps(top, spans, means[:, i], COLOURS[i % len(COLOURS)], label)
+        top.set_ylabel("m/s²")
+        _spans(top, spans, between)
+        _numbers(top, spans)
+        top.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        if told:
+            _angles(all_axes[1, 0], turns, between)
+        all_axes[-1, 0].set_xlabel("time, s")
+
+    return drawn(name, PAGE, 2.4, draw)
+
+
+def _starts(lasted: Iterable[float]) -> list[float]:
+    """When each file begins, the files standing one after the other."""
+    return [0.0, *np.cumsum(list(lasted)).tolist()][:-1]
+
+
+def _between(rests: Sequence[tuple[float, float, int]]) -> Spans:
+    """From the end of a rest to the beginning of the next of the same file."""
+    return [(before[1], after[0]) for before, after in pairwise(rests) if before[2] == after[2]]
+
+
+def _spans(axes: Axes, rests: Spans, turns: Spans) -> None:
+    """Rests and turns as bands behind the readings."""
+    for spans, colour in ((rests, _RESTS), (turns, _TURNS)):
+        for start, stop in spans:
+            axes.axvspan(start, stop, color=colour, linewidth=0.0, zorder=0)
+    axes.margins(x=0.005)
+
+
+def _numbers(axes: Axes, rests: Spans) -> None:
+    """The number of every rest above it, where there is room beside the one before."""
+    if not rests:
+        return
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    point = (rests[-1][1] - rests[0][0]) / (72.0 * _DRAWN * figure.get_figwidth())
+    taken = -math.inf
+    for number, (start, stop) in enumerate(rests, 1):
+        middle, half = 0.5 * (start + stop), 0.325 * _NUMBER * len(str(number)) * point
+        if middle - half < taken:
+            continue
+        axes.annotate(
+            str(number), (middle, 1.0), xycoords=("data", "axes fraction"), ha="center", va="bottom", fontsize=_NUMBER
+        )
+        taken = middle + half + 0.4 * _NUMBER * point
+
+
+def _steps(axes: Axes, spans: Spans, values: Array, colour: str, label: str) -> None:
+    """A level line over every span, thin ones from each to the next."""
+    times = np.ravel(np.array(spans))
+    axes.plot(times, np.repeat(values, 2), color=colour, linewidth=0.4)
+    for i, (start, stop) in enumerate(spans):
+        axes.plot((start, stop), (values[i], values[i]), color=colour, linewidth=2.0, label=label if i == 0 else None)
+
+
+def _angles(axes: Axes, turns: Sequence[TurnResult], spans: Spans) -> None:
+    """The angle of every turn as the gyros saw it, as a bar over its time."""
+    for turn, (start, stop) in zip(turns, spans, strict=True):
+        if turn.angle is not None:
+            axes.bar(start, turn.angle / DEGREE, stop - start, align="edge", color="#c0561a")
+    axes.set(ylabel="turn, °", ylim=(0.0, 190.0), yticks=(0, 90, 180))

@@ -1,0 +1,243 @@
+"""The registry: devices, records, limits, trends, what is due."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Container, Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import chain
+
+from tumble.acceptance.conformity import RULE, LimitJudgement, Verdict
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.compare import Comparison
+from tumble.calibration.coverage import expanded_of as expanded_uncertainty
+from tumble.calibration.results import Parameter
+from tumble.registry.monitor import Monitored
+from tumble.registry.series import SeriesPoint
+from tumble.registry.submission import logs_of
+from tumble.registry.trend import Change, Trend
+from tumble.registry.types import Forecast, LimitsRecord, Record
+from tumble.sensors.parameters import beyond_linear, group_name
+from tumble.units import two_digits
+from tumble.views.blocks import Block, Items, Table, Text, Tone, table
+from tumble.views.checks import judged_lines
+from tumble.views.numbers import Units, cells, device_name, limit_cell, shown_units
+from tumble.views.registry_lists import day_of
+
+TONES: Mapping[str, Tone] = {
+    "pass": "good",
+    "conditional pass": "doubt",
+    "conditional fail": "bad",
+    "undecided": "bad",
+    "fail": "bad",
+}
+"""The colour of each result of a check."""
+_BARS = "▁▂▃▄▅▆▇█"
+_LONG = 24  # points of a sparkline
+
+
+def record_blocks(record: Record, calibration: Calibration, verdict: Verdict | None, *, every: bool) -> list[Block]:
+    """A record with its parameters and the verdict on each; of those beyond the linear model that have no limits only
+    how many there are, unless `every` one is wanted."""
+    device = device_name(record.serial, record.model)
+    lines = [
+        f"record {record.number} · device {device} · {record.occasion} check · {record.state}",
+        f"performed {day_of(record.performed)} · method {record.method} · frame {record.frame}",
+        *(f"launch {session or 1} · log {log}" for session, log in logs_of(calibration) if log),
+        f"content {record.sha256}",
+    ]
+    if record.supersedes is not None:
+        lines.append(f"supersedes record {record.supersedes}: {record.reason}")
+    if record.superseded_by is not None:
+        lines.append(f"superseded by record {record.superseded_by}")
+    judged = {} if verdict is None else {j.name: j for j in verdict.judgements}
+    further = () if every else further_of((p.name for p in calibration.parameters), judged)
+    shown = _verdict_table([p for p in calibration.parameters if p.name not in further], judged)
+    judgement: tuple[str, ...] = (
+        "no verdict: no limits were in force for this type and check when the record was added",
+    )
+    if verdict is not None:
+        over = f", {verdict.over}" if verdict.over else ""
+        judgement = (RULE, *verdict.reasons(), f"verdict: {verdict.result}{over}")
+    return [Text(text="\n".join(lines)), replace(shown, caption=_counted(further)), Items(items=judgement)]
+
+
+def further_of(names: Iterable[str], judged: Container[str]) -> frozenset[str]:
+    """The parameters beyond the linear model of which nothing is `judged`."""
+    return frozenset(name for name in names if name not in judged and beyond_linear(name))
+
+
+def _counted(further: Collection[str]) -> str:
+    """How many parameters are not shown."""
+    groups = len(set(map(group_name, further)))
+    where = "1 group" if groups == 1 else f"{groups} groups"
+    said = f"and {len(further)} parameters beyond bias, scale and axes, in {where}: --all shows them"
+    return said if further else ""
+
+
+def _verdict_table(parameters: Sequence[Parameter], judged: Mapping[str, LimitJudgement]) -> Table:
+    units, rows = shown_units(parameters), []
+    for parameter in parameters:
+        size, unit = units[parameter.name]
+        value, expanded = cells(parameter.value, expanded_of(parameter), size)
+        row = {"parameter": parameter.name, "value": value, "U": expanded}
+        own = judged.get(parameter.name)
+        if judged:
+            low, high = ("", "") if own is None else (limit_cell(limit, size) for limit in (own.low, own.high))
+            row |= {"lowest": low, "highest": high, "unit": unit, "verdict": own.result if own else ""}
+        rows.append(row | {"unit": unit})
+    return table(rows, words=("parameter", "unit", "verdict"), columns=() if rows else ("parameter", "value", "U"))
+
+
+def limits_blocks(limits: LimitsRecord) -> list[Block]:
+    """Limits as they were given."""
+    named = "" if limits.systematic is None else " · systematic values kept with them"
+    head = f"limits {limits.number} · type {limits.model} · in force from {day_of(limits.added)}{named}"
+    return [Text(text=head), Items(items=(limits.file.rstrip(),)), Text(text=RULE)]
+
+
+# -------------------- trend --------------------
+
+
+def trend_blocks(found: Monitored, *, every: bool) -> list[Block]:
+    """Every parameter of a device over its calibrations, a line each, with verdicts on the latest values; of those
+    beyond the linear model that have no limits and have not changed only how many there are, unless `every` one is
+    wanted."""
+    limits, verdicts, units, rows = found.limits, found.latest_verdicts(), units_of(found), []
+    launches = any(trend.run_to_run is not None for trend in found.trends)
+    kept = {*limits, *found.changed()}
+    further = () if every else further_of((trend.series.name for trend in found.trends), kept)
+    for trend in found.trends:
+        name, points = trend.series.name, trend.series.points
+        if name in further:
+            continue
+        size, unit = units[name]
+        value, expanded = cells(points[-1].value, expanded_of(points[-1]), size)
+        row = {"parameter": name, "history": sparkline([p.value for p in points]), "latest": value, "U": expanded}
+        if limits:
+            low, high = (limit_cell(limit, size) for limit in limits.get(name, (math.nan, math.nan)))
+            row |= {"lowest": low, "highest": high}
+        row |= {"run to run": deviation_cell(trend.run_to_run, size)} if launches else {}
+        row |= dict(zip(("drift/year", "U (95 %)"), drift_cells(trend, size), strict=True))
+        row |= dict(zip(("change", "E_n"), change_cells(trend.last_change, size), strict=True))
+        rows.append(row | {"unit": unit} | ({"verdict": verdicts.get(name, "")} if limits else {}))
+    numbers = {p.number: p.performed for t in found.trends for p in t.series.points}
+    first, last = day_of(min(numbers.values())), day_of(max(numbers.values()))
+    one = f"one calibration, of {first}"
+    said = one if len(numbers) == 1 else f"{len(numbers)} calibrations from {first} to {last}"
+    device = device_name(found.latest.serial, found.latest.model)
+    conclusions = (*([] if found.comparison is None else change_lines(found.comparison)), *forecast_lines(found))
+    return [
+        Text(text=f"device {device} · {said} · frame {found.frame}"),
+        table(rows, words=("parameter", "history", "unit", "verdict"), caption=_counted(further)),
+        *([Items(items=conclusions)] if conclusions else []),
+    ]
+
+
+def forecast_lines(found: Monitored) -> list[str]:
+    """When parameters meet their limits by their drift, in sentences."""
+    units = units_of(found)
+    return [_forecast_line(each, *units[each.name]) for each in found.forecasts()]
+
+
+def units_of(found: Monitored) -> Units:
+    """The unit in which each parameter is shown."""
+    values = chain.from_iterable(
+        (Parameter(name=t.series.name, value=p.value, u=None, unit=t.series.unit) for p in t.series.points)
+        for t in found.trends
+    )
+    return shown_units(values)
+
+
+def _forecast_line(each: Forecast, size: float, unit: str) -> str:
+    latest = "more than 50 years on" if each.latest is None else day_of(each.latest)
+    return (
+        f"forecast: {each.name} meets its limit of {limit_cell(each.limit, size)} {unit} on {day_of(each.expected)} "
+        f"(95 %: {day_of(each.earliest)} to {latest})"
+    )
+
+
+def change_lines(comparison: Comparison) -> list[str]:
+    """What has changed since the calibration before, in sentences."""
+    first, *others = judged_lines(comparison)
+    return [f"the latest against the one before: {first}", *others]
+
+
+def history_blocks(found: Monitored) -> list[Block]:
+    """The one parameter of `found` in every calibration, with verdicts by the limits that are in force."""
+    trend, verdicts = found.trends[0], found.verdicts(found.trends[0])
+    name, points = trend.series.name, trend.series.points
+    limits, (size, unit) = found.limits.get(name), units_of(found)[name]
+    changes, rows = {change.later: change for change in trend.changes}, []
+    for point in points:
+        change = changes.get(point.number)
+        value, expanded = cells(point.value, expanded_of(point), size)
+        row = {"record": str(point.number), "performed": day_of(point.performed), "state": point.state, "value": value}
+        row |= {"U": expanded, "launches": str(len(point.launches) or 1)}
+        row |= dict(zip(("change", "E_n"), change_cells(change, size), strict=True))
+        row |= {"unit": unit, "": "adjusted" if change is not None and change.adjustment else ""}
+        rows.append(row | ({"verdict": verdicts.get(point.number, "")} if limits else {}))
+    device, history = device_name(found.latest.serial, found.latest.model), sparkline([p.value for p in points])
+    return [
+        Text(text=f"{name} of device {device} · frame {found.frame} · {history}"),
+        table(rows, words=("record", "performed", "state", "unit", "", "verdict")),
+        Items(items=(*_conclusions(trend, limits, size, unit), *forecast_lines(found))),
+    ]
+
+
+def _conclusions(trend: Trend, limits: tuple[float, float] | None, size: float, unit: str) -> list[str]:
+    lines, drift = [], trend.drift
+    if limits is not None:
+        lines += [f"limits: {limit_cell(limits[0], size)} to {limit_cell(limits[1], size)} {unit}", RULE]
+    if trend.run_to_run is not None:
+        lines.append(
+            f"run to run: {deviation_cell(trend.run_to_run, size)} {unit}, the standard deviation of launches "
+            f"({trend.run_to_run_degrees} degrees of freedom)"
+        )
+    if trend.instability is not None:
+        lines.append(f"instability beyond the stated u, per power-on: {deviation_cell(trend.instability, size)} {unit}")
+    if drift is None:
+        lines.append(
+            "drift: not known; it takes two calibrations at different times without an adjustment between them"
+        )
+    elif drift.expanded is None:
+        value, u = cells(drift.per_year, drift.u, size)
+        lines.append(f"drift: {value} {unit} a year, u = {u} of the measurement alone: nothing shows the instability")
+    else:
+        value, expanded = cells(drift.per_year, drift.expanded, size)
+        lines.append(
+            f"drift: {value} ± {expanded} {unit} a year (95 %, Student's t with {drift.degrees} degrees of freedom)"
+        )
+    return lines
+
+
+def sparkline(values: Sequence[float]) -> str:
+    """Values as bars between the lowest and the highest; the last ones, where there are many."""
+    shown = values[-_LONG:]
+    low, high = min(shown), max(shown)
+    if high == low:
+        return _BARS[3] * len(shown)
+    return "".join(_BARS[min(int((v - low) / (high - low) * len(_BARS)), len(_BARS) - 1)] for v in shown)
+
+
+def drift_cells(trend: Trend, size: float) -> tuple[str, str]:
+    """The drift a year and its U, where there is one."""
+    known = trend.drift is not None and trend.drift.expanded is not None
+    return cells(trend.drift.per_year, trend.drift.expanded, size) if known and trend.drift is not None else ("", "")
+
+
+def change_cells(change: Change | None, size: float) -> tuple[str, str]:
+    """A change and its E_n number."""
+    if change is None:
+        return "", ""
+    return cells(change.value, change.expanded, size)[0], "" if change.e_n is None else f"{change.e_n:+z.2f}"
+
+
+def expanded_of(result: SeriesPoint | Parameter) -> float | None:
+    """U, SI."""
+    return None if result.u is None else expanded_uncertainty(result.u, result.dof)
+
+
+def deviation_cell(value: float | None, size: float) -> str:
+    """A standard deviation to two digits."""
+    return "" if value is None else two_digits(value / size)

@@ -1,0 +1,118 @@
+"""Pictures: as files (svg, png, pdf), and as SVG for a page of HTML and for typst, whose letters are outlines, which
+loads nothing, no font either. The same numbers give the same bytes.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tumble.errors import InputError, needs_extra
+from tumble.files import whole_file
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+INK, GREY, FAINT = "#1c2733", "#6b7785", "#d5dae0"
+COLOURS = ("#1f4e79", "#c0561a", "#3d7d52", "#7d4f93", "#a08020", "#58728c")
+"""For accelerometers, gyros, or the sensors of a block in turn."""
+
+PAGE = 6.7
+"""Width of a figure as wide as the page, inches."""
+
+STYLE: Any = {
+    "svg.fonttype": "path",
+    "svg.hashsalt": "tumble",
+    "text.parse_math": False,
+    "font.family": "DejaVu Sans",
+    "font.size": 8.0,
+    "text.color": INK,
+    "axes.edgecolor": GREY,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.6,
+    "axes.unicode_minus": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 8.0,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 7.5,
+    "lines.linewidth": 1.2,
+}
+"""How every picture of a report looks."""
+
+PLAIN: Any = {"svg.fonttype": "none", "svg.hashsalt": "tumble", "font.size": 9.0}
+"""How a picture that stands alone looks; letters are text."""
+_DATA_OF_THE_FILE = {"Creator": None, "Date": None, "Format": None, "Type": None}
+_UNDATED: Mapping[str, dict[str, Any]] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+
+
+def write_picture(
+    path: Path, what: str, size: tuple[float, float], draw: Callable[[Figure], None], style: Any = PLAIN
+) -> None:
+    """Write a picture of this size in inches that `draw` fills, by the ending of the file.
+
+    Raises MissingExtraError, saying `what` it is, without matplotlib, InputError for another ending."""
+    ending = path.suffix.lower()
+    if ending not in (".svg", ".png", ".pdf"):
+        raise InputError(f"{path}: expected a file that ends in .svg, .png or .pdf, found {path.suffix!r}")
+    with needs_extra(what, "report", "matplotlib"):
+        from matplotlib import rc_context
+        from matplotlib.figure import Figure
+    with rc_context(style):
+        figure = Figure(figsize=size, layout="constrained")
+        draw(figure)
+        with whole_file(path) as temporary:
+            figure.savefig(temporary, dpi=150, metadata=_UNDATED.get(ending))
+
+
+def drawn(name: str, width: float, height: float, draw: Callable[[Figure], None]) -> str:
+    """The SVG of a figure of this size in inches that `draw` fills. `name` is put before every identifier in it:
+    several figures of a page share one name space."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    with rc_context(STYLE):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        draw(figure)
+        out = io.StringIO()
+        figure.savefig(out, format="svg", metadata=_DATA_OF_THE_FILE, transparent=True)
+    return for_a_page(out.getvalue(), name)
+
+
+def for_a_page(svg: str, name: str) -> str:
+    """The svg element alone, its identifiers made this figure's own, without comments."""
+    svg = re.sub(r"<!--.*?-->", "", svg[svg.index("<svg") :], flags=re.DOTALL)
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r'\b(?:d|x|y)="[^"]*"', _to_a_tenth, svg)
+    own = {each: f"{name}-{i}" for i, each in enumerate(dict.fromkeys(re.findall(r'(?:href="|url\()#([^")]+)', svg)))}
+    svg = re.sub(r' id="([^"]*)"', lambda found: f' id="{own[found[1]]}"' if found[1] in own else "", svg)
+    svg = re.sub(r'(href="|url\()#([^")]+)', lambda found: f"{found[1]}#{own[found[2]]}", svg)
+    return re.sub(r"\s*\n\s*", "\n", svg).strip()
+
+
+def _to_a_tenth(attribute: re.Match[str]) -> str:
+    """Coordinates to a tenth of a point, which no eye tells apart, on one line; a line to that follows one is not
+    named again."""
+    words, command = [], ""
+    for word in re.sub(r"\d+\.\d+", lambda number: f"{float(number[0]):.1f}", attribute[0]).split():
+        if word == "L" and command in ("M", "L"):
+            continue
+        command = word[-1] if word[-1].isalpha() else command
+        words.append(word)
+    return " ".join(words)
+
+
+def grid(axes: Axes) -> None:
+    """Faint lines at the ticks of the values."""
+    axes.grid(axis="y", color=FAINT, linewidth=0.5)
+    axes.set_axisbelow(True)

@@ -1,0 +1,147 @@
+"""Blocks on a terminal: sentences as they are, tables without lines, words set to the left, numbers to the right.
+
+Where a table is wider than the terminal its headings are broken between words; where that is not enough, it is set as
+several tables below each other, each with the first column, or those that together name a row. A number is never cut or
+broken; where not even one column has room beside the names of the first, these are.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from textwrap import wrap
+
+import click
+from rich.cells import cell_len, set_cell_size
+
+from tumble.documents import plain
+from tumble.views.blocks import Block, Facts, Items, Table, Text
+
+_LEAST = 4
+"""Characters of a name that are kept on a line."""
+_IN_A_PIPE = 160
+"""Width of tables where there is no terminal, characters."""
+
+
+def print_blocks(*blocks: Block) -> None:
+    """Print blocks to standard output, as wide as the terminal; where there is none sentences are not broken. What the
+    output cannot show becomes question marks."""
+    shown = text_of(blocks, shutil.get_terminal_size().columns if sys.stdout.isatty() else None)
+    encoding = sys.stdout.encoding or "utf-8"
+    click.echo(shown.encode(encoding, "replace").decode(encoding), nl=False)
+
+
+def text_of(blocks: Iterable[Block], width: int | None = None) -> str:
+    """Blocks as lines of text, tables and lists apart from others by a blank one; without `width` sentences are not
+    broken."""
+    shown = [(block, own) for block in blocks if (own := list(_lines(block, width)))]
+    lines: list[str] = []
+    for i, (block, own) in enumerate(shown):
+        apart = isinstance(block, Table | Items) or (i > 0 and isinstance(shown[i - 1][0], Table | Items))
+        lines += ["", *own] if i > 0 and apart else own
+    return plain("".join(f"{line}\n" for line in lines))
+
+
+def _lines(block: Block, width: int | None) -> Iterator[str]:
+    if isinstance(block, Table):
+        yield from _table_lines(block, width or _IN_A_PIPE)
+        sentences: Sequence[str] = block.caption.split("\n") if block.caption else []
+    elif isinstance(block, Text):
+        sentences = block.text.split("\n")
+    elif isinstance(block, Items):
+        sentences = [line for item in block.items for line in item.split("\n")]
+    elif isinstance(block, Facts):
+        sentences = [f"{name}: {value}" for name, value in block.rows]
+    else:
+        return  # a picture
+    for sentence in sentences:
+        yield from [sentence] if width is None else wrap(sentence, width, break_on_hyphens=False) or [""]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Column:
+    """Heading and cells; words may be broken between words, numbers never. `least` is the width that it needs, of its
+    widest word or number, `whole` that at which no line is broken."""
+
+    cells: tuple[str, ...]
+    words: bool
+    least: int
+    whole: int
+
+    @staticmethod
+    def of(cells: Sequence[str], *, words: bool) -> _Column:
+        """A column of these cells, the heading first."""
+        whole = max(cell_len(line) for cell in cells for line in cell.split("\n"))
+        least = max((cell_len(word) for cell in cells for word in cell.split()), default=0) if words else whole
+        return _Column(cells=tuple(cells), words=words, least=least, whole=whole)
+
+    def broken(self, room: int) -> _Column:
+        """With its lines broken anywhere after so many characters."""
+        return _Column.of(["\n".join(_pieces(cell, room)) for cell in self.cells], words=True)
+
+    def set(self, cell: str, width: int) -> list[str]:
+        """The lines of one of its cells, all of this width."""
+        lines = [part for line in cell.split("\n") for part in (_wrapped(line, width) if self.words else [line])]
+        return [set_cell_size(line, width) if self.words else " " * (width - cell_len(line)) + line for line in lines]
+
+
+def _pieces(cell: str, room: int) -> list[str]:
+    return [line[i : i + room] for line in cell.split("\n") for i in range(0, max(len(line), 1), room)]
+
+
+def _wrapped(line: str, width: int) -> list[str]:
+    return [line] if cell_len(line) <= width else wrap(line, width, break_on_hyphens=False)
+
+
+def _table_lines(table: Table, width: int) -> Iterator[str]:
+    by_column = [list(cells) for cells in zip(table.columns, *table.rows, strict=True)]
+    columns = [_Column.of(cells, words=i in table.text) for i, cells in enumerate(by_column)]
+    if _together(columns) > width:
+        broken = (["\n".join(heading.split()), *cells] for heading, *cells in by_column)
+        columns = [_Column.of(cells, words=i in table.text) for i, cells in enumerate(broken)]
+    for number, group in enumerate(_groups(columns, table.named_by, width)):
+        if number:
+            yield ""
+        over = _together(group) - width
+        if over > 0 and max(group[0].least - over, _LEAST) < group[0].least:
+            group[0] = group[0].broken(max(group[0].least - over, _LEAST))
+        widths = _widths(group, width)
+        for row in zip(*(column.cells for column in group), strict=True):
+            cells = [column.set(cell, size) for column, cell, size in zip(group, row, widths, strict=True)]
+            for i in range(max(map(len, cells))):
+                line = (c[i] if i < len(c) else " " * size for c, size in zip(cells, widths, strict=True))
+                yield "  ".join(line).rstrip()
+
+
+def _together(columns: Sequence[_Column]) -> int:
+    """The least width of columns side by side, two blanks apart."""
+    return sum(column.least + 2 for column in columns) - 2
+
+
+def _widths(columns: Sequence[_Column], width: int) -> list[int]:
+    """Widths of columns side by side: none is narrower than its widest word, and what is left goes to where words would
+    have to be broken into lines."""
+    widths = [column.least for column in columns]
+    for _ in range(width - _together(columns)):
+        neediest = max(range(len(widths)), key=lambda i: columns[i].whole - widths[i])
+        if columns[neediest].whole <= widths[neediest]:
+            break
+        widths[neediest] += 1
+    return widths
+
+
+def _groups(columns: Sequence[_Column], named_by: int, width: int) -> Iterator[list[_Column]]:
+    """The columns after those that name a row in groups that fit a width together with these; where these alone do not
+    take more than two thirds of it, together with the first."""
+    names, rest = list(columns[:named_by]), columns[named_by:]
+    if 3 * _together(names) > 2 * width:
+        names, rest = list(columns[:1]), columns[1:]
+    group = list(names)
+    for column in rest:
+        if len(group) > len(names) and _together([*group, column]) > width:
+            yield group
+            group = list(names)
+        group.append(column)
+    yield group

@@ -1,0 +1,107 @@
+"""The operator's sheet of a programme: on a terminal, and as a file: a page, a drawing, or a PDF to print and keep."""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from pathlib import Path
+
+from tumble.errors import InputError, needs_extra
+from tumble.files import FilePath, whole_file
+from tumble.programme.positions import Programme
+from tumble.programme.sheet import SIGNATURES, form_of, sheet_drawing, sheet_page
+from tumble.programme.sheet_pictures import legend, picture
+from tumble.programme.sheet_words import RATE, REST, notes_of, pace_of, sheet_rows
+from tumble.usual_setup import MOVE
+from tumble.views.blocks import Block, Text, table
+
+ENDINGS = (".html", ".pdf", ".svg")
+
+
+def sheet_blocks(programme: Programme, *, rest: float = REST, rate: float = RATE, move: float = MOVE) -> list[Block]:
+    """The sheet for a terminal: how to get to each position, where the body axes point, and when."""
+    rows = sheet_rows(programme, rest=rest, rate=rate, move=move)
+    listed = []
+    for row in rows:
+        cells = {"": str(row.number), "how to get there": row.how, "attitude": row.attitude}
+        cells |= dict(zip("XYZ", row.points, strict=True))
+        listed.append(cells | {"up and down": row.position.label, "rest": row.when})
+    title = f"{programme.name}: {pace_of(programme, rows, rate, move)}"
+    words = ("how to get there", "attitude", "X", "Y", "Z", "up and down")
+    return [Text(text=title), table(listed, words=words), *(Text(text=note) for note in notes_of(programme))]
+
+
+def write_sheet(
+    path: FilePath,
+    programme: Programme,
+    *,
+    rest: float = REST,
+    rate: float = RATE,
+    move: float = MOVE,
+    serial: str = "",
+    number: str = "",
+    revision: str = "",
+) -> None:
+    """Write the page (.html, .pdf) or the drawing (.svg) by the ending of `path`; the page with the serial number of
+    the device, number and revision of the sheet, or lines for them. Raises InputError for another ending and where it
+    cannot be written, ProgrammeError as `sheet_rows`, and for .pdf MissingExtraError without the extra
+    `tumble[report]`.
+
+    >>> import tumble
+    >>> tumble.write_sheet("sheet.svg", tumble.programme_of("nine"), rest=30.0)
+    """
+    path = Path(path)
+    ending = path.suffix.lower()
+    if ending not in ENDINGS:
+        raise InputError(
+            f"{path}: expected a name that ends in {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}, found "
+            f"{path.suffix or 'no ending'!r}"
+        )
+    if ending == ".svg":
+        content = sheet_drawing(programme, rest=rest, rate=rate, move=move).encode()
+    elif ending == ".html":
+        made = sheet_page(programme, rest=rest, rate=rate, move=move, serial=serial, number=number, revision=revision)
+        content = made.encode()
+    else:
+        content = sheet_pdf(programme, rest=rest, rate=rate, move=move, serial=serial, number=number, revision=revision)
+    try:
+        with whole_file(path) as temporary:
+            temporary.write_bytes(content)
+    except OSError as error:
+        raise InputError(f"{path}: expected a file that can be written: {error.strerror or error}") from error
+
+
+def sheet_pdf(
+    programme: Programme, *, rest: float, rate: float, move: float, serial: str, number: str, revision: str
+) -> bytes:
+    """The page as PDF/A-2b on A4, without a date: the same bytes for the same sheet."""
+    with needs_extra("a sheet as PDF", "report", "matplotlib", "typst"):
+        from tumble.views.render.characters import drawable, everywhere
+        from tumble.views.render.pdf import set_in_type
+    rows = sheet_rows(programme, rest=rest, rate=rate, move=move)
+    content = {
+        "name": programme.name,
+        "pace": pace_of(programme, rows, rate, move),
+        "number": number,
+        "revision": revision,
+        "forms": form_of(serial, number, revision),
+        "signatures": SIGNATURES,
+        "legend": {"svg": legend()},
+        "notes": notes_of(programme),
+        "positions": [
+            {
+                "number": str(row.number),
+                "svg": picture(row.position, row.move),
+                "how": row.how,
+                "words": [
+                    row.position.label,
+                    ", ".join(f"{axis} → {where}" for axis, where in zip("XYZ", row.points, strict=True)),
+                    f"rest {row.when}",
+                ],
+                "code": row.attitude,
+            }
+            for row in rows
+        ],
+    }
+    template = files("tumble.views.render").joinpath("templates/sheet.typ").read_bytes()
+    return set_in_type(template, json.dumps(everywhere(content, drawable, except_key="svg")), timestamp=0)
