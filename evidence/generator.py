@@ -236,15 +236,16 @@ class _Motion:
         change = axis * (dds / self.turn**2)[:, None] - np.cross(own, of_earth)
         return L, own + of_earth, change, self.moves[k] * (dds / self.turn**2)[:, None]
 
-    def sensed(self, t: Array, levers: Array, delays: Array) -> tuple[Array, Array]:
-        """ω (N, 3) at times, and each component of f (N, 3, 3), of all accelerometers at their places and times:
-        [:, p] is the force at accelerometer p."""
+    def sensed(self, t: Array, levers: Array, delays: Array) -> tuple[Array, Array, Array]:
+        """ω (N, 3) at times, each component of f (N, 3, 3) of all accelerometers at their places and times, [:, p] being
+        the force at accelerometer p, and f (N, 3) that the gyros feel."""
         force = np.empty((len(t), 3, 3))
         for p in range(3):
             L, w, dw, a = self.at(t - delays[p])
             f = np.einsum("nji,nj->ni", L, a + GRAVITY * UP)
             force[:, p] = f + np.cross(dw, levers[p]) + np.cross(w, np.cross(w, levers[p]))
-        return self.at(t)[1], force
+        L, w, _, a = self.at(t)
+        return w, force, np.einsum("nji,nj->ni", L, a + GRAVITY * UP)
 
 
 def _axes(g: dict[str, float]) -> Array:
@@ -316,12 +317,12 @@ def record(spec: Spec, seed: int) -> Recording:
     matrix = {kind: np.diag([1.0 + truth[f"{kind}.scale.{s}"] for s in "xyz"]) @ of[kind] for kind in of}
     accel, gyro = np.zeros((len(t), 3)), np.zeros((len(t), 3))
     for node, share in zip(nodes, shares, strict=True):
-        w, f = motion.sensed(t - 0.5 * dt + node * dt if not spec.instantaneous else t, levers, delays)
+        w, f, felt = motion.sensed(t - 0.5 * dt + node * dt if not spec.instantaneous else t, levers, delays)
         own = np.einsum("npp->np", f)
         read = np.einsum("pj,npj->np", matrix["accel"], f)
         read += quadratic * (own / G0) ** 2 + cubic * (own / G0) ** 3 + uneven[0] * np.abs(own)
         accel += share * read
-        gyro += share * (w @ matrix["gyro"].T + f[:, 2] @ sensitive.T + uneven[1] * np.abs(w))
+        gyro += share * (w @ matrix["gyro"].T + felt @ sensitive.T + uneven[1] * np.abs(w))
     biases = {kind: np.array([truth[f"{kind}.bias.{s}"] for s in "xyz"]) for kind in ("accel", "gyro")}
     drift = {
         "accel": _process(spec, grade.in_run[0], t, motion, rng),

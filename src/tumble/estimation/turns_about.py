@@ -6,7 +6,9 @@ With the moments of a turn (`tumble.reduction.moments`) and s_p the column of se
     φ = −P_pb ΔK_pb,    ΔV = −Q_pb ΔK_pb,    P = Φ_ijb s_jp,    Q = Ψ_ijb s_jp of gyros, Φ_ijb s_jp of accelerometers
     (9)
 
-for every function b of every sensor p. Lever arms and delays enter V alone: docs/mathematics.md (9), (10) and (11).
+for every function b of every sensor p. Lever arms and delays enter V by the columns of docs/mathematics.md (10) and
+(11); and φ where gyros feel the specific force, which is known from readings that are late and taken elsewhere: by the
+same columns with to_rate G s_p, G the g-sensitivity, in place of s_p. Velocities feel that part as if it grew with time.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from tumble.reduction.moments import (
     single_delay_columns,
 )
 from tumble.reduction.observations import Observations
-from tumble.rotation import rotation_matrix, rotation_vector
+from tumble.rotation import rotation_matrix, rotation_vector, skew
 from tumble.sensors.compensation import angular_rate, specific_force
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel
@@ -51,7 +53,8 @@ Ends = tuple[tuple[Array, Array], tuple[Array, Array]]
 class TurnsAbout:
     """Turns and what they were integrated about: `coefficients` (n, 15) of the accelerometers and gyros, or (K, n, 15)
     where each turn has its own, and a `lateness` of the former, s, common to all. Their moments, and `paths`
-    (K, 6, n, 15), P above Q of the module's docstring; `in_motion` are −∂V (K, 3, m) of lever arms and of delays."""
+    (K, 6, n, 15), P above Q of the module's docstring; `in_motion` are −∂φ above −∂V (K, 6, m) of lever arms and of
+    delays."""
 
     coefficients: Array
     lateness: float
@@ -127,7 +130,7 @@ class TurnsAbout:
             lateness=about[1],
             moments=moments,
             paths=paths,
-            in_motion={} if ends is None else _in_motion(moments, accel, (to_force, _sensed(about[0], a)), ends),
+            in_motion={} if ends is None else _in_motion(moments, accel, about[0], lefts, ends),
             to_rate=to_rate,
             growing=None if growing is None else _paths(growing, lefts),
         )
@@ -173,8 +176,8 @@ class TurnsAbout:
         out[:, 3:, -1] += self.moments.V
         for motion, by in self.in_motion.items():
             if (own := instrument.in_motion(motion)) is not None:
-                out[:, 3:, own] = by
-                out[:, 3:, -1] -= by @ (values[own] - (self.lateness if motion == "delay" else 0.0))
+                out[:, :, own] = by
+                out[:, :, -1] -= by @ (values[own] - (self.lateness if motion == "delay" else 0.0))
         return out
 
     def in_body(self, gyros: int) -> Array:
@@ -223,19 +226,30 @@ class TurnsAbout:
         return bool(np.all(rotation <= CHANGES_SHARE * noise[0]) and np.all(velocity <= CHANGES_SHARE * noise[1]))
 
 
-def _sensed(coefficients: Array, count: int) -> Array:
-    """What the accelerometers read of the specific force, (1 + k) a_p (n, 3), in the mean of the turns."""
-    return np.asarray(coefficients[..., :count, FORCE].reshape(-1, count, 3).mean(axis=0))
+def _in_motion(
+    moments: Moments, accel: Block, coefficients: Array, lefts: tuple[Array, Array], ends: Ends
+) -> dict[Motion, Array]:
+    """−∂φ above −∂V (K, 6, m) of what a turn alone sees of accelerometers that read (1 + k) a_p, so that
+    Σ s_p (1 + k) a_pᵀ = I, and which the gyros of these coefficients feel."""
+    (to_rate, to_force), (forces, rates), order = lefts, ends, _lever_order(accel)
+    mean = coefficients.reshape(-1, *coefficients.shape[-2:]).mean(axis=0)
+    a = to_force.shape[1]
+    sensed = mean[:a, FORCE]
 
+    def columns(left: Array) -> dict[Motion, Array]:
+        return {
+            "lever": lever_columns(moments, left, sensed, rates)[:, :, order],
+            "single delay": single_delay_columns(moments, left, sensed, forces),
+        }
 
-def _in_motion(moments: Moments, accel: Block, sensors: tuple[Array, Array], ends: Ends) -> dict[Motion, Array]:
-    """−∂V (K, 3, m) of what a turn alone sees of accelerometers: of `sensors` with the left inverse s_p and what they
-    read of the specific force, (1 + k) a_p, so that Σ s_p (1 + k) a_pᵀ = I."""
-    (to_force, sensed), (forces, rates) = sensors, ends
+    of_velocity, of_rotation = columns(to_force), columns(to_rate @ mean[a:, FORCE] @ to_force)
+    of_velocity["delay"] = delay_column(moments)[:, :, None]
+    of_rotation["delay"] = of_rotation["single delay"].sum(axis=2, keepdims=True)
+    for each in (of_velocity, of_rotation):
+        each["single delay"] = each["single delay"][:, :, accel.channels[:-1]]
+    half = 0.5 * skew(moments.V)  # −½ φ × V
     return {
-        "lever": -lever_columns(moments, to_force, sensed, rates)[:, :, _lever_order(accel)],
-        "delay": -delay_column(moments)[:, :, None],
-        "single delay": -single_delay_columns(moments, to_force, sensed, forces)[:, :, accel.channels[:-1]],
+        motion: np.concatenate([by, -of_velocity[motion] - half @ by], axis=1) for motion, by in of_rotation.items()
     }
 
 

@@ -47,10 +47,12 @@ from tumble.units import Array, BoolArray
 
 MAX_ITERATIONS = 40
 """Linearisations at most."""
-BEYOND = 3.0
+BEYOND = 2.0
 """Times the usual: scatter or a size for which another maximum is looked for."""
 USELESS = {"turn": 0.3, "velocity": 3.0}
 """rad and m/s: the scatter of turns that say nothing."""
+WIDE = 3.0
+"""Standard deviations of p: the sizes of groups that are looked for from above."""
 STEPS = 6
 """Steps over φ at one linearisation at most."""
 CONVERGED = 1e-3
@@ -253,15 +255,22 @@ def maximum(
 
 
 def likeliest(problem: Problem, at: At, iterations: int = MAX_ITERATIONS) -> Maximum:
-    """The likelier of two maxima: that from the usual φ, and, where it has scatter or sizes far beyond these, that from
-    turns which nothing is expected of. Where turns are spoilt, parameters and accelerometers may take the blame."""
-    first = maximum(problem, at, iterations=iterations)
-    far = [h for h, p in zip(first.entries, first.best.phi.tolist(), strict=True) if h.value(p) > BEYOND * h.usual]
-    if not any(h.place in ("scatter", "group") for h in far) or problem.observations.turns is None:
-        return first
-    phi = np.array([np.log(USELESS.get(h.name, h.usual)) if not h.bounded else 0.0 for h in first.entries])
-    second = maximum(problem, at, phi, iterations)
-    return second if second.converged and second.best.value > first.best.value else first
+    """The likeliest of the maxima from several φ: the usual one and, where it leads to scatter or sizes far beyond the
+    usual, turns which nothing is expected of, for where turns are spoilt, parameters and accelerometers may take the
+    blame; and groups far larger than usual, for scatter may take that of groups, which the readings then no longer
+    show."""
+    best = maximum(problem, at, iterations=iterations)
+    entries, phi = best.entries, best.best.phi
+    beyond = [h.value(p) > BEYOND * h.usual and h.place != "time" for h, p in zip(entries, phi.tolist(), strict=True)]
+    if not any(beyond) or problem.observations.turns is None:
+        return best
+    useless = np.array([0.0 if h.bounded else np.log(USELESS.get(h.name, h.usual)) for h in entries])
+    wide = np.array([WIDE * h.within if h.place == "group" else h.centre for h in entries])
+    for phi in (useless, wide):
+        other = maximum(problem, at, phi, iterations)
+        if other.converged and other.best.value > best.best.value:
+            best = other
+    return best
 
 
 def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maximum:
