@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from tests.support import ROOT
 from tumble.campaigns.engine import Executor
 
 settings.register_profile("tumble", deadline=None)  # timings decide no test
@@ -19,7 +20,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small, and te
 @pytest.fixture(scope="session")
 def data() -> Path:
     """The folder of recordings: TUMBLE_DATA, else ../shared/data beside the repository."""
-    folder = Path(os.environ.get("TUMBLE_DATA") or Path(__file__).parents[2] / "shared" / "data")
+    folder = Path(os.environ.get("TUMBLE_DATA") or ROOT.parent / "shared" / "data")
     if not folder.is_dir():
         said = f"the recordings are not at {folder}; set TUMBLE_DATA to the folder that holds them"
         if os.environ.get("CI") == "true":
