@@ -30,7 +30,7 @@ from tumble.bench.station import Station
 from tumble.errors import CalibrationError, InputError
 from tumble.recording.session_file import read_session
 
-EXAMPLE = ROOT / "docs" / "export" / "example.json"
+EXAMPLE = ROOT / "docs/reference/export/example.json"
 NOT_STOPPED = threading.Event()
 
 

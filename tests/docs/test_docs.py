@@ -41,28 +41,29 @@ from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
 
 RUN = (
     "README.md",
-    "docs/tutorial.md",
-    "docs/rough-table.md",
-    "docs/conventions.md",
-    "docs/cube.md",
-    "docs/ellipsoid.md",
-    "docs/xsens.md",
-    "docs/imucal.md",
-    "docs/ln100.md",
-    "docs/psins.md",
-    "docs/recordings.md",
-    "docs/registry.md",
-    "docs/field-check.md",
-    "docs/campaigns.md",
-    "docs/plan.md",
-    "docs/api.md",
+    "docs/tutorial/first-calibration.md",
+    "docs/tutorial/rough-table.md",
+    "docs/reference/conventions.md",
+    "docs/howto/cube.md",
+    "docs/howto/ellipsoid.md",
+    "docs/howto/waved-about.md",
+    "docs/evidence/xsens.md",
+    "docs/evidence/imucal.md",
+    "docs/evidence/ln100.md",
+    "docs/evidence/psins.md",
+    "docs/howto/recordings.md",
+    "docs/howto/registry.md",
+    "docs/howto/field-check.md",
+    "docs/howto/campaigns.md",
+    "docs/howto/plan.md",
+    "docs/reference/api.md",
 )
 RECORDINGS = {
-    "docs/tutorial.md": "xsens-mti",
-    "docs/xsens.md": "xsens-mti",
-    "docs/imucal.md": "imucal-ferraris",
-    "docs/ln100.md": "ln100-updown",
-    "docs/psins.md": "psins-systematic",
+    "docs/tutorial/first-calibration.md": "xsens-mti",
+    "docs/evidence/xsens.md": "xsens-mti",
+    "docs/evidence/imucal.md": "imucal-ferraris",
+    "docs/evidence/ln100.md": "ln100-updown",
+    "docs/evidence/psins.md": "psins-systematic",
 }
 """Pages that need a recording: the folder of the shared data that is copied into the empty one."""
 
@@ -199,23 +200,23 @@ def commands(group: click.Group = main, path: tuple[str, ...] = ()) -> Iterator[
 def section(text: str, heading: str) -> str:
     """The part of a page under a heading, without its subsections of the same level."""
     found = re.search(rf"^## {re.escape(heading)}$(.*?)(?=^## |\Z)", text, re.M | re.S)
-    assert found is not None, f"docs/commands.md has no section '## {heading}'"
+    assert found is not None, f"docs/reference/commands.md has no section '## {heading}'"
     return found[1]
 
 
 @pytest.mark.parametrize(("words", "command"), [pytest.param(w, c, id="-".join(w)) for w, c in commands()])
 def test_every_command_and_option_is_documented(words: tuple[str, ...], command: click.Command) -> None:
-    text = section((ROOT / "docs/commands.md").read_text(encoding="utf-8"), "tumble " + " ".join(words))
+    text = section((ROOT / "docs/reference/commands.md").read_text(encoding="utf-8"), "tumble " + " ".join(words))
     for parameter in command.params:
         if isinstance(parameter, click.Option):
             for spelling in parameter.opts:
-                assert f"`{spelling}" in text, f"tumble {' '.join(words)}: option {spelling} is not in docs/commands.md"
+                assert f"`{spelling}" in text, f"tumble {' '.join(words)}: option {spelling} is not in docs/reference/commands.md"
         else:
             assert str(parameter.make_metavar(click.Context(command))).strip("[].") in text
 
 
 def test_no_option_is_documented_that_does_not_exist() -> None:
-    text = (ROOT / "docs/commands.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/reference/commands.md").read_text(encoding="utf-8")
     for words, command in commands():
         known = {spelling for p in command.params if isinstance(p, click.Option) for spelling in p.opts} | {"--help"}
         named = set(re.findall(r"^\| `(--[a-z-]+)", section(text, "tumble " + " ".join(words)), re.M))
@@ -248,13 +249,22 @@ def test_the_gallery_shows_the_lines_that_draw_it(tmp_path: Path) -> None:
     gallery = study("gallery")
     gallery.draw_all(tmp_path)
     assert len(list(tmp_path.glob("*.svg"))) == len(gallery.PICTURES)
-    assert (ROOT / "docs/gallery.md").read_text(encoding="utf-8") == gallery.page(), "run python studies/gallery.py"
+    assert (ROOT / "docs/howto/gallery.md").read_text(encoding="utf-8") == gallery.page(), "run python studies/gallery.py"
 
 
-def test_every_page_is_reached_from_the_index() -> None:
+def test_every_page_is_in_index_and_navigation_by_its_title() -> None:
+    """The navigation has no names of its own but those of two pages that stand outside docs/ and of the index."""
     index = (ROOT / "docs/index.md").read_text(encoding="utf-8")
-    missing = [path.name for path in ROOT.glob("docs/*.md") if path.name != "index.md" and f"({path.name}" not in index]
-    assert missing == []
+    navigation = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")[2]
+    listed = re.findall(r"^ +- (?:(.+): )?(\S+\.md)$", navigation, re.M)
+    assert {name for name, _ in listed if name} == {"Contents", "Start", "Changelog"}
+    for path in pages():
+        page = path.relative_to(ROOT / "docs" if path.is_relative_to(ROOT / "docs") else ROOT).as_posix()
+        if "/" not in page:
+            continue
+        title = path.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
+        assert f"[{title}]({page})" in index
+        assert ("", page) in listed
 
 
 def test_the_licence_is_the_unmodified_text_of_apache_2_0() -> None:
@@ -267,7 +277,7 @@ SI = {"": 1.0, "s": 1.0, "rad": 1.0, "°": DEGREE, "°/s": DEGREE, "mg": 1e-3 * 
 
 
 def test_the_thresholds_of_the_method_are_those_of_the_code() -> None:
-    text = (ROOT / "docs/method-staged.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/explanation/method-staged.md").read_text(encoding="utf-8")
     rows = THRESHOLD.findall(text)
     assert len(rows) == 10
     for name, module, value, unit in rows:
@@ -278,7 +288,7 @@ def test_the_thresholds_of_the_method_are_those_of_the_code() -> None:
 
 def test_every_threshold_of_the_reduction_is_on_its_page() -> None:
     """With its value, what it means and what justifies it, as the record has them."""
-    text = (ROOT / "docs/tuning.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/reference/tuning.md").read_text(encoding="utf-8")
     rows = [
         f"| `{each.name}` | {f'{each.value:.3g} {each.unit}'.strip()} | {each.words} | {each.why} |"
         for each in USUAL.thresholds()
@@ -300,7 +310,7 @@ def signed(value: float, digits: int) -> str:
 
 
 def figures_of_the_recording(folder: Path) -> list[str]:
-    """What docs/xsens.md says in its text and tables, from two calibrations of the recording in `folder`."""
+    """What docs/evidence/xsens.md says in its text and tables, from two calibrations of the recording in `folder`."""
     session = read_session(folder)
     normal = calibrate(session)
     exact = calibrate(replace(session, site=replace(session.site, gravity=9.81744, gravity_u=0.0)))
@@ -357,7 +367,7 @@ def figures_of_the_recording(folder: Path) -> list[str]:
 
 
 def test_the_figures_of_the_real_recording_are_those_of_the_program(data: Path) -> None:
-    text = " ".join((ROOT / "docs/xsens.md").read_text(encoding="utf-8").split())
+    text = " ".join((ROOT / "docs/evidence/xsens.md").read_text(encoding="utf-8").split())
     for figure in figures_of_the_recording(data / "xsens-mti"):
         words = f"({NUMBER.pattern})".join(map(re.escape, NUMBER.split(figure)))
         found = re.search(words, text)

@@ -9,7 +9,7 @@ import pytest
 
 from tests.support import ROOT
 
-PAGE = (ROOT / "docs" / "equations.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/reference/equations.md").read_text(encoding="utf-8")
 ROW = re.compile(r"^\| (?P<numbers>[^|]*\([\w.]+\)[^|]*) \| [^|]* \| (?P<names>`[^|]*`) \|$", re.MULTILINE)
 CITED = re.compile(r"Eqs?\.\s((?:\([\w.]+\)(?:,\s|\sand\s)?)+)")
 LISTED = [
@@ -50,7 +50,7 @@ def test_every_function_of_the_paper_that_cites_an_equation_is_in_the_index() ->
     assert missing == []
 
 
-MATHEMATICS = (ROOT / "docs" / "mathematics.md").read_text(encoding="utf-8")
+MATHEMATICS = (ROOT / "docs/explanation/mathematics.md").read_text(encoding="utf-8")
 
 
 def test_every_equation_of_the_joint_method_is_in_its_index_and_names_what_exists() -> None:
@@ -67,7 +67,7 @@ def test_every_equation_of_the_joint_method_is_in_its_index_and_names_what_exist
         assert re.search(rf"^(?:def|class) {defined}\b", source, re.MULTILINE), name
 
 
-CITATION = re.compile(r"docs/mathematics\.md \(\d+(?:\),? (?:and )?\(\d+)*\)")
+CITATION = re.compile(r"docs/(?:explanation/)?mathematics\.md \(\d+(?:\),? (?:and )?\(\d+)*\)")
 
 
 def test_what_the_source_cites_of_the_joint_method_is_an_equation_of_the_page() -> None:

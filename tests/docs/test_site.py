@@ -54,13 +54,13 @@ def test_the_site_loads_nothing_from_elsewhere(site: Path) -> None:
 
 
 def test_every_public_name_is_described(site: Path) -> None:
-    shown = (site / "api.html").read_text(encoding="utf-8")
+    shown = (site / "reference/api.html").read_text(encoding="utf-8")
     for name in set(tumble.__all__) - {"__version__"}:
         assert re.search(rf'id="tumble\.[\w.]+\.{name}"', shown), name
 
 
 def test_the_page_of_the_library_lists_the_public_names_where_they_are() -> None:
-    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/reference/api.md").read_text(encoding="utf-8")
     listed = re.findall(r"^::: ([\w.]+)$", page, flags=re.MULTILINE)
     for path in listed:
         module, _, name = path.rpartition(".")

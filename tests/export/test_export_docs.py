@@ -1,4 +1,4 @@
-"""The pages of the exports show what is written for docs/export/example.json and example-thermal.json."""
+"""The pages of the exports show what is written for docs/reference/export/example.json and example-thermal.json."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tumble.calibration.calibration_file import read_calibration
 from tumble.export import FORMATS, export_calibration
 from tumble.sensors.model import Block
 
-PAGES = ROOT / "docs" / "export"
+PAGES = ROOT / "docs/reference/export"
 BLOCK = re.compile(r"<!-- example: (\S+) -->\n```text\n(.*?)^```$", re.M | re.S)
 EXAMPLE, WARMED = (read_calibration(PAGES / f"{name}.json") for name in ("example", "example-thermal"))
 
@@ -23,7 +23,7 @@ EXAMPLE, WARMED = (read_calibration(PAGES / f"{name}.json") for name in ("exampl
 def test_every_format_has_a_page_with_what_is_written_for_the_example(to: str) -> None:
     text = (PAGES / f"{to}.md").read_text(encoding="utf-8")
     assert "## What is lost" in text
-    assert f"({to}.md)" in (PAGES.parent / "export.md").read_text(encoding="utf-8").replace("(export/", "(")
+    assert f"({to}.md)" in (ROOT / "docs/howto/export.md").read_text(encoding="utf-8").replace("(../reference/export/", "(")
     blocks = BLOCK.findall(text)
     assert [name for name, _ in blocks] == ([] if to == "mat" else [to])
     made = WARMED if to.endswith("thermal") else EXAMPLE

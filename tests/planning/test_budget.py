@@ -175,8 +175,8 @@ def test_remarks_say_where_the_formulas_end() -> None:
 
 
 def test_the_guide_shows_what_the_code_gives() -> None:
-    """Every `pycon` block of docs/budget.md, in one session, by doctest."""
-    guide = ROOT / "docs" / "budget.md"
+    """Every `pycon` block of docs/howto/budget.md, in one session, by doctest."""
+    guide = ROOT / "docs/howto/budget.md"
     blocks = re.findall(r"```pycon\n(.*?)```", guide.read_text(encoding="utf-8"), flags=re.DOTALL)
     assert len(blocks) >= 5
     examples = doctest.DocTestParser().get_doctest("\n".join(blocks), {}, "budget.md", str(guide), 0)

@@ -1,6 +1,6 @@
 """The operator's sheet: words, pictures and page say what the programme says, and the documentation is current.
 
-`python -m tests.programme.test_sheet` writes the tables and pictures of docs/programmes.md anew.
+`python -m tests.programme.test_sheet` writes the tables and pictures of docs/reference/programmes.md anew.
 """
 
 from __future__ import annotations
@@ -525,7 +525,7 @@ def tables() -> str:
             for r in sheet_rows(programme(name))
         ]
         table = markdown(("", "how to get there", "attitude", "X", "Y", "Z", "up and down", "rest"), rows)
-        shown = [f"\n![The positions of {name}](pictures/{file})" for file, of in PICTURES.items() if of == name]
+        shown = [f"\n![The positions of {name}](../pictures/{file})" for file, of in PICTURES.items() if of == name]
         parts.append("\n".join([f"## {name}\n", table, *(shown if name != "rough-table" else [])]))
     return "\n\n".join(parts)
 
@@ -539,14 +539,14 @@ def refreshed(text: str) -> str:
 
 
 def test_the_tables_of_the_documentation_are_current() -> None:
-    text = (DOCS / "programmes.md").read_text(encoding="utf-8")
+    text = (DOCS / "reference/programmes.md").read_text(encoding="utf-8")
     assert text == refreshed(text)
     for name in BUILT_IN:
         assert f"## {name}" in text
 
 
 def test_codes_of_the_documentation_point_where_it_says() -> None:
-    text = (DOCS / "programmes.md").read_text(encoding="utf-8")
+    text = (DOCS / "reference/programmes.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `([NSEWUD]{3}[^`]*)` \| ([^|]+) \| ([^|]+) \| ([^|]+) \|$", text, flags=re.MULTILINE)
     assert len(rows) == 5
     for code, *points in rows:
@@ -554,7 +554,7 @@ def test_codes_of_the_documentation_point_where_it_says() -> None:
 
 
 def test_the_example_of_the_documentation_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    text = (DOCS / "programmes.md").read_text(encoding="utf-8")
+    text = (DOCS / "reference/programmes.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
     exec(example, {})
     rank, _ = capsys.readouterr().out.split()[:2]
@@ -574,7 +574,7 @@ def test_the_pictures_of_the_documentation_are_current(file: str) -> None:
 
 
 if __name__ == "__main__":
-    page = DOCS / "programmes.md"
+    page = DOCS / "reference/programmes.md"
     page.write_text(refreshed(page.read_text(encoding="utf-8")), encoding="utf-8")
     for file, name in PICTURES.items():
         write_sheet(DOCS / "pictures" / file, programme(name))

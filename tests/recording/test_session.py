@@ -27,7 +27,7 @@ from tumble.recording.session_keys.sensors import AccelTable, GyroTable
 from tumble.recording.session_keys.table import SessionTable
 from tumble.units import TIME_UNITS
 
-DOCUMENT = ROOT / "docs" / "session-file.md"
+DOCUMENT = ROOT / "docs/reference/session-file.md"
 
 GONE = object()
 """In a change: the key is taken out."""

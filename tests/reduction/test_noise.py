@@ -355,7 +355,7 @@ def test_matplotlib_is_imported_by_plot_alone() -> None:
 def test_the_example_of_the_guide_prints_what_it_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    guide = (ROOT / "docs" / "noise.md").read_text(encoding="utf-8")
+    guide = (ROOT / "docs/howto/noise.md").read_text(encoding="utf-8")
     _, code, _, expected = (block.strip("\n") for block in guide.split("```")[2:6])
     monkeypatch.chdir(tmp_path)
     exec(code.removeprefix("python\n"), {})
