@@ -32,8 +32,8 @@ STYLE = {
 HEAD = """# Gallery
 
 Pictures of results, each with the lines that draw it. The page and its pictures are made by
-`python studies/gallery.py`; `axes` are matplotlib axes, and [the library](../reference/api.md) says what else can be called. All
-begin with two simulated launches of a MEMS unit, turned by hand:
+`python studies/gallery.py`; `axes` are matplotlib axes, and [the library](../reference/api.md) says what else can be
+called. All begin with two simulated launches of a MEMS unit, turned by hand:
 
 ```python
 import numpy as np
@@ -120,7 +120,8 @@ def page() -> str:
 def _section(draw: Callable[..., None]) -> str:
     lines = inspect.getsource(draw).splitlines()[2:]
     code = textwrap.dedent("\n".join(lines))
-    return f"\n## {draw.__doc__}\n\n![{draw.__doc__}](../pictures/gallery-{draw.__name__}.svg)\n\n```python\n{code}\n```\n"
+    picture = f"../pictures/gallery-{draw.__name__}.svg"
+    return f"\n## {draw.__doc__}\n\n![{draw.__doc__}]({picture})\n\n```python\n{code}\n```\n"
 
 
 def draw_all(folder: Path) -> None:

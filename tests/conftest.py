@@ -10,11 +10,20 @@ import pytest
 from hypothesis import settings
 
 from tests.support import ROOT
+from tests.support.slow import function_of, slow_functions
 from tumble.campaigns.engine import Executor
 
 settings.register_profile("tumble", deadline=None)  # timings decide no test
 settings.load_profile("tumble")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small, and tests run side by side
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that have been measured to be slow."""
+    slow = slow_functions()
+    for item in items:
+        if function_of(item.nodeid) in slow:
+            item.add_marker(pytest.mark.slow)
 
 
 @pytest.fixture(scope="session")
