@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN = .venv/bin
 INSTALL = $(shell command -v uv >/dev/null 2>&1 && echo "uv pip install -q --python $(BIN)/python" || echo "$(BIN)/python -m pip install -q --disable-pip-version-check")
 
-.PHONY: demo bench-demo test lint bench docs kernels clean
+.PHONY: demo bench-demo test test-quick lint bench docs kernels clean
 
 demo: .venv/demo
 	rm -rf demo
@@ -17,6 +17,9 @@ bench-demo: .venv/bench
 
 test: .venv/test kernels lint
 	$(BIN)/python -m pytest -n auto
+
+test-quick: .venv/test kernels
+	$(BIN)/python -m pytest -q -n auto -m 'not slow'
 
 lint: .venv/test
 	$(BIN)/ruff check .

@@ -1,4 +1,4 @@
-"""What do the results look like? Draws docs/pictures/gallery-*.svg and writes docs/gallery.md.
+"""What do the results look like? Draws docs/pictures/gallery-*.svg and writes docs/howto/gallery.md.
 
 Every picture is a function of this script, and the page shows its source: matplotlib axes, and the library as anyone
 would call it.
@@ -32,8 +32,8 @@ STYLE = {
 HEAD = """# Gallery
 
 Pictures of results, each with the lines that draw it. The page and its pictures are made by
-`python studies/gallery.py`; `axes` are matplotlib axes, and [the library](api.md) says what else can be called. All
-begin with two simulated launches of a MEMS unit, turned by hand:
+`python studies/gallery.py`; `axes` are matplotlib axes, and [the library](../reference/api.md) says what else can be
+called. All begin with two simulated launches of a MEMS unit, turned by hand:
 
 ```python
 import numpy as np
@@ -120,7 +120,8 @@ def page() -> str:
 def _section(draw: Callable[..., None]) -> str:
     lines = inspect.getsource(draw).splitlines()[2:]
     code = textwrap.dedent("\n".join(lines))
-    return f"\n## {draw.__doc__}\n\n![{draw.__doc__}](pictures/gallery-{draw.__name__}.svg)\n\n```python\n{code}\n```\n"
+    picture = f"../pictures/gallery-{draw.__name__}.svg"
+    return f"\n## {draw.__doc__}\n\n![{draw.__doc__}]({picture})\n\n```python\n{code}\n```\n"
 
 
 def draw_all(folder: Path) -> None:
@@ -145,5 +146,5 @@ if __name__ == "__main__":
             draw_all(Path(target))
     else:
         draw_all(DOCS / "pictures")
-        (DOCS / "gallery.md").write_text(page(), encoding="utf-8")
+        (DOCS / "howto/gallery.md").write_text(page(), encoding="utf-8")
     print(f"{len(PICTURES)} pictures drawn")

@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from tests.support import ROOT
+from tests.support.slow import function_of, slow_functions
 from tumble.campaigns.engine import Executor
 
 settings.register_profile("tumble", deadline=None)  # timings decide no test
@@ -16,10 +18,18 @@ settings.load_profile("tumble")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small, and tests run side by side
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that have been measured to be slow."""
+    slow = slow_functions()
+    for item in items:
+        if function_of(item.nodeid) in slow:
+            item.add_marker(pytest.mark.slow)
+
+
 @pytest.fixture(scope="session")
 def data() -> Path:
     """The folder of recordings: TUMBLE_DATA, else ../shared/data beside the repository."""
-    folder = Path(os.environ.get("TUMBLE_DATA") or Path(__file__).parents[2] / "shared" / "data")
+    folder = Path(os.environ.get("TUMBLE_DATA") or ROOT.parent / "shared" / "data")
     if not folder.is_dir():
         said = f"the recordings are not at {folder}; set TUMBLE_DATA to the folder that holds them"
         if os.environ.get("CI") == "true":

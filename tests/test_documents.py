@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from registry_files import content
 
+from tests.support.registry_files import content
 from tumble.calibration.calibration_file import calibration_of
 from tumble.documents import LONGEST_LINE, json_of, one_line, plain, toml_of
 from tumble.errors import CalibrationError, InputError, SessionError

@@ -24,14 +24,14 @@ from matplotlib.figure import Figure
 
 import tumble
 import tumble.types
+from tests.support import ROOT
 from tumble.commands import __path__ as commands
 from tumble.errors import InputError, MissingExtraError
 from tumble.estimation.estimate import Outcome
 from tumble.planning.setup import Setup
 from tumble.simulation.session import simulate_session
 
-REPOSITORY = Path(__file__).parents[1]
-CACHE = REPOSITORY / ".mypy_cache" / "user"
+CACHE = ROOT / ".mypy_cache" / "user"
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def checked(tmp_path: Path, code: str) -> str:
             "user.py",
         ],
         cwd=tmp_path,
-        env={"MYPYPATH": str(REPOSITORY / "src"), "PATH": ""},
+        env={"MYPYPATH": str(ROOT / "src"), "PATH": ""},
         capture_output=True,
         text=True,
         check=False,
@@ -122,7 +122,7 @@ def test_a_type_checker_accepts_right_calls(tmp_path: Path) -> None:
 
 
 def test_type_checkers_see_the_names_where_they_are() -> None:
-    tree = ast.parse((REPOSITORY / "src/tumble/__init__.py").read_text())
+    tree = ast.parse((ROOT / "src/tumble/__init__.py").read_text())
     imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module]
     seen = {alias.name: node.module for node in imports for alias in node.names if alias.name == alias.asname}
     assert seen == {name: f"tumble.{module}" for name, module in tumble._PUBLIC.items()}

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import ast
 from collections import defaultdict
-from pathlib import Path
 
-PACKAGE = Path(__file__).parents[1] / "src" / "tumble"
+from tests.support import ROOT
+
+PACKAGE = ROOT / "src" / "tumble"
 
 
 def test_no_two_classes_share_a_name() -> None:

@@ -1,6 +1,6 @@
 """What a certificate says that no recording knows: who calibrated what for whom, when, where and by which rule it is
-judged; from a TOML file, whose laboratory and signatories may stand in a file of their own. docs/certificate.md has
-every key.
+judged; from a TOML file, whose laboratory and signatories may stand in a file of their own.
+docs/howto/certificate.md has every key.
 
 number = "2026-0042"            # unique, stands on every page
 country = "DE"                  # where the certificate is issued, ISO 3166-1
@@ -223,7 +223,7 @@ def read_certificate(path: Path) -> Certificate:
         return Certificate.model_validate({key: value for key, value in content.items() if value is not None})
     except ValidationError as error:
         faults = sorted(error.errors(include_url=False), key=lambda fault: fault["type"] != "extra_forbidden")
-        raise InputError(f"{path}: {_said(faults[0])}; see docs/certificate.md") from None
+        raise InputError(f"{path}: {_said(faults[0])}; see docs/howto/certificate.md") from None
 
 
 _PATTERNS: Mapping[str, str] = {

@@ -5,7 +5,7 @@ there: "NUE N+45" is X north, Y up, Z east, turned by +45° about north. Turns a
 U, E by the right-hand rule (N × U = E) and are applied in order. A block on its corner is "corner +X-Y+Z", the body
 axes above (+) and below (−) the horizon by 35.26° each; in which azimuth, turns may say: "corner +X-Y+Z U+120".
 
-The rough-table programme is programme "A" of the turntable paper (docs/equations.md); its directions of rotation are
+The rough-table programme is programme "A" of the turntable paper (index of equations); its directions of rotation are
 not in the paper. They matter: with (+N, +U, −N) the accelerometer biases cancel in the gyro scale factors. The body
 turns in one sense about each of its horizontal axes there, the turn about U having reversed it; with +N once more at
 the end of a series in both, which shows whether gyros have the same scale factor in both.

@@ -1,7 +1,7 @@
 """Sessions read from session.toml, checked and written, and made of the same description of samples in memory.
 
-The keys, with examples, are in docs/session-file.md; `session_keys` checks them, and what it lets through becomes SI
-and radians here.
+The keys, with examples, are in docs/reference/session-file.md; `session_keys` checks them, and what it lets through
+becomes SI and radians here.
 """
 
 from __future__ import annotations

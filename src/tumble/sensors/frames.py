@@ -23,7 +23,7 @@ The Jacobian of a change of frame: with δQ = Q [φ×] and the three conditions 
 
     δM′ = δM Q + M′[φ×],   c(δM Q) + c(M′[φ×]) = 0   gives φ,   δθ′ = (∂θ′/∂M′) δM′.
 
-Source of Eq. (1): the turntable paper (docs/equations.md).
+Source of Eq. (1): the turntable paper (docs/reference/equations.md).
 """
 
 from __future__ import annotations

@@ -1,0 +1,1 @@
+"""Tests, in folders as `src/tumble` is; what they share is in `support`."""

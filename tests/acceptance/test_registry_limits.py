@@ -1,0 +1,373 @@
+"""Acceptance limits: the verdict follows the stated rule, and stands as it was given."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.support.registry_files import content, limits_records, record, write
+from tumble.acceptance.conformity import judge, judge_value
+from tumble.acceptance.limits import Limits, parse_limits, read_limits
+from tumble.acceptance.schedule import months_later
+from tumble.calibration.results import Parameter
+from tumble.errors import InputError
+from tumble.registry import adding
+from tumble.registry.adding import add, set_limits
+from tumble.registry.due import Due, due
+from tumble.registry.exchange import export_lines, import_file
+from tumble.registry.monitor import monitored
+from tumble.registry.series import verdict_of
+from tumble.registry.store import rows
+from tumble.registry.store.connect import Registry, open_registry
+from tumble.registry.submission import Particulars, submission, utc
+from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD
+from tumble.views.registry_lists import due_table
+
+MG = 1e-3 * G_STANDARD
+SYSTEMATIC = json.dumps(content(serial="passport", values={"accel.scale.x": 1e-3, "accel.scale.y": -2e-3}))
+ALL_FORMS = """
+format = 1
+systematic = "passport.json"
+interval_months = 12
+
+[device_interval_months]
+"A-0007" = 6
+
+[incoming]
+"accel.bias" = "5 mg"
+"accel.bias.z" = { min = "-1 mg", max = "3 mg" }
+"gyro.bias.x" = { max = "2 deg/h" }
+"accel.scale" = { deviation = "100 ppm" }
+"gyro.axis.xy" = "20 arcsec"
+"""
+
+
+def limits(text: str = ALL_FORMS, systematic: str | None = SYSTEMATIC) -> Limits:
+    return parse_limits(text, systematic, "limits.toml")
+
+
+def row(name: str, value: float, u: float | None = 0.0) -> Parameter:
+    return Parameter(name=name, value=value, u=u, unit="1")
+
+
+# -------------------- the rule --------------------
+
+
+@given(st.floats(-10, 10), st.floats(0, 3), st.floats(-5, 0), st.floats(0, 5))
+def test_the_verdict_is_whether_the_interval_of_the_value_is_within_the_limits(
+    value: float, u: float, low: float, high: float
+) -> None:
+    """All of value ± U inside: pass. None of it: fail. Part of it: conditional, by the value. Points of the
+    interval are counted."""
+    points = [value - 2.0 * u + k / 200 * 4.0 * u for k in range(201)]
+    inside = [low <= point <= high for point in points]
+    verdict = judge_value(value, u, low, high)
+    edge = min(abs(value + s * 2.0 * u - limit) for s in (-1, 1) for limit in (low, high)) < 1e-9
+    wide = 4.0 * u > 0.5 * (high - low)  # the limits may lie between two of the points
+    if not edge and not wide:
+        conditional = "conditional pass" if low <= value <= high else "conditional fail"
+        assert verdict == ("pass" if all(inside) else conditional if any(inside) else "fail")
+    assert verdict.endswith("pass") == (low <= value <= high)
+
+
+@pytest.mark.parametrize(
+    ("value", "verdict"),
+    [
+        (0.0, "pass"), (7.9, "pass"), (8.1, "conditional pass"), (10.0, "conditional pass"),
+        (11.9, "conditional fail"), (12.1, "fail"),
+    ],
+)  # fmt: skip
+def test_the_guard_band_is_u_on_either_side_of_the_limit(value: float, verdict: str) -> None:
+    for sign in (1.0, -1.0):
+        assert judge_value(sign * value, 1.0, -10.0, 10.0) == verdict
+
+
+def test_without_an_uncertainty_nothing_is_decided() -> None:
+    assert judge_value(0.0, None, -1.0, 1.0) == "undecided"
+    assert judge_value(0.0, 0.0, math.nan, math.nan) == "undecided"
+
+
+def test_where_u_is_larger_than_the_limits_nothing_passes() -> None:
+    assert {judge_value(v / 10, 1.0, -1.0, 1.0) for v in range(-100, 101)} == {
+        "conditional pass",
+        "conditional fail",
+        "fail",
+    }
+
+
+def test_limits_are_in_their_units_about_zero_or_about_the_systematic_value() -> None:
+    parsed = limits()
+    assert parsed.of("accel.bias.x", "incoming") == pytest.approx((-5 * MG, 5 * MG))
+    assert parsed.of("accel.bias.z", "incoming") == pytest.approx((-1 * MG, 3 * MG))  # the longer name goes before
+    assert parsed.of("gyro.bias.x", "incoming") == pytest.approx((-math.inf, 2 * DEGREE_PER_HOUR))
+    assert parsed.of("gyro.bias.y", "incoming") is None
+    assert parsed.of("accel.scale.x", "incoming") == pytest.approx((0.9e-3, 1.1e-3))
+    assert parsed.of("accel.scale.y", "incoming") == pytest.approx((-2.1e-3, -1.9e-3))
+    assert parsed.of("gyro.axis.xy", "incoming") == pytest.approx((-20 * ARCSEC, 20 * ARCSEC))
+    assert parsed.of("accel.bias.x", "periodic") is None
+    assert (parsed.schedule.interval("A-0007"), parsed.schedule.interval("B")) == (6, 12)
+
+
+def test_a_whole_is_as_good_as_its_worst_parameter() -> None:
+    good, guard, bad = row("accel.bias.x", 0.0), row("accel.bias.y", 5 * MG, 1e-6), row("gyro.axis.xy", 21 * ARCSEC)
+    others = [row("gyro.bias.x", 0.0), row("accel.scale.x", 1e-3), row("accel.bias.z", 0.0), row("gyro.axis.yx", 1.0)]
+    inside = row("gyro.axis.xy", 0.0)
+    for several, result in (([good, inside], "pass"), ([guard, inside], "conditional pass"), ([guard, bad], "fail")):
+        verdict = judge(limits(), "incoming", [*several, *others])
+        assert verdict is not None
+        assert verdict.result == result
+    last = judge(limits(), "incoming", [guard, bad, *others])
+    assert last is not None
+    assert last.reasons() == ["fail: gyro.axis.xy", "conditional pass: accel.bias.y"]
+
+
+def test_what_was_not_determined_does_not_pass() -> None:
+    rows = [row("accel.bias.x", 0.0), row("accel.scale.x", 1e-3, None)]
+    verdict = judge(limits(), "incoming", rows, unobservable=["accel.bias.z", "accel.axis.yx"])
+    assert verdict is not None
+    assert verdict.result == "undecided"
+    assert verdict.reasons() == ["without U: accel.scale.x", "not determined: accel.bias.z, gyro.bias.x, gyro.axis.xy"]
+    assert judge(limits(), "periodic", [row("accel.bias.x", 0.0)]) is None
+
+
+# -------------------- the file --------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "format: expected 1, found 'none'"),
+        ("format = 2", "format: expected 1, found 2"),
+        ("format = 1", "expected limits in [incoming] or [periodic], found none"),
+        ("format = 1\n[incoming]", "expected limits in [incoming] or [periodic], found none"),
+        ("format = 1\nincoming = 3", "incoming: expected a table of limits, found 3"),
+        ("format = 1\n[outgoing]", "expected the keys format, frame, systematic, interval_months,"),
+        ("format = ", "expected TOML, found an error in its syntax"),
+        ('format = 1\nframe = "ned"\n[incoming]', "frame: expected one of accelerometer, case, paper, symmetric"),
+        ('format = 1\n[incoming]\naccel.bias = "5 mg"', 'accel: expected a quoted name such as "accel.bias"'),
+        ('format = 1\n[incoming]\n"mag.bias" = "5 mg"', 'mag.bias: expected a quoted name such as "accel.bias"'),
+        ('format = 1\n[incoming]\n"accel.bias" = 5', 'expected a text such as "5 mg", or a table'),
+        ('format = 1\n[incoming]\n"accel.bias" = "5 ppm"', "accel.bias: expected a number and one of m/s^2, g, mg"),
+        ('format = 1\n[incoming]\n"accel.bias" = "-5 mg"', "accel.bias: expected more than 0, found '-5 mg'"),
+        ('format = 1\n[incoming]\n"accel.bias" = {}', 'expected a text such as "5 mg"'),
+        ('format = 1\n[incoming]\n"accel.bias" = {min = 1}', 'expected a text such as "5 mg"'),
+        ('format = 1\n[incoming]\n"accel.bias" = {min = "1 mg", max = "0 mg"}', "expected a min below max"),
+        ('format = 1\n[incoming]\n"accel.bias" = {deviation = "1 mg"}', "expected a systematic value"),
+        ('format = 1\ninterval_months = 0\n[incoming]\n"accel.bias" = "5 mg"', "expected a whole number of"),
+        ('format = 1\ninterval_months = true\n[incoming]\n"accel.bias" = "5 mg"', "expected a whole number of"),
+        ('format = 1\ndevice_interval_months = 3\n[incoming]\n"accel.bias" = "5 mg"', "expected a table of"),
+    ],
+)  # fmt: skip
+def test_limits_that_cannot_be_used_are_refused_in_one_line(text: str, said: str) -> None:
+    with pytest.raises(InputError) as refused:
+        limits(text, None)
+    assert said in str(refused.value)
+    assert str(refused.value).startswith("limits.toml: ")
+    assert "\n" not in str(refused.value)
+
+
+def test_the_systematic_values_are_read_beside_the_limits_and_in_their_frame(tmp_path: Path) -> None:
+    file = tmp_path / "limits.toml"
+    file.write_text(ALL_FORMS, encoding="utf-8")
+    with pytest.raises(InputError, match=r"passport.json: cannot be read: No such file"):
+        read_limits(file)
+    passport = write(tmp_path / "passport.json", json.loads(SYSTEMATIC))
+    assert read_limits(file) == (ALL_FORMS, passport.read_text(encoding="utf-8"))
+    write(passport, content(frame="case"))
+    with pytest.raises(
+        InputError, match="systematic: expected a calibration in the frame 'accelerometer' of the limits"
+    ):
+        read_limits(file)
+    write(passport, {"format": 1})
+    with pytest.raises(
+        InputError, match=r"limits.toml: systematic: expected a calibration file of tumble, found no key"
+    ):
+        read_limits(file)
+    with pytest.raises(InputError, match=r"none.toml: cannot be read: No such file"):
+        read_limits(tmp_path / "none.toml")
+
+
+# -------------------- verdicts in the registry --------------------
+
+
+def added(registry: Any, particulars: Particulars | None = None, **what: Any) -> int:
+    return add(registry, submission(json.dumps(content(**what)), "file", particulars or Particulars())).record.number
+
+
+def result(registry: Any, number: int) -> str | None:
+    verdict = verdict_of(registry, record(registry, number))
+    said = None if verdict is None else verdict.result
+    assert record(registry, number).verdict == said  # as it was when it was added
+    return said
+
+
+def test_a_verdict_stands_when_limits_are_replaced(tmp_path: Path) -> None:
+    wide, narrow = (f'format = 1\n[incoming]\n"accel.bias" = "{size} mg"\n[periodic]\n"accel.bias" = "{size} mg"'
+                    for size in (5, 1))  # fmt: skip
+    value = {"accel.bias.x": 3 * MG}
+    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
+        before = added(registry, log="a", values=value)
+        assert set_limits(registry, "BCHE-501", wide, None)[1]
+        assert not set_limits(registry, "BCHE-501", wide, None)[1]
+        first = added(registry, log="b", values=value)
+        assert set_limits(registry, "BCHE-501", narrow, None)[1]
+        second = added(registry, log="c", values=value)
+        assert [result(registry, number) for number in (before, first, second)] == [None, "pass", "fail"]
+        now = monitored(registry, "A-0007", "accel.bias.x")
+        assert set(now.verdicts().values()) == {"fail"}  # all of the history by the present limits
+        assert set_limits(registry, "BCHE-501", wide, None)[1]  # back again: a record of its own
+        assert [result(registry, number) for number in (before, first, second)] == [None, "pass", "fail"]
+        assert len(limits_records(registry)) == 3
+
+
+def test_limits_of_one_type_do_not_judge_another(tmp_path: Path) -> None:
+    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
+        set_limits(registry, "BCHE-501", ALL_FORMS, SYSTEMATIC)
+        assert result(registry, added(registry, serial="B", model="other", log="a")) is None
+        assert result(registry, added(registry, serial="C", model=None, log="b")) is None
+        assert result(registry, added(registry, log="c")) == "fail"  # scale factors are not the systematic ones
+
+
+def test_limits_in_another_frame_judge_the_converted_values(tmp_path: Path) -> None:
+    """In the paper's frame the X axis has the angles that Y and Z have in the accelerometers' frame."""
+    text = 'format = 1\nframe = "paper"\n[incoming]\n"accel.axis.xy" = "2 mrad"'
+    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
+        set_limits(registry, "BCHE-501", text, None)
+        assert result(registry, added(registry, log="a", values={"accel.axis.yx": -1e-3})) == "pass"
+        far = Particulars(occasion="incoming")
+        assert result(registry, added(registry, far, log="b", values={"accel.axis.yx": -3e-3})) == "fail"
+
+
+def test_a_frame_that_cannot_be_converted_is_refused_in_one_line(tmp_path: Path) -> None:
+    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
+        added(registry, log="a")
+        added(registry, Particulars(performed=utc("2026-04-01", "")), log="b", frame="house")
+        with pytest.raises(
+            InputError, match=r"record 1: is in the frame 'accelerometer' and cannot be compared in the f"
+        ):
+            monitored(registry, "A-0007", None)
+
+
+# -------------------- what is due --------------------
+
+
+@pytest.mark.parametrize(
+    ("day", "months", "later"),
+    [
+        ("2026-03-01", 12, "2027-03-01"),
+        ("2026-08-31", 6, "2027-02-28"),
+        ("2027-08-31", 6, "2028-02-29"),
+        ("2026-12-15", 1, "2027-01-15"),
+        ("2026-11-30", 25, "2028-12-30"),
+    ],
+)
+def test_months_end_where_the_calendar_ends_them(day: str, months: int, later: str) -> None:
+    assert str(months_later(utc(day, "").date(), months)) == later
+
+
+def test_what_is_due_counts_from_the_last_record_in_force(tmp_path: Path) -> None:
+    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
+        set_limits(registry, "BCHE-501", ALL_FORMS, SYSTEMATIC)
+        for serial, day in (("A-0007", "2026-01-10"), ("B", "2025-12-31"), ("A-0007", "2025-01-10")):
+            added(registry, Particulars(performed=utc(day, "")), serial=serial, log=f"{serial}{day}")
+        added(registry, serial="C", model="no limits", log="c")
+        found = [(item.record.serial, str(item.day), item.months) for item in due(registry)]
+        assert found == [("A-0007", "2026-07-10", 6), ("B", "2026-12-31", 12), ("C", "None", None)]
+        correction = Particulars(supersedes=1, reason="date", performed=utc("2026-02-10", ""))
+        assert replace(correction, reason="other") != correction
+        added(registry, correction, log="A-00072026-01-10", values={"accel.bias.x": 1.0})
+        assert str(due(registry)[0].day) == "2026-08-10"
+
+
+def test_limits_of_a_further_group_are_in_its_units_and_a_bias_limit_is_not_for_its_slope() -> None:
+    found = limits(
+        'format = 1\n[incoming]\n"accel.quadratic" = "20 ug/g^2"\n"accel.bias" = "5 mg"\n"accel.bias.t1" = "0.1 mg/K"',
+        None,
+    )
+    high = 20e-6 / G_STANDARD
+    assert found.of("accel.quadratic.x", "incoming") == pytest.approx((-high, high))
+    assert found.of("accel.bias.x", "incoming") == pytest.approx((-5 * MG, 5 * MG))
+    assert found.of("accel.bias.x.t1", "incoming") == pytest.approx((-0.1 * MG, 0.1 * MG))
+    assert found.of("accel.bias.x.drift", "incoming") is None
+
+
+DRIFT_LIMITS = 'format = 1\ninterval_months = 36\n[periodic]\n"accel.bias" = "5 mg"'
+
+
+def add_drifting(registry: Registry) -> None:
+    """0.4 mg a year from 3 mg, the limit at 5 mg: it is met after five years, one after the last calibration."""
+    for year, off in enumerate((0.01, -0.01, 0.0, -0.01, 0.01)):
+        values = {"accel.bias.x": (3.0 + 0.4 * year + off) * MG}
+        added(registry, Particulars(performed=utc(f"{2020 + year}-03-01", "")), log=str(year), values=values)
+
+
+def test_a_drift_towards_a_limit_is_due_before_the_calendar_says_so(tmp_path: Path) -> None:
+    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
+        set_limits(registry, "BCHE-501", DRIFT_LIMITS, None)
+        add_drifting(registry)
+        (item,) = due(registry)
+    assert str(item.by_calendar) == "2027-03-01"
+    assert item.by_drift is not None
+    assert item.by_drift.name == "accel.bias.x"
+    assert item.drifts
+    assert abs((item.by_drift.expected.date() - date(2025, 3, 1)).days) < 20
+    assert str(item.day) < str(item.by_drift.expected.date())
+    assert "by the drift of accel.bias.x" in due_table([item], date(2024, 6, 1)).rows[0][-1]
+
+
+def due_anew(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> list[Due]:
+    """What is due, with every forecast found from the files of the calibrations."""
+    latest = rows.latest_records
+    with monkeypatch.context() as without:
+        without.setattr(rows, "latest_records", lambda c: [replace(each, is_kept=False) for each in latest(c)])
+        return due(registry)
+
+
+def test_what_is_due_by_drift_is_known_without_opening_a_calibration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever came last: calibrations, limits, a correction, one that was of another device, an import."""
+
+    def kept(registry: Registry) -> list[Due]:
+        with monkeypatch.context() as closed:
+            closed.setattr(rows, "file_of", lambda *_: pytest.fail("opened a calibration file"))
+            return due(registry)
+
+    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
+        add_drifting(registry)
+        set_limits(registry, "BCHE-501", DRIFT_LIMITS, None)
+        every = [kept(registry)]
+        assert every[0] == due_anew(registry, monkeypatch)
+        set_limits(registry, "BCHE-501", DRIFT_LIMITS.replace("5 mg", "6 mg"), None)
+        every.append(kept(registry))
+        corrected = Particulars(supersedes=5, reason="g", performed=utc("2024-03-01", ""))
+        added(registry, corrected, log="4", values={"accel.bias.x": 4.5 * MG})
+        every.append(kept(registry))
+        corrected = Particulars(supersedes=6, reason="of another device", performed=utc("2024-03-01", ""))
+        added(registry, corrected, log="4", serial="B", values={"accel.bias.x": 4.6 * MG})
+        every.append(kept(registry))
+        assert every[-1] == due_anew(registry, monkeypatch)
+        assert len({str(items[0].by_drift) for items in every}) == 4
+        export = tmp_path / "export.jsonl"
+        export.write_text("".join(f"{line}\n" for line in export_lines(registry)), encoding="utf-8")
+        with open_registry(str(tmp_path / "other.sqlite"), create=True) as other:
+            import_file(other, export)
+            assert [item.by_drift for item in kept(other)] == [item.by_drift for item in every[-1]]
+
+
+def test_what_an_interrupted_writer_has_not_kept_is_found_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
+        with monkeypatch.context() as interrupted:
+            interrupted.setattr(adding, "keep_forecasts", lambda *_: None)
+            set_limits(registry, "BCHE-501", DRIFT_LIMITS, None)
+            add_drifting(registry)
+        (item,) = due(registry)
+    assert item.drifts

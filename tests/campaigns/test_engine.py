@@ -1,0 +1,337 @@
+"""Many tasks: the same rows whoever computes them, nothing lost or repeated, whatever dies."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import polars as pl
+import psutil
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.support import ROOT
+from tumble.campaigns import engine
+from tumble.campaigns.cluster import executor_for, on_cluster
+from tumble.campaigns.engine import Chunks, Done, Executor, Job, Row, run, serially
+from tumble.errors import InputError, MissingExtraError, TumbleError
+
+BAD, DEADLY = 7, 13
+SCHEMA = {"name": pl.String, "x": pl.Float64, "k": pl.Int64}
+
+
+def label(name: str) -> Row:
+    return {"name": name}
+
+
+def drawn(number: int, _name: str) -> list[Row]:
+    """Two rows of random numbers that depend on the number alone; one task fails."""
+    if number == BAD:
+        raise ValueError("a number\nthat is bad")
+    rng = np.random.default_rng(np.random.SeedSequence(5, spawn_key=(number,)))
+    return [{"x": float(x), "k": k} for k, x in enumerate(rng.standard_normal(2))]
+
+
+def noted(folder: Path, seconds: float, number: int, name: str) -> list[Row]:
+    """As `drawn`; that it was computed, and by which process, is noted in a folder."""
+    with (folder / f"{os.getpid()}").open("a") as file:
+        file.write(f"{number}\n")
+    time.sleep(seconds)
+    return drawn(number, name)
+
+
+def deadly(home: int, number: int, name: str) -> list[Row]:
+    """As `drawn`; one task ends the process it runs in, unless that is the one of the tests."""
+    if number == DEADLY and os.getpid() != home:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return drawn(number, name)
+
+
+def job(task: Callable[[int, Any], list[Row]] = drawn, tasks: int = 40) -> Job:
+    return Job(definition={"seed": 5}, items=[f"task {i}" for i in range(tasks)], task=task, label=label, schema=SCHEMA)
+
+
+def rows(of: Job, folder: Path, executor: Executor = serially) -> pl.DataFrame:
+    return pl.read_parquet(run(of, folder, executor=executor))
+
+
+def computed(folder: Path) -> list[int]:
+    """Numbers of the tasks that `noted` has noted."""
+    return [int(line) for file in folder.iterdir() for line in file.read_text().split()]
+
+
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory: pytest.TempPathFactory) -> pl.DataFrame:
+    """The rows computed in this process."""
+    return rows(job(), tmp_path_factory.mktemp("serial") / "out")
+
+
+# The same rows
+
+
+def test_every_task_has_its_rows_in_order(expected: pl.DataFrame) -> None:
+    assert expected.columns == ["task", "name", "x", "k", "error"]
+    good = expected.filter(pl.col("error").is_null())
+    assert good["task"].to_list() == [i for i in range(40) if i != BAD for _ in range(2)]
+    assert good["name"].to_list() == [f"task {i}" for i in good["task"]]
+    assert good["x"].to_list() == [row["x"] for i in range(40) if i != BAD for row in drawn(i, "")]
+
+
+def test_a_task_that_fails_is_a_row_with_its_error(expected: pl.DataFrame) -> None:
+    (row,) = expected.filter(pl.col("task") == BAD).to_dicts()
+    assert row == {
+        "task": BAD,
+        "name": f"task {BAD}",
+        "x": None,
+        "k": None,
+        "error": "ValueError: a number that is bad",
+    }
+
+
+def test_processes_give_the_same_rows(processes: Executor, expected: pl.DataFrame, tmp_path: Path) -> None:
+    assert rows(job(), tmp_path / "out", processes).equals(expected)
+
+
+@pytest.mark.parametrize("size", [1, 3, 40])
+def test_the_size_of_chunks_changes_no_row(size: int, expected: pl.DataFrame, tmp_path: Path) -> None:
+    def in_chunks(of: Job, pending: Sequence[int]) -> Iterator[Done]:
+        for first in reversed(range(0, len(pending), size)):
+            chunk = pending[first : first + size]
+            yield chunk, engine.compute(of.task, of.label, of.columns, [(i, of.items[i]) for i in chunk])[0]
+
+    assert rows(job(), tmp_path / "out", in_chunks).equals(expected)
+
+
+def test_an_existing_cluster_gives_the_same_rows(processes: Executor, expected: pl.DataFrame, tmp_path: Path) -> None:
+    (client,) = cast("partial[Iterator[Done]]", processes).args
+    with executor_for(cluster=client.scheduler.address) as executor:
+        assert rows(job(), tmp_path / "out", executor).equals(expected)
+
+
+@given(st.integers(0, 300), st.integers(1, 9), st.lists(st.floats(1e-6, 1e3), min_size=1, max_size=20))
+def test_chunks_hold_every_task_once(tasks: int, workers: int, seconds: list[float]) -> None:
+    chunks = Chunks(list(range(5, 5 + tasks)), workers=workers)
+    found: list[int] = []
+    while chunk := chunks.next():
+        found += chunk
+        chunks.took(len(chunk), seconds[len(found) % len(seconds)])
+    assert found == list(range(5, 5 + tasks))
+
+
+# Interrupted and resumed
+
+
+@pytest.mark.parametrize("after", [1, 12, 39])
+def test_an_interrupted_job_is_resumed_without_losing_or_repeating_a_row(
+    after: int, expected: pl.DataFrame, tmp_path: Path
+) -> None:
+    (tmp_path / "log").mkdir()
+    once = job(partial(noted, tmp_path / "log", 0.0))
+
+    def interrupt(done: int, _every: int) -> None:
+        if done >= after:
+            raise KeyboardInterrupt
+
+    def one_by_one(of: Job, pending: Sequence[int]) -> Iterator[Done]:
+        for i in pending:
+            yield [i], engine.compute(of.task, of.label, of.columns, [(i, of.items[i])])[0]
+
+    with pytest.raises(KeyboardInterrupt):
+        run(once, tmp_path / "out", executor=one_by_one, progress=interrupt)
+    assert len(computed(tmp_path / "log")) == after
+    torn = tmp_path / "out" / "parts" / ".000000000-000000039-40.xyz.parquet"
+    torn.write_bytes(b"PAR1 half of a part")
+    assert rows(once, tmp_path / "out").equals(expected)
+    assert sorted(computed(tmp_path / "log")) == list(range(40))
+
+
+def test_a_job_ended_by_a_kill_is_resumed(expected: pl.DataFrame, tmp_path: Path) -> None:
+    (tmp_path / "log").mkdir()
+    code = (
+        "import sys, pathlib, functools, tests.campaigns.test_engine as t; p = pathlib.Path(sys.argv[1]);"
+        "t.run(t.job(functools.partial(t.noted, p / 'log', 0.02)), p / 'out')"
+    )
+    child = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], cwd=ROOT)
+    while not list(tmp_path.glob("out/parts/0*.parquet")):
+        assert child.poll() is None
+        time.sleep(0.01)
+    child.kill()
+    assert child.wait() == -signal.SIGKILL
+    assert not (tmp_path / "out" / engine.TABLE).exists()
+    assert rows(job(), tmp_path / "out").equals(expected)
+
+
+def test_rows_that_two_runs_computed_are_taken_once(expected: pl.DataFrame, tmp_path: Path) -> None:
+    def twice(of: Job, pending: Sequence[int]) -> Iterator[Done]:
+        yield from serially(of, pending)
+        yield from serially(of, pending[5:20])
+
+    assert rows(job(), tmp_path / "out", twice).equals(expected)
+
+
+@pytest.mark.parametrize("chunks", [1, 1000])
+def test_a_table_that_another_run_made_meanwhile_is_taken(chunks: int, expected: pl.DataFrame, tmp_path: Path) -> None:
+    def overtaken(of: Job, pending: Sequence[int]) -> Iterator[Done]:
+        """Another run makes the table after the first chunk, or after the last."""
+        for count, done in enumerate(serially(of, pending)):
+            if count == chunks:
+                run(of, tmp_path)
+            yield done
+        if not (tmp_path / engine.TABLE).exists():
+            run(of, tmp_path)
+
+    assert rows(job(), tmp_path, overtaken).equals(expected)
+
+
+def test_a_finished_job_is_not_computed_again(tmp_path: Path) -> None:
+    (tmp_path / "log").mkdir()
+    for _ in range(2):
+        run(job(partial(noted, tmp_path / "log", 0.0), tasks=5), tmp_path / "out")
+    assert sorted(computed(tmp_path / "log")) == list(range(5))
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"manifest.json", "rows.parquet"}
+
+
+def test_progress_counts_to_the_end(tmp_path: Path) -> None:
+    said: list[tuple[int, int]] = []
+    run(job(), tmp_path / "out", progress=lambda done, every: said.append((done, every)))
+    assert said[0] == (0, 40)
+    assert said[-1] == (40, 40)
+    assert said == sorted(said)
+
+
+def test_a_job_without_tasks_has_a_table_without_rows(tmp_path: Path) -> None:
+    assert rows(job(tasks=0), tmp_path / "out").shape == (0, 5)
+
+
+def test_another_job_in_the_folder_is_refused(tmp_path: Path) -> None:
+    run(job(), tmp_path / "out")
+    with pytest.raises(InputError, match=r"out: was begun by another job: tasks is 40 there and 41 here; give another"):
+        run(job(tasks=41), tmp_path / "out")
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "thesis.txt").write_text("precious")
+    with pytest.raises(InputError, match="expected a new folder"):
+        run(job(), tmp_path)
+    (tmp_path / engine.MANIFEST).write_text(json.dumps(["precious"]))
+    with pytest.raises(InputError, match="expected the manifest of a job"):
+        run(job(), tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"thesis.txt", engine.MANIFEST}
+
+
+# What dies
+
+
+def test_a_worker_killed_in_the_middle_costs_no_row(processes: Executor, tmp_path: Path) -> None:
+    (tmp_path / "log").mkdir()
+    many = job(partial(noted, tmp_path / "log", 0.02), tasks=120)
+    killed: list[int] = []
+
+    def kill(done: int, every: int) -> None:
+        if not killed and done > every // 4:
+            pid = next(int(file.name) for file in (tmp_path / "log").iterdir())
+            os.kill(pid, signal.SIGKILL)
+            killed.append(pid)
+
+    found = pl.read_parquet(run(many, tmp_path / "out", executor=processes, progress=kill))
+    assert killed
+    assert not psutil.pid_exists(killed[0])
+    assert len(computed(tmp_path / "log")) >= 120
+    assert found.equals(rows(job(tasks=120), tmp_path / "serial"))
+
+
+def test_a_task_that_ends_every_process_is_a_row_and_the_others_finish(processes: Executor, tmp_path: Path) -> None:
+    found = rows(job(partial(deadly, os.getpid())), tmp_path / "out", processes)
+    (row,) = found.filter(pl.col("task") == DEADLY).to_dicts()
+    assert row["error"] == "every process that computed it died"
+    assert row["name"] == f"task {DEADLY}"
+    serial = rows(job(partial(deadly, os.getpid())), tmp_path / "serial")
+    assert found.filter(pl.col("task") != DEADLY).equals(serial.filter(pl.col("task") != DEADLY))
+
+
+class Deserted:
+    """A cluster whose processes were ended, and begin no more."""
+
+    def nthreads(self) -> dict[str, int]:
+        return {}
+
+    def submit(self, *_work: object, **_how: object) -> object:
+        return object()
+
+
+def test_a_cluster_that_has_lost_all_processes_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nothing_done(*_: object, timeout: float, **__: object) -> None:
+        time.sleep(timeout)
+        raise TimeoutError
+
+    monkeypatch.setattr("distributed.wait", nothing_done)
+    monkeypatch.setattr("tumble.campaigns.cluster.LOOK_SECONDS", 0.01)
+    monkeypatch.setattr("tumble.campaigns.cluster.LOST_SECONDS", 0.05)
+    with pytest.raises(
+        TumbleError, match="the processes were ended, and no other has begun; what was computed is kept"
+    ):
+        run(job(), tmp_path / "out", executor=on_cluster(cast(Any, Deserted())))
+
+
+def test_processes_that_end_while_they_begin_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(**_: object) -> None:
+        raise RuntimeError("Nanny failed to start.")
+
+    monkeypatch.setattr("distributed.LocalCluster", fails)
+    with pytest.raises(TumbleError, match=r"the processes could not be begun \(Nanny failed"), executor_for(workers=2):
+        pass
+
+
+def test_everything_listens_on_the_loopback_and_not_at_the_port_of_a_dashboard(processes: Executor) -> None:
+    assert processes is not None
+    here = psutil.Process()
+    listening = [
+        connection.laddr
+        for process in [here, *here.children(recursive=True)]
+        for connection in process.net_connections(kind="tcp")
+        if connection.status == psutil.CONN_LISTEN
+    ]
+    assert len(listening) > 2
+    assert {address.ip for address in listening} == {"127.0.0.1"}
+    assert 8787 not in {address.port for address in listening}
+
+
+# Arguments
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"serial": True, "workers": 2}, "in_process: expected neither cluster nor workers"),
+        ({"serial": True, "cluster": "tcp://127.0.0.1:1"}, "in_process: expected neither"),
+        ({"cluster": "tcp://127.0.0.1:1", "workers": 2}, "workers: expected none with cluster"),
+        ({"cluster": "nonsense://x"}, "expected the scheduler of a dask cluster at nonsense://x"),
+        ({"cluster": "tcp://127.0.0.1:1"}, "found none that answers"),
+    ],
+)
+def test_places_that_cannot_be_are_refused(options: dict[str, Any], said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tumble.campaigns.cluster.CONNECT_SECONDS", 0.5)
+    with pytest.raises(InputError, match=said) as caught, executor_for(**options):
+        pass
+    assert "\n" not in str(caught.value)
+
+
+def test_without_distributed_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with (
+        pytest.raises(MissingExtraError, match=r"install it with: pip install 'tumble\[cluster\]', or give in_process"),
+        executor_for(workers=2),
+    ):
+        pass

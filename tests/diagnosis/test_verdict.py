@@ -1,0 +1,354 @@
+"""Verdicts: what is larger than its noise is said, with its cause; what is wrong with one kind of sensor is not held
+against the other; clean sessions are accepted without a word.
+
+Sessions come from the study of departures, which simulates them sample by sample with kinematics of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from tests.support import study
+from tumble.calibration.calibrate import Terms, calibrate
+from tumble.calibration.calibration_file import Calibration
+from tumble.earth import NORMAL_GRAVITY_U
+from tumble.estimation.causes.chances import FALSE_ALARMS, SumOfSquares, standing_out
+from tumble.estimation.causes.former_attitudes import _followed
+from tumble.estimation.causes.projection import Projection, Remaining, by_north, projections
+from tumble.estimation.diagnosis.misfit import misfit
+from tumble.estimation.diagnosis.site_gravity import gravity_doubted, gravity_said
+from tumble.estimation.diagnosis.undetermined import listed
+from tumble.estimation.diagnosis.verdict import verdict
+from tumble.estimation.estimate import Estimate, Outcome
+from tumble.inference.hyperparameters import Components
+from tumble.inference.joint import joint
+from tumble.inference.linearisation import linearise
+from tumble.planning.setup import Setup
+from tumble.reduction.observations import Observations
+from tumble.simulation.session import simulate_session
+from tumble.units import DEGREE, Array
+
+Samples = tuple[Array, Array]
+"""Of accelerometers and gyros."""
+
+
+@cache
+def estimated(
+    departure: str, size: float = 1.0, setting: int = 0, seed: int = 0, *, cubic: float | None = None
+) -> tuple[Estimate, Observations]:
+    """The estimate of a session with a departure of the study, and with `gyro.cubic` where its usual size is given."""
+    s = study("departures")
+    off = {each.name: each for each in (s.CLEAN, *s.DEPARTURES)}[departure].times(size)
+    observations, _ = s.session(s.SETTINGS[setting], off, seed)
+    if cubic is not None:
+        observations = replace(observations, usual={**observations.usual, "gyro.cubic": cubic})
+    return joint(observations), observations
+
+
+@pytest.mark.parametrize("setting", [0, 1, 2])
+def test_clean_sessions_are_accepted_without_a_word(setting: int) -> None:
+    for seed in range(3):
+        assert verdict(*estimated("none", setting=setting, seed=seed)).verdict == "accepted"
+
+
+@pytest.mark.parametrize(
+    ("departure", "size", "cause"),
+    [
+        ("hysteresis 10 µg", 3.0, "hysteresis"),
+        ("memory 50 ppm over 60 s", 3.0, "memory"),
+        ("gyro nonlinearity 20 ppm at 10 °/s", 3.0, "gyro nonlinearity"),
+        ("biases drift by 50 µg, 0.1 °/h", 3.0, "drift"),
+        ("1 % of samples lost", 1.0, "lost samples"),
+        ("1 % of samples held", 1.0, "lost samples"),
+    ],
+)
+def test_departures_are_named(departure: str, size: float, cause: str) -> None:
+    estimate, observations = estimated(departure, size)
+    found = misfit(estimate)
+    assert found is not None
+    assert cause in found.causes[:2]
+    assert verdict(estimate, observations).verdict != "accepted"
+
+
+@pytest.mark.parametrize("seed", [104, 105, 127])
+def test_lost_samples_are_named_first_where_all_scatters(seed: int) -> None:
+    found = misfit(estimated("1 % of samples lost", setting=1, seed=seed)[0])
+    assert found is not None
+    assert found.causes[0] == "lost samples"
+
+
+def test_lost_samples_are_refused() -> None:
+    outcome = verdict(*estimated("0.2 % of samples lost", seed=1))
+    assert outcome.verdict == "not accepted"
+    assert any("samples are missing or held in the log" in reason for reason in outcome.reasons)
+
+
+def _unstamped(folder: Path, seed: int) -> Samples:
+    """Twelve positions by hand at 20 Hz, without time stamps."""
+    setup = Setup.of(grade="mems", positions=12, rest=4.0, rate_deg_s=150.0, sample_rate=20.0)
+    log = pl.read_parquet(simulate_session(folder, replace(setup, first_rest=6.0), seed=seed, launch=1) / "log.parquet")
+    return log.select("ax", "ay", "az").to_numpy(), log.select("gx", "gy", "gz").to_numpy()
+
+
+def _lost_in_turn(samples: Samples, turn: int, rows: int, terms: Terms = "linear") -> tuple[Calibration, Calibration]:
+    """The result of a log without time stamps, and of the same without rows at the start of a turn."""
+    accel, gyro = samples
+    whole = calibrate(accel=accel, gyro=gyro, rate=20.0, latitude=0.9921, serial="A", terms=terms)
+    start = round(whole.rests[whole.turns[turn].first].stop * 20.0)
+    moving = start + int(np.argmax(np.linalg.norm(gyro[start:], axis=1) > 0.05))
+    accel, gyro = (np.delete(each, range(moving, moving + rows), axis=0) for each in samples)
+    return whole, calibrate(accel=accel, gyro=gyro, rate=20.0, latitude=0.9921, serial="A", terms=terms)
+
+
+@pytest.fixture(scope="module")
+def unstamped(tmp_path_factory: pytest.TempPathFactory) -> Samples:
+    return _unstamped(tmp_path_factory.mktemp("unstamped") / "session", 7)
+
+
+@pytest.mark.parametrize("terms", ["linear", "full"])
+def test_rows_lost_at_the_start_of_a_turn_are_named(unstamped: Samples, terms: Terms) -> None:
+    """What the other turns of a short session cannot contradict: its velocity does."""
+    whole, lost = _lost_in_turn(unstamped, 8, 2, terms)
+    assert whole.outcome.verdict == "accepted"
+    assert lost.outcome.verdict == "not accepted"
+    assert any("the turn from rest 9 to rest 10" in reason for reason in lost.outcome.reasons)
+
+
+def test_a_loss_that_does_little_harm_is_named(tmp_path: Path) -> None:
+    """One row: its turn stands out, and no parameter errs by three times its u."""
+    whole, lost = _lost_in_turn(_unstamped(tmp_path / "session", 11), 2, 1)
+    assert whole.outcome.verdict == "accepted"
+    assert lost.outcome.verdict == "accepted with scatter"
+    assert any("the turn from rest 3 to rest 4" in remark for remark in lost.outcome.remarks)
+
+
+def test_a_loss_is_looked_for_beside_a_warm_up(tmp_path: Path) -> None:
+    """The estimate of all groups takes what was lost for a warm-up as well."""
+    _, lost = _lost_in_turn(_unstamped(tmp_path / "session", 8), 0, 1)
+    assert lost.outcome.remarks
+
+
+def test_time_stamps_that_jitter_are_named_with_their_remedy(tmp_path: Path) -> None:
+    """By 1 ms of 10, in a navigation unit's log of even rows: scatter, and none once the stamps are passed over."""
+    folder = simulate_session(tmp_path / "s", Setup.of(grade="navigation", positions=12, rest=10.0), seed=1)
+    log = pl.read_parquet(folder / "log.parquet")
+    jitter = 1e-3 * np.random.default_rng(3).standard_normal(log.height)
+    log.with_columns(pl.col("t") + pl.Series(jitter)).write_parquet(folder / "log.parquet")
+    scattering = calibrate(folder).outcome
+    assert scattering.verdict == "accepted with scatter"
+    (said,) = [remark for remark in scattering.remarks if remark.startswith("the rotations of the turns")]
+    assert "the time stamps jitter by 1 ms: if the rows are equally spaced" in said
+    assert "regular = true" in said
+    session = folder / "session.toml"
+    session.write_text(session.read_text(encoding="utf-8").replace("[log]", "[log]\nregular = true"), encoding="utf-8")
+    assert calibrate(folder).outcome.verdict == "accepted"
+
+
+def test_gyros_that_are_not_linear_leave_the_accelerometers() -> None:
+    outcome = verdict(*estimated("gyro nonlinearity 20 ppm at 10 °/s", 3.0))
+    assert outcome.gyro.verdict == "not accepted"
+    assert outcome.accel.accepted
+
+
+@pytest.mark.parametrize("size", [1.0, 3.0])
+def test_gyros_that_are_not_linear_are_accepted_where_the_model_has_it(size: float) -> None:
+    """20 and 60 ppm at 10 °/s, of which turns at one rate show next to nothing, stand in u of the scale factors."""
+    usual = 10e-6 / (10.0 * DEGREE) ** 2
+    estimate, observations = estimated("gyro nonlinearity 20 ppm at 10 °/s", size, cubic=usual)
+    assert verdict(estimate, observations).verdict == "accepted"
+    _, truth = study("departures").session(study("departures").SETTINGS[0], study("departures").CLEAN, 0)
+    where = [estimate.names.index(f"gyro.scale.{axis}") for axis in "xyz"]
+    error = estimate.values[where] - [truth[f"gyro.scale.{axis}"] for axis in "xyz"]
+    assert np.all(np.abs(error) < 4.0 * estimate.u[where])
+    assert np.all(estimate.u[where] > 3e-6)
+    assert estimate.prediction is not None
+    assert estimate.prediction.rate_u is not None
+    assert estimate.prediction.at_rate is not None
+    assert estimate.prediction.rate_u < estimate.prediction.at_rate * estimate.u[where].min()
+
+
+def test_hysteresis_of_accelerometers_leaves_the_gyros() -> None:
+    outcome = verdict(*estimated("hysteresis 10 µg", 3.0))
+    assert not outcome.accel.accepted
+    assert outcome.gyro.accepted
+
+
+def test_the_overall_verdict_is_the_worse_one() -> None:
+    outcome = Outcome(reasons=("both", "bad gyros"), remarks=("noisy",), of_gyro=("bad gyros", "noisy"))
+    assert (outcome.verdict, outcome.accel.reasons, outcome.accel.remarks) == ("not accepted", ("both",), ())
+    only_gyros = Outcome(reasons=("bad gyros",), of_gyro=("bad gyros",))
+    assert (only_gyros.accel.verdict, only_gyros.gyro.verdict) == ("accepted", "not accepted")
+    noisy = Outcome(remarks=("noisy",), of_gyro=("noisy",))
+    assert (noisy.verdict, noisy.accepted, noisy.accel.verdict) == ("accepted with scatter", True, "accepted")
+
+
+def test_outcomes_come_back_from_their_content() -> None:
+    outcome = Outcome(
+        reasons=("both", "bad gyros"),
+        remarks=("noisy", "drifting"),
+        unobservable=("gyro.scale.x",),
+        of_accel=("drifting",),
+        of_gyro=("bad gyros", "noisy"),
+    )
+    back = Outcome.from_content(outcome.content())
+    assert back.content() == outcome.content()
+    assert Outcome.from_content(Outcome().content()) == Outcome()
+
+
+def test_gravity_that_no_place_has_is_refused_unless_confirmed() -> None:
+    estimate, observations = estimated("none")
+    wrong = replace(observations, site=replace(observations.site, gravity=observations.site.gravity + 0.0111))
+    refused = verdict(estimate, wrong)
+    assert not refused.accel.accepted
+    assert refused.gyro.accepted
+    assert "+1110 mGal" in refused.reasons[0]
+    assert verdict(estimate, wrong, gravity_confirmed=True).accepted
+    doubtful = replace(observations.site, gravity=observations.site.gravity + 0.0031)
+    assert "+310 mGal from normal gravity, more than 300" in gravity_doubted(doubtful)[0]
+    assert not gravity_doubted(observations.site)
+    assert gravity_said(observations.site).endswith("+0 mGal from normal gravity")  # measured, to 0.01 mGal
+    unstated = replace(observations.site, gravity_u=NORMAL_GRAVITY_U)
+    assert gravity_said(unstated).endswith("m/s^2, normal gravity assumed, u 31 ppm")
+    assert 1e6 * unstated.gravity_u / unstated.gravity == pytest.approx(30.6, abs=0.1)
+    assert gravity_said(replace(observations.site, latitude=None)).endswith("m/s^2")
+
+
+def test_a_latitude_that_the_gyros_contradict_is_named() -> None:
+    s = study("departures")
+    observations, _ = s.session(s.SETTINGS[0], s.CLEAN, 1)
+    moved = replace(observations, site=replace(observations.site, latitude=observations.site.latitude + 0.01))
+    found = misfit(joint(moved))
+    assert found is not None
+    assert found.causes[0] == "latitude"
+
+
+def _projected(estimate: Estimate, rest: Array, turn: Array) -> Projection:
+    """The projection of columns with the noise alone."""
+    assert estimate.linearised is not None
+    (found,) = projections(estimate.linearised, Components(), rest, turn)
+    return found
+
+
+def test_a_projection_is_that_of_all_unknowns_at_once() -> None:
+    """Against least squares with the columns of all attitudes, parameters and causes side by side."""
+    estimate = joint(replace(estimated("none")[1], usual={}))
+    linearised = estimate.linearised
+    assert linearised is not None
+    problem, rows = linearised.problem, linearised.rows
+    rng, (N, r), (K, t) = np.random.default_rng(2), rows.rest.shape[:2], rows.turn.shape[:2]
+    rest, turn = rng.normal(0.0, 1e-4, (N, r, 2)), rng.normal(0.0, 1e-4, (K, t, 2))
+    left = Remaining.of(linearised, Components())
+    W, p = left.step.told.weights, len(rows.prior) - 1
+    A = np.zeros((N * r + K * t + p, 3 * N + p + 3))
+    for i in range(N):
+        A[i * r : (i + 1) * r, 3 * i : 3 * i + 3] = W.rest[i] @ rows.rest[i, :, :3]
+        A[i * r : (i + 1) * r, 3 * N :] = W.rest[i] @ np.hstack([rows.rest[i, :, 3:-1], rest[i], rows.rest[i, :, -1:]])
+    for k, i in enumerate(problem.before_turn):
+        own = slice(N * r + k * t, N * r + (k + 1) * t)
+        A[own, 3 * i : 3 * i + 6] = W.turn[k] @ rows.turn[k, :, :6]
+        A[own, 3 * N :] = W.turn[k] @ np.hstack([rows.turn[k, :, 6:-1], turn[k], rows.turn[k, :, -1:]])
+    A[-p:, 3 * N : 3 * N + p], A[-p:, -1] = rows.prior[:-1, :-1], rows.prior[:-1, -1]
+    A = np.delete(np.delete(A, -p, axis=0), 3 * N, axis=1)  # gravity, which is exact here
+    unknowns, columns, residual = A[:, :-3], A[:, -3:-1], A[:, -1]
+    Q, R = np.linalg.qr(unknowns)
+    B, e = columns - Q @ (Q.T @ columns), residual - Q @ (Q.T @ residual)
+    projection = _projected(estimate, rest, turn)
+    block, length = projection.triangle, projection.length
+    np.testing.assert_allclose(block.T @ block, B.T @ B / np.outer(length, length), rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(block.T @ projection.along, B.T @ e / length, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(projection.chi_square, e @ e, rtol=1e-6)
+    assert projection.degrees == pytest.approx(len(A) - unknowns.shape[1])
+    u = np.sqrt(np.linalg.inv(R.T @ R).diagonal())[3 * N :]
+    np.testing.assert_allclose(projection.u, u, rtol=1e-5)
+    explained = projection.explained(slice(0, 2))
+    assert explained is not None
+    expected = np.linalg.solve(B.T @ B, B.T @ e)
+    np.testing.assert_allclose(explained.values, expected, rtol=1e-4)
+    without = np.linalg.solve(R, Q.T @ (columns @ expected))[3 * N :]
+    np.testing.assert_allclose(explained.moved / u, without / u, rtol=1e-4, atol=1e-6)
+
+
+def test_the_rate_along_north_is_predicted_at_rest_and_in_the_turns() -> None:
+    """What it predicts is by how much residuals are larger without it, to the size of the errors of the sensors."""
+    estimate, _ = estimated("none", setting=2)
+    linearised = estimate.linearised
+    assert linearised is not None
+    problem = linearised.problem
+    still = replace(problem, earth=problem.earth * np.array([0.0, 1.0, 1.0]))
+    without = linearise(still, linearised.point, linearised.about)
+    for found, there, here in zip(
+        by_north(linearised), (without.rest, without.turn), (linearised.rows.rest, linearised.rows.turn), strict=True
+    ):
+        expected = there[..., -1] - here[..., -1]
+        assert np.abs(expected).max() > 0.0
+        for rows in (slice(0, 3), slice(3, 6)):
+            np.testing.assert_allclose(found[:, rows], expected[:, rows], atol=0.05 * np.abs(expected[:, rows]).max())
+
+
+def test_a_cause_that_is_put_in_comes_out() -> None:
+    """A column that is added to the residuals is found with its size."""
+    estimate, _ = estimated("none", setting=1)
+    linearised = estimate.linearised
+    assert linearised is not None
+    rows, rng = linearised.rows, np.random.default_rng(1)
+    rest, turn = (rng.normal(0.0, 1e-4, (*each.shape[:2], 2)) for each in (rows.rest, rows.turn))
+    values = np.array([1.0, -0.5])
+    shifted = replace(rows, rest=rows.rest.copy(), turn=rows.turn.copy())
+    shifted.rest[..., -1] += rest @ values
+    shifted.turn[..., -1] += turn @ values
+    before = _projected(estimate, rest, turn).explained(slice(0, 2))
+    after = _projected(replace(estimate, linearised=replace(linearised, rows=shifted)), rest, turn)
+    found = after.explained(slice(0, 2))
+    assert before is not None
+    assert found is not None
+    np.testing.assert_allclose(found.values - before.values, values, rtol=1e-6)
+
+
+def test_chances_of_sums_of_squares() -> None:
+    """Exact where directions are of one length and the projector is one; cautious otherwise."""
+    from scipy.special import chdtrc
+
+    rng = np.random.default_rng(7)
+    residual, eye = rng.standard_normal((4, 3)), np.broadcast_to(np.eye(3), (4, 3, 3))
+    found = SumOfSquares.along(2.0 * eye, residual, eye)
+    assert (found.mean, found.half_variance) == pytest.approx((4.0 * 12, 16.0 * 12))
+    assert found.chance == pytest.approx(chdtrc(12, float((residual**2).sum())))
+    sizes = np.array([3.0, 1.0, 0.2])
+    draws = rng.standard_normal((200_000, 3)) ** 2 @ sizes**2
+    one, directions = np.eye(3)[None], np.diag(sizes)[None]
+    for limit in (20.0, 40.0):
+        far = SumOfSquares.along(directions, np.array([[np.sqrt(limit) / 3.0, 0.0, 0.0]]), one)
+        assert far.chance == pytest.approx(np.mean(draws > limit), rel=0.25)
+
+
+def test_many_tests_are_judged_by_one_rule() -> None:
+    """By Holm's: at the least probability the limit is divided by all, and then by one fewer each time."""
+    assert standing_out([]) == 0.0
+    assert standing_out([FALSE_ALARMS / 9.9] + 9 * [1.0]) == 0.0
+    assert standing_out([FALSE_ALARMS / 10.1] + 9 * [1.0]) == FALSE_ALARMS / 10.1
+    assert standing_out([1e-9, FALSE_ALARMS / 9.1, *(8 * [1.0])]) == FALSE_ALARMS / 9.1
+
+
+def test_parameters_are_listed_by_name_or_where_they_are_many_counted() -> None:
+    few = ("accel.axis.yx", "accel.axis.zx")
+    assert listed(few) == "accel.axis.yx, accel.axis.zx"
+    many = (*(f"accel.bias.{i}" for i in range(12)), *(f"accel.scale.{i}" for i in range(16)))
+    assert listed(many) == "accel.bias (12), accel.scale (16)"
+
+
+@pytest.mark.parametrize("passed", [0.0, 1e-6, 0.03, 5.0])
+def test_a_memory_is_the_same_in_one_go_and_step_by_step(passed: float) -> None:
+    rng = np.random.default_rng(1)
+    begin, targets = rng.normal(size=3), rng.normal(size=(24, 3))
+    behind, end = _followed(begin, targets, passed)
+    slow = begin
+    for found, target in zip(behind, targets, strict=True):
+        (mean,), slow = _followed(slow, target[None], passed)
+        assert found == pytest.approx(mean, abs=1e-13)
+    assert end == pytest.approx(slow, abs=1e-13)

@@ -1,0 +1,131 @@
+"""`tumble export`: what every format has in common; what only one can get wrong is in test_export_FORMAT.py."""
+
+from __future__ import annotations
+
+import stat
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from tests.support.calibrated import HEXAD, calibration, warmed
+from tests.support.exports import NOISE, THERMAL, beside
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.results import Parameter
+from tumble.cli import main
+from tumble.errors import InputError
+from tumble.estimation.estimate import Outcome
+from tumble.export import FORMATS, export_calibration
+from tumble.export.exported import NO_MAGNETOMETER
+
+PLAIN = tuple(name for name, target in FORMATS.items() if not {"noise", "certificate"} & {*target.takes})
+WITH_COMMENTS = tuple(name for name in PLAIN if name not in ("mat", "depthai", "matlab-imu"))
+
+
+def made_for(to: str) -> Calibration:
+    """The test calibration, which changes with temperature where the format is about that."""
+    return warmed(calibration()) if to in THERMAL else calibration()
+
+
+def content_of(to: str, **changes: object) -> str:
+    """An export of the test calibration as text."""
+    made = replace(made_for(to), **changes)  # type: ignore[arg-type]
+    return export_calibration(made, to, **beside(to)).content.decode("latin-1" if to == "mat" else "utf-8")
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_an_unaccepted_calibration_is_not_exported(to: str) -> None:
+    with pytest.raises(InputError, match="expected an accepted one, found: a reason"):
+        content_of(to, outcome=Outcome(reasons=("a reason",)))
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_a_calibration_without_a_model_is_not_exported(to: str) -> None:
+    with pytest.raises(InputError, match=r"calibration: expected a sensor|expected accel parameters"):
+        content_of(to, accel=None, gyro=None)
+
+
+@pytest.mark.parametrize("to", [*WITH_COMMENTS, "kalibr"])
+def test_what_is_lost_is_in_the_file_too(to: str) -> None:
+    made = made_for(to)
+    exported = export_calibration(made, to, **beside(to))
+    assert exported.losses
+    text = exported.content.decode()
+    for loss in exported.losses:
+        assert loss in text or to == "imucal"
+    assert "uncertaint" in text or to in ("csv", "csv-thermal")
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_device_and_log_are_named(to: str) -> None:
+    text = content_of(to)
+    assert "A-0007" in text
+    assert f"{1:064x}" in text
+
+
+@pytest.mark.parametrize("to", [name for name in FORMATS if name != "mat"])
+def test_a_hostile_serial_number_stays_text(to: str) -> None:
+    """Comments end with their line; so what would end them earlier, or go on after them, must not be in them."""
+    serial = "A\n1\t1\tCAL_ACC0_XOFF\t9\t9 */ int x; \\\n<script>&\u2028SM: [0]"
+    plain, hostile = content_of(to, serial="A"), content_of(to, serial=serial)
+    assert len(hostile.splitlines()) == len(plain.splitlines())
+    assert "*/ int x" not in hostile
+
+
+@pytest.mark.parametrize("to", ["kalibr", "ros-imu-calib", "px4", "ardupilot", "imucal"])
+def test_targets_with_three_axes_refuse_a_redundant_block(to: str) -> None:
+    with pytest.raises(InputError, match="expected three accel sensors, found 6; c, csv, dcc and mat hold any number"):
+        export_calibration(calibration(accel=HEXAD), to, **beside(to))
+
+
+@pytest.mark.parametrize("to", [name for name, target in FORMATS.items() if "imu" in target.takes])
+def test_targets_without_a_matrix_refuse_channels_in_another_order(to: str) -> None:
+    for axes in ([[0, 1, 0], [1, 0, 0], [0, 0, -1]], [[-1, 0, 0], [0, -1, 0], [0, 0, 1]]):
+        with pytest.raises(InputError, match=f"export to {to}: expected accel channels along X, Y, Z in this order"):
+            export_calibration(calibration(accel=np.array(axes, dtype=float), with_gyro=False), to)
+
+
+def test_what_a_format_does_not_need_is_refused() -> None:
+    with pytest.raises(InputError, match="expected noise with kalibr and only there, found none"):
+        export_calibration(calibration(), "kalibr")
+    with pytest.raises(InputError, match="expected noise with kalibr and only there, found it with px4"):
+        export_calibration(calibration(), "px4", noise=NOISE)
+    with pytest.raises(InputError, match="expected certificate with dcc and only there, found none"):
+        export_calibration(calibration(), "dcc")
+    with pytest.raises(InputError, match="expected sensor_ids with px4-thermal and only there, found it with px4"):
+        export_calibration(calibration(), "px4", sensor_ids=(1, 2))
+    with pytest.raises(InputError, match="expected one of kalibr"):
+        export_calibration(calibration(), "elsewhere")
+
+
+def test_the_command_writes_the_file_and_says_what_is_lost(tmp_path: Path) -> None:
+    calibration().write(tmp_path / "c.json")
+    words = ["export", str(tmp_path / "c.json"), "--to", "px4", "-o", str(tmp_path / "imu.params")]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 0
+    assert result.stdout == ""
+    assert "note: misalignment of the accelerometers" in result.stderr
+    out = tmp_path / "imu.params"
+    assert out.read_bytes() == export_calibration(calibration(), "px4").content
+    assert stat.S_IMODE(out.stat().st_mode) & 0o444 == 0o444
+    assert CliRunner().invoke(main, words).exit_code == 2
+    assert CliRunner().invoke(main, [*words, "--force"]).exit_code == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["c.json", "imu.params"]
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_a_magnetometer_is_named_as_lost_and_disturbs_nothing(to: str) -> None:
+    """Its parameters are there or not, the numbers of the others are the same."""
+    made = made_for(to)
+    assert made.covariance is not None
+    field = Parameter(name="mag.bias.x", value=3.0, u=0.5, unit="uT")
+    covariance = np.pad(made.covariance, (0, 1))
+    covariance[-1, -1] = 0.25
+    with_mag = replace(made, parameters=(*made.parameters, field), covariance=covariance, mag=made.accel)
+    one, other = export_calibration(made, to, **beside(to)), export_calibration(with_mag, to, **beside(to))
+    assert set(other.losses) - set(one.losses) == {NO_MAGNETOMETER}
+    if to not in ("mat", "csv"):
+        assert b"uT" not in other.content
+        assert len(other.content.splitlines()) - len(one.content.splitlines()) in (0, 1)

@@ -1,0 +1,589 @@
+"""The accuracy formulas, one by one, against a nonlinear simulation and the published numbers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.support.formula_setup import AXIS, BIAS, GRAVITY, LATITUDE, NINE, SCALE, SEED, SETUP, SIMULATION
+from tumble.earth import EARTH_RATE, earth_rate
+from tumble.errors import ProgrammeError
+from tumble.estimation.methods.paper.accuracy_formulas import (
+    accelerometer_leakage,
+    angle_variance,
+    assumed_vertical_errors,
+    axis_angle_error,
+    axis_angle_error_45,
+    azimuth_nonlinearity,
+    best_elevations,
+    coefficient_error,
+    dot_product_error,
+    gyro_matrix_rate_error,
+    gyrocompass_error,
+    horizontal_differences,
+    indirect_accelerometer_matrix,
+    indirect_matrix,
+    levelling_bias_error,
+    levelling_scale_error,
+    misaligned_turn_error,
+    modulus_residual,
+    orientation_scale_error,
+    paper_up_down_rms,
+    polar_axis_error,
+    reference_rate_error,
+    scalar_residuals,
+    scalar_scale_error,
+    start_error_growth,
+    triad_error,
+    turn_bias_error,
+    turn_earth_error,
+    turn_error,
+    two_position_matrix,
+    up_down_errors,
+    up_down_rms,
+    vertical_axis_error,
+)
+from tumble.estimation.methods.paper.scalar import scalar_rows
+from tumble.programme.positions import ANY_MOVE, Move, Programme, attitude, programme
+from tumble.rotation import axes_matrix, rotation_matrix, skew
+from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
+
+EARTH = np.array(earth_rate(LATITUDE))
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(SEED)
+
+
+def accel_matrix(k: Array, γ: Array) -> Array:
+    """Exact S of three accelerometers."""
+    return (1.0 + k)[:, None] * axes_matrix(0.0, 0.0, γ[0], 0.0, γ[1], γ[2])
+
+
+def triad(w: Array, ω: Array) -> Array:
+    """Attitude by TRIAD with the vertical as base vector, rows N, U, E."""
+    up = w / np.linalg.norm(w)
+    east = np.cross(ω, up)
+    east /= np.linalg.norm(east)
+    return np.array([np.cross(up, east), up, east])
+
+
+def significant(value: float, reference: float, digits: int = 3) -> bool:
+    """Whether two numbers agree to so many significant digits."""
+    return abs(value - reference) < 0.5 * 10.0 ** (1 - digits) * abs(reference)
+
+
+# -------------------- bias and scale factor --------------------
+
+
+@given(
+    first=st.floats(0.0, 1.4),
+    second=st.floats(1.7, 3.1),
+    k=st.floats(-0.01, 0.01),
+    bias=st.floats(-0.1, 0.1),
+)
+def test_levelling_errors_are_the_derivatives_of_the_estimates(
+    first: float, second: float, k: float, bias: float
+) -> None:
+    """(5), (6) against central differences of (4), to six digits."""
+    angles = np.array([first, second])
+    w = (1.0 + k) * GRAVITY * np.cos(angles) + bias
+
+    def estimates(at: Array) -> Array:
+        c = np.cos(at)
+        return np.array([(w[0] - w[1]) / (GRAVITY * (c[0] - c[1])) - 1.0, (w[0] * c[1] - w[1] * c[0]) / (c[1] - c[0])])
+
+    errors = np.array([3e-6, -5e-6])
+    numeric = 0.5 * (estimates(angles + errors) - estimates(angles - errors))
+    found = [levelling_scale_error(w, angles, errors, GRAVITY), levelling_bias_error(w, angles, errors)]
+    np.testing.assert_allclose(found, numeric, rtol=1e-6, atol=1e-12)
+
+
+def test_a_tilted_axis_taken_for_vertical_errs_by_the_squares() -> None:
+    """The reference numbers for 1° and 0.3°: formula −8.3008e-5, simulation with k = 1e-4 −8.3015e-5."""
+    tilts = np.array([1.0, 0.3]) * DEGREE
+    w = (1.0 + SCALE) * GRAVITY * np.array([1.0, -1.0]) * np.cos(tilts)
+    simulated = (w[0] - w[1]) / (2.0 * GRAVITY) - 1.0 - SCALE
+    assert f"{simulated:.4e}" == "-8.3015e-05"
+    assert f"{assumed_vertical_errors(tilts, GRAVITY)[0]:.4e}" == "-8.3008e-05"
+    k_error, bias_error = assumed_vertical_errors(tilts, GRAVITY, SCALE)
+    assert significant(float(k_error), simulated, 4)
+    assert significant(float(bias_error), 0.5 * (w[0] + w[1]), 4)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_levelled_up_and_down_errs_by_parameters_times_tilts(axis: int, rng: np.random.Generator) -> None:
+    """(7a) against (4) with TRIAD's cosines: three digits of the typical error while parameters and tilts are small.
+    How it does at 1.5° is in `test_single_errors_are_explained_by_their_formulas`."""
+    size, tilt = 1e-4, 0.03 * DEGREE
+    for _ in range(20):
+        b, k, γ = (size * s * rng.standard_normal(3) for s in (BIAS, SCALE, AXIS))
+        L = rotation_matrix(tilt * rng.uniform(-1, 1, (2, 3))) @ NINE[2 * axis : 2 * axis + 2]
+        u = L[:, 1]
+        w = GRAVITY * (u @ accel_matrix(k, γ).T + b)
+        c = (w / np.linalg.norm(w, axis=1, keepdims=True))[:, axis]
+        k_found = (w[0, axis] - w[1, axis]) / (GRAVITY * (c[0] - c[1])) - 1.0
+        b_found = (w[0, axis] * c[1] - w[1, axis] * c[0]) / (c[1] - c[0]) / GRAVITY
+        formula = np.array(up_down_errors(axis, u[0], u[1], b, γ))
+        found = np.array([k_found - k[axis], b_found - b[axis]])
+        np.testing.assert_allclose(found, formula, rtol=0.0, atol=3e-3 * size * tilt * math.hypot(BIAS, AXIS))
+
+
+@pytest.mark.parametrize("correlation", [-1.0, -0.4, 0.0, 1.0])
+def test_up_down_rms_is_that_of_the_single_errors(correlation: float, rng: np.random.Generator) -> None:
+    """(7b) against (7a): 100 000 draws. An rms of that many products of Gaussians is known to 0.4 %; 2.5 % is six
+    sigmas."""
+    n, tilt = 100_000, 1.0 * DEGREE
+    first = rng.standard_normal((n, 3))
+    second = correlation * first + math.sqrt(1.0 - correlation**2) * rng.standard_normal((n, 3))
+    b, γ = BIAS * rng.standard_normal((n, 3)), AXIS * rng.standard_normal((n, 3))
+    expected = up_down_rms(tilt, BIAS, AXIS, correlation)
+    for axis in range(3):
+        for found, rms in zip(up_down_errors(axis, tilt * first, tilt * second, b, γ), expected, strict=True):
+            assert math.sqrt(np.mean(found**2)) == pytest.approx(rms, rel=0.025)
+
+
+def test_the_printed_formula_is_no_bound_for_small_biases_and_an_error_of_the_mounting() -> None:
+    """RMS/(7) of the reference: 0.99 (X), 1.35 (Y), 5.86 (Z) for 2e-4 m/s², 25″, a tilt of the mounting (the tilt has
+    any direction, so its rms per axis is a root of two smaller)."""
+    b = 2e-4 / GRAVITY
+    ratio = up_down_rms(DEGREE / math.sqrt(2.0), b, AXIS, correlation=-1.0)[0] / paper_up_down_rms(DEGREE, b, AXIS)
+    np.testing.assert_allclose(ratio, [0.99, 1.35, 5.86], rtol=0.025)
+    usual = up_down_rms(DEGREE / math.sqrt(2.0), BIAS, AXIS)[0] / paper_up_down_rms(DEGREE, BIAS, AXIS)
+    assert np.all((usual > 0.5) & (usual < 1.0))
+
+
+def test_levelled_errors_are_the_published_percentages() -> None:
+    """ "1.7–3.5 %" for 1–2°, bias 2e-3 m/s²: α_max σ_b against σ_b."""
+    relative = [paper_up_down_rms(tilt * DEGREE, BIAS, 0.0)[0] / BIAS for tilt in (1.0, 2.0)]
+    np.testing.assert_allclose(relative, [0.0175, 0.0349], atol=1e-4)
+
+
+def test_up_and_down_conditions_the_two_positions_best() -> None:
+    matrix = two_position_matrix(np.array([[0.0, 180.0], [45.0, 135.0], [0.0, 90.0]]) * DEGREE)
+    np.testing.assert_allclose(np.linalg.cond(matrix), [1.0, 1.414, 2.618], atol=5e-4)
+    assert np.abs(np.linalg.det(matrix)) == pytest.approx([2.0, math.sqrt(2.0), 1.0])
+
+
+# -------------------- angles between axes --------------------
+
+
+def test_angle_variance_is_that_of_the_simulated_angles(rng: np.random.Generator) -> None:
+    """(9) against (8): 400 000 draws, of which the variance is known to 0.22 %; 1.4 % is six sigmas."""
+    α, β, n = 0.6, 2.3, 400_000
+    k, b = SCALE * rng.standard_normal((n, 2)), BIAS * rng.standard_normal((n, 2))
+    readings = (1.0 + k) * np.cos([α, β]) + b
+    φ = np.arccos(readings[:, 1]) - np.arccos(readings[:, 0])
+    assert np.var(φ) == pytest.approx(float(angle_variance(np.array(α), np.array(β), SCALE**2, BIAS**2)), rel=0.014)
+
+
+@pytest.mark.parametrize("angle_deg", [60, 75, 90, 105, 120])
+def test_best_elevations_have_the_least_variance(angle_deg: int) -> None:
+    """Against a grid search over the plane, both variances positive."""
+    angle = angle_deg * DEGREE
+    first = np.linspace(-math.pi, math.pi, 20_001)
+    with np.errstate(divide="ignore"):
+        grid = angle_variance(first, first + angle, SCALE**2, BIAS**2)
+    α, β = best_elevations(angle)
+    best = float(angle_variance(np.array(α), np.array(β), SCALE**2, BIAS**2))
+    assert best == pytest.approx(float(np.min(grid)), rel=1e-6)
+    if angle_deg == 90:
+        assert best == pytest.approx(2.0 * SCALE**2 + 4.0 * BIAS**2, rel=1e-12)
+        np.testing.assert_allclose(best_elevations(angle), [math.pi / 4, 3 * math.pi / 4])
+
+
+def test_axis_angle_error_of_the_whole_matches_its_first_order(rng: np.random.Generator) -> None:
+    b, k, Γ = (rng.standard_normal((50, n)) for n in (3, 2, 2))
+    tilt, turn = 1e-5 * rng.standard_normal((2, 50))
+    whole = axis_angle_error(tilt, turn, b, k, Γ)
+    np.testing.assert_allclose(axis_angle_error_45(tilt, turn, b, k, Γ), whole, atol=1e-8)
+    assert np.max(np.abs(whole - axis_angle_error_45(0 * tilt, 0 * turn, b, k, Γ))) > 1e-6
+
+
+def test_single_errors_are_explained_by_their_formulas() -> None:
+    """All Monte Carlo comparisons of single errors at once, 20 000 draws; the angle error is the reference's: rms 88.6″
+    of which (11) leaves 0.10″. What a formula leaves is of second order in the parameters."""
+    allowed = {"(7a) k": 0.05, "(7a) δw": 0.05, "(11) φ": 0.002, "(15) k, whole": 0.005, "(16) vertical": 0.07}
+    singles = SIMULATION.single_formulas(SETUP, 20_000, np.random.default_rng(SEED))
+    assert {single.name for single in singles} == set(allowed)
+    for single in singles:
+        left = np.sqrt(np.mean((single.simulated - single.formula) ** 2) / np.mean(single.simulated**2))
+        assert left < allowed[single.name], single.name
+        if single.name == "(11) φ":
+            assert np.sqrt(np.mean(single.simulated**2)) == pytest.approx(88.6 * ARCSEC, rel=0.02)
+            assert np.sqrt(np.mean((single.simulated - single.formula) ** 2)) < 0.11 * ARCSEC
+
+
+# -------------------- the scalar method --------------------
+
+
+def test_nine_positions_have_the_published_condition() -> None:
+    """§3: det 1, cond 6.48, noise gains 0.707, 0.707, 2.646; both axes up: 7.29; 18 positions: 2.45 and 1.41."""
+    H = scalar_rows(NINE[:, 1])
+    assert abs(np.linalg.det(H)) == pytest.approx(1.0)
+    assert np.linalg.cond(H) == pytest.approx(6.48, abs=0.005)
+    gains = np.sqrt(np.diag(np.linalg.inv(H.T @ H)))
+    np.testing.assert_allclose(gains, np.repeat([0.707, 0.707, 2.646], 3), atol=5e-4)
+    up = NINE[:, 1].copy()
+    up[6:] = np.abs(up[6:])
+    assert np.linalg.cond(scalar_rows(up)) == pytest.approx(7.29, abs=0.005)
+    eighteen = np.array([p.vertical_b for name in ("cube-14", "cube-12") for p in programme(name).positions])
+    eighteen = eighteen[np.abs(eighteen).min(axis=1) < 1e-9]
+    H = scalar_rows(eighteen)
+    assert H.shape == (18, 9)
+    assert np.linalg.cond(H) == pytest.approx(2.45, abs=0.005)
+    assert math.sqrt(np.diag(np.linalg.inv(H.T @ H))[8] * 18 / 9) == pytest.approx(1.41, abs=0.005)
+
+
+def test_coefficient_error_is_that_of_the_nominal_matrix(rng: np.random.Generator) -> None:
+    """(14): all nine components of the scalar method's error when the programme's attitudes are taken for true, tilts
+    1.5°. The parameters are small, so that their squares do not count: what is left is rounding, 1e-16 of 1e-8."""
+    X = 1e-5 * np.concatenate([s * rng.standard_normal(3) for s in (BIAS, SCALE, AXIS)])
+    u = (rotation_matrix(1.5 * DEGREE * rng.uniform(-1, 1, (9, 3))) @ NINE)[:, 1]
+    w = u @ accel_matrix(X[3:6], X[6:]).T + X[:3]
+    taken = scalar_rows(NINE[:, 1])
+    found = np.linalg.solve(taken, 0.5 * ((w**2).sum(axis=1) - 1.0)) - X
+    formula = coefficient_error(taken, taken - scalar_rows(u), X)
+    np.testing.assert_allclose(found, formula, atol=2e-15)
+    assert np.max(np.abs(formula)) > 1e-11
+
+
+def test_scalar_residual_is_of_second_order(rng: np.random.Generator) -> None:
+    """Exact residual − formula falls with the cube of the parameters: a thousandfold for a tenth."""
+    u = rotation_matrix(rng.standard_normal(3)) @ np.array([0.0, 1.0, 0.0])
+    left = []
+    for size in (1.0, 0.1):
+        X = (
+            30.0
+            * size
+            * np.concatenate([BIAS * np.array([1, -2, 1]), SCALE * np.array([2, 1, -1]), AXIS * np.array([1, 2, 3])])
+        )
+        w = accel_matrix(X[3:6], X[6:]) @ u + X[:3]
+        exact = 0.5 * (w @ w - 1.0) - scalar_rows(w / np.linalg.norm(w)) @ X
+        linearised, orientation = scalar_residuals(u, X[:3], X[3:6], X[6:])
+        assert significant(float(linearised + orientation), float(exact), 1)
+        left.append(abs(exact - linearised - orientation))
+    assert left[0] / left[1] == pytest.approx(1000.0, rel=0.2)
+
+
+@pytest.mark.parametrize("trial", range(5))
+def test_scalar_scale_errors_are_the_squares(trial: int) -> None:
+    """(15) and the whole second-order error against the nonlinear scalar method on the nine positions: 1 %, better than
+    the two digits of the paper. The orientation part is what the true orientation would have saved."""
+    rng = np.random.default_rng(trial)
+    b, k, γ = (s * rng.standard_normal(3) for s in (BIAS, SCALE, AXIS))
+    w = NINE[:, 1] @ accel_matrix(k, γ).T + b
+    z = 0.5 * ((w**2).sum(axis=1) - 1.0)
+    estimated = np.linalg.solve(scalar_rows(w / np.linalg.norm(w, axis=1, keepdims=True)), z)[3:6] - k
+    true = np.linalg.solve(scalar_rows(NINE[:, 1]), z)[3:6] - k
+    np.testing.assert_allclose(estimated, scalar_scale_error(b, k, γ), atol=0.01 * BIAS**2)
+    np.testing.assert_allclose(estimated - true, orientation_scale_error(b, γ), atol=0.01 * BIAS**2)
+
+
+def test_printed_scalar_error_lacks_the_angles() -> None:
+    """The reference: 9.6 → 14.4e-8 for X. Same biases, same size of the angles' part."""
+    b, γ = np.array([0.0, 3.1e-4 / math.sqrt(2), 3.1e-4 / math.sqrt(2)]), np.array([1.55e-4, 1.55e-4, 0.0])
+    assert -orientation_scale_error(b, 0.0 * γ)[0] == pytest.approx(9.6e-8, rel=0.01)
+    assert -orientation_scale_error(b, γ)[0] == pytest.approx(14.4e-8, rel=0.01)
+
+
+# -------------------- gyro biases --------------------
+
+
+def test_triad_and_the_reference_rate_err_as_predicted(rng: np.random.Generator) -> None:
+    """(16) and ψ against TRIAD, five digits while the errors are small."""
+    L = rotation_matrix(rng.standard_normal(3))
+    a, d = 1e-8 * rng.standard_normal(3), 1e-12 * rng.standard_normal(3)
+    found = triad(L.T @ [0.0, 1.0, 0.0] + a, L.T @ EARTH + d)
+    ψ = triad_error(L, a, d, LATITUDE)
+    np.testing.assert_allclose(found @ L.T - np.eye(3), skew(ψ), atol=1e-5 * np.max(np.abs(ψ)))
+    formula = reference_rate_error(L, a, d, LATITUDE)
+    np.testing.assert_allclose(found.T @ EARTH - L.T @ EARTH, formula, atol=1e-5 * np.max(np.abs(formula)))
+
+
+POLAR = np.array(
+    [
+        [math.cos(LATITUDE), -math.sin(LATITUDE), 0.0],
+        [math.sin(LATITUDE), math.cos(LATITUDE), 0.0],
+        [0.0, 0.0, 1.0],
+    ]
+)
+"""X along the Earth's axis, Z east."""
+
+
+@pytest.mark.parametrize("case", ["polar", "vertical"])
+def test_deviations_make_the_reference_rate_err(case: str, rng: np.random.Generator) -> None:
+    """(17) and (18) against TRIAD at deviations of 0.01°, small sensor errors: three digits of the
+    products of the two."""
+    nominal = POLAR if case == "polar" else attitude("UEN")
+    function = polar_axis_error if case == "polar" else vertical_axis_error
+    for _ in range(10):
+        θ = 0.01 * DEGREE * rng.uniform(-1, 1, 3)
+        L = rotation_matrix(θ) @ nominal
+        a, d = 1e-8 * rng.standard_normal(3), 1e-12 * rng.standard_normal(3)
+        found = (triad(L.T @ [0.0, 1.0, 0.0] + a, L.T @ EARTH + d).T @ EARTH - L.T @ EARTH)[0]
+        formula = function(θ, (L @ a)[0], (L @ d)[2], LATITUDE)
+        assert abs(found - formula) < 3e-3 * 0.01 * DEGREE * (1e-12 + EARTH_RATE * 1e-8)
+
+
+def test_polar_axis_errs_by_a_few_per_cent_and_vertical_by_one() -> None:
+    """The paper: at 1° not more than 3 % (worst case 2.4 %); 1e-4 m/s² costs a vertical gyro 1.53e-4 cos B ″/s."""
+    bias = 0.3 * DEGREE_PER_HOUR
+    worst = polar_axis_error(np.array([1.0, -1.0, 0.0]) * DEGREE, np.array(0.0), np.array(bias), LATITUDE)
+    assert float(worst / bias) == pytest.approx(0.024, abs=5e-4)
+    level = vertical_axis_error(np.zeros(3), np.array(1e-4 / GRAVITY), np.array(0.0), LATITUDE)
+    assert float(-level / math.cos(LATITUDE) / ARCSEC) == pytest.approx(1.53e-4, rel=2e-3)
+
+
+def test_azimuth_of_triad_is_not_linear() -> None:
+    """−3.09e-3 °/h for 0.3 °/h to the east, as simulated; rms 0.17, 1.8, 5.9 % of 0.03, 0.3, 1 °/h (the last two
+    quoted to 3 % of themselves)."""
+    bias = 0.305 * DEGREE_PER_HOUR
+    d = POLAR.T @ [0.0, 0.0, bias]
+    found = (triad(POLAR.T @ [0.0, 1.0, 0.0], POLAR.T @ EARTH + d).T @ EARTH - POLAR.T @ EARTH)[0]
+    assert significant(float(azimuth_nonlinearity(np.array(bias))), found, 3)
+    assert found / DEGREE_PER_HOUR == pytest.approx(-3.09e-3, abs=5e-6)
+    for size, percent in ((0.03, 0.17), (0.3, 1.8), (1.0, 5.9)):
+        rms = math.sqrt(3.0) * abs(float(azimuth_nonlinearity(np.array(size * DEGREE_PER_HOUR))))
+        assert 100.0 * rms / (size * DEGREE_PER_HOUR) == pytest.approx(percent, rel=0.05)
+
+
+@pytest.mark.parametrize("size_deg_h", [0.01, 0.3, 3.0])
+def test_vertical_gyros_err_by_one_per_cent_a_degree_whatever_the_bias(
+    size_deg_h: float, rng: np.random.Generator
+) -> None:
+    """1.0 % at 1° rms of tilt... of the bias: rms of 4000 draws of (18)'s product, simulated exactly. An rms of a
+    product is known to 1.8 %, 12 % is more than six sigmas."""
+    size = size_deg_h * DEGREE_PER_HOUR
+    errors = []
+    for _ in range(4000):
+        L = rotation_matrix(DEGREE / math.sqrt(3.0) * rng.standard_normal(3)) @ attitude("UEN")
+        d = size * rng.standard_normal(3)
+        ω = L.T @ EARTH + d
+        errors.append((ω - triad(L.T @ [0.0, 1.0, 0.0], ω).T @ EARTH - d)[0])
+    rms = math.sqrt(np.mean(np.square(errors))) / size
+    assert rms == pytest.approx(0.0101, rel=0.12)
+
+
+def test_modulus_leaves_the_squares_of_the_bias(rng: np.random.Generator) -> None:
+    for _ in range(10):
+        L = rotation_matrix(rng.standard_normal(3))
+        d = 1e-3 * EARTH_RATE * rng.standard_normal(3)
+        ω = L.T @ EARTH + d
+        direction = triad(L.T @ [0.0, 1.0, 0.0], ω).T @ EARTH / EARTH_RATE
+        left = (ω @ ω - EARTH_RATE**2) / (2.0 * EARTH_RATE) - direction @ d
+        assert left == pytest.approx(float(modulus_residual(L @ d)), abs=2e-2 * float(d @ d) / EARTH_RATE)
+
+
+def test_dot_product_errs_by_the_level_alone(rng: np.random.Generator) -> None:
+    for _ in range(10):
+        L = rotation_matrix(rng.standard_normal(3))
+        a, d = 1e-6 * rng.standard_normal(3), 0.1 * EARTH_RATE * rng.standard_normal(3)
+        w = L.T @ [0.0, 1.0, 0.0] + a
+        u = w / np.linalg.norm(w)
+        left = u @ (L.T @ EARTH + d) - EARTH[1] - u @ d
+        assert left == pytest.approx(float(dot_product_error((L @ a)[0], LATITUDE)), abs=1e-11 * EARTH_RATE)
+
+
+@pytest.mark.parametrize("turn_error", [0.0, 1.5 * DEGREE])
+def test_gyrocompassing_errs_by_the_level_and_the_turn(turn_error: float, rng: np.random.Generator) -> None:
+    """Exact half turn: to 1e-8 °/h; 1.5° too much: half of Ω cos B times it, to first order."""
+    for azimuth in rng.uniform(-math.pi, math.pi, 5):
+        d = 0.3 * DEGREE_PER_HOUR * rng.standard_normal(3)
+        a = 1e-6 * rng.standard_normal(3)
+        total = 0.0
+        for angle in (azimuth, azimuth + math.pi + turn_error):
+            L = rotation_matrix(angle * np.array([0.0, 1.0, 0.0])) @ attitude("NUE")
+            w = L.T @ [0.0, 1.0, 0.0] + a
+            total += 0.5 * ((L.T @ EARTH + d)[0] - EARTH[1] * (w / np.linalg.norm(w))[0])
+        formula = gyrocompass_error(a[0], azimuth, np.array(turn_error), LATITUDE)
+        assert abs(total - d[0] - formula) < 1e-8 * DEGREE_PER_HOUR + 0.5 * EARTH[0] * turn_error**2
+    rms = math.sqrt(0.5) * 0.5 * EARTH[0] * 1.5 * DEGREE * math.sqrt(2.0 / 3.0)
+    assert rms / DEGREE_PER_HOUR == pytest.approx(0.06, abs=0.005)
+
+
+def test_gyro_matrix_passes_for_bias_at_rest(rng: np.random.Generator) -> None:
+    """Against TRIAD, modulus and dot product with exact accelerometers: the meridian part, the parts along Ω and u."""
+    E = 1e-9 * rng.standard_normal((3, 3))
+    L = rotation_matrix(rng.standard_normal(3))
+    up, earth = L.T @ [0.0, 1.0, 0.0], L.T @ EARTH
+    ω = (np.eye(3) + E) @ earth
+    seen = gyro_matrix_rate_error(L, E, LATITUDE)
+    tolerance = 1e-5 * 1e-9 * EARTH_RATE
+    meridian = L.T @ (L @ seen * [1.0, 1.0, 0.0])
+    np.testing.assert_allclose(ω - triad(up, ω).T @ EARTH, meridian, atol=tolerance)
+    assert (ω @ ω - EARTH_RATE**2) / (2 * EARTH_RATE) == pytest.approx(earth @ seen / EARTH_RATE, abs=tolerance)
+    assert up @ ω - EARTH[1] == pytest.approx(up @ seen, abs=tolerance)
+    assert np.linalg.norm(gyro_matrix_rate_error(L, 1e-4 * np.eye(3), LATITUDE)) == pytest.approx(
+        1.5e-3 * DEGREE_PER_HOUR, rel=0.01
+    )
+
+
+# -------------------- the indirect method --------------------
+
+
+def integrated_error(
+    L: Array, axis: Array, angle: float, duration: float, E: Array, bias: Array, earth: Array, bumpy: bool
+) -> Array:
+    """Attitude error over a turn in N, U, E by fine midpoint steps, but for its precession with the Earth; the rate
+    may be far from constant."""
+    steps = 1500
+    edges = np.linspace(0.0, 1.0, steps + 1)
+    θ = angle * (edges + 0.1 * np.sin(6 * math.pi * edges) if bumpy else edges)
+    h = duration / steps
+    error = np.zeros(3)
+    for first, last in pairwise(θ):
+        middle = rotation_matrix(0.5 * (first + last) * axis) @ L
+        rate = axis * (last - first) / h + earth
+        error = error + h * (middle @ (E @ middle.T @ rate + bias))
+    return error
+
+
+def test_a_turn_integrates_to_equation_6_2(rng: np.random.Generator) -> None:
+    """The bracket of (6.2), column by column: E = e nᵀ makes the error e per radian at the start."""
+    n = rng.standard_normal(3)
+    n /= np.linalg.norm(n)
+    angle = 2.3
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    θ = 0.5 * angle * (nodes + 1)
+    numeric = np.einsum("s,sij->ij", 0.5 * angle * weights, rotation_matrix(θ[:, None] * n))
+    columns = [turn_error(np.eye(3), n, np.array(angle), np.outer(e, n)) for e in np.eye(3)]
+    np.testing.assert_allclose(np.stack(columns, axis=-1), numeric, atol=1e-13)
+
+
+@pytest.mark.parametrize("angle", [math.pi, -math.pi, 1.0])
+def test_turn_errors_are_those_of_the_integrated_turn(angle: float, rng: np.random.Generator) -> None:
+    """(6.2) for any rate profile; bias, Earth's rate and the two together at constant rate. Steps of 1/1500."""
+    L, axis = rotation_matrix(rng.standard_normal(3)), np.array([0.6, 0.0, 0.8])
+    E, bias, T, none = rng.standard_normal((3, 3)), rng.standard_normal(3), 20.0, np.zeros(3)
+    of_matrix = integrated_error(L, axis, angle, T, E, none, none, bumpy=True)
+    np.testing.assert_allclose(turn_error(L, axis, np.array(angle), E), of_matrix, atol=1e-5)
+    of_bias = integrated_error(L, axis, angle, T, 0 * E, bias, none, bumpy=False)
+    np.testing.assert_allclose(turn_bias_error(L, axis, np.array(angle), np.array(T), bias), of_bias, atol=1e-4)
+    both = integrated_error(L, axis, angle, T, E, none, EARTH, bumpy=False)
+    alone = integrated_error(L, axis, angle, T, E, none, none, bumpy=False)
+    of_earth = turn_earth_error(L, axis, np.array(angle), np.array(T), E, LATITUDE)
+    np.testing.assert_allclose(of_earth, both - alone, atol=1e-8)
+    assert np.linalg.norm(of_earth) > 1e-4
+
+
+def test_turns_by_half_a_circle_see_bias_as_published() -> None:
+    """§6.2, disturbances: N-turn Δψ_N = T β_N, Δψ_E = s 2T/π β_U; U-turn Δψ_N = s 2T/π β_E, Δψ_E = −s 2T/π β_N."""
+    T, β, L = 18.0, np.array([1.0, 2.0, 3.0]), np.eye(3)
+    for s in (1.0, -1.0):
+        north = turn_bias_error(L, np.array([1.0, 0.0, 0.0]), np.array(s * math.pi), np.array(T), β)
+        np.testing.assert_allclose(north[[0, 2]], [T * β[0], s * 2 * T / math.pi * β[1]], rtol=1e-12)
+        up = turn_bias_error(L, np.array([0.0, 1.0, 0.0]), np.array(s * math.pi), np.array(T), β)
+        np.testing.assert_allclose(up[[0, 2]], [s * 2 * T / math.pi * β[2], -s * 2 * T / math.pi * β[0]], rtol=1e-12)
+
+
+def test_errors_at_the_start_grow_with_the_earths_rotation() -> None:
+    """798.579e-9 rad for an azimuth error of 1e-3 rad and 20 s; the initial tilt likewise with Ω sin B."""
+    change = start_error_growth(np.array([0.0, 1e-3, 0.0]), np.array(20.0), LATITUDE)
+    y = horizontal_differences(change, np.zeros(3))
+    assert f"{1e9 * y[0]:.3f}" == "798.579"
+    tilted = start_error_growth(np.array([2e-3, 0.0, 3e-3]), np.array(20.0), LATITUDE)
+    np.testing.assert_allclose(horizontal_differences(tilted, np.zeros(3)), -20.0 * EARTH[1] * np.array([2e-3, 3e-3]))
+    exact = rotation_matrix(-20.0 * EARTH) @ np.array([2e-3, 1e-3, 3e-3])
+    linear = start_error_growth(np.array([2e-3, 1e-3, 3e-3]), np.array(20.0), LATITUDE)
+    np.testing.assert_allclose(exact - [2e-3, 1e-3, 3e-3], linear, rtol=3e-3)
+
+
+def test_programme_matrix_is_the_published_table() -> None:
+    """§6.3: every entry; rank 9, cond 2.2214 = √2 π/2; noise gains 0.225, 0.289 (yx, zy, xz), 0.5 (xy, yz, zx)."""
+    H = indirect_matrix(programme("rough-table"))
+    np.testing.assert_allclose(H, SIMULATION.PROGRAMME_MATRIX, atol=1e-12)
+    assert np.linalg.cond(H) == pytest.approx(math.sqrt(2.0) * math.pi / 2.0)
+    gains = np.sqrt(np.diag(np.linalg.inv(H.T @ H)))
+    np.testing.assert_allclose(gains, [0.225] * 3 + [0.5, 0.289, 0.289, 0.5, 0.5, 0.289], atol=5e-4)
+
+
+def test_accelerometers_enter_the_turns_as_published() -> None:
+    """§6.3: the table's accelerometer entries; together with the gyros rank 15, nothing of the scale factors."""
+    H = indirect_accelerometer_matrix(programme("rough-table"))
+    b, k, yx, zx, zy = slice(0, 3), slice(3, 6), 6, 7, 8
+    assert not np.abs(H[:, k]).max() > 1e-12
+    published = np.zeros((18, 9))
+    for row, entries in {
+        1: {2: -2}, 2: {0: -2}, 3: {2: 2, zy: -2}, 5: {2: -2},
+        7: {0: -2}, 8: {1: -2}, 9: {0: 2}, 11: {0: -2},
+        12: {zx: -2}, 13: {1: -2}, 14: {2: -2, zx: 2}, 15: {1: 2, yx: -2}, 16: {zx: -2}, 17: {1: -2},
+    }.items():  # fmt: skip
+        for column, value in entries.items():
+            published[row, column] = value
+    np.testing.assert_allclose(H, published, atol=1e-12)
+    both = np.hstack([indirect_matrix(programme("rough-table")), H])
+    assert np.linalg.matrix_rank(both, tol=1e-9) == 15
+    assert np.abs(H[:, b]).max() == pytest.approx(2.0)
+
+
+def test_accelerometers_leak_into_the_gyro_angles_as_published() -> None:
+    """§6.3: the coefficients; none into the scale factors."""
+    leakage = accelerometer_leakage(programme("rough-table"))
+    published = np.zeros((9, 9))
+    published[3, 0] = published[6, 1] = published[7, 2] = 1.0  # xy ← b_x, yz ← b_y, zx ← b_z − γ_zx
+    published[7, 7] = -1.0
+    published[4, [0, 7]] = 1.0 / 3.0, 2.0 / 3.0  # xz
+    published[5, [1, 6]] = 1.0 / 3.0, -1.0 / 3.0  # yx
+    published[8, [2, 8]] = 1.0 / 3.0, -1.0 / 3.0  # zy
+    np.testing.assert_allclose(leakage, published, atol=1e-12)
+
+
+def turns_programme(turns: str) -> Programme:
+    """Three series like those of rough-table, with other turns by 180° in each, such as "N+ U+ N-"."""
+    axes = {"N": np.array([1.0, 0.0, 0.0]), "U": np.array([0.0, 1.0, 0.0])}
+    codes: list[str] = []
+    moves: list[Move] = []
+    done = [f"{turn}180" for turn in turns.split()]
+    for start in ("NUE", "ENU", "UEN"):
+        codes += [" ".join((start, *done[:n])) for n in range(len(done) + 1)]
+        moves += [Move(axis=axes[turn[0]], angle=math.pi * float(turn[1] + "1")) for turn in turns.split()]
+        moves.append(ANY_MOVE)
+    positions = tuple(replace(programme("nine").positions[0], attitude=c, matrix=attitude(c)) for c in codes)
+    return Programme(name="other turns", positions=positions, moves=tuple(moves[:-1]), ordered=True)
+
+
+@pytest.mark.parametrize("turns", ["N+ U+ N+", "N+ N- U+", "U+ N+ N-"])
+def test_other_senses_of_rotation_let_biases_into_the_scale_factors(turns: str) -> None:
+    """§6.3: 2/π of a bias, and with free accelerometer errors the gyros' rank drops from 9 to 6."""
+    p = turns_programme(turns)
+    assert np.max(np.abs(accelerometer_leakage(p)[:3, :3])) == pytest.approx(2.0 / math.pi)
+    H_A = indirect_accelerometer_matrix(p)
+    free = np.linalg.matrix_rank(np.hstack([indirect_matrix(p), H_A]), tol=1e-9) - np.linalg.matrix_rank(H_A, tol=1e-9)
+    assert free == 6
+
+
+@pytest.mark.parametrize("turns", ["N+ U+ N-", "N+ N+ U+", "U+ N+ N+"])
+def test_good_senses_of_rotation_keep_them_out(turns: str) -> None:
+    np.testing.assert_allclose(accelerometer_leakage(turns_programme(turns))[:3], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("axis", ["N", "U"])
+@pytest.mark.parametrize("angle", [math.pi, -math.pi])
+def test_misaligned_turns_err_as_published(axis: str, angle: float, rng: np.random.Generator) -> None:
+    """§6.4 against (6.2) for the turn that really was, less the exact one: what is left is of second order."""
+    n = np.array([1.0, 0.0, 0.0]) if axis == "N" else np.array([0.0, 1.0, 0.0])
+    F = rng.standard_normal((3, 3))
+    η, ν, ΔΘ = rng.standard_normal(3), rng.standard_normal(3) * (1.0 - n), float(rng.standard_normal())
+    left = []
+    for size in (1e-3, 1e-4):
+        real = rotation_matrix(size * η)
+        axis_now = (n + size * ν) / np.linalg.norm(n + size * ν)
+        sense = np.array(angle + size * ΔΘ)
+        change = turn_error(real, axis_now, sense, F) - turn_error(np.eye(3), n, np.array(angle), F)
+        formula = misaligned_turn_error("N" if axis == "N" else "U", angle, F, size * η, size * ν, np.array(size * ΔΘ))
+        left.append(np.linalg.norm(change[[0, 2]] - formula))
+        assert np.linalg.norm(formula) > size * 0.1
+    assert left[0] / left[1] == pytest.approx(100.0, rel=0.1)
+
+
+def test_a_programme_without_known_turns_has_no_matrix() -> None:
+    with pytest.raises(ProgrammeError, match="known axis"):
+        indirect_matrix(programme("nine"))

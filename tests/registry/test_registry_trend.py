@@ -1,0 +1,373 @@
+"""Trends: run to run, drift and changes are what an independent calculation gives, and uncertainties hold."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from scipy import optimize, stats
+
+from tests.support.registry_files import content
+from tumble.acceptance.limits import read_limits
+from tumble.errors import InputError, MissingExtraError
+from tumble.registry.adding import add, set_limits
+from tumble.registry.forecast import forecast
+from tumble.registry.monitor import Monitored, monitored
+from tumble.registry.series import Series, SeriesPoint
+from tumble.registry.store.connect import open_registry
+from tumble.registry.submission import Particulars, submission, utc
+from tumble.registry.trend import YEAR, Trend, trend_of
+from tumble.registry.types import State
+from tumble.units import Array
+from tumble.views.chart_panel import draw_panel
+from tumble.views.control_chart import write_chart
+from tumble.views.registry import sparkline
+
+START = datetime(2020, 1, 1, tzinfo=UTC)
+
+
+def point(
+    years: float, value: float, u: float | None = 1.0, state: State = "unchanged", launches: Sequence[float] = ()
+) -> SeriesPoint:
+    return SeriesPoint(
+        number=round(1000 * years),
+        performed=START + years * YEAR,
+        state=state,
+        value=value,
+        u=u,
+        launches=tuple((x, 1.0) for x in launches),
+    )
+
+
+def trend(*points: SeriesPoint) -> Trend:
+    return trend_of(Series(name="accel.bias.x", unit="m/s^2", points=points))
+
+
+# -------------------- drift --------------------
+
+
+def test_what_only_priors_say_of_a_device_hides_no_drift_and_is_in_the_level() -> None:
+    """A bias known to 10, of which 0.1 of its own: it drifts by 1 a year."""
+    points = [
+        replace(point(t, t, u=float(np.hypot(10.0, 0.1))), by_priors={"accel.quadratic.x": 10.0}) for t in range(4)
+    ]
+    found, without = trend(*points), trend(*(replace(p, by_priors={}) for p in points))
+    assert found.drift is not None
+    assert without.drift is not None
+    assert found.drift.u == pytest.approx(0.1 / np.sqrt(5.0))
+    assert without.drift.u == pytest.approx(np.hypot(10.0, 0.1) / np.sqrt(5.0))
+    assert found.drift.level_u == pytest.approx(np.hypot(10.0, 0.05))
+    assert [change.u for change in found.changes] == pytest.approx([0.1 * np.sqrt(2.0)] * 3)
+
+
+def test_a_parameter_of_which_no_more_than_its_prior_is_known_has_no_drift() -> None:
+    points = [replace(point(t, 0.0, u=10.0), by_priors={"accel.quadratic.x": 10.0}) for t in range(4)]
+    found = trend(*points)
+    assert (found.drift, found.instability) == (None, None)
+    assert [change.e_n for change in found.changes] == [None] * 3
+
+
+def test_the_drift_of_a_scattered_series_is_that_of_ordinary_regression() -> None:
+    """Equal u far below the scatter: weights are equal, and the scatter is that of the residuals."""
+    t = np.array([0.0, 1.1, 2.0, 2.9, 4.2, 5.0])
+    y = np.array([3.0, 9.0, -2.0, 7.0, 12.0, 8.0])
+    found = trend(*(point(a, b, u=1e-6) for a, b in zip(t, y, strict=True)))
+    expected = stats.linregress(t, y)
+    assert found.drift is not None
+    assert found.drift.expanded is not None
+    assert found.drift.per_year == pytest.approx(expected.slope, rel=1e-6)
+    assert found.drift.u == pytest.approx(expected.stderr, rel=2e-3)  # τ is solved to 1e-3
+    assert found.drift.degrees == 4
+    assert found.drift.expanded == pytest.approx(stats.t.ppf(stats.norm.cdf(2.0), 4) * found.drift.u)
+    residual = y - expected.intercept - expected.slope * t
+    assert found.instability == pytest.approx(np.sqrt(residual @ residual / 4), rel=2e-3)
+
+
+def test_a_series_without_excess_scatter_has_the_uncertainty_of_the_measurements() -> None:
+    """On a line exactly: the weighted formula u(b)² = 1/Σ w (t − t̄)² with its own u in every point."""
+    t, u = np.array([0.0, 1.0, 3.0, 4.0]), np.array([1.0, 2.0, 1.0, 4.0])
+    found = trend(*(point(a, 2.0 + 0.5 * a, u=b) for a, b in zip(t, u, strict=True)))
+    w = u**-2.0
+    mean = (w @ t) / w.sum()
+    assert found.instability == 0.0
+    assert found.drift is not None
+    assert found.drift.per_year == pytest.approx(0.5)
+    assert found.drift.u == pytest.approx((w @ (t - mean) ** 2) ** -0.5)
+
+
+@given(st.floats(-3, 3), st.floats(-50, 50), st.integers(1, 4))
+def test_an_adjustment_is_no_drift(slope: float, jump: float, after: int) -> None:
+    points = []
+    for i in range(6):
+        if i == after:
+            points.append(point(i, slope * i, state="as-found"))
+            points.append(point(i + 0.001, slope * (i + 0.001) + jump, state="as-left"))
+        else:
+            points.append(point(i, slope * i + (jump if i > after else 0.0)))
+    found = trend(*points)
+    assert found.drift is not None
+    assert found.drift.per_year == pytest.approx(slope, abs=1e-9)
+    assert [change.adjustment for change in found.changes].count(True) == 1
+    assert found.changes[after].value == pytest.approx(jump + 0.001 * slope, abs=1e-9)
+    assert found.last_change is not None
+    assert found.last_change.value == pytest.approx(slope * (5 - max(4, after + 0.001 * (after == 4))), abs=1e-9)
+
+
+def test_two_calibrations_give_a_drift_but_nothing_shows_the_instability() -> None:
+    found = trend(point(0, 1.0), point(2, 3.0))
+    assert found.instability is None
+    assert found.drift is not None
+    assert found.drift.per_year == pytest.approx(1.0)
+    assert found.drift.expanded is None
+    assert found.drift.u == pytest.approx(np.sqrt(2.0) / 2.0)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        [point(0, 1.0)],
+        [point(0, 1.0), point(0, 2.0)],  # at one time
+        [point(0, 1.0, state="as-found"), point(1, 2.0, state="as-left")],  # with an adjustment in between
+        [point(0, 1.0, u=None), point(1, 2.0)],
+        [point(0, 1.0, u=0.0), point(1, 2.0)],
+    ],
+)
+def test_there_is_no_drift_where_nothing_shows_one(points: list[SeriesPoint]) -> None:
+    assert trend(*points).drift is None
+
+
+def test_run_to_run_is_the_pooled_standard_deviation_of_launches() -> None:
+    """As the error mean square of a one-way analysis of variance."""
+    groups = [[1.0, 4.0, 2.5], [8.0, 9.0], [3.0, 3.5, 5.0, 1.0]]
+    found = trend(*(point(i, float(np.mean(g)), launches=g) for i, g in enumerate(groups)))
+    pooled = sum((len(g) - 1) * np.var(g, ddof=1) for g in groups) / 6
+    f, _ = stats.f_oneway(*groups)
+    means, counts = np.array([np.mean(g) for g in groups]), np.array([len(g) for g in groups])
+    between = float(counts @ (means - np.concatenate(groups).mean()) ** 2) / 2
+    assert found.run_to_run is not None
+    assert found.run_to_run == pytest.approx(np.sqrt(pooled))
+    assert found.run_to_run**2 == pytest.approx(between / f)
+    assert found.run_to_run_degrees == 6
+
+
+def simulated(rng: np.random.Generator, count: int, launches: int, tau: float) -> Trend:
+    """Calibrations every half year of a device that drifts by 3 a year and is unstable by τ from run to run; u = 1."""
+    points = []
+    for i in range(count):
+        runs: Array = 1.5 * i + rng.normal(0.0, tau, launches) + rng.normal(0.0, 1.0, launches)
+        if launches == 1:
+            points.append(point(0.5 * i, float(runs[0])))
+        else:  # as `tumble.calibration.launches` states the u of a mean
+            u = float(np.sqrt(max(1.0, runs.var(ddof=1)) / launches))
+            points.append(point(0.5 * i, float(runs.mean()), u=u, launches=runs.tolist()))
+    return trend(*points)
+
+
+@pytest.mark.parametrize(("count", "launches", "tau"), [(5, 1, 4.0), (6, 1, 0.0), (4, 3, 3.0), (8, 2, 1.0)])
+def test_the_true_drift_is_within_u_as_often_as_stated(count: int, launches: int, tau: float) -> None:
+    """N = 400. At least 95.45 % less five standard deviations of the count (1.04 %): at 90.2 %."""
+    rng = np.random.default_rng(11)
+    hits = 0
+    for _ in range(400):
+        drift = simulated(rng, count, launches, tau).drift
+        assert drift is not None
+        assert drift.expanded is not None
+        hits += abs(drift.per_year - 3.0) <= drift.expanded
+    assert hits / 400 > 0.9545 - 5.0 * 0.0104
+
+
+# -------------------- changes --------------------
+
+
+def test_the_change_in_use_is_from_as_left_to_as_found() -> None:
+    found = trend(
+        point(0, 10.0, u=3.0),
+        point(1, 16.0, u=4.0, state="as-found"),
+        point(1.01, 11.0, u=1.0, state="as-left"),
+        point(2, 12.0, u=1.0, state="as-found"),
+        point(2.01, 11.0, u=1.0, state="as-left"),
+    )
+    assert [(c.value, c.adjustment) for c in found.changes] == [(6.0, False), (-5.0, True), (1.0, False), (-1.0, True)]
+    assert found.changes[0].expanded == pytest.approx(10.0)
+    assert found.changes[0].e_n == pytest.approx(0.6)
+    assert found.last_change is found.changes[2]
+    assert trend(point(0, 1.0, u=None), point(1, 2.0)).changes[0].e_n is None
+
+
+def test_a_sparkline_goes_from_the_lowest_to_the_highest() -> None:
+    assert sparkline([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]) == "▁▂▃▄▅▆▇█"
+    assert sparkline([5.0, 5.0]) == "▄▄"
+    assert len(sparkline(list(map(float, range(100))))) == 24
+
+
+# -------------------- forecasts --------------------
+
+
+def drifting(*, u: float = 0.1, state: State = "unchanged") -> Trend:
+    """0.5 a year, scattered by about u."""
+    off = (0.3, -0.8, 0.9, 0.1, -0.5)
+    return trend(*(point(t, 0.5 * t + u * e, u=u, state=state) for t, e in enumerate(off)))
+
+
+def test_a_forecast_is_where_the_line_and_its_uncertainty_meet_the_limit() -> None:
+    """By ordinary weighted regression and a search for the zeros."""
+    made = drifting()
+    found = forecast(made, (-9.0, 4.0))
+    assert found is not None
+    t, y = np.arange(5.0), np.array([p.value for p in made.series.points])
+    X = np.column_stack([np.ones(5), t])
+    C = 0.1**2 * np.linalg.inv(X.T @ X)
+    a, b = np.linalg.lstsq(X, y, rcond=None)[0]
+    k = stats.t.ppf(stats.norm.cdf(2.0), 3)
+
+    def margin(at: float) -> float:
+        return float((4.0 - a - b * at) ** 2 - k**2 * (np.array([1.0, at]) @ C @ np.array([1.0, at])))
+
+    assert made.instability == 0.0
+    for moment, expected in (
+        (found.expected, (4.0 - a) / b),
+        (found.earliest, optimize.brentq(margin, 4.0, (4.0 - a) / b)),
+        (found.latest, optimize.brentq(margin, (4.0 - a) / b, 30.0)),
+    ):
+        assert moment is not None
+        assert (moment - START) / YEAR == pytest.approx(expected, abs=1e-4)
+
+
+def test_there_is_no_forecast_without_a_drift_towards_a_limit() -> None:
+    assert forecast(drifting(u=2.0), (-9.0, 4.0)) is None  # no more than its U
+    assert forecast(drifting(), (-9.0, np.inf)) is None
+    assert forecast(drifting(), (-9.0, 1.0)) is None  # it is there already
+    assert forecast(drifting(), (-9.0, 1e4)) is None  # not in our time
+    assert forecast(trend(point(0, 1.0), point(1, 2.0)), (-9.0, 4.0)) is None  # nothing shows the instability
+
+
+@pytest.mark.parametrize("instability", [0.0, 0.3])
+def test_the_true_time_is_in_the_interval_as_often_as_stated(instability: float) -> None:
+    """N = 300, of those with a forecast: at least 95.45 % less five standard deviations of the count. The true line
+    meets 4 after 8 years."""
+    rng, inside = np.random.default_rng(3), []
+    for _ in range(300):
+        y = 0.5 * np.arange(6.0) + np.hypot(0.1, instability) * rng.standard_normal(6)
+        found = forecast(trend(*(point(t, float(v), u=0.1) for t, v in enumerate(y))), (-9.0, 4.0))
+        if found is not None:
+            latest = np.inf if found.latest is None else (found.latest - START) / YEAR
+            inside.append((found.earliest - START) / YEAR <= 8.0 <= latest)
+    assert len(inside) > 100
+    assert np.mean(inside) > 0.9545 - 5.0 * np.sqrt(0.0434 / len(inside))
+
+
+# -------------------- charts --------------------
+
+
+def heights(made: Trend, limits: tuple[float, float]) -> tuple[float, float, list[str]]:
+    """The lowest and the highest value in the picture of a parameter, and what stands above it."""
+    axes = Figure().add_subplot()
+    draw_panel(axes, made, limits, {}, (1.0, "mg"))
+    return *axes.get_ylim(), axes.get_title(loc="right").split()
+
+
+def test_the_axis_follows_the_data_and_a_far_limit_is_a_note() -> None:
+    made = trend(point(0, 1.0, u=0.1), point(1, 1.2, u=0.1), point(2, 1.1, u=0.1))
+    low, high, note = heights(made, (-500.0, 1.5))
+    assert 0.6 < low < 0.8
+    assert 1.5 < high < 1.6
+    assert note == ["limit", "−500", "↓"]
+    assert heights(made, (-500.0, 500.0))[1] < 1.6
+    assert heights(made, (-500.0, 500.0))[2] == ["limits", "−500", "↓", "500", "↑"]
+
+
+def test_a_bar_that_is_far_longer_than_the_others_does_not_decide_the_height() -> None:
+    made = trend(point(0, 1.0, u=50.0), point(1, 1.2, u=0.1), point(2, 1.1, u=0.1))
+    low, high, _ = heights(made, (-np.inf, np.inf))
+    assert low > 0.0
+    assert high < 2.0
+
+
+def test_changes_beyond_one_and_failures_are_marked() -> None:
+    made = trend(point(0, 1.0, u=0.1), point(1, 3.0, u=0.1))
+    axes = Figure().add_subplot()
+    draw_panel(axes, made, (-2.0, 2.0), {0: "pass", 1000: "fail"}, (1.0, "mg"))
+    assert [text.get_text() for text in axes.texts] == ["Eₙ +7.1"]
+    colours = [
+        to_hex(line.get_color()) for line in axes.lines if line.get_marker() == "o" and line.get_markersize() < 9
+    ]
+    assert colours == ["#1f4e79", "#a32222"]
+
+
+EVIL = "<script>alert(1)</script> $x^2$ & \"'"
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> Monitored:
+    """A device with hostile names, over three calibrations, with limits; four of its parameters."""
+    tmp_path = tmp_path_factory.mktemp("chart")
+    limits = tmp_path / "limits.toml"
+    limits.write_text('format = 1\n[periodic]\n"accel.bias" = "1 mg"\n', encoding="utf-8")
+    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
+        set_limits(registry, EVIL, *read_limits(limits))
+        for i, state in enumerate(("unchanged", "as-found", "as-left")):
+            whole = content(serial=EVIL, model=EVIL, log=str(i), values={"accel.bias.x": 1e-3 * i})
+            for parameter in whole["parameters"][1:2]:
+                parameter["name"] = f"accel.bias.{EVIL}"
+            particulars = Particulars(performed=utc("2024-01-01", "") + timedelta(days=300 * i), state=_state(state))
+            add(registry, submission(json.dumps(whole), "file", particulars))
+        whole_device = monitored(registry, EVIL, None)
+    return replace(whole_device, trends=whole_device.trends[:4])
+
+
+def _state(text: Any) -> State:
+    state: State = text
+    return state
+
+
+def test_names_from_files_are_text_in_the_chart(found: Monitored, tmp_path: Path) -> None:
+    for name in ("chart.html", "chart.svg"):
+        write_chart(tmp_path / name, found)
+        text = (tmp_path / name).read_text(encoding="utf-8")
+        assert "<script" not in text
+        assert "&lt;script&gt;alert(1)&lt;/script&gt; $x^2$" in text
+        assert "<svg" in text
+
+
+def test_one_calibration_is_compared_with_nothing(found: Monitored, tmp_path: Path) -> None:
+    first = tuple(replace(t, series=replace(t.series, points=t.series.points[:1])) for t in found.trends)
+    one = replace(found, trends=first, limits={}, comparison=None)
+    write_chart(tmp_path / "chart.html", one)
+    assert "no change found" not in (tmp_path / "chart.html").read_text(encoding="utf-8")
+
+
+def test_the_page_is_self_contained_and_whole(found: Monitored, tmp_path: Path) -> None:
+    write_chart(tmp_path / "chart.html", found)
+    text = (tmp_path / "chart.html").read_text(encoding="utf-8")
+    for loading in ("src=", "@import", "url(http", "<link", "<iframe", "<img"):
+        assert loading not in text
+    assert "default-src 'none'" in text
+    assert text.count("<tr>") == 1 + 4
+    for label in ("limits", "drift/year ± U", "Eₙ", "verdict"):  # on a phone beside every cell
+        assert text.count(f'data-label="{label}"') == 4
+    assert text.count("<figure") == 4
+    svg = text[text.index("<svg") : text.index("</svg>") + 6]
+    assert ElementTree.fromstring(svg).tag.endswith("svg")
+
+
+def test_only_html_and_svg_are_drawn_and_matplotlib_is_named(
+    found: Monitored, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(InputError, match=r"expected a file that ends in .html or .svg, found '.png'"):
+        write_chart(tmp_path / "chart.png", found)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(MissingExtraError, match=r"needs matplotlib; install it with: pip install 'tumble\[report\]'"):
+        write_chart(tmp_path / "chart.html", found)
+    assert not list(tmp_path.glob("*chart*"))

@@ -1,0 +1,396 @@
+"""The case and two blocks: rotations from verticals, with an uncertainty that is that of the errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import read_calibration
+from tumble.calibration.case import (
+    CaseAlignment,
+    Verticals,
+    align_case,
+    case_of,
+    estimate_in,
+    relate,
+    rotation_between,
+    verticals_of,
+)
+from tumble.cli import main
+from tumble.errors import InputError
+from tumble.estimation.methods.staged.method import staged
+from tumble.planning.setup import Setup
+from tumble.programme.positions import BUILT_IN, attitude, from_attitudes, programme
+from tumble.reduction.observations import Observations
+from tumble.rotation import rotation_matrix
+from tumble.sensors.model import Block, SensorModel
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.scenario import OnTable, Scenario, itinerary, scenario_of
+from tumble.simulation.session import simulate_session
+from tumble.units import DEGREE, Array
+
+seeds = st.integers(min_value=0, max_value=2**32 - 1)
+FACES = ("UEN", "DWN", "NUE", "NDW", "ENU", "WND")
+DOUBLED = tuple(code + turn for code in FACES for turn in ("", " U+180"))
+UP = np.array([0.0, 1.0, 0.0])
+
+
+def only_directions(direction: Array) -> Verticals:
+    """Verticals that are known as they are."""
+    count = len(direction)
+    return Verticals(
+        direction=direction,
+        covariance=np.zeros((count, 3, 3)),
+        by_parameters=np.zeros((count, 3, 0)),
+        parameter_covariance=np.zeros((0, 0)),
+    )
+
+
+def placed(codes: tuple[str, ...], mat_cb: Array, lean: Array, seating: Array) -> tuple[Array, Array, Array]:
+    """Verticals in b, in the case, and attitudes b → geographic, of a block that stands on a plate whose normal leans
+    by `lean` (2,), rad, to north and east, with errors (N, 3) of the seating."""
+    nominal = np.array([attitude(code) for code in codes])
+    plate = rotation_matrix(np.array([lean[1], 0.0, -lean[0]]))  # the normal U goes by +N for a turn about −E
+    np.testing.assert_allclose((plate @ UP)[[0, 2]], lean, atol=1e-3 * float(np.linalg.norm(lean)) + 1e-15)
+    true = rotation_matrix(seating) @ plate @ nominal
+    return np.swapaxes(true @ mat_cb, 1, 2) @ UP, nominal[:, 1, :], true @ mat_cb
+
+
+def found(
+    codes: tuple[str, ...],
+    mat_cb: Array,
+    lean: Array,
+    seating: Array,
+    *,
+    azimuths: bool,
+    tolerance: float | None = None,
+) -> CaseAlignment:
+    direction, normals, attitudes = placed(codes, mat_cb, lean, seating)
+    return align_case(
+        only_directions(direction),
+        normals,
+        rests=np.arange(len(codes)),
+        attitudes=attitudes if azimuths else None,
+        tolerance=tolerance,
+    )
+
+
+def error(alignment: CaseAlignment, mat_cb: Array) -> Array:
+    """Rotation vector, rad, from the true case to the one found."""
+    return Rotation.from_matrix(alignment.alignment.mat_cb @ mat_cb.T).as_rotvec()
+
+
+# -------------------- the rotation --------------------
+
+
+@given(seeds)
+def test_the_rotation_between_two_sets_of_directions_is_found(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    second = rng.standard_normal((5, 3))
+    second /= np.linalg.norm(second, axis=1, keepdims=True)
+    turned = Rotation.random(rng=rng).as_matrix()
+    np.testing.assert_allclose(rotation_between(second @ turned.T, second), turned, atol=1e-9)
+
+
+@pytest.mark.parametrize("azimuths", [False, True])
+def test_on_a_level_plate_the_case_is_found_exactly(azimuths: bool) -> None:
+    mat_cb = rotation_matrix(np.array([0.02, -0.03, 0.01]))
+    alignment = found(FACES, mat_cb, np.zeros(2), np.zeros((6, 3)), azimuths=azimuths)
+    np.testing.assert_allclose(alignment.alignment.mat_cb, mat_cb, atol=1e-14)
+    assert alignment.scatter < 1e-12
+    assert len(alignment.tilt) == (2 if azimuths else 0)
+
+
+@pytest.mark.parametrize("lean", [(0.01, 0.0), (0.0, 0.01), (-0.006, 0.008)])
+def test_faces_doubled_by_180_degrees_cancel_and_tell_the_tilt(lean: tuple[float, float]) -> None:
+    """A plate that leans by 0.57°: with the azimuths known the lean comes out, to the second order of it; without
+    them it cancels all the same, and only the uncertainty knows of it."""
+    mat_cb = rotation_matrix(np.array([0.02, -0.03, 0.01]))
+    tilted = np.array(lean)
+    known = found(DOUBLED, mat_cb, tilted, np.zeros((12, 3)), azimuths=True)
+    unknown = found(DOUBLED, mat_cb, tilted, np.zeros((12, 3)), azimuths=False)
+    for alignment in (known, unknown):
+        assert np.linalg.norm(error(alignment, mat_cb)) < 2e-4 * 0.01
+    np.testing.assert_allclose(known.tilt, tilted, atol=2e-4 * 0.01)
+    assert known.scatter < 2e-4 * 0.01
+    assert 0.005 < unknown.scatter < 0.01
+    assert np.diag(known.alignment.covariance).max() < 1e-6 * np.diag(unknown.alignment.covariance).min()
+
+
+def test_single_faces_with_known_azimuths_tell_the_tilt_too() -> None:
+    """In the six attitudes of the programme nine the tilt is no rotation of the case."""
+    mat_cb, tilted = rotation_matrix(np.array([0.01, 0.02, -0.01])), np.array([0.004, -0.007])
+    alignment = found(FACES, mat_cb, tilted, np.zeros((6, 3)), azimuths=True)
+    assert np.linalg.norm(error(alignment, mat_cb)) < 1e-5
+    np.testing.assert_allclose(alignment.tilt, tilted, atol=1e-5)
+
+
+@pytest.mark.parametrize("azimuths", [False, True])
+@pytest.mark.parametrize("codes", [FACES, DOUBLED], ids=["six", "doubled"])
+def test_the_covariance_is_that_of_the_errors(codes: tuple[str, ...], azimuths: bool) -> None:
+    """Seating errors of 3 mrad, and a plate that leans where the azimuths are known, 500 draws: with the scatter from
+    the same residuals, ψᵀ Σ⁻¹ ψ / 3 is Fisher's F of 3 and so many degrees, whose quantiles it must have."""
+    from scipy.stats import f
+
+    rng = np.random.default_rng(1 + len(codes))
+    mat_cb = rotation_matrix(np.array([0.02, -0.01, 0.03]))
+    draws, ratios, tilts = 500, [], []
+    for _ in range(draws):
+        lean = np.array([0.005, -0.003]) if azimuths else np.zeros(2)
+        alignment = found(codes, mat_cb, lean, 3e-3 * rng.standard_normal((len(codes), 3)), azimuths=azimuths)
+        psi = error(alignment, mat_cb)
+        ratios.append(psi @ np.linalg.solve(alignment.alignment.covariance, psi) / 3.0)
+        if azimuths:
+            tilts.append((alignment.tilt - lean) / alignment.tilt_u)
+    degrees = 2 * len(codes) - (5 if azimuths else 3)
+    for quantile in (0.5, 0.9):
+        below = np.mean(np.array(ratios) < f.ppf(quantile, 3, degrees))
+        assert abs(below - quantile) < 5.5 * np.sqrt(quantile * (1.0 - quantile) / draws)
+    if azimuths:
+        expected = degrees / (degrees - 2.0)
+        assert np.mean(np.square(tilts)) == pytest.approx(expected, rel=0.4)
+
+
+def test_a_stated_tolerance_is_the_least_scatter_and_holds_the_tilt() -> None:
+    mat_cb = rotation_matrix(np.array([0.02, -0.03, 0.01]))
+    level = found(FACES, mat_cb, np.zeros(2), np.zeros((6, 3)), azimuths=False, tolerance=2e-3)
+    assert level.scatter == 2e-3
+    np.testing.assert_allclose(np.sqrt(np.diag(level.alignment.covariance)), 2e-3 / 2.0, rtol=1e-3)
+    rng = np.random.default_rng(3)
+    seating, lean = 3e-3 * rng.standard_normal((6, 3)), np.array([0.01, 0.0])
+    free = found(FACES, mat_cb, lean, seating, azimuths=True)
+    held = found(FACES, mat_cb, lean, seating, azimuths=True, tolerance=1e-4)
+    assert np.linalg.norm(held.tilt) < 0.1 * np.linalg.norm(free.tilt)
+    assert held.tilt_u.max() < 1e-4
+
+
+def test_the_rotation_changes_with_the_accelerometer_parameters_as_said() -> None:
+    block = Block(kind="accel", axes=np.eye(3))
+    values = np.array([0.05, -0.02, 0.03, 4e-3, -2e-3, 3e-3, 5e-3, -4e-3, 3e-3])
+    mat_cb = rotation_matrix(np.array([0.02, -0.03, 0.01]))
+    direction, normals, attitudes = placed(FACES, mat_cb, np.array([0.004, 0.002]), np.zeros((6, 3)))
+    readings = block.model(values).predict(9.8 * direction)
+
+    def aligned(at: Array) -> CaseAlignment:
+        force, jacobian = block.model(at).apply(readings), block.jacobian(at)
+        change = np.einsum("pkm,ik->ipm", jacobian[:, :3], force) + jacobian[:, 3]
+        seen = verticals_of(block.model(at), force, change, np.zeros((6, 3, 3)), np.eye(9))
+        return align_case(seen, normals, rests=np.arange(6), attitudes=attitudes)
+
+    base = aligned(values)
+    numerical = np.array([(error(aligned(values + h), base.alignment.mat_cb)) / 1e-5 for h in 1e-5 * np.eye(9)]).T
+    np.testing.assert_allclose(base.alignment.by_parameters, numerical, atol=2e-4)
+
+
+# -------------------- sessions --------------------
+
+
+def scenario(codes_or_name: tuple[str, ...] | str, *, table: float, seed: int) -> Scenario:
+    """A navigation unit on a table or in a cube with errors of `table` degrees, mounted askew by up to 2°."""
+    listed = programme(codes_or_name) if isinstance(codes_or_name, str) else from_attitudes(codes_or_name)
+    typical = scenario_of(Setup.of(), np.random.default_rng(seed), serial="S")
+    return replace(typical, course=OnTable(programme=listed, table_error=table * DEGREE, mounting_error=2.0 * DEGREE))
+
+
+def observed(described: Scenario, seed: int) -> tuple[Observations, Array]:
+    """Observations of a scenario, and the true mounting body → case."""
+    seen = simulate_observations(described, np.random.default_rng(seed))
+    way = itinerary(described, np.random.default_rng(seed).spawn(3)[0])
+    assert isinstance(described.course, OnTable)
+    geometry = np.random.default_rng(seed).spawn(3)[0]
+    count = len(described.course.programme.positions)
+    if not described.course.programme.ordered:
+        geometry.permutation(count)
+        geometry.uniform(-np.pi, np.pi, (count, 1))
+    mounting = rotation_matrix(described.course.mounting_error * geometry.uniform(-1.0, 1.0, 3))
+    if described.course.table_error < 1e-9:
+        np.testing.assert_allclose((way.attitudes @ mounting.T)[:, 1, :], _nominal(described, way.positions), atol=1e-7)
+    return seen, mounting
+
+
+def _nominal(described: Scenario, positions: tuple[int, ...]) -> Array:
+    assert isinstance(described.course, OnTable)
+    return np.array([described.course.programme.positions[k].vertical_b for k in positions])
+
+
+@pytest.mark.parametrize("name", [name for name in BUILT_IN if name != "cube-12"])
+def test_the_case_of_a_session_is_found_within_its_uncertainty(name: str) -> None:
+    """Table errors of 0.2°, ten sessions: both blocks in the case, mounting included; edges alone show no case."""
+    ratios = []
+    for seed in range(10):
+        described = scenario(name, table=0.2, seed=seed)
+        seen, mounting = observed(described, seed)
+        estimate, case = estimate_in("case", staged(seen), seen)
+        assert case is not None
+        psi = error(case, mounting)
+        ratios.append(psi @ np.linalg.solve(case.alignment.covariance, psi) / 3.0)
+        truth = np.array([described.truth[n] for n in described.accel.names])
+        true_matrix = described.accel.model(truth).matrix @ mounting.T
+        assert np.abs(estimate.accel.matrix - true_matrix).max() < 0.3 * DEGREE
+    assert np.median(ratios) < 4.0
+    assert max(ratios) < 40.0
+
+
+def test_gyros_tell_the_azimuths_of_a_cube() -> None:
+    """The attitudes found from turn to turn are the true ones, but for a common north and the Earth's turn meanwhile,
+    0.1° a move."""
+    described = scenario("cube-14", table=0.0, seed=5)
+    seen, _ = observed(described, 5)
+    way = itinerary(described, np.random.default_rng(5).spawn(3)[0])
+    estimate = staged(seen)
+    _, case = estimate_in("case", estimate, seen)
+    assert case is not None
+    assert len(case.tilt) == 2
+    from tumble.calibration.case import _attitudes
+
+    force = estimate.accel.apply(seen.rests.accel)
+    attitudes = _attitudes(seen, force / np.linalg.norm(force, axis=1, keepdims=True), estimate.gyro)
+    assert attitudes is not None
+    north = attitudes @ np.swapaxes(way.attitudes, 1, 2)
+    np.testing.assert_allclose(north, np.broadcast_to(north[0], north.shape), atol=13 * 0.1 * DEGREE)
+    np.testing.assert_allclose(north[:, 1, 1], 1.0, atol=1e-6)
+
+
+def test_a_tilted_plate_is_found_in_a_cube_session_by_its_gyros() -> None:
+    """One plate of 0.5° under every face, azimuth at random: the simulation's table errors are all the same turn."""
+    described = scenario("cube-14", table=0.0, seed=6)
+    seen, mounting = observed(described, 6)
+    way = itinerary(described, np.random.default_rng(6).spawn(3)[0])
+    lean = np.array([0.3, -0.4]) * DEGREE
+    plate = rotation_matrix(np.array([lean[1], 0.0, -lean[0]]))
+    model = described.accel.model(np.array([described.truth[n] for n in described.accel.names]))
+    vertical = np.swapaxes(plate @ way.attitudes, 1, 2) @ UP
+    readings = model.predict(seen.site.gravity * vertical)
+    tilted = replace(seen, rests=replace(seen.rests, accel=readings))
+    direction = replace_directions(tilted, model)
+    gyro = described.gyro.model(np.array([described.truth[n] for n in described.gyro.names]))
+    case = case_of(tilted, direction, gyro)
+    assert np.linalg.norm(error(case, mounting)) < 0.01 * DEGREE
+    assert np.linalg.norm(case.tilt) == pytest.approx(0.5 * DEGREE, rel=0.02)
+    without = case_of(replace(tilted, turns=None), direction, None)
+    assert len(without.tilt) == 0
+    assert without.scatter > 0.1 * DEGREE
+
+
+def replace_directions(seen: Observations, model: SensorModel) -> Verticals:
+    force = model.apply(seen.rests.accel)
+    return only_directions(force / np.linalg.norm(force, axis=1, keepdims=True))
+
+
+def test_the_command_gives_the_case_and_says_how_it_was_found(tmp_path: Path) -> None:
+    request = Setup.of(programme="cube-14", rest=8.0, rate_deg_s=40.0, sample_rate=50.0, table_error_deg=0.1)
+    folder = simulate_session(tmp_path / "cube", request, seed=31)
+    result = CliRunner().invoke(main, ["calibrate", str(folder), "--terms", "linear", "--frame", "case"])
+    assert result.exit_code == 0, result.output
+    assert "case: from 6 rests on its six faces" in result.output.replace("\n", " ")
+    found_case = read_calibration(folder / "calibration.json")
+    assert found_case.frame == "case"
+    assert [p.name for p in found_case.parameters][6:12] == [
+        f"accel.axis.{pair}" for pair in ("xy", "xz", "yx", "yz", "zx", "zy")
+    ]
+    plain = calibrate(folder, terms="linear")
+    for axis in "xyz":
+        assert found_case[f"accel.bias.{axis}"].value == plain[f"accel.bias.{axis}"].value
+    u = found_case["accel.axis.xy"].u
+    assert u is not None
+    assert 0.01 * DEGREE < u < 0.2 * DEGREE
+
+
+# -------------------- refusals --------------------
+
+
+def test_sessions_that_do_not_give_the_case_are_refused_in_one_line(tmp_path: Path) -> None:
+    words: dict[str, Any] = {"rest": 5.0, "rate_deg_s": 60.0, "sample_rate": 50.0}
+    folders = {
+        "none was given": simulate_session(tmp_path / "hand", Setup.of(**words, positions=20), seed=32),
+        "X up, X down, Y up, Y down, Z up, Z down": simulate_session(
+            tmp_path / "edges", Setup.of(**words, programme="cube-12"), seed=33
+        ),
+    }
+    for said, folder in folders.items():
+        result = CliRunner().invoke(main, ["calibrate", str(folder), "--terms", "linear", "--frame", "case"])
+        assert result.exit_code == 2, result.output
+        assert result.output.count("\n") == 1
+        assert "frame 'case': expected a " in result.output
+        assert (said if said != "none was given" else "[programme]") in result.output
+        assert not (folder / "calibration.json").exists()
+
+
+def test_placements_that_give_no_rotation_are_refused() -> None:
+    with pytest.raises(InputError, match="three directions"):
+        align_case(only_directions(np.eye(3)[:2]), np.eye(3)[:2], rests=np.arange(2))
+
+
+# -------------------- two blocks --------------------
+
+
+def two_blocks(rng: np.random.Generator, mat_12: Array, count: int, noise: float) -> tuple[Verticals, Verticals]:
+    """Verticals of two blocks on one base, each with noise on its directions and errors of its parameters, which turn
+    its directions by a common small rotation of 20 µrad an axis."""
+    true = rng.standard_normal((count, 3))
+    true /= np.linalg.norm(true, axis=1, keepdims=True)
+    out = []
+    for direction in (true, true @ mat_12):
+        wrong = 2e-5 * rng.standard_normal(3)
+        noisy = direction + np.cross(wrong, direction) + noise * rng.standard_normal((count, 3))
+        noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
+        out.append(
+            Verticals(
+                direction=noisy,
+                covariance=np.broadcast_to(noise**2 * np.eye(3), (count, 3, 3)),
+                by_parameters=np.array([np.cross(np.eye(3), d).T for d in noisy]),
+                parameter_covariance=4e-10 * np.eye(3),
+            )
+        )
+    return out[0], out[1]
+
+
+@given(seeds)
+@settings(max_examples=25)
+def test_two_blocks_without_noise_are_related_exactly(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mat_12 = Rotation.random(rng=rng).as_matrix()
+    direction = rng.standard_normal((6, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    first, second = only_directions(direction), only_directions(direction @ mat_12)
+    tiny = np.broadcast_to(1e-12 * np.eye(3), (6, 3, 3))
+    relation = relate(replace(first, covariance=tiny), replace(second, covariance=tiny))
+    np.testing.assert_allclose(relation.mat_12, mat_12, atol=1e-12)
+    assert relation.degrees == 9
+
+
+def test_the_relation_of_two_blocks_is_as_uncertain_as_it_says() -> None:
+    """400 draws of eight positions: noise of 30 µrad and what the calibrations leave, 20 µrad an axis each."""
+    rng = np.random.default_rng(41)
+    mat_12 = Rotation.from_rotvec([0.4, -1.1, 0.2]).as_matrix()
+    errors, chi, covariance = [], [], np.zeros((3, 3))
+    draws = 400
+    for _ in range(draws):
+        relation = relate(*two_blocks(rng, mat_12, 8, 3e-5))
+        psi = Rotation.from_matrix(relation.mat_12 @ mat_12.T).as_rotvec()
+        errors.append(psi @ np.linalg.solve(relation.covariance, psi))
+        chi.append(relation.chi_square)
+        covariance += relation.covariance / draws
+    # the scale of the noise is not taken below 1, which makes the covariance a little large: 3 is the upper end
+    assert 2.3 < np.mean(errors) < 3.0 + 5.0 * np.sqrt(6.0 / draws)
+    assert np.mean(chi) == pytest.approx(13.0, abs=5.5 * np.sqrt(26.0 / draws))
+
+
+def test_blocks_that_cannot_be_related_are_refused() -> None:
+    direction = np.eye(3)
+    with pytest.raises(InputError, match="found 3 of the first and 2 of the second"):
+        relate(only_directions(direction), only_directions(direction[:2]))
+    with pytest.raises(InputError, match="three or more positions, found 2"):
+        relate(only_directions(direction[:2]), only_directions(direction[:2]))
+    line = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    with pytest.raises(InputError, match="along one line"):
+        relate(only_directions(line), only_directions(line))

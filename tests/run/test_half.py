@@ -1,0 +1,149 @@
+"""Half a calibration is one: accelerometers without the gyros that were refused, and gyros without accelerometers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+import tumble
+from tests.export.test_export_c import gcc
+from tests.export.test_export_larger_model import run
+from tests.support.calibrated import calibration, session_of, warmed
+from tests.support.exports import THERMAL, beside
+from tests.use.test_applied_model import larger, read, truth
+from tumble.calibration.apply import applied, apply_to_session, rest_residuals
+from tumble.calibration.calibration_file import Calibration, read_calibration
+from tumble.calibration.half import accepted_part
+from tumble.errors import CalibrationError, InputError
+from tumble.estimation.estimate import Outcome
+from tumble.export import FORMATS, export_calibration
+from tumble.registry.submission import Particulars, read_submission
+from tumble.sensors.parameters import sensor_kind
+
+__all__ = ["gcc"]
+
+WHY = "the others are bad"
+ONE_KIND = {"accel": ("imucal", "kalibr"), "gyro": ("imucal", "kalibr", "ros-imu-calib")}
+"""Formats that have no place for a calibration of this kind of sensors alone."""
+ABSENT = {"accel": "gyros are absent, they were not accepted", "gyro": "accelerometers are absent, they were not"}
+
+
+def half(made: Calibration, kind: str) -> Calibration:
+    """A calibration of which one kind of sensors is accepted."""
+    others = {"of_gyro": (WHY,)} if kind == "accel" else {"of_accel": (WHY,)}
+    return replace(made, outcome=Outcome(reasons=(WHY,), **others))
+
+
+@pytest.mark.parametrize("kind", ["accel", "gyro"])
+@pytest.mark.parametrize("to", FORMATS)
+def test_a_half_is_exported_by_every_format_that_can_hold_it_and_the_other_is_named_absent(to: str, kind: str) -> None:
+    made = half(warmed(calibration()) if to in THERMAL else larger()[0], kind)
+    if to in ONE_KIND[kind]:
+        with pytest.raises(InputError, match=f"export to {to}: expected .* parameters, found .* absent"):
+            export_calibration(made, to, **beside(to))
+        return
+    exported = export_calibration(made, to, **beside(to))
+    assert exported.losses[0].startswith(ABSENT[kind])
+    if to != "mat":
+        text = exported.content.decode()
+        assert ABSENT[kind] in text
+        refused = made.gyro if kind == "accel" else made.accel
+        assert refused is not None
+        assert repr(float(refused.bias[0])) not in text
+
+
+@pytest.mark.parametrize("to", ["csv", "mat"])
+def test_accelerometers_are_exported_where_gyro_parameters_are_not_determined(to: str) -> None:
+    made = replace(larger()[0], gyro=None, outcome=Outcome(reasons=(WHY,), of_gyro=(WHY,)))
+    assert export_calibration(made, to).losses[0].startswith(ABSENT["accel"])
+
+
+def test_gyros_alone_in_a_header_do_what_the_library_does(tmp_path: Path, gcc: str) -> None:
+    made, instrument, values = larger()
+    force, rate = truth()
+    gyro = read(instrument, values, force, rate)[1]
+    alone = accepted_part(half(made, "gyro"))
+    felt, found = alone.apply(force, gyro)
+    assert np.isnan(felt).all()
+    assert found is not None
+    np.testing.assert_allclose(found, rate, atol=1e-6)
+    np.testing.assert_allclose(run(gcc, tmp_path, alone, "gyro", np.hstack([gyro, force])), found, rtol=0.0, atol=1e-13)
+
+
+@pytest.mark.parametrize("kind", ["accel", "gyro"])
+def test_a_half_is_applied_and_the_columns_of_the_other_stay_as_they_are(tmp_path: Path, kind: str) -> None:
+    made, instrument, values = larger(leave=())
+    force, rate = truth()
+    readings = read(instrument, values, force, rate)
+    columns = dict(zip(["ax", "ay", "az", "gx", "gy", "gz"], np.hstack(readings).T, strict=True))
+    table = pl.DataFrame({"t": 0.01 * np.arange(1, 1 + len(force)), **columns})
+    log = {
+        "time": "t",
+        "accel": {"columns": ["ax", "ay", "az"], "unit": "m/s^2"},
+        "gyro": {"columns": ["gx", "gy", "gz"], "unit": "rad/s"},
+    }
+    session, out = session_of(tmp_path / "s", table.write_csv(), log), tmp_path / "out.csv"
+    apply_to_session(half(made, kind), session, out)
+    corrected, own, other = pl.read_csv(out), ["ax", "ay", "az"], ["gx", "gy", "gz"]
+    own, other = (own, other) if kind == "accel" else (other, own)
+    assert corrected[other].equals(pl.read_csv(session / "log.csv")[other])
+    assert not corrected[own].equals(table[own])
+    expected = accepted_part(half(made, kind)).apply(*readings) if kind == "gyro" else None
+    if expected is not None and expected[1] is not None:
+        np.testing.assert_allclose(corrected[own].to_numpy(), expected[1], rtol=0.0, atol=1e-9)
+    assert applied(half(made, kind), session)[0].startswith(ABSENT[kind])
+
+
+def test_what_belongs_to_the_refused_sensors_is_taken_out_and_nothing_else() -> None:
+    made = half(larger()[0], "accel")
+    part = accepted_part(made)
+    assert [p.name for p in part.parameters] == [p.name for p in made.parameters if sensor_kind(p.name) != "gyro"]
+    assert part.covariance is not None
+    np.testing.assert_allclose(np.sqrt(np.diag(part.covariance)), [p.u or 0.0 for p in part.parameters])
+    assert (part.gyro, part.outcome.verdict) == (None, "accepted")
+    assert accepted_part(calibration()).parameters == calibration().parameters
+    with pytest.raises(CalibrationError, match="expected an accepted one, found: all is bad"):
+        accepted_part(replace(made, outcome=Outcome(reasons=("all is bad",))))
+
+
+@pytest.fixture(scope="module")
+def spoiled(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
+    """The calibration of a device whose X gyro changes its scale over the session."""
+    folder = tmp_path_factory.mktemp("spoiled") / "s"
+    tumble.simulate_session(folder, tumble.Setup.of(grade="mems", positions=18), seed=1)
+    log = pl.read_parquet(folder / "log.parquet")
+    wave = 1.0 + 0.05 * np.sin(np.arange(len(log)) / 3000.0)
+    log.with_columns(pl.col("gx") * wave).write_parquet(folder / "log.parquet")
+    return tumble.calibrate(folder)
+
+
+def test_bad_gyros_leave_the_accelerometers_to_verify_check_report_and_register(
+    spoiled: Calibration, tmp_path: Path
+) -> None:
+    assert (spoiled.outcome.accel.accepted, spoiled.outcome.gyro.accepted) == (True, False)
+    clean = tumble.simulate_session(tmp_path / "s", tumble.Setup.of(grade="mems", positions=6), seed=1, launch=2)
+    spoiled.write(tmp_path / "calibration.json")
+    made = read_calibration(tmp_path / "calibration.json")
+    assert tumble.verify_calibration(made, clean).reasons == ()
+    residuals = rest_residuals(made, clean)
+    assert sum(rest.after**2 for rest in residuals) < 0.1 * sum(rest.before**2 for rest in residuals)
+    checked = tumble.check_calibration(made, clean)
+    assert checked.valid
+    assert checked.notes[0].startswith(ABSENT["accel"])
+    assert checked.updated().absent[0].startswith(ABSENT["accel"])
+    registered = read_submission(tmp_path / "calibration.json", Particulars())
+    assert {sensor_kind(name) for name in registered.calibration} == {"accel"}
+    tumble.write_report([tmp_path / "calibration.json"], tmp_path / "r.html")
+    assert "accelerometers: accepted with scatter; gyros: not accepted" in (tmp_path / "r.html").read_text()
+
+
+def test_gyros_alone_are_neither_verified_nor_checked_in_one_line(tmp_path: Path) -> None:
+    clean = tumble.simulate_session(tmp_path / "s", tumble.Setup.of(grade="mems", positions=4), seed=1)
+    made = half(calibration(serial="mems-1"), "gyro")
+    for ask in (tumble.verify_calibration, tumble.check_calibration):
+        with pytest.raises(CalibrationError, match=r"expected accepted accelerometers, by which .* absent"):
+            ask(made, clean)

@@ -1,0 +1,330 @@
+"""Magnetometers in sessions: keys, chunks, rests, parameters, and what is said where they cannot be calibrated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from click.testing import CliRunner
+
+from tests.methods.test_ellipsoid import cube, placed
+from tumble.calibration.apply import apply_to_session
+from tumble.calibration.calibrate import Method, calibrate
+from tumble.calibration.calibration_file import Calibration, read_calibration
+from tumble.calibration.launches import Run, mean_of_launches
+from tumble.cli import main
+from tumble.errors import InputError, SessionError
+from tumble.estimation.ellipsoid import TRIAD
+from tumble.estimation.methods.magnetometer import NAMES
+from tumble.recording.log import open_log
+from tumble.recording.session_file import read_session, write_session
+from tumble.reduction.blocks import reduce_log
+from tumble.units import Array
+
+RATE, REST, MOVE = 50.0, 6.0, 1.5  # Hz, s, s
+FIELD = 49.7  # uT
+TRUTH = np.array([12.0, -7.5, 3.2, 0.05, -0.03, 0.01, 0.02, -0.04, 0.03])
+ACCEL = np.array([0.1, -0.2, 0.15, 2e-3, -3e-3, 1e-3, 1e-3, 2e-3, -3e-3])
+
+
+def attitudes(rng: np.random.Generator) -> tuple[Array, Array]:
+    """Directions (N, 3) of the vertical and of the field in the body in eighteen rests; the field dips by 65°."""
+    vertical = placed(cube(1, 2), rng)
+    across = np.cross(vertical, rng.standard_normal(vertical.shape))
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    dip = np.radians(65.0)
+    return vertical, np.cos(dip) * across - np.sin(dip) * vertical
+
+
+def over_time(rests: Array) -> Array:
+    """Samples of a vector that rests and moves on, linearly."""
+    still, moving = int(REST * RATE), int(MOVE * RATE)
+    parts = [np.repeat(rests[:1], still, axis=0)]
+    for before, after in pairwise(rests):
+        parts += [np.linspace(before, after, moving), np.repeat(after[None], still, axis=0)]
+    return np.concatenate(parts)
+
+
+def write(
+    folder: Path, seed: int = 1, *, noise: float = 0.05, unit: float = 1.0, changes: Mapping[str, Any] | None = None
+) -> Path:
+    """A session without gyros; `noise` of the magnetometer in uT a sample, `changes` to its tables, by dotted key."""
+    rng = np.random.default_rng(seed)
+    vertical, field = attitudes(rng)
+    accel = over_time(TRIAD.model(ACCEL).predict(9.81 * vertical))
+    magnetic = over_time(TRIAD.model(TRUTH).predict(FIELD * field))
+    folder.mkdir(parents=True, exist_ok=True)
+    accel = accel + 3e-3 * rng.standard_normal(accel.shape)
+    magnetic = unit * (magnetic + noise * rng.standard_normal(magnetic.shape))
+    columns = dict(zip(["ax", "ay", "az", "mx", "my", "mz"], np.hstack([accel, magnetic]).T, strict=True))
+    pl.DataFrame({"t": np.arange(1, len(accel) + 1) / RATE, **columns}).write_parquet(folder / "log.parquet")
+    write_session(folder, described(changes or {}))
+    return folder
+
+
+def described(changes: Mapping[str, Any]) -> dict[str, Any]:
+    content: dict[str, Any] = {
+        "format": 1,
+        "device": {"serial": "M-1"},
+        "site": {"gravity": 9.81, "field": FIELD},
+        "log": {
+            "file": "log.parquet",
+            "time": "t",
+            "accel": {"columns": ["ax", "ay", "az"], "unit": "m/s^2"},
+            "magnetometer": {"columns": ["mx", "my", "mz"], "unit": "uT"},
+        },
+    }
+    for key, value in changes.items():
+        *path, last = key.split(".")
+        table = content
+        for part in path:
+            table = table[part]
+        if value is None:
+            del table[last]
+        else:
+            table[last] = value
+    return content
+
+
+def values(calibration: Calibration) -> Array:
+    return np.array([calibration[name].value for name in NAMES])
+
+
+def us(calibration: Calibration) -> Array:
+    return np.array([calibration[name].u for name in NAMES], dtype=float)
+
+
+def test_a_session_with_a_magnetometer_gives_its_parameters(tmp_path: Path) -> None:
+    found = calibrate(write(tmp_path))
+    assert found.outcome.accepted, found.outcome.reasons
+    names = [p.name for p in found.parameters]
+    assert names[:9] == list(TRIAD.names)
+    assert [name for name in names if name.startswith("mag.")] == list(NAMES)
+    assert [found[name].unit for name in NAMES] == ["uT"] * 3 + ["1"] * 3 + ["rad"] * 3
+    z = (values(found) - TRUTH) / us(found)
+    assert np.abs(z).max() < 5.0
+    assert us(found)[:3].max() < 0.02
+    assert found.mag is not None
+    assert found.mag.matrix == pytest.approx(TRIAD.model(TRUTH).matrix, abs=1e-3)
+    assert found.covariance is not None
+    assert found.covariance.shape == (len(names), len(names))
+    of_mag = np.array([name.startswith("mag.") for name in names])
+    assert not found.covariance[np.ix_(~of_mag, of_mag)].any()
+
+
+@pytest.mark.parametrize("method", ["staged", "ellipsoid"])
+def test_the_accelerometers_are_calibrated_as_without_it(tmp_path: Path, method: Method) -> None:
+    with_it = calibrate(write(tmp_path / "a"), method=method)
+    without = calibrate(write(tmp_path / "b", changes={"log.magnetometer": None, "site.field": None}), method=method)
+    assert without.parameters == tuple(p for p in with_it.parameters if not p.name.startswith("mag."))
+    assert without.mag is None
+
+
+def test_noiseless_parameters_are_recovered(tmp_path: Path) -> None:
+    found = calibrate(write(tmp_path, noise=0.0))
+    assert values(found) == pytest.approx(TRUTH, abs=1e-9)
+
+
+def test_the_uncertainties_hold_over_many_sessions(tmp_path: Path) -> None:
+    z = []
+    for seed in range(12):
+        found = calibrate(write(tmp_path / str(seed), seed))
+        z.append((values(found) - TRUTH) / us(found))
+    # 12 × 9 values of about unit variance: five standard errors of the rms
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.45)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("nT", 1e3), ("gauss", 1e-2), ("mgauss", 10.0), ("T", 1e-6)])
+def test_the_unit_is_that_of_the_field_and_of_the_result(tmp_path: Path, unit: str, factor: float) -> None:
+    plain = calibrate(write(tmp_path / "a"))
+    changes = {"log.magnetometer": {"columns": ["mx", "my", "mz"], "unit": unit}, "site.field": FIELD * factor}
+    scaled = calibrate(write(tmp_path / "b", unit=factor, changes=changes))
+    assert scaled["mag.bias.x"].unit == unit
+    expected = np.concatenate([values(plain)[:3] * factor, values(plain)[3:]])
+    assert values(scaled) == pytest.approx(expected, rel=1e-6)
+
+
+def test_without_the_field_scale_factors_are_relative_and_that_is_said(tmp_path: Path) -> None:
+    known = calibrate(write(tmp_path / "a"))
+    found = calibrate(write(tmp_path / "b", changes={"site.field": None}))
+    assert found.outcome.accepted
+    assert any("the field is not known (site.field)" in note for note in found.notes)
+    assert not any("not known" in note for note in known.notes)
+    # only a common factor of the scale factors differs
+    ratio = (1.0 + values(found)[3:6]) / (1.0 + values(known)[3:6])
+    assert ratio == pytest.approx(np.full(3, ratio[0]), rel=1e-6)
+    assert np.delete(values(found), [3, 4, 5]) == pytest.approx(np.delete(values(known), [3, 4, 5]), abs=1e-5)
+    assert found.mag is not None
+    assert np.linalg.det(found.mag.matrix) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_hard_and_soft_iron_are_said_in_words(tmp_path: Path) -> None:
+    result = CliRunner().invoke(main, ["calibrate", str(write(tmp_path))], catch_exceptions=False)
+    assert result.exit_code == 0
+    said = " ".join(result.stdout.split())
+    assert "hard iron (12" in said
+    assert "soft iron: the field is read 0.9" in said
+    assert "mag.bias.x" in said
+
+
+def test_a_disturbed_rest_is_left_out_and_named(tmp_path: Path) -> None:
+    folder = write(tmp_path, noise=0.02)
+    log = pl.read_parquet(folder / "log.parquet")
+    near_steel = (pl.col("t") > 4 * (REST + MOVE) - 0.5) & (pl.col("t") < 5 * (REST + MOVE) - 0.5)
+    log.with_columns(mx=pl.col("mx") + pl.when(near_steel).then(8.0).otherwise(0.0)).write_parquet(
+        folder / "log.parquet"
+    )
+    found = calibrate(folder)
+    assert found.outcome.accepted, found.outcome.reasons
+    assert [note for note in found.notes if "rest 5 (" in note and "was left out" in note]
+    assert np.abs((values(found) - TRUTH) / us(found)).max() < 5.0
+
+
+def test_a_field_that_changes_everywhere_leaves_the_rest_of_the_session_alone(tmp_path: Path) -> None:
+    folder = write(tmp_path)
+    log = pl.read_parquet(folder / "log.parquet")
+    rng = np.random.default_rng(3)
+    disturbed = {name: log[name] + over_time(4.0 * rng.standard_normal((18, 1)))[:, 0] for name in ("mx", "my", "mz")}
+    log.with_columns(**disturbed).write_parquet(folder / "log.parquet")
+    found = calibrate(folder)
+    said = next(note for note in found.notes if note.startswith("magnetometer: the rests scatter by"))
+    assert "[log.magnetometer] out" in said
+    assert said.endswith("the rest of the session is calibrated without it")
+    assert found.mag is None
+    alone = calibrate(write(tmp_path / "alone", changes={"log.magnetometer": None, "site.field": None}))
+    assert found.outcome.accepted
+    assert [p.value for p in found.parameters] == pytest.approx([p.value for p in alone.parameters], rel=1e-9)
+    assert found.in_frame("symmetric").accel is not None
+
+
+def test_a_dead_channel_leaves_the_rest_of_the_session_alone_and_its_parameters_are_named(tmp_path: Path) -> None:
+    folder = write(tmp_path)
+    pl.read_parquet(folder / "log.parquet").with_columns(mz=pl.lit(1.0)).write_parquet(folder / "log.parquet")
+    found = calibrate(folder)
+    assert found.outcome.accepted
+    assert found.outcome.unobservable == NAMES
+    assert any(note.startswith("magnetometer: ") for note in found.notes)
+    assert found.mag is None
+    assert found.accel is not None
+
+
+@pytest.mark.parametrize(
+    ("columns", "latitude", "said"),
+    [
+        (["my", "mx", "mz"], 48.0, "with (mx, my, mz) in place of (my, mx, mz)"),
+        (["my", "mx", "mz"], None, "with (mx, my, mz) or (−mx, −my, −mz) in place of (my, mx, mz)"),
+        (["mx", "my", "mw"], 48.0, "with (mx, my, −mw) in place of (mx, my, mw)"),
+        (["mz", "mx", "my"], -48.0, "with (−mx, −my, −mz) in place of (mz, mx, my)"),
+    ],
+)
+def test_exchanged_and_mirrored_columns_are_named_by_the_dip_angle(
+    tmp_path: Path, columns: list[str], latitude: float | None, said: str
+) -> None:
+    changes = {"log.magnetometer.columns": columns} | ({} if latitude is None else {"site.latitude_deg": latitude})
+    folder = write(tmp_path, changes=changes)
+    log = pl.read_parquet(folder / "log.parquet").with_columns(mw=-pl.col("mz"))
+    log.write_parquet(folder / "log.parquet")
+    found = calibrate(folder, method="ellipsoid")
+    assert found.outcome.accepted
+    assert any(said in note for note in found.notes), found.notes
+
+
+def test_columns_in_order_are_not_doubted(tmp_path: Path) -> None:
+    for seed in range(3):
+        found = calibrate(write(tmp_path / str(seed), seed, noise=0.5), method="ellipsoid")
+        assert not any("dip angle" in note for note in found.notes)
+
+
+def test_the_calibration_file_keeps_the_magnetometer(tmp_path: Path) -> None:
+    found = calibrate(write(tmp_path))
+    found.write(tmp_path / "calibration.json")
+    again = read_calibration(tmp_path / "calibration.json")
+    assert found.mag is not None
+    assert again.mag is not None
+    assert again.mag.matrix.tolist() == found.mag.matrix.tolist()
+    assert again.parameters == found.parameters
+    assert again.readings["mag"].unit == "uT"
+
+
+def test_apply_removes_hard_and_soft_iron(tmp_path: Path) -> None:
+    folder = write(tmp_path / "session", noise=0.0)
+    found = calibrate(folder)
+    apply_to_session(found, read_session(folder), tmp_path / "out.parquet")
+    before, after = (pl.read_parquet(path) for path in (folder / "log.parquet", tmp_path / "out.parquet"))
+    assert after.columns == before.columns
+    rest = slice(0, int(REST * RATE))
+    length = np.linalg.norm(after["mx", "my", "mz"].to_numpy()[rest], axis=1)
+    assert length == pytest.approx(np.full(len(length), FIELD), rel=1e-9)
+    assert np.linalg.norm(before["mx", "my", "mz"].to_numpy()[rest], axis=1) != pytest.approx(length, rel=1e-2)
+
+
+def test_apply_leaves_a_magnetometer_alone_that_was_not_calibrated(tmp_path: Path) -> None:
+    without = calibrate(write(tmp_path / "a", changes={"log.magnetometer": None, "site.field": None}))
+    folder = write(tmp_path / "b")
+    apply_to_session(without, read_session(folder), tmp_path / "out.parquet")
+    before, after = (pl.read_parquet(path) for path in (folder / "log.parquet", tmp_path / "out.parquet"))
+    assert after["mx", "my", "mz"].equals(before["mx", "my", "mz"])
+
+
+def test_apply_refuses_a_magnetometer_in_another_unit(tmp_path: Path) -> None:
+    found = calibrate(write(tmp_path / "a"))
+    folder = write(tmp_path / "b", unit=1e3, changes={"log.magnetometer.unit": "nT", "site.field": 1e3 * FIELD})
+    with pytest.raises(InputError, match=r"log.magnetometer.unit: expected that of the calibration, 'uT', found 'nT'"):
+        apply_to_session(found, read_session(folder), tmp_path / "out.parquet")
+    assert not (tmp_path / "out.parquet").exists()
+
+
+def test_several_launches_have_the_mean_magnetometer(tmp_path: Path) -> None:
+    folders = [write(tmp_path / str(seed), seed) for seed in (1, 2)]
+    runs = [Run(session=read_session(folder), calibration=calibrate(folder)) for folder in folders]
+    mean = mean_of_launches(runs)
+    assert values(mean) == pytest.approx(np.mean([values(run.calibration) for run in runs], axis=0), rel=1e-12)
+    assert mean.mag is not None
+    assert mean.mag.bias == pytest.approx(values(mean)[:3])
+
+
+@pytest.mark.parametrize("rows", [1000, 17])
+def test_blocks_do_not_depend_on_the_chunks(tmp_path: Path, rows: int) -> None:
+    session = read_session(write(tmp_path))
+    log = open_log(session)
+    whole = reduce_log(log, session.accel_block, None)
+    parts = reduce_log(log, session.accel_block, None, log.chunks(rows))
+    first, second = whole.files[0].magnetometer.means, parts.files[0].magnetometer.means
+    assert first == pytest.approx(second, rel=1e-13)
+    samples = np.concatenate([c.magnetometer for c in log.chunks() if c.magnetometer is not None])
+    size = whole.files[0].size
+    assert first[7] == pytest.approx(samples[7 * size : 8 * size].mean(axis=0), rel=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"log.magnetometer.columns": ["mx", "my"]}, "log.magnetometer.columns: expected a list of three column names"),
+        ({"log.magnetometer.unit": "Oe"}, "log.magnetometer.unit: expected one of nT, uT, gauss, mgauss, T, found"),
+        (
+            {"log.magnetometer.columns": ["mx", "my", "ax"]},
+            'expected every column once, found "ax" in log.accel.columns',
+        ),
+        ({"log.magnetometer": None}, "site.field: expected only with [log.magnetometer], found no magnetometer"),
+        ({"site.field": 49700.0}, "site.field: expected the field on Earth, from 15 to 80 uT"),
+        ({"site.field": -1.0}, "site.field: expected a positive number, in the unit of [log.magnetometer], found -1"),
+        ({"log.magnetometer.scale": 1.0}, "unknown key 'scale' in [log.magnetometer]"),
+    ],
+)
+def test_what_a_session_cannot_mean_is_refused(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(SessionError) as refused:
+        write_session(tmp_path, described(changes))
+    assert said in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_missing_column_is_named(tmp_path: Path) -> None:
+    folder = write(tmp_path, changes={"log.magnetometer.columns": ["mx", "my", "mq"]})
+    result = CliRunner().invoke(main, ["calibrate", str(folder)], catch_exceptions=False)
+    assert result.exit_code == 2
+    assert "expected a column 'mq'" in result.stderr

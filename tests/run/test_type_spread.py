@@ -1,0 +1,90 @@
+"""How unstable devices of a type are from launch to launch, and what that does for two launches of another."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from tests.support.registry_files import content, digest
+from tumble.calibration.coverage import degrees_of_mean
+from tumble.calibration.results import coverage_factor
+from tumble.calibration.type_spread import KnownLaunches, TypeSpread, pooled
+from tumble.errors import InputError
+from tumble.registry.adding import add
+from tumble.registry.store.connect import open_registry
+from tumble.registry.submission import Particulars, submission, utc
+from tumble.registry.type_launches import type_spread
+
+NAME = "accel.bias.x"
+
+
+def known(degrees: int, variance: float, noise: float, *, serial: str = "A-1") -> KnownLaunches:
+    logs = frozenset({f"{serial}-{i}" for i in range(degrees + 1)})
+    return KnownLaunches(serial=serial, logs=logs, degrees=degrees, variances={NAME: (variance, noise)})
+
+
+def of_type(*launches: KnownLaunches) -> TypeSpread:
+    return TypeSpread(model="BCHE-501", frame="accelerometer", known=launches)
+
+
+def test_variances_are_pooled_by_their_degrees_of_freedom() -> None:
+    found = of_type(known(1, 5.0, 1.0), known(3, 9.0, 1.0, serial="A-2"))
+    assert found.of(NAME, 1.0) == pytest.approx((8.0, 4.0))
+    assert (found.devices, found.degrees) == (2, 4)
+    assert found.without({"A-2-3"}).of(NAME, 1.0) == pytest.approx((5.0, 1.0))
+    assert found.of("accel.bias.y", 1.0) == (0.0, 0.0)
+
+
+def test_launches_with_other_noise_have_that_of_their_own_beside_the_instability_of_the_type() -> None:
+    """s² = 8 with n² = 1 is an instability of 7: launches with n² = 3 scatter by 10, and 10 is known as well as 8."""
+    assert of_type(known(4, 8.0, 1.0)).of(NAME, 3.0) == pytest.approx((10.0, 4.0 * (10.0 / 8.0) ** 2))
+    assert of_type(known(4, 0.5, 1.0)).of(NAME, 3.0)[0] == pytest.approx(3.0)
+
+
+def test_a_device_that_is_less_stable_than_its_type_is_judged_by_itself() -> None:
+    """One launch in addition: F(1, 20) is beyond 14.82 in one of 1000 cases."""
+    limit = stats.f.isf(1e-3, 1, 20)
+    assert pooled(1.01 * limit, 1.0, (1.0, 20.0)) is None
+    assert pooled(0.99 * limit, 1.0, (1.0, 20.0)) == pytest.approx(((0.99 * limit + 20.0) / 21.0, 21.0))
+    assert pooled(4.0, 1.0, (0.0, 0.0)) == (4.0, 1.0)
+
+
+@pytest.mark.parametrize("instability", [1.0, 2.0, 3.0])
+def test_two_launches_and_ten_devices_of_the_type_cover_as_stated(instability: float) -> None:
+    """N = 4000, noise 1: 95.45 %, of which 0.0033 is the standard deviation, and 0.02 six of them."""
+    rng = np.random.default_rng(int(10 * instability))
+    spread, inside = np.hypot(1.0, instability), []
+    for _ in range(4000):
+        alike = of_type(*(known(1, float(spread**2 * rng.chisquare(1)), 1.0, serial=str(i)) for i in range(10)))
+        values = spread * rng.standard_normal(2)
+        both = pooled(float(values.var(ddof=1)), 1.0, alike.of(NAME, 1.0))
+        s2, degrees = both or (float(values.var(ddof=1)), 1.0)
+        u, dof = degrees_of_mean([(1.0, None)] * 2, float(np.sqrt(s2)), 0.0, degrees=degrees)
+        inside.append(abs(values.mean()) <= coverage_factor(np.inf if dof is None else dof) * u)
+    assert np.mean(inside) == pytest.approx(0.9545, abs=0.02)
+
+
+def test_the_registry_knows_the_launches_of_a_type(tmp_path: Path) -> None:
+    """Superseded records, single launches and other types do not count."""
+
+    def added(serial: str, *values: float, model: str = "BCHE-501", day: int = 1) -> dict[str, object]:
+        whole = content(serial=serial, model=model, log=serial, launches=[{NAME: value} for value in values])
+        for parameter in whole["parameters"]:
+            parameter["run_to_run"] = float(np.std(values, ddof=1)) if parameter["name"] == NAME else 0.0
+        return whole | {"day": day}
+
+    wholes = [added("A", 1.0, 3.0), added("B", 2.0, 2.0, 5.0), added("C", 0.0, 9.0, model="other")]
+    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
+        for i, whole in enumerate(wholes):
+            add(registry, submission(json.dumps(whole), "file", Particulars(performed=utc(f"2024-01-0{i + 1}", ""))))
+        found = type_spread(registry, "BCHE-501")
+        with pytest.raises(InputError, match="expected calibrations of several launches in the registry, found none"):
+            type_spread(registry, "unheard of")
+    assert [(each.serial, each.degrees) for each in found.known] == [("A", 1), ("B", 2)]
+    assert found.known[0].variances[NAME] == pytest.approx((2.0, 1e-10))
+    assert found.known[1].logs == {digest("B-1"), digest("B-2"), digest("B-3")}
+    assert found.of(NAME, 1e-10) == pytest.approx(((2.0 + 2.0 * 3.0) / 3.0, 3.0))

@@ -1,0 +1,402 @@
+"""The printed report of launches, iterations and methods: the form of the paper's Tables 1 to 3."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.figure import Figure
+
+from tests.support.calibrated import calibration
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.further import decided_by_priors, group_lines, predicted, verdicts
+from tumble.calibration.launches import Run, difference_percent, mean_of_launches
+from tumble.calibration.results import Parameter
+from tumble.cli import main
+from tumble.estimation.estimate import GroupFinding, HyperparameterEstimate, Integral, Outcome, ProcessBias
+from tumble.estimation.prediction import Prediction
+from tumble.planning.setup import Setup
+from tumble.recording.session_file import read_session
+from tumble.simulation.session import simulate_session
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, rounded, two_digits
+from tumble.views.blocks import Block, Items, Table, Text
+from tumble.views.calibration import (
+    WHAT_AN_INCREMENT_SAYS,
+    calibration_blocks,
+    iteration_table,
+    launch_table,
+    method_table,
+)
+from tumble.views.numbers import quantity_table, shown_units
+from tumble.views.render.terminal import print_blocks, text_of
+
+REQUEST = Setup.of(rest=10.0, sample_rate=50.0)
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    base = tmp_path_factory.mktemp("launches")
+    return [simulate_session(base / f"launch{i}", REQUEST, seed=21, launch=i) for i in (1, 2)]
+
+
+@pytest.fixture(scope="module")
+def by_method(folders: list[Path]) -> dict[str, Calibration]:
+    sessions = [read_session(folder) for folder in folders]
+    return {
+        method: mean_of_launches([Run(session=s, calibration=calibrate(s, method=method)) for s in sessions])
+        for method in ("scalar", "sequential")
+    }
+
+
+def printed(blocks: Sequence[Block]) -> str:
+    return text_of(blocks, 160)
+
+
+def numbers(shown: Table) -> dict[str, list[float]]:
+    """The numbers of each row of a table, by its first cell; the last one is the unit."""
+    return {row[0]: [float(cell) for cell in row[1:-1]] for row in shown.rows}
+
+
+def test_each_launch_its_mean_and_the_deviation_from_run_to_run_are_in_a_row(by_method: dict[str, Calibration]) -> None:
+    found = by_method["scalar"]
+    units = shown_units(found.parameters)
+    rows = numbers(launch_table(found, found.parameters))
+    assert list(rows) == [p.name for p in found.parameters]
+    for i, p in enumerate(found.parameters):
+        size = units[p.name][0]
+        values = [launch.parameters[i].value / size for launch in found.launches]
+        last = 0.06 * max((launch.parameters[i].u or 0.0) for launch in found.launches) / size
+        expected = [*values, float(np.mean(values)), float(np.std(values, ddof=1))]
+        np.testing.assert_allclose(np.array(rows[p.name]), np.array(expected), atol=last)
+
+
+def test_the_increments_add_up_to_the_result(by_method: dict[str, Calibration]) -> None:
+    for found in by_method.values():
+        units = shown_units(found.parameters)
+        for name, row in numbers(iteration_table(found, found.parameters)).items():
+            first, second, _ = row
+            assert first + second == pytest.approx(found[name].value / units[name][0], abs=0.006 * abs(first))
+
+
+def test_the_statement_on_increments_is_beside_them_and_only_there(by_method: dict[str, Calibration]) -> None:
+    said = " ".join(printed(calibration_blocks(by_method["sequential"])).split())
+    assert WHAT_AN_INCREMENT_SAYS in said
+    assert said.index("mean increment of") < said.index(WHAT_AN_INCREMENT_SAYS)
+    staged = printed(calibration_blocks(replace(by_method["scalar"], method="staged")))
+    assert "increment" not in staged
+
+
+def test_the_methods_differ_by_what_is_printed(by_method: dict[str, Calibration]) -> None:
+    """In the parameter's unit, and in % of the first method's value."""
+    scalar, sequential = by_method["scalar"], by_method["sequential"]
+    rows = numbers(method_table(scalar, sequential, scalar.parameters))
+    assert len(rows) == 21
+    for name, (_, _, difference, percent) in rows.items():
+        a, b = scalar[name].value, sequential[name].value
+        last = 0.006 * (scalar[name].u or 0.0)
+        assert difference * shown_units(scalar.parameters)[name][0] == pytest.approx(b - a, rel=1e-12, abs=last)
+        assert percent == pytest.approx(100.0 * (b - a) / a, abs=0.006)
+
+
+def test_the_difference_in_percent_is_that_of_table_1() -> None:
+    """Sequential less scalar method, both iterations, of k_y, k_z and γ_zx: published 11.46, −10.47 and 5.28 % (from
+    values with more digits than those of the table)."""
+    sequential = np.array([-21.3 + 0.085, -11.7 - 0.19, 14.71 - 0.18])
+    scalar = np.array([-19.0 - 0.0038, -13.4 + 0.0537, 13.80 + 0.008])
+    np.testing.assert_allclose(difference_percent(sequential, scalar), [11.46, -10.47, 5.28], atol=0.6)
+
+
+def test_deviations_from_the_systematic_values_stand_beside_the_totals(
+    by_method: dict[str, Calibration], folders: list[Path], tmp_path: Path
+) -> None:
+    passport = tmp_path / "passport.json"
+    by_method["scalar"].write(passport)
+    sessions = [read_session(folder) for folder in folders]
+    sessions = [replace(s, device=replace(s.device, systematic=passport)) for s in sessions]
+    mean = mean_of_launches([Run(session=s, calibration=calibrate(s, method="scalar")) for s in sessions])
+    rows = numbers(launch_table(mean, mean.parameters, deviations=True))
+    for p in mean.parameters:
+        size = shown_units(mean.parameters)[p.name][0]
+        deviations = [next(q for q in launch.parameters if q.name == p.name).deviation for launch in mean.launches]
+        expected = [d / size for d in deviations if d is not None]
+        assert len(expected) == 2
+        np.testing.assert_allclose(rows[p.name][:2], expected, atol=0.1 * (p.u or 0.0) / size)
+    assert printed(calibration_blocks(replace(mean, notes=()))).count("launch1") == 2
+    assert "deviation of" in printed(calibration_blocks(mean))
+
+
+def test_several_methods_are_compared_and_the_first_is_written(folders: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "both.json"
+    arguments = ["calibrate", str(folders[0]), "--method", "scalar", "--method", "sequential", "--out", str(out)]
+    done = CliRunner().invoke(main, arguments)
+    assert done.exit_code == 0, done.stderr
+    assert '"method": "scalar"' in out.read_text(encoding="utf-8")
+    assert "scalar  sequential  difference" in done.stdout
+    once = CliRunner().invoke(main, [*arguments[:-4], "--out", str(tmp_path / "one.json")])
+    assert "difference" not in once.stdout
+
+
+# -------------------- beyond the linear model --------------------
+
+MICRO_G = 1e-6 * G_STANDARD
+QUADRATIC = MICRO_G / G_STANDARD**2
+
+
+def parameter(name: str, value: float, u: float, unit: str, **more: float) -> Parameter:
+    return Parameter(name=name, value=value, u=u, unit=unit, **more)
+
+
+@pytest.fixture
+def full(by_method: dict[str, Calibration]) -> Calibration:
+    """A calibration with three further groups: one learned in part with a widened prior, one well, one not at all."""
+    whole = by_method["scalar"]
+    further = (
+        parameter("accel.quadratic.x", 42 * QUADRATIC, 9 * QUADRATIC, "s^2/m", prior=90 * QUADRATIC, learned=0.99),
+        parameter("accel.quadratic.y", -61 * QUADRATIC, 88 * QUADRATIC, "s^2/m", prior=90 * QUADRATIC, learned=0.04),
+        parameter("accel.delay", 2e-3, 5e-5, "s", prior=5e-3, learned=0.9999, dof=6.0),
+        parameter("gyro.bias.x.drift", 3 * DEGREE_PER_HOUR / 3600, 1e-9, "rad/s/s", prior=1e-8, learned=0.5),
+    )
+    groups = (
+        GroupFinding(name="accel.quadratic", kept=True, prior=90 * QUADRATIC, widened=3.0, learned=(0.99, 0.04)),
+        GroupFinding(name="accel.delay", kept=True, prior=5e-3, widened=1.0, learned=(0.9999,)),
+        GroupFinding(name="gyro.bias.drift", kept=True, prior=1e-8, widened=1.0, learned=(0.5,)),
+        GroupFinding(name="gyro.asymmetry", kept=False, prior=1e-5, widened=1.0, learned=(0.0, 0.0, 0.0)),
+    )
+    biases = tuple(replace(p, u=10 * MICRO_G) if p.name.startswith("accel.bias") else p for p in whole.parameters)
+    prediction = Prediction(force_u=1.7 * MICRO_G, rate_u=0.4 * DEGREE_PER_HOUR, at_rate=23.0 * DEGREE)
+    return replace(
+        whole,
+        parameters=biases + further,
+        covariance=None,
+        launches=(),
+        iterations=(),
+        groups=groups,
+        prediction=prediction,
+    )
+
+
+def lines_of(blocks: Sequence[Block], width: int | None = None) -> list[str]:
+    return text_of(blocks, width).splitlines()
+
+
+def test_a_line_for_each_further_group(full: Calibration) -> None:
+    lines = lines_of(calibration_blocks(full))
+    (said_in_one,) = (line for line in lines if line.startswith("groups"))
+    assert "accel.quadratic 4–99 % (prior widened 3×), accel.delay 100 %, " in said_in_one
+    assert "gyro.asymmetry not determined" in said_in_one
+    assert not {p.name for p in full.parameters[21:]} & {line.split()[0] for line in lines if line}
+    table = next(line for line in lines_of(calibration_blocks(full, every=True), 100) if line.startswith("group "))
+    whole = lines_of(calibration_blocks(full, every=True), 100)
+    said = {line.split()[0]: line.split() for line in whole[whole.index(table) :] if line.strip()}
+    assert said["accel.quadratic"][1:] == ["61", "88", "µg/g²", "4–99", "%", "prior", "widened", "3×"]
+    assert said["accel.delay"][1:] == ["2.000", "0.050", "ms", "100", "%"]
+    assert said["gyro.bias.drift"][1:3] == ["3.00", "0.74"]
+    assert said["gyro.bias.drift"][3] == "°/h/h"
+    assert said["gyro.asymmetry"][1:] == ["not", "determined"]
+    assert [line.name for line in group_lines(full)] == [group.name for group in full.groups]
+
+
+def test_all_of_them_with_all(full: Calibration) -> None:
+    lines = [line.split() for line in lines_of(calibration_blocks(full, every=True), 100) if line.strip()]
+    said = {line[0]: line for line in reversed(lines)}  # the delay is a parameter, then a group
+    assert {p.name for p in full.parameters} < set(said)
+    assert said["accel.quadratic.x"][1:3] == ["42.0", "9.0"]
+    factor, expanded = map(float, said["accel.delay"][3:5])
+    assert factor == pytest.approx(full["accel.delay"].k, abs=0.006)
+    assert expanded == pytest.approx(factor * 0.05, abs=0.006)
+
+
+def test_the_tables_fit_a_terminal_of_100_columns(full: Calibration) -> None:
+    truth = {p.name: p.value for p in full.parameters}
+    for every in (False, True):
+        report = calibration_blocks(full, truth, every=every)
+        rows = [line for line in lines_of(report, 100) if line.split()[:1] and line.split()[0] in truth]
+        shown = [line for line in rows if line.endswith("+0.00")]
+        assert len(shown) == (25 if every else 21)
+        assert len(rows) == len(shown) + every  # and the group accel.delay
+        assert max(map(len, lines_of(report, 100))) <= 100
+    assert any("truth: 25 parameters" in line for line in lines_of(report))
+
+
+@pytest.mark.parametrize("width", [20, 60])
+def test_no_number_is_cut_on_a_narrow_terminal(full: Calibration, width: int) -> None:
+    narrow = printed_at(full, width)
+    whole = {word for word in printed_at(full, 100).split() if is_number(word)}
+    assert "…" not in narrow
+    assert whole <= set(narrow.split())
+
+
+def printed_at(calibration: Calibration, width: int) -> str:
+    return text_of(calibration_blocks(calibration, every=True), width)
+
+
+def test_rows_of_tables_below_each_other_keep_all_that_names_them() -> None:
+    columns = ("method", "pass", "parameters", "estimator")
+    listed = (("staged", "1", "accelerometers", "lengths"), ("staged", "2", "gyros", "turns"))
+    shown = text_of([Table(columns=columns, rows=listed, text=(0, 1, 2, 3), named_by=2)], 30)
+    rows = [line.split() for line in shown.splitlines() if line.startswith("staged")]
+    expected = ("1 accelerometers", "2 gyros", "1 lengths", "2 turns")
+    assert rows == [["staged", *words.split()] for words in expected]
+
+
+def is_number(word: str) -> bool:
+    return re.fullmatch(r"-?\d+\.\d+", word) is not None
+
+
+def test_a_value_that_rounds_to_zero_has_no_sign() -> None:
+    assert rounded(-0.004, 0.12) == ("0.00", "0.12")
+    assert rounded(-3.0, 120.0) == ("0", "120")
+    assert [two_digits(value) for value in (2.98, 0.05, 78.0, 996.0)] == ["3.0", "0.050", "78", "1000"]
+
+
+def test_what_corrected_readings_are_known_to_is_said(full: Calibration) -> None:
+    said = "corrected specific force at 1 g: u 1.7 µg; corrected rate at 23 °/s: u 0.40 °/h"
+    assert said in lines_of(calibration_blocks(full))
+    assert full.prediction is not None
+    assert predicted(replace(full.prediction, rate_u=None, at_rate=None)) == said.partition(";")[0]
+
+
+def test_a_prior_that_decides_u_is_named_with_the_rests_that_would_settle_it(full: Calibration) -> None:
+    decided = decided_by_priors(full)
+    assert decided is not None
+    assert "quadratic nonlinearity" in decided
+    assert "5.9 times" in decided
+    assert "oblique" in decided
+    assert full.prediction is not None
+    assert decided_by_priors(replace(full, prediction=replace(full.prediction, force_u=6 * MICRO_G))) is None
+    learned = tuple(replace(group, learned=(0.9, 0.9)) for group in full.groups)
+    assert decided_by_priors(replace(full, groups=learned)) is None
+
+
+def test_verdicts_of_accelerometers_and_gyros_stand_apart_where_they_differ(full: Calibration) -> None:
+    remark = "gyro turns: the residuals are 4 times the noise; hysteresis fits best"
+    scattered = replace(full, outcome=Outcome(remarks=(remark,), of_gyro=(remark,)))
+    assert verdicts(full) == ("accepted",)
+    assert verdicts(replace(full, outcome=Outcome(reasons=("too few rests",)))) == ("not accepted",)
+    lines = lines_of(calibration_blocks(scattered))
+    verdict = ["accelerometers: accepted", "gyros: accepted with scatter", "accepted with scatter"]
+    assert lines[1:5] == [*verdict, f"remark: {remark}"]
+
+
+def test_a_calibration_shows_priors_and_what_was_learned(full: Calibration) -> None:
+    lines = {line.split()[0]: line.split() for line in full.table().splitlines()[1:] if line}
+    assert lines["parameter"][-4:] == ["k", "dof", "prior", "learned"]
+    assert lines["accel.delay"][-5:] == [f"{full['accel.delay'].k:.2f}", "6", "5", "100", "%"]
+    u, expanded = (float(lines["accel.delay"][column]) for column in (2, 3))
+    assert expanded == pytest.approx((full["accel.delay"].k or 0.0) * u, rel=0.05)
+    assert "<th>learned</th>" in full._repr_html_()
+    frame = full.to_polars()
+    assert frame["learned"].to_list()[-4:] == [0.99, 0.04, 0.9999, 0.5]
+    assert frame["k"].to_list() == [p.k for p in full.parameters]
+    axes = Figure().add_subplot()
+    full.plot(axes)
+    assert axes.get_title().endswith("25 parameters, accepted")
+    hollow = [line for line in axes.lines if line.get_markerfacecolor() == "none"]
+    assert sum(len(np.asarray(line.get_xdata())) for line in hollow) == 1
+
+
+def test_sentences_are_not_broken_in_a_pipe_and_tables_are(capsys: pytest.CaptureFixture[str]) -> None:
+    sentence = "remark: " + "a word and another " * 20 + "the end"
+    print_blocks(Text(text=sentence), Table(columns=("parameter", "said"), rows=(("x", "words " * 100),), text=(0, 1)))
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:2] == [sentence, ""]
+    assert len(lines) > 4
+    assert max(map(len, lines[1:])) <= 160
+
+
+# -------------------- blocks of any result --------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Hyperparameter:
+    """What an inference says of what its model does not know about itself."""
+
+    name: str
+    value: float
+    u: float | None
+    unit: str
+    words: str
+
+
+def test_anything_with_a_name_a_value_and_a_unit_is_shown_by_one_table() -> None:
+    quantities = [
+        Hyperparameter(
+            name="scatter.accel", value=44e-6 * G_STANDARD, u=6e-6 * G_STANDARD, unit="m/s^2", words="rests"
+        ),
+        Hyperparameter(name="scatter.turns", value=6e-4, u=None, unit="rad", words="turns"),
+        Hyperparameter(name="lag", value=12.3, u=2.0, unit="s", words="of the thermometer"),
+    ]
+    shown = quantity_table(quantities, after=lambda q, _: {"what it is": q.words})
+    assert shown.columns == ("parameter", "value", "u (k=1)", "unit", "what it is")
+    assert shown.rows == (
+        ("scatter.accel", "44.0", "6.0", "µg", "rests"),
+        ("scatter.turns", "0.6", "", "mrad", "turns"),
+        ("lag", "12.3", "2.0", "s", "of the thermometer"),
+    )
+    assert shown.text == (0, 3, 4)
+    assert quantity_table([]).columns == ("parameter", "value", "u (k=1)", "unit")
+
+
+def test_the_verdict_is_first_and_the_length_does_not_grow_with_the_rests(
+    full: Calibration, by_method: dict[str, Calibration]
+) -> None:
+    rests = by_method["scalar"].launches[0].rests
+    lines, longer = (lines_of(calibration_blocks(replace(full, rests=rests * times))) for times in (1, 3))
+    assert lines[0].startswith("device ")
+    assert lines[1] == full.outcome.verdict
+    assert sum(line.startswith(("accel.", "gyro.")) for line in lines) == 21
+    assert len(longer) == len(lines)
+    whole, more = (lines_of(calibration_blocks(replace(full, rests=rests * n), every=True)) for n in (1, 3))
+    assert len(more) - len(whole) == 2 * len(rests)
+
+
+@pytest.mark.parametrize("width", [20, 40, 80])
+@given(data=st.data())
+def test_a_table_keeps_every_number_and_the_width(width: int, data: st.DataObject) -> None:
+    """Words may be broken into lines, numbers never; nothing is lost."""
+    word = st.lists(st.text("abcdefgh", min_size=1, max_size=7), max_size=5).map(" ".join)
+    number = st.integers(-99999, 99999).map(str)
+    rows = data.draw(st.lists(st.tuples(word, number, word, number), min_size=1, max_size=4))
+    shown = text_of([Table(columns=("name", "first", "said", "last"), rows=tuple(rows), text=(0, 2))], width)
+    assert {row[i] for row in rows for i in (1, 3)} <= set(shown.split())
+    assert max(map(len, shown.splitlines())) <= width
+    for _, _, said, _ in rows:
+        assert set(said.split()) <= set(shown.split())
+
+
+def test_lines_of_a_file_stay_lines_on_a_terminal() -> None:
+    text = '[incoming]\n"accel.bias" = "5 mg"\n\n[periodic]'
+    assert text_of([Items(items=(text,))], 40) == text_of([Items(items=(text,))]) == f"{text}\n"
+
+
+def test_all_shows_what_the_model_did_not_know_about_itself() -> None:
+    """A scatter in its engineering unit, a size without one, the integral, and u of the bias met next."""
+    made = calibration()
+    bias = made["accel.bias.x"]
+    size = HyperparameterEstimate(name="lever", unit="1", words="size", value=1.5, low=1.0, high=2.25, usual=1.0)
+    scatter = HyperparameterEstimate(
+        name="accel", unit="m/s^2", words="rests", value=20e-6 * G_STANDARD, low=0.0, high=0.0, usual=0.0
+    )
+    known = replace(
+        made,
+        hyperparameters=(scatter, size),
+        integral=Integral(points=64, effective=44.0, pareto=-0.22),
+        process_bias=(ProcessBias(name=bias.name, value=bias.value, u=1.0, next_u=2.0 * G_STANDARD),),
+    )
+    shown = text_of(calibration_blocks(known, every=True))
+    rows = {cells[0]: cells for cells in map(str.split, shown.splitlines()) if cells}
+    assert rows["accel"][2] == "20"
+    assert rows["accel"][-1] == "µg"
+    assert rows["lever"][2:] == ["1.5", "1", "2.25", "1"]
+    assert "at 64 points, effectively 44" in shown
+    assert "u the next minute" in shown
+    assert "68 % from" not in text_of(calibration_blocks(known))
+    assert "68 % from" not in text_of(calibration_blocks(made, every=True))

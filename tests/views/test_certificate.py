@@ -1,0 +1,477 @@
+"""Certificates as documents, the dates of recordings, and the picture of a recording."""
+
+from __future__ import annotations
+
+import base64
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from datetime import date, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from click.testing import CliRunner
+
+from tests.support.calibrated import calibration
+from tests.views.test_report import Page, opened, pdf_text
+from tumble.acceptance.certificate import Party, read_certificate
+from tumble.acceptance.conformity import judge_value
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import read_calibration
+from tumble.calibration.coverage import expanded
+from tumble.calibration.further import left_by_matrix, left_said
+from tumble.calibration.observed import inspect_session
+from tumble.calibration.results import Launch, Parameter
+from tumble.cli import main
+from tumble.errors import InputError
+from tumble.estimation.estimate import Outcome
+from tumble.export import export_calibration
+from tumble.planning.setup import Setup
+from tumble.recording.circumstances import AirConditions, Circumstances
+from tumble.recording.session_file import session_of
+from tumble.registry.submission import Particulars, read_submission
+from tumble.simulation.session import simulate_session
+from tumble.views.report.certified import letterhead
+from tumble.views.report.write import write_report
+
+LOGO = '<svg xmlns="http://www.w3.org/2000/svg" width="9" height="9"><rect width="9" height="9"/></svg>'
+LABORATORY = """
+[laboratory]
+name = "Inertial laboratory"
+code = "D-K-00000"
+city = "Braunschweig"
+country = "DE"
+logo = "logo.svg"
+
+[[person]]
+name = "N. N."
+role = "head of the laboratory"
+"""
+CERTIFICATE = """
+number = "2026-0042"
+country = "DE"
+laboratory = "lab/laboratory.toml"
+received = 2025-03-01
+issued = 2025-03-07
+state = "as-left"
+as_found = "before.json"
+procedure = "IMU-7"
+limits = "limits.toml"
+agreed = "order 4711"
+traceability = ["gravity: point 1234"]
+
+[customer]
+name = "A customer"
+city = "Perm"
+country = "RU"
+"""
+RECORDED = Circumstances(
+    date="2025-03-04T09:30:00",
+    operator="O. O.",
+    air=AirConditions(temperature=22.5, temperature_u=0.5, humidity=40.0, pressure=1008.0),
+    equipment=("turntable T-12, no. 7",),
+)
+
+
+def files(folder: Path, *, at: float = 0.5, certificate: str = CERTIFICATE) -> Path:
+    """A calibration with a limit that is `at` times U above its first value, and what its certificate is made of."""
+    made = replace(calibration(), circumstances=RECORDED)
+    made.write(folder / "c.json")
+    first = made.parameters[0]
+    before = replace(
+        made,
+        parameters=(replace(first, value=first.value + 0.01), *made.parameters[1:]),
+        circumstances=replace(RECORDED, date="2025-03-02"),
+        provenance={**made.provenance, "log_sha256": "b" * 64},
+    )
+    before.write(folder / "before.json")
+    U = expanded(first)
+    assert U is not None
+    limit = f'"{first.name}" = {{ max = "{first.value + at * U!r} m/s^2" }}'
+    (folder / "limits.toml").write_text(f"format = 1\n[periodic]\n{limit}\n", "utf-8")
+    (folder / "lab").mkdir()
+    (folder / "lab" / "laboratory.toml").write_text(LABORATORY, "utf-8")
+    (folder / "lab" / "logo.svg").write_text(LOGO, "utf-8")
+    (folder / "certificate.toml").write_text(certificate, "utf-8")
+    return folder / "c.json"
+
+
+def certificate(folder: Path, ending: str, **how: Any) -> Path:
+    out = folder / f"c.{ending}"
+    write_report(files(folder, **how), out, certificate=folder / "certificate.toml")
+    return out
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the certificate as HTML and as PDF."""
+    folder = tmp_path_factory.mktemp("certificate")
+    file = files(folder)
+    for ending in ("html", "pdf"):
+        write_report(file, folder / f"c.{ending}", certificate=folder / "certificate.toml")
+    return folder
+
+
+@pytest.mark.parametrize("ending", ["html", "pdf"])
+def test_a_certificate_says_what_it_is_asked_for(made: Path, ending: str) -> None:
+    out = made / f"c.{ending}"
+    said = Page.of(out).whole if ending == "html" else pdf_text(out)
+    for wanted in (
+        "Calibration certificate",
+        "Inertial laboratory",
+        "accreditation D-K-00000",
+        "A customer, Perm, RU",
+        "2026-0042",
+        "2025-03-04",
+        "2025-03-01",
+        "as left: calibrated after adjustment",
+        "22.5 °C, U = 1 °C (k = 2)",
+        "40 %",
+        "1008 hPa",
+        "O. O.",
+        "turntable T-12, no. 7",
+        "Traceability: gravity: point 1234.",
+        "Agreed beforehand: order 4711.",
+        "ILAC-G8:09/2019",
+        "conditional pass",
+        "relates only to the item",
+        "head of the laboratory",
+        "End of the certificate 2026-0042",
+    ):
+        assert wanted in said, wanted
+
+
+def test_the_number_is_on_every_page_and_the_first_one_is_the_customers(made: Path) -> None:
+    with opened(made / "c.pdf") as document:
+        pages = [" ".join(page.get_text().split()) for page in document]
+    assert len(pages) > 1
+    for i, text in enumerate(pages, 1):
+        assert "Calibration certificate 2026-0042" in text
+        assert f"page {i} of {len(pages)}" in text
+    assert "N. N. head of the laboratory" in pages[0]
+    assert pages[1].startswith("Annexes")
+    assert sum("End of the certificate" in text for text in pages) == 1
+    assert "End of the certificate" in pages[-1]
+
+
+def test_the_values_as_found_stand_beside_those_as_left(made: Path) -> None:
+    page = Page.of(made / "c.html")
+    rows = page.table("parameter", "value", "as found", "verdict")
+    left, found = (float(rows[0][column].replace("−", "-")) for column in ("value", "as found"))
+    assert found - left == pytest.approx(0.01 / 9.80665e-3, rel=0.01)  # mg
+    assert rows[1]["as found"] == rows[1]["value"]
+    assert (rows[0]["verdict"], rows[1]["verdict"]) == ("conditional pass", "—")
+
+
+@pytest.mark.parametrize(
+    ("at", "outcome", "tone"),
+    [
+        (0.5, "conditional pass", "doubt"),
+        (-0.5, "conditional fail", "bad"),
+    ],
+)
+def test_the_badge_is_one_of_the_four_outcomes(tmp_path: Path, at: float, outcome: str, tone: str) -> None:
+    text = certificate(tmp_path, "html", at=at).read_text("utf-8")
+    assert re.findall(r'<p class="verdict (\w+)">([^<]+)</p>', text) == [(tone, outcome)]
+
+
+def test_outcomes_without_a_value_or_u_are_undecided() -> None:
+    def judged(value: float, expanded: float | None, low: float = -1.0) -> str:
+        u = None if expanded is None else 0.5 * expanded
+        return judge_value(value, u, low, 1.0)
+
+    assert [judged(v, 0.2) for v in (0.0, 0.9, 1.1, 1.3)] == ["pass", "conditional pass", "conditional fail", "fail"]
+    assert [judged(0.0, None), judged(0.0, 0.2, np.nan)] == ["undecided"] * 2
+
+
+def test_the_logo_is_in_the_page_and_the_page_loads_nothing(made: Path) -> None:
+    page = Page.of(made / "c.html")
+    (source,) = [attributes["src"] for tag, attributes in page.elements if tag == "img"]
+    assert source == "data:image/svg+xml;base64," + base64.b64encode(LOGO.encode()).decode()
+
+
+def test_a_number_cannot_leave_its_place_in_the_style_of_the_page(tmp_path: Path) -> None:
+    acting = CERTIFICATE.replace("2026-0042", "2026 }</style><script>alert(1)</script>")
+    page = Page.of(certificate(tmp_path, "html", certificate=acting))
+    assert not [tag for tag, _ in page.elements if tag == "script"]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("lab/laboratory.toml", "lab/none.toml"), "none.toml: expected a TOML file"),
+        (('number = "2026-0042"', ""), "number: expected this key, found none; see docs/howto/certificate.md"),
+        (('"limits.toml"', '"none.toml"'), "none.toml: cannot be read"),
+        (('"before.json"', '"none.json"'), "none.json: cannot be read"),
+        (
+            ("received = 2025-03-01", "received = 2025-03-05"),
+            "begin: expected a day not before received, 2025-03-05, f",
+        ),
+        (("issued = 2025-03-07", "issued = 2025-03-03"), "issued: expected a day not before end, 2025-03-04, found"),
+        (('state = "as', 'begin = 2025-03-05\nstate = "as'), "end: expected a day not before begin, 2025-03-05, found"),
+        (
+            ('state = "as', 'begin = 2025-03-05\nend = 2025-03-06\nstate = "as'),
+            "begin, end: expected days that hold every recording, found 2025-03-05 to 2025-03-06 and a record",
+        ),
+        (('procedure = "IMU-7"\n', ""), "procedure: expected this key under an accreditation number (laboratory.code)"),
+        (('traceability = ["gravity: point 1234"]\n', ""), "found none of traceability"),
+        (("issued = 2025-03-07\n", ""), "found none of issued"),
+        (('agreed = "order 4711"\n', ""), "found none of agreed"),
+        (
+            ("before.json", "c.json"),
+            "as_found: expected a calibration from before the adjustment, found one of the same",
+        ),
+        (
+            ('state = "as', 'replaces = "2026-0042"\nstate = "as'),
+            "replaces: expected the number of another certificate",
+        ),
+        (('state = "as', 'check = "incoming"\nstate = "as'), "check: expected 'periodic', whose limits"),
+    ],
+)
+def test_what_a_certificate_lacks_is_said_in_one_line(tmp_path: Path, change: tuple[str, str], said: str) -> None:
+    with pytest.raises(InputError, match=re.escape(said)) as refused:
+        certificate(tmp_path, "html", certificate=CERTIFICATE.replace(*change))
+    assert "\n" not in str(refused.value)
+
+
+def test_nothing_is_written_of_a_certificate_that_does_not_hold(tmp_path: Path) -> None:
+    faulty = CERTIFICATE.replace("issued = 2025-03-07", "issued = 2025-03-03")
+    with pytest.raises(InputError, match="issued: expected a day not before end"):
+        certificate(tmp_path, "pdf", certificate=faulty)
+    assert not (tmp_path / "c.pdf").exists()
+    with pytest.raises(InputError, match="issued: expected a day not before end"):
+        export_calibration(
+            read_calibration(tmp_path / "c.json"), "dcc", certificate=read_certificate(tmp_path / "certificate.toml")
+        )
+
+
+def test_an_adjustment_lies_between_as_found_and_as_left(tmp_path: Path) -> None:
+    path = files(tmp_path)
+    later = replace(read_calibration(tmp_path / "before.json"), circumstances=Circumstances(date="2025-03-06"))
+    later.write(tmp_path / "before.json", force=True)
+    with pytest.raises(InputError, match="as_found: expected a recording from before that of the result"):
+        write_report(path, tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
+
+
+def test_a_statement_of_conformity_is_about_one_check(tmp_path: Path) -> None:
+    path = files(tmp_path)
+    limits = (tmp_path / "limits.toml").read_text("utf-8")
+    (tmp_path / "limits.toml").write_text(limits + '[incoming]\n"accel.bias" = "9 g"\n', "utf-8")
+    with pytest.raises(InputError, match=r"check: expected 'incoming' or 'periodic', for .* has limits of both"):
+        write_report(path, tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
+    (tmp_path / "certificate.toml").write_text(CERTIFICATE.replace("agreed", 'check = "incoming"\nagreed'), "utf-8")
+    assert write_report(path, tmp_path / "r.html", certificate=tmp_path / "certificate.toml") == []
+    page = Page.of(tmp_path / "r.html")
+    rows = page.table("parameter", "lowest", "highest", "verdict", "k", "ν")
+    assert (rows[0]["lowest"], rows[0]["highest"], rows[0]["verdict"], rows[0]["ν"]) == ("−9000", "9000", "pass", "∞")
+    assert "periodic" not in page.whole
+
+
+def test_every_recording_is_dated_on_the_first_page(tmp_path: Path) -> None:
+    path = files(tmp_path, certificate=CERTIFICATE.replace("issued = 2025-03-07", "issued = 2025-03-09"))
+    made = read_calibration(path)
+    launches = tuple(
+        Launch(
+            session=f"run-{day}",
+            parameters=made.parameters,
+            covariance=made.covariance,
+            log_sha256=str(day) * 64,
+            circumstances=replace(RECORDED, date=f"2025-03-0{day}T09:30:00"),
+        )
+        for day in (3, 4, 5)
+    )
+    replace(made, launches=launches, circumstances=replace(RECORDED, date="2025-03-05T09:30:00")).write(
+        path, force=True
+    )
+    write_report(path, tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
+    said = Page.of(tmp_path / "r.html").whole
+    assert "recorded2025-03-03 09:30:00, 2025-03-04 09:30:00, 2025-03-05 09:30:00" in said
+    assert "calibrated2025-03-03 to 2025-03-05" in said
+    assert "It is of the mean of 3 power-ons; a single later one lies about the mean" in said
+
+
+REMARKS = (
+    "residuals larger than the noise; probable cause: the switch on was earlier; state gyro_cubic in [device.prior]",
+)
+
+
+def test_a_customer_reads_no_opinions_and_no_advice_and_signs_beside_the_result(tmp_path: Path) -> None:
+    many = ", ".join(f'"remark {i}: {"words " * 20}"'.replace(' "', '"') for i in range(9))
+    text = CERTIFICATE.replace("[customer]", f"remarks = [{many}]\n[customer]", 1)
+    path = files(tmp_path, certificate=text)
+    made = read_calibration(path)
+    outcome = Outcome(remarks=REMARKS, of_gyro=REMARKS)
+    notes = ("all turns have about 50 °/s: scale factors hold at this rate; state gyro_cubic in [device.prior]",)
+    replace(made, outcome=outcome, notes=notes).write(path, force=True)
+    for ending in ("html", "pdf"):
+        write_report(path, tmp_path / f"r.{ending}", certificate=tmp_path / "certificate.toml")
+    page = Page.of(tmp_path / "r.html").whole
+    assert "probable cause" not in page
+    assert "device.prior" not in page
+    assert "Accepted with scatter" in page
+    assert "scale factors hold at this rate" in page
+    with opened(tmp_path / "r.pdf") as document:
+        pages = [" ".join(each.get_text().split()) for each in document]
+    assert "head of the laboratory" in pages[0]
+    assert pages[1].startswith("Annexes")
+    write_report(path, tmp_path / "laboratory.html")  # a report for those who run the program has all of it
+    assert "probable cause" in Page.of(tmp_path / "laboratory.html").whole
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The certificate, as HTML and PDF, of a simulated MEMS device with all groups of parameters."""
+    folder = tmp_path_factory.mktemp("real")
+    session = simulate_session(folder / "session", Setup.of(grade="mems", positions=14), seed=3)
+    files(folder, certificate=CERTIFICATE.replace('state = "as-left"\nas_found = "before.json"\n', ""))
+    replace(calibrate(session), circumstances=RECORDED).write(folder / "real.json")
+    for ending in ("html", "pdf"):
+        write_report(folder / "real.json", folder / f"c.{ending}", certificate=folder / "certificate.toml")
+    return folder
+
+
+def test_a_certificate_of_all_groups_has_nine_pages_at_most_and_no_large_file(real: Path) -> None:
+    with opened(real / "c.pdf") as document:
+        pages = [" ".join(page.get_text().split()) for page in document]
+    assert len(pages) <= 9
+    assert all(len(text) > 300 for text in pages)  # no line that has spilt over
+    assert (real / "c.html").stat().st_size < 300_000
+    assert (real / "c.pdf").stat().st_size < 300_000
+
+
+def test_the_whole_correction_is_printed_and_its_test_vector_follows_from_what_is_printed(real: Path) -> None:
+    """The reading by the printed formula at the printed true values, written out here, is the printed reading."""
+    page = Page.of(real / "c.html")
+    table = page.table("parameter", "value, SI", "unit")
+    value = {row["parameter"]: printed(row["value, SI"]) for row in table}
+    matrices = [np.array(matrix) for matrix in page.matrices()]
+    (A, a0), (G, g0) = matrices[:2], matrices[5:7]
+    reading, f, turning, w = (matrix[:, 0] for matrix in matrices[10:])
+    accel, gyro = A @ f + a0[:, 0], G @ w + g0[:, 0]
+    for i, axis in enumerate("xyz"):
+        accel[i] += value[f"accel.quadratic.{axis}"] * f[i] ** 2 + value[f"accel.cubic.{axis}"] * f[i] ** 3
+        accel[i] += value[f"accel.asymmetry.{axis}"] * abs(f[i])
+        gyro[i] += value[f"gyro.asymmetry.{axis}"] * abs(w[i])
+        gyro[i] += sum(value[f"gyro.g_sensitivity.{axis}{by}"] * f[j] for j, by in enumerate("xyz"))
+    np.testing.assert_allclose(accel, reading, rtol=0.0, atol=2e-8)
+    np.testing.assert_allclose(gyro, turning, rtol=0.0, atol=2e-8)
+    assert not np.allclose(A @ f + a0[:, 0], reading, rtol=0.0, atol=1e-5)
+    left = left_by_matrix(read_calibration(real / "real.json"))
+    assert left is not None
+    assert left_said(left) in page.whole
+
+
+def printed(text: str) -> float:
+    """A number with a power of ten as a report writes it."""
+    mantissa, _, power = text.replace("−", "-").partition("·10")
+    return float(mantissa) * 10.0 ** int(power.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")) or "0")
+
+
+def test_what_matrix_and_bias_leave_is_the_size_of_what_they_have_not() -> None:
+    """One K₂ alone: K₂ f² of a reading at 1 g, in every axis."""
+    made = calibration()
+    more = Parameter(name="accel.quadratic.x", value=50e-6 / 9.80665, u=1e-7, unit="s^2/m")
+    bent = replace(made, parameters=(*made.parameters, more), covariance=None)
+    left = left_by_matrix(bent)
+    assert left is not None
+    assert left.force == pytest.approx(50e-6 * 9.80665, rel=0.02)
+    assert left.rate is None
+    assert left_by_matrix(made) is None
+
+
+def test_a_logo_that_is_none_and_another_device_as_found_are_refused(tmp_path: Path) -> None:
+    path = files(tmp_path)
+    (tmp_path / "lab" / "logo.svg").write_text("no picture", "utf-8")
+    with pytest.raises(InputError, match=r"logo\.svg: expected a picture in SVG, found another file"):
+        write_report(path, tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
+    (tmp_path / "lab" / "logo.svg").write_text(LOGO, "utf-8")
+    replace(read_calibration(path), serial="B").write(tmp_path / "before.json", force=True)
+    with pytest.raises(InputError, match="as_found: expected a calibration of device 'A-0007' in the frame"):
+        write_report(path, tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
+
+
+def test_a_certificate_is_of_one_calibration_with_a_date(tmp_path: Path) -> None:
+    path = files(tmp_path)
+    with pytest.raises(InputError, match="certificate: expected one calibration, found 2"):
+        write_report([path, tmp_path / "before.json"], tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
+    replace(read_calibration(path), circumstances=Circumstances()).write(tmp_path / "undated.json")
+    with pytest.raises(InputError, match="expected the day of the calibration, found none"):
+        write_report(tmp_path / "undated.json", tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
+
+
+# -------------------- dates --------------------
+
+
+def described(times: Any, **log: Any) -> Circumstances:
+    data = {"t": times, "ax": np.zeros(300), "ay": np.zeros(300), "az": np.full(300, 9.81)}
+    accel = {"columns": ["ax", "ay", "az"], "unit": "m/s^2"}
+    content: Mapping[str, Any] = {"format": 1, "device": {"serial": "A"}, "log": {"time": "t", "accel": accel, **log}}
+    return inspect_session(session_of(content, data)).circumstances
+
+
+def test_the_date_is_that_of_the_log_where_its_times_are_absolute() -> None:
+    steps = np.arange(300) / 100.0
+    assert described(steps).date is None
+    assert described(1_750_000_000.0 + steps).date == "2025-06-15T15:06:40+00:00"
+    assert described(1e9 * (1_750_000_000.0 + steps), time_unit="ns").day == date(2025, 6, 15)
+    begin = datetime(2024, 2, 29, 8)
+    moments = pl.Series("t", [begin + timedelta(seconds=step) for step in steps.tolist()])
+    assert described(moments, time_unit="iso8601").date == "2024-02-29T08:00:00"
+
+
+def test_a_session_states_its_circumstances_and_the_file_keeps_them(tmp_path: Path) -> None:
+    path = files(tmp_path)
+    assert read_calibration(path).circumstances == RECORDED
+    assert read_submission(path, Particulars()).performed.date() == date(2025, 3, 4)
+
+
+# -------------------- the picture of a recording --------------------
+
+
+def test_inspect_draws_the_recording(tmp_path: Path) -> None:
+    simulate_session(tmp_path / "s", Setup.of(grade="mems", positions=3, rest=3.0), seed=1)
+    run = CliRunner().invoke(main, ["inspect", str(tmp_path / "s"), "--plot", str(tmp_path / "r.svg")])
+    assert run.exit_code == 0, run.output
+    first = (tmp_path / "r.svg").read_bytes()
+    assert first.startswith(b"<?xml")
+    assert f"written to {tmp_path / 'r.svg'}" in run.stderr
+    CliRunner().invoke(main, ["inspect", str(tmp_path / "s"), "--plot", str(tmp_path / "r.svg")])
+    assert (tmp_path / "r.svg").read_bytes() == first
+    refused = CliRunner().invoke(main, ["inspect", str(tmp_path / "s"), "--plot", str(tmp_path / "r.txt")])
+    assert refused.exit_code == 2
+    assert "expected a file that ends in .svg, .png or .pdf, found '.txt'" in refused.stderr
+
+
+@pytest.mark.parametrize(("old", "key"), [('name = "', "name"), ('number = "', "number"), ('city = "', "city")])
+def test_a_control_character_in_a_certificate_is_refused(old: str, key: str, tmp_path: Path) -> None:
+    """XML has no place for it."""
+    path = tmp_path / "certificate.toml"
+    path.write_text(CERTIFICATE_TEXT.replace(old, f"{old}\\u0000", 1), encoding="utf-8")
+    with pytest.raises(InputError, match=rf"{key}: expected no control characters, found '\\x00"):
+        read_certificate(path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names")
+def test_a_logo_that_is_no_file_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "logo.png")
+    with pytest.raises(InputError, match="expected a file, found a device or a pipe"):
+        letterhead(Party(name="L", city="B", country="DE", logo=str(tmp_path / "logo.png")))
+
+
+CERTIFICATE_TEXT = """number = "1"
+country = "DE"
+[laboratory]
+name = "Laboratory"
+country = "DE"
+city = "Bonn"
+[customer]
+name = "Customer"
+city = "Bonn"
+country = "DE"
+[[person]]
+name = "A. Person"
+"""

@@ -1,0 +1,944 @@
+"""Reports: what stands in them is what the calibration file says, and nothing in them acts, loads or is missing.
+
+HTML is read back with the parser of the standard library, PDF with MuPDF, and the page is opened in a real browser.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+import math
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pymupdf
+import pytest
+from click.testing import CliRunner, Result
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.figure import Figure
+
+from tests.support.calibrated import HEXAD
+from tests.support.calibrated import calibration as exact
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import read_calibration
+from tumble.calibration.further import described, predicted
+from tumble.calibration.results import coverage_factor
+from tumble.cli import main
+from tumble.errors import MissingExtraError
+from tumble.estimation.prediction import Prediction
+from tumble.planning.setup import Setup
+from tumble.sensors.model import SensorModel
+from tumble.sensors.parameters import FURTHER
+from tumble.simulation.session import simulate_session
+from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD
+from tumble.views.blocks import Table
+from tumble.views.numbers import fixed, significant
+from tumble.views.render.characters import drawable, visible
+from tumble.views.render.page import page as to_page
+from tumble.views.render.pdf import pdf as to_pdf
+from tumble.views.render.pictures import drawn
+from tumble.views.report.compare import compared
+from tumble.views.report.document import Source, document
+from tumble.views.report.drawings import farthest_from, lean_factor
+from tumble.views.report.write import write_report
+
+SHORT = Setup.of(grade="tactical", rest=10.0, rate_deg_s=45.0, sample_rate=50.0)
+SIZES = {
+    "µg": 1e-6 * G_STANDARD,
+    "mg": 1e-3 * G_STANDARD,
+    "ppm": 1e-6,
+    '"': ARCSEC,
+    "mrad": 1e-3,
+    "°/h": DEGREE_PER_HOUR,
+    "°/s": DEGREE,
+} | {name: size for group in FURTHER for size, name in group.shown}
+SCRIPT = "<script>alert(1)</script>"
+MARKUP = '#panic("x") $x^2$ *b* _i_ `c` \\ ]#[ {{ 7*7 }} {% raise %} --> & <img src=x>'
+
+SECTIONS = (
+    "Result",
+    "Limits and verdict",
+    "Notes",
+    "How to apply it",
+    "The frame",
+    "Site",
+    "Programme and what was found",
+    "Residuals",
+    "Covariance and correlations",
+    "Convergence",
+    "Noise and drift of the rests",
+    "Provenance",
+)
+
+
+# -------------------- what reads a page --------------------
+
+
+@dataclass
+class Page(HTMLParser):
+    """A page of HTML as its elements, its text, and its tables as rows of cells."""
+
+    elements: list[tuple[str, dict[str, str | None]]] = field(default_factory=list)
+    text: list[str] = field(default_factory=list)
+    tables: list[list[list[str]]] = field(default_factory=list)
+    headings: list[str] = field(default_factory=list)
+    inside: list[str] = field(default_factory=list)
+
+    @staticmethod
+    def of(path: Path) -> Page:
+        """The page of a file."""
+        page = Page()
+        HTMLParser.__init__(page)
+        page.feed(path.read_text(encoding="utf-8"))
+        page.close()
+        return page
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        self.inside.append(tag)
+        if tag == "table":
+            self.tables.append([])
+        elif tag == "tr":
+            self.tables[-1].append([])
+        elif tag in ("td", "th"):
+            self.tables[-1][-1].append("")
+        elif tag == "h2":
+            self.headings.append("")
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        while self.inside and self.inside.pop() != tag:
+            pass
+
+    def handle_data(self, data: str) -> None:
+        if "style" in self.inside:
+            return
+        self.text.append(data)
+        if {"td", "th"} & set(self.inside):
+            self.tables[-1][-1][-1] += data
+        if "h2" in self.inside:
+            self.headings[-1] += data
+
+    @property
+    def whole(self) -> str:
+        """All of the text."""
+        return " ".join("".join(self.text).split())
+
+    def table(self, *columns: str) -> list[dict[str, str]]:
+        """The first table that has these columns, as rows by column."""
+        return self.all_tables(*columns)[0]
+
+    def all_tables(self, *columns: str) -> list[list[dict[str, str]]]:
+        """The tables that have these columns, as rows by column."""
+        found = [
+            [dict(zip(header, row, strict=True)) for row in rows]
+            for header, *rows in (table for table in self.tables if table)
+            if set(columns) <= set(header)
+        ]
+        assert found, f"no table with the columns {columns}"
+        return found
+
+    def matrices(self) -> list[list[list[float]]]:
+        """The matrices of the page in their order."""
+        rows_of = [table for table in self.tables if table and all(map(is_number, table[0]))]
+        return [[[number(cell) for cell in row] for row in table] for table in rows_of]
+
+
+def number(text: str) -> float:
+    """A number as a report writes it."""
+    return float(text.replace("−", "-"))
+
+
+def is_number(text: str) -> bool:
+    return re.fullmatch(r"−?\d+\.\d{6,}", text) is not None
+
+
+def last_digit(text: str) -> float:
+    """One in the last digit of a number."""
+    return 10.0 ** -len(text.partition(".")[2])
+
+
+def opened(path: Path) -> Any:
+    """A PDF as MuPDF has it."""
+    return pymupdf.open(path)  # type: ignore[no-untyped-call]
+
+
+def pdf_text(path: Path) -> str:
+    """All text of a PDF, on one line."""
+    with opened(path) as document:
+        return " ".join(" ".join(page.get_text() for page in document).split())
+
+
+# -------------------- calibrations and their reports --------------------
+
+
+@pytest.fixture(scope="session")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return simulate_session(tmp_path_factory.mktemp("report") / "one", SHORT, seed=3)
+
+
+@pytest.fixture(scope="session")
+def file(session: Path) -> Path:
+    path = session.parent / "staged.json"
+    calibrate(session, method="staged").write(path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def other_method(session: Path) -> Path:
+    path = session.parent / "scalar.json"
+    calibrate(session, method="scalar").write(path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def content(file: Path) -> Any:
+    return json.loads(file.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="session")
+def html(file: Path) -> Path:
+    path = file.parent / "report.html"
+    write_report([file], path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def pdf(file: Path) -> Path:
+    path = file.parent / "report.pdf"
+    write_report([file], path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def page(html: Path) -> Page:
+    return Page.of(html)
+
+
+def changed(content: Any, tmp_path: Path, change: Callable[[Any], None]) -> Path:
+    """A calibration file with a change to its content."""
+    other = copy.deepcopy(content)
+    change(other)
+    path = tmp_path / "changed.json"
+    path.write_text(json.dumps(other), encoding="utf-8")
+    return path
+
+
+def command(*arguments: object) -> Result:
+    result = CliRunner().invoke(main, ["report", *map(str, arguments)])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result
+
+
+# -------------------- the content --------------------
+
+
+def test_a_report_has_all_its_sections_in_the_order_in_which_it_is_read(page: Page) -> None:
+    assert tuple(re.sub(r"^\d+ ", "", heading) for heading in page.headings) == SECTIONS
+    assert [int(heading.split()[0]) for heading in page.headings] == list(range(1, len(SECTIONS) + 1))
+    captions = [attributes["aria-label"] or "" for tag, attributes in page.elements if tag == "figure"]
+    for wanted in ("body frame", "Orientation coverage", "Residual", "increment", "Noise and drift"):
+        assert sum(wanted in caption for caption in captions) == 1, wanted
+    assert sum(tag == "svg" for tag, _ in page.elements) == len(captions)
+
+
+def test_values_and_u_are_those_of_the_file_to_two_digits_of_u(page: Page, content: Any) -> None:
+    rows = page.table("parameter", "value", "U (95 %)", "unit")
+    assert [row["parameter"] for row in rows] == [p["name"] for p in content["parameters"]]
+    for row, p in zip(rows, content["parameters"], strict=True):
+        size, value, expanded = SIZES[row["unit"]], row["value"], row["U (95 %)"]
+        assert number(value) == pytest.approx(p["value"] / size, abs=0.5001 * last_digit(value)), p["name"]
+        assert number(expanded) == pytest.approx(
+            coverage_factor(p.get("dof", math.inf)) * p["u"] / size, abs=0.5001 * last_digit(expanded)
+        )
+        assert len(expanded.replace(".", "").lstrip("0")) == 2
+        assert last_digit(value) == last_digit(expanded)
+
+
+def test_the_front_says_which_device_where_and_how(page: Page, content: Any) -> None:
+    site = content["site"]
+    for said in (
+        content["device"]["serial"],
+        f"{site['latitude'] / DEGREE:.5f}°",
+        f"{site['gravity']:.7f} m/s², U = {significant(2.0 * site['gravity_u'], 2)} m/s² (k = 2)",
+        "rough-table",
+        "staged, frame “accelerometer”",
+        content["provenance"]["created"][:10],
+        content["provenance"]["software"],
+        content["provenance"]["log_sha256"],
+    ):
+        assert said in page.whole, said
+
+
+def test_rests_stand_with_their_positions_and_how_far_they_are_off(page: Page, content: Any) -> None:
+    """The angle between the nominal vertical and the corrected reading, from the file alone."""
+    rows = page.table("rest", "position", "code", "off °", "residual µg", "sigmas")
+    matrix, bias = np.array(content["accel"]["matrix"]), np.array(content["accel"]["bias"])
+    nominal = {"X up": [1, 0, 0], "X down": [-1, 0, 0], "Y up": [0, 1, 0], "Y down": [0, -1, 0], "Z up": [0, 0, 1]}
+    nominal |= {"Z down": [0, 0, -1], "X 45° up, Y 45° down": [1, -1, 0], "X 45° up, Z 45° down": [1, 0, -1]}
+    nominal |= {"Y 45° up, Z 45° down": [0, 1, -1]}
+    assert len(rows) == len(content["rests"]) == 15
+    for row, rest in zip(rows, content["rests"], strict=True):
+        force = np.linalg.solve(matrix, np.array(rest["accel"]["mean"]) - bias)
+        wanted = np.array(nominal[row["position"]], float)
+        cosine = force @ wanted / np.linalg.norm(force) / np.linalg.norm(wanted)
+        assert number(row["off °"]) == pytest.approx(np.arccos(cosine) / DEGREE, abs=0.0051)
+        assert number(row["residual µg"]) == pytest.approx(rest["residual"] / G_STANDARD * 1e6, abs=0.051)
+        assert number(row["sigmas"]) == pytest.approx(rest["sigmas"], abs=0.051)
+        assert row["code"] == rest["attitude"]
+
+
+def test_programmed_turns_are_found_within_the_errors_of_the_table(page: Page, content: Any) -> None:
+    """180° about one axis, each position within ±1° about three axes: the angle is within 4° of it."""
+    rows = page.table("turn from rest", "programme °", "found °")
+    assert len(rows) == len(content["turns"]) == 14
+    programmed = [row for row in rows if row["programme °"] != "—"]
+    assert len(programmed) == 9
+    for row, turn in zip(rows, content["turns"], strict=True):
+        assert number(row["found °"]) == pytest.approx(turn["angle"] / DEGREE, abs=0.0051)
+    for row in programmed:
+        assert row["programme °"] == "180"
+        assert 176.0 < number(row["found °"]) <= 180.0
+
+
+def test_the_strongest_correlations_are_those_of_the_covariance(page: Page, content: Any) -> None:
+    names = [p["name"] for p in content["parameters"]]
+    covariance = np.array(content["covariance"])
+    u = np.sqrt(np.diag(covariance))
+    r = covariance / np.outer(u, u)
+    rows = page.table("parameter", "with", "coefficient")
+    shown = [abs(number(row["coefficient"])) for row in rows]
+    for row in rows:
+        p, q = names.index(row["parameter"]), names.index(row["with"])
+        assert p != q
+        assert number(row["coefficient"]) == pytest.approx(r[p, q], abs=0.00051)
+    others = sorted(np.abs(r[np.tril_indices(len(names), -1)]))[::-1]
+    np.testing.assert_allclose(shown, others[: len(shown)], atol=0.00051)
+
+
+def test_the_test_vectors_follow_from_the_printed_numbers(page: Page, content: Any) -> None:
+    """With printed matrices and biases, and with those of the file; a reader without the file can check a program."""
+    matrices = [np.array(m) for m in page.matrices()]
+    assert len(matrices) == 10
+    for kind, (matrix, bias, inverse, reading, true) in zip(
+        ("accel", "gyro"), (matrices[:5], matrices[5:]), strict=True
+    ):
+        own = SensorModel(matrix=np.array(content[kind]["matrix"]), bias=np.array(content[kind]["bias"]))
+        np.testing.assert_allclose(matrix, own.matrix, rtol=0.0, atol=0.51e-10)
+        np.testing.assert_allclose(bias[:, 0], own.bias, rtol=0.0, atol=0.51e-10)
+        np.testing.assert_allclose(true[:, 0], own.apply(reading[:, 0]), rtol=0.0, atol=0.51e-8)
+        np.testing.assert_allclose(inverse @ (reading - bias), true, rtol=0.0, atol=1.01e-8)
+        np.testing.assert_allclose(np.linalg.solve(matrix, reading - bias), true, rtol=0.0, atol=1.01e-8)
+
+
+def test_increments_of_the_iterations_are_those_of_the_file(page: Page, content: Any) -> None:
+    rows = page.table("iteration", "accel.bias", "gyro.axis")
+    assert len(rows) == len(content["iterations"])
+    for row, step in zip(rows, content["iterations"], strict=True):
+        own = [p["increment"] for p in step["parameters"] if p["name"].startswith("accel.bias")]
+        rms = float(np.sqrt(np.mean(np.square(own))))
+        if row["accel.bias"] == "—":
+            assert rms == 0.0
+        else:
+            assert row["accel.bias"].endswith((" µg", " mg"))
+            shown = row["accel.bias"].split()
+            power = re.fullmatch(r"(.+?)(?:·10(.+))?", shown[0])
+            assert power is not None
+            exponent = int((power[2] or "0").translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")))
+            assert float(power[1]) * 10.0**exponent * SIZES[shown[1]] == pytest.approx(rms, rel=0.0051)
+
+
+def test_html_and_pdf_say_the_same(page: Page, pdf: Path) -> None:
+    said = pdf_text(pdf)
+    cells = {" ".join(cell.split()) for table in page.tables for row in table for cell in row if cell}
+    assert len(cells) > 400
+    missing = [cell for cell in cells if cell not in said]
+    assert missing == []
+    for heading in SECTIONS:
+        assert heading in said
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("accel.bias.x", "X accelerometer, bias"),
+        ("gyro.scale.z", "Z gyro, scale-factor error"),
+        ("accel.axis.yx", "Y accelerometer, axis towards X"),
+        ("accel.axis.3.1", "accelerometer 3, axis angle 1"),
+        ("gyro.bias.10", "gyro 10, bias"),
+        ("mag.bias.x", "X magnetometer, bias"),
+        ("accel.bias", ""),
+        ("", ""),
+        (SCRIPT, ""),
+    ],
+)
+def test_parameters_are_put_into_words(name: str, said: str) -> None:
+    assert described(name) == said
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        (significant(2e-7, 2), "2·10⁻⁷"),
+        (significant(-1234567.0, 3), "−1.23·10⁶"),
+        (significant(0.5, 3), "0.5"),
+        (fixed(-0.0004, 3), "0.000"),
+        (fixed(-1.5, 1), "−1.5"),
+    ],
+)
+def test_numbers_are_written_as_in_print(text: str, wanted: str) -> None:
+    assert text == wanted
+
+
+def test_coverage_and_magnification_are_the_known_ones() -> None:
+    """From six faces the farthest direction is a vertex of the cube, arccos(1/√3); 2 mrad are drawn as 0.2 rad."""
+    faces = np.vstack([np.eye(3), -np.eye(3)])
+    assert farthest_from(faces) == pytest.approx(np.arccos(1.0 / np.sqrt(3.0)), abs=0.02)
+    tilted = np.eye(3)
+    tilted[1, 0] = 0.002
+    assert lean_factor([SensorModel(matrix=tilted, bias=np.zeros(3))]) == 100.0
+    assert lean_factor([SensorModel(matrix=np.eye(3), bias=np.zeros(3))]) == 1.0
+
+
+# -------------------- one file that needs nothing --------------------
+
+LOADING = {"script", "link", "iframe", "object", "embed", "img", "image", "video", "audio", "source", "form", "base"}
+
+
+def test_a_page_refers_to_nothing_outside(page: Page, html: Path) -> None:
+    text = html.read_text(encoding="utf-8")
+    assert "http" not in text.replace("http-equiv", "")
+    assert "@import" not in text
+    assert "@font-face" not in text
+    assert set(re.findall(r"url\((.)", text)) <= {"#"}
+    assert not LOADING & {tag for tag, _ in page.elements}
+    named = [attributes["id"] for _, attributes in page.elements if "id" in attributes]
+    assert len(named) == len(set(named))
+    for tag, attributes in page.elements:
+        for name, value in attributes.items():
+            assert not name.startswith("on"), (tag, name)
+            assert name not in ("src", "srcset", "data", "action", "poster", "ping"), (tag, name)
+            if name.endswith("href"):
+                assert (value or "").startswith("#"), (tag, name, value)
+                assert (value or "")[1:] in named, (tag, name, value)
+    assert set(re.findall(r"url\(#([^)]+)\)", text)) <= set(named)
+
+
+def test_letters_of_figures_are_outlines(page: Page) -> None:
+    """No font is needed, and no text of a file is in the markup of a figure."""
+    assert not {"text", "tspan", "style"} & {tag for tag, _ in page.elements if tag != "style"}
+    assert sum(tag == "style" for tag, _ in page.elements) <= 1 + sum(tag == "svg" for tag, _ in page.elements)
+
+
+def test_reports_of_the_same_file_are_the_same_bytes(file: Path, html: Path, pdf: Path) -> None:
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    again = document([Source(file=file.name, sha256=digest, calibration=read_calibration(file))])
+    assert to_page(again).encode() == html.read_bytes()
+    assert to_pdf(again) == pdf.read_bytes()
+
+
+def test_the_pdf_is_for_the_archive(pdf: Path, content: Any) -> None:
+    """A4, PDF/A-2b by its own account, all fonts embedded, no link, script or attachment, the calibration's date."""
+    with opened(pdf) as document:
+        metadata = document.get_xml_metadata()
+        assert "<pdfaid:part>2</pdfaid:part>" in metadata
+        assert "<pdfaid:conformance>B</pdfaid:conformance>" in metadata
+        assert document.embfile_count() == 0
+        assert content["device"]["serial"] in document.metadata["title"]
+        created = re.sub(r"\D", "", content["provenance"]["created"].split("+")[0])
+        assert created in re.sub(r"\D", "", document.metadata["creationDate"])
+        fonts = set()
+        for sheet in document:
+            assert [round(side / 72.0 * 25.4) for side in sheet.rect[2:]] == [210, 297]
+            assert not [link for link in sheet.get_links() if "uri" in link or "file" in link]
+            fonts |= {font[0] for font in sheet.get_fonts()}
+        assert fonts
+        assert all(document.extract_font(font)[3] for font in fonts)
+    assert b"/JavaScript" not in pdf.read_bytes()
+
+
+# -------------------- beyond the linear model --------------------
+
+
+def with_groups(content: Any) -> None:
+    """Two groups beyond the linear model, one of them by name unknown to the table, and remarks of the gyros."""
+    size = len(content["parameters"])
+    own = {"value": -3e-5, "u": 1e-5, "unit": "s^2/m", "prior": 5e-5, "learned": 0.96, "dof": 5.0}
+    content["parameters"].append({"name": "accel.quadratic.x", **own})
+    covariance = np.zeros((size + 1, size + 1))
+    covariance[:size, :size] = content["covariance"]
+    covariance[size, size] = 1e-10
+    content["covariance"] = covariance.tolist()
+    content["groups"] = [
+        {"name": "accel.quadratic", "kept": True, "prior": 5e-5, "prior_widened": 2.5, "learned": [0.96]},
+        {"name": SCRIPT, "kept": False, "prior": 1e-3, "prior_widened": 1.0, "learned": [0.0]},
+    ]
+    content["prediction"] = {"force_u": 1.7e-5, "rate_u": 2e-6, "at_rate": 0.4}
+    fine: dict[str, list[str]] = {"reasons": [], "remarks": []}
+    said = {"verdict": "accepted with scatter", "reasons": [], "remarks": [MARKUP]}
+    content["outcome"] = {"accepted": True, **said, "unobservable": [], "accel": fine, "gyro": said}
+
+
+@pytest.fixture(scope="session")
+def with_groups_file(content: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return changed(content, tmp_path_factory.mktemp("groups"), with_groups)
+
+
+def test_groups_have_a_section_with_their_priors(with_groups_file: Path) -> None:
+    out = with_groups_file.with_suffix(".html")
+    assert write_report([with_groups_file], out) == []
+    page = Page.of(out)
+    assert [heading.partition(" ")[2] for heading in page.headings][:2] == ["Result", "Beyond the linear model"]
+    assert len(page.table("parameter", "value", "U (95 %)", "unit")) == 21
+    known, unknown = page.table("group", "largest", "learned")
+    assert known["what it is"] == "quadratic nonlinearity of the accelerometers, K₂"
+    assert known["unit"] == "µg/g²"
+    assert number(known["largest"]) == pytest.approx(3e-5 * G_STANDARD * 1e6, abs=5.0)
+    assert known["learned"] == "96 %"
+    assert known[""] == "prior widened 2.5×"
+    assert (unknown["group"], unknown[""]) == (SCRIPT, "not determined")
+    (row,) = page.table("parameter", "u", "k", "prior", "learned")
+    assert row["parameter"] == "accel.quadratic.x"
+    assert number(row["k"]) == pytest.approx(2.65, abs=0.02)
+    assert "corrected specific force at 1 g: u 1.7 µg; corrected rate at 23 °/s: u 0.41 °/h" in page.whole
+
+
+def test_scatter_has_its_own_colour_and_its_causes(with_groups_file: Path) -> None:
+    for name in ("scatter.html", "scatter.pdf"):
+        write_report([with_groups_file], with_groups_file.parent / name)
+    page = Page.of(with_groups_file.parent / "scatter.html")
+    assert ("p", {"class": "verdict doubt"}) in page.elements
+    assert not LOADING & {tag for tag, _ in page.elements}
+    for said in (page.whole, pdf_text(with_groups_file.parent / "scatter.pdf")):
+        assert "Accepted with scatter" in said
+        assert "Accelerometers: accepted; gyros: accepted with scatter." in said
+        assert MARKUP in said
+        assert SCRIPT in said
+
+
+# -------------------- nothing from a file acts --------------------
+
+
+def hostile(content: Any) -> None:
+    """Texts that would act in HTML, in typst, in matplotlib or on the eye."""
+    content["device"] = {"serial": SCRIPT, "model": MARKUP}
+    content["method"], content["programme"] = SCRIPT, MARKUP
+    content["notes"] = [SCRIPT, MARKUP, "a" * 300, "\u202egnirts \u0000 \u4e2d"]
+    content["outcome"] = {"accepted": False, "reasons": [SCRIPT, MARKUP], "unobservable": [SCRIPT]}
+    content["provenance"] = {"log_sha256": SCRIPT, "software": MARKUP, "created": SCRIPT}
+    content["rests"][0]["attitude"] = SCRIPT
+    content["readings"]["accel"] |= {"columns": [SCRIPT, r"$\frac", "-->"], "unit": MARKUP}
+    content["parameters"][0]["name"] = f"accel.bias.{SCRIPT}"
+    content["parameters"][1]["unit"] = MARKUP
+    content["fits"][SCRIPT] = content["fits"].pop("gyro turns")
+
+
+@pytest.fixture(scope="session")
+def hostile_html(content: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("hostile")
+    reasons = write_report([changed(content, folder, hostile)], folder / "report.html")
+    assert reasons == [f"changed.json: {SCRIPT}", f"changed.json: {MARKUP}"]
+    return folder / "report.html"
+
+
+def test_texts_of_a_file_show_as_text_in_html(hostile_html: Path) -> None:
+    page = Page.of(hostile_html)
+    assert not LOADING & {tag for tag, _ in page.elements}
+    assert page.whole.count(SCRIPT) > 8
+    assert MARKUP in page.whole
+    assert "[U+202E]gnirts [U+0000] \u4e2d" in page.whole
+    assert "<script" not in hostile_html.read_text(encoding="utf-8")
+
+
+def test_texts_of_a_file_show_as_text_in_pdf(content: Any, tmp_path: Path) -> None:
+    out = tmp_path / "report.pdf"
+    write_report([changed(content, tmp_path, hostile)], out)
+    said = pdf_text(out)
+    assert said.count(SCRIPT) > 8
+    assert MARKUP in said
+    assert "[U+202E]gnirts [U+0000] [U+4E2D]" in said
+    with opened(out) as document:
+        for sheet in document:
+            assert not sheet.get_links()
+
+
+@given(st.text(alphabet=st.characters(codec=None), max_size=20))
+def test_no_character_acts_hides_or_is_missing(text: str) -> None:
+    """Whatever the text, what is shown can be printed and encoded, and the fonts have every character of it."""
+    shown = visible(text)
+    assert shown.isprintable() or all(c.isprintable() or c.isspace() for c in shown)
+    shown.encode()
+    assert visible(shown) == shown
+    assert drawable(drawable(text)) == drawable(text)
+    assert len(drawable(text)) >= len(text)
+
+
+@pytest.mark.parametrize("text", ["a b", "№ 7 ИНС", "µ ″ √ ≤ ⁻⁷", "A-0007/β"])
+def test_ordinary_texts_stay_as_they_are(text: str) -> None:
+    assert drawable(text) == visible(text) == text
+
+
+def test_a_figure_does_not_depend_on_what_its_letters_say() -> None:
+    """Text that would be mathematics, a comment or an element stays letters; outlines hold none of it."""
+
+    def draw(figure: Figure) -> None:
+        figure.suptitle(f"$\\frac{{{SCRIPT} --> ")
+
+    svg = drawn("f", 2.0, 1.0, draw)
+    assert "alert" not in svg
+    assert "<!--" not in svg
+    assert svg.startswith("<svg")
+
+
+# -------------------- calibrations of every kind --------------------
+
+
+CONTRACT: Mapping[str, Any] = {
+    "format": 1,
+    "device": {"serial": "A-0007", "model": None},
+    "method": "joint",
+    "frame": "accelerometer",
+    "parameters": [{"name": "accel.bias.x", "value": 0.00135, "u": 4.2e-06, "unit": "m/s^2"}],
+    "covariance": [[1.764e-11]],
+    "accel": {"matrix": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "bias": [0.00135, 0, 0], "unit": "m/s^2"},
+    "gyro": None,
+    "outcome": {"accepted": True, "reasons": []},
+    "iterations": [{"parameters": [{"name": "accel.bias.x", "increment": 0.00135}]}],
+    "rests": [{"start": 0.0, "stop": 60.0, "residual": 1.1e-6}],
+    "launches": [],
+    "provenance": {"log_sha256": "00", "software": "tumble 0.1.0", "created": "2024-01-01T00:00:00+00:00"},
+}
+
+
+def without_u(content: Any) -> None:
+    content["covariance"] = None
+    for parameter in content["parameters"]:
+        parameter["u"] = None
+
+
+def refused(content: Any) -> None:
+    content |= {"parameters": [], "covariance": None, "accel": None, "iterations": [], "rests": [], "provenance": {}}
+    content["outcome"] = {"accepted": False, "reasons": ["no rests were found"]}
+
+
+def redundant(content: Any) -> None:
+    content["accel"]["matrix"].append([0.577, 0.577, 0.577])
+    content["accel"]["bias"].append(0.01)
+
+
+def four_gyros(content: Any) -> None:
+    content["gyro"] = {"matrix": [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0.7]], "bias": [0] * 4, "unit": "rad/s"}
+
+
+def as_it_is(content: Any) -> None:
+    assert content["format"] == 1
+
+
+@pytest.mark.parametrize("change", [as_it_is, without_u, refused, redundant, four_gyros])
+@pytest.mark.parametrize("ending", ["html", "pdf"])
+def test_a_file_with_only_the_keys_of_the_contract_has_a_report(
+    tmp_path: Path, change: Callable[[Any], None], ending: str
+) -> None:
+    out = tmp_path / f"report.{ending}"
+    reasons = write_report([changed(CONTRACT, tmp_path, change)], out)
+    said = Page.of(out).whole if ending == "html" else pdf_text(out)
+    assert "A-0007" in said
+    assert (reasons == []) == (change is not refused)
+    if change is refused:
+        assert "Not accepted" in said
+        assert "no rests were found" in said
+    else:
+        assert "accel.bias.x" in said
+        assert "Accepted" in said
+
+
+def test_launches_stand_beside_each_other(session: Path, tmp_path: Path) -> None:
+    second = simulate_session(tmp_path / "two", SHORT, seed=3, launch=2)
+    made = CliRunner().invoke(main, ["calibrate", str(session), str(second), "--out", str(tmp_path / "both.json")])
+    assert made.exit_code == 0, made.output
+    assert command(tmp_path / "both.json", "-o", tmp_path / "both.html").exit_code == 0
+    page, content = Page.of(tmp_path / "both.html"), json.loads((tmp_path / "both.json").read_text())
+    rows = [row for table in page.all_tables("parameter", "one", "two", "run to run") for row in table]
+    assert len(page.table("parameter", "one", "two", "run to run")) == 21
+    for row, p, q in zip(rows, content["launches"][0]["parameters"], content["launches"][1]["parameters"], strict=True):
+        size = SIZES[row["unit"]]
+        for text, own in ((row["one"], p), (row["two"], q)):  # to the second digit of U
+            last = max(last_digit(text), 10.0 ** (np.floor(np.log10(2.0102 * own["u"] / size)) - 1.0))
+            assert number(text) == pytest.approx(own["value"] / size, abs=0.5001 * last)
+    for launch in content["launches"]:
+        assert launch["log_sha256"] in page.whole
+        assert any(f"Residuals: {launch['session']}" in heading for heading in page.headings)
+
+
+@pytest.mark.parametrize(("positions", "checked"), [(14, True), (9, False)])
+def test_a_table_of_readings_has_its_scatter_and_whether_anything_checks_it(
+    tmp_path: Path, positions: int, checked: bool
+) -> None:
+    rng = np.random.default_rng(positions)
+    faces = [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
+    corners = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)]) / np.sqrt(3.0)
+    edges = np.array([[1, 1, 0], [0, 1, -1], [1, 0, 1]]) / np.sqrt(2.0)
+    directions = np.vstack([faces, corners if checked else edges])
+    np.savetxt(
+        tmp_path / "r.csv",
+        directions + 1e-5 * rng.standard_normal(directions.shape),
+        delimiter=",",
+        header="x,y,z",
+        comments="",
+    )
+    made = CliRunner().invoke(main, ["ellipsoid", str(tmp_path / "r.csv"), "--unit", "g", "--frame", "paper"])
+    assert made.exit_code == 0, made.output
+    assert command(tmp_path / "r.calibration.json", "-o", tmp_path / "r.html").exit_code == 0
+    page = Page.of(tmp_path / "r.html")
+    (row,) = page.table("residuals of", "chi-square", "scatter added")
+    assert number(row["degrees of freedom"]) == positions - 9
+    assert row["scatter added"].endswith("µg") == checked
+    assert ("Nothing checks the accelerometers" in page.whole) != checked
+    assert "k belongs to the diagonal of the matrix" in page.whole  # the frame of the paper has its own parameters
+    assert not any(heading.startswith("height") for heading in page.text)
+
+
+def result_alone(content: Any) -> None:
+    content |= {"rests": [], "turns": [], "iterations": [], "covariance": None}
+
+
+def test_methods_on_one_log_are_compared(file: Path, other_method: Path, tmp_path: Path) -> None:
+    for name, path in (("one", file), ("other", other_method)):
+        (tmp_path / name).mkdir()
+        changed(json.loads(path.read_text(encoding="utf-8")), tmp_path / name, result_alone)
+    out = tmp_path / "report.html"
+    assert write_report([tmp_path / "one/changed.json", tmp_path / "other/changed.json"], out) == []
+    page = Page.of(out)
+    rows = page.table("parameter", "staged", "scalar", "range", "unit")
+    one, other = read_calibration(file), read_calibration(other_method)
+    assert len(rows) == len(one.parameters) == 21
+    for row in rows:
+        size = SIZES[row["unit"]]
+        for title, calibration in (("staged", one), ("scalar", other)):
+            value, expanded = row[title].split(" ± ")
+            p = calibration[row["parameter"]]
+            assert p.u is not None
+            assert number(value) == pytest.approx(p.value / size, abs=0.5001 * last_digit(value))
+            assert number(expanded) == pytest.approx((p.k or 0.0) * p.u / size, rel=0.051)
+    assert "Methods compared" in page.whole
+    assert page.headings.count("1 Result") == 2
+    named = [attributes["id"] for _, attributes in page.elements if "id" in attributes]
+    assert len(named) == len(set(named))
+
+
+def test_calibrations_in_other_frames_are_compared_in_that_of_the_first(file: Path) -> None:
+    first = read_calibration(file)
+    section = compared(["one", "other"], [first, first.in_frame("symmetric")], "compared")
+    (table,) = (block for block in section.blocks if isinstance(block, Table))
+    assert table.columns == ("parameter", "one", "other", "range", "unit")
+    assert [row[0] for row in table.rows] == [p.name for p in first.parameters]
+    for row in table.rows:
+        (value, expanded), (turned, turned_expanded) = (cell.split(" ± ") for cell in row[1:3])
+        assert value == turned
+        assert number(expanded) == pytest.approx(number(turned_expanded), rel=0.1)  # k passes through another frame
+        assert number(row[3]) == 0.0
+
+
+def test_devices_are_not_mixed(file: Path, content: Any, tmp_path: Path) -> None:
+    other = changed(content, tmp_path, lambda c: c["device"].update(serial="B"))
+    result = command(file, other, "-o", tmp_path / "report.html")
+    assert result.exit_code == 2
+    assert result.stderr.count("\n") == 1
+    assert "expected a calibration of device 'tactical-3' like staged.json, found 'B'" in result.stderr
+    assert not (tmp_path / "report.html").exists()
+
+
+# -------------------- limits --------------------
+
+
+def limits_about(content: Any) -> str:
+    """Limits of which one passes, one fails and one is in the guard band."""
+    value = {p["name"]: p["value"] for p in content["parameters"]}
+    u = {p["name"]: p["u"] for p in content["parameters"]}
+    wide = {"min": f"{value['accel.bias.x'] - 10 * u['accel.bias.x']!r} m/s^2"}
+    failed = {"max": f"{value['accel.bias.y'] - 10 * u['accel.bias.y']!r} m/s^2"}
+    near = {"max": f"{value['accel.bias.z'] + u['accel.bias.z']!r} m/s^2"}
+    rows = zip(("x", "y", "z"), (wide, failed, near), strict=True)
+    lines = [f'"accel.bias.{axis}" = {{ {k} = "{v}" }}' for axis, limit in rows for k, v in limit.items()]
+    return "\n".join(["format = 1", "[incoming]", *lines, "[periodic]", lines[0], ""])
+
+
+def test_parameters_are_judged_by_limits(file: Path, content: Any, tmp_path: Path) -> None:
+    (tmp_path / "limits.toml").write_text(limits_about(content), encoding="utf-8")
+    result = command(file, "-o", tmp_path / "report.html", "--limits", tmp_path / "limits.toml")
+    assert result.exit_code == 1
+    assert "fail: accel.bias.y; conditional pass: accel.bias.z" in result.stderr
+    page = Page.of(tmp_path / "report.html")
+    rows = page.table("parameter", "low", "value", "U", "high", "verdict")
+    assert [(row["parameter"], row["verdict"]) for row in rows] == [
+        ("accel.bias.x", "pass"),
+        ("accel.bias.y", "fail"),
+        ("accel.bias.z", "conditional pass"),
+    ]
+    assert "accepted, incoming: fail, periodic: pass" in page.whole
+    assert "Decision rule: pass where the value is inside its limits by at least U (95.45 %)" in page.whole
+
+
+def test_limits_that_are_met_are_accepted(tmp_path: Path) -> None:
+    file = changed(CONTRACT, tmp_path, as_it_is)
+    (tmp_path / "limits.toml").write_text('format = 1\n[periodic]\n"accel.bias" = "1 g"\n', encoding="utf-8")
+    result = command(file, "-o", tmp_path / "report.pdf", "--limits", tmp_path / "limits.toml")
+    assert result.exit_code == 0, result.stderr
+    assert "accepted, periodic: pass" in pdf_text(tmp_path / "report.pdf")
+
+
+# -------------------- the command --------------------
+
+
+def test_a_report_of_what_is_not_accepted_is_written_and_says_so(tmp_path: Path) -> None:
+    path = changed(CONTRACT, tmp_path, lambda c: c["outcome"].update(accepted=False, reasons=["rest 3 does not fit"]))
+    result = command(path, "-o", tmp_path / "report.html")
+    assert result.exit_code == 1
+    assert result.stdout == ""
+    assert "not accepted: changed.json: rest 3 does not fit" in result.stderr
+    assert "rest 3 does not fit" in Page.of(tmp_path / "report.html").whole
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["{file}", "-o", "report.txt"], "report.txt: expected a name that ends in .html or .pdf, found '.txt'"),
+        (["{file}", "-o", "report"], "found 'no ending'"),
+        (["none.json", "-o", "report.html"], "none.json: cannot be read: No such file or directory"),
+        (["{file}", "-o", "no/report.html"], "report.html: cannot be written: No such file or directory"),
+        (["{file}", "-o", "report.html", "--limits", "none.toml"], "none.toml: cannot be read"),
+        (["{file}"], "Missing option '-o'"),
+    ],
+)
+def test_what_cannot_be_used_is_said_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], said: str
+) -> None:
+    (tmp_path / "empty").mkdir()
+    monkeypatch.chdir(tmp_path / "empty")
+    file = changed(CONTRACT, tmp_path, as_it_is)
+    result = command(*(argument.format(file=file) for argument in arguments))
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr.startswith("tumble: ")
+    assert said in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert list((tmp_path / "empty").iterdir()) == []
+
+
+@pytest.mark.parametrize("missing", ["jinja2", "matplotlib", "typst"])
+def test_without_the_extra_one_line_says_what_to_install(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, missing: str
+) -> None:
+    for name in [n for n in sys.modules if n.startswith("tumble.views.") and n != "tumble.views.report.write"]:
+        monkeypatch.delitem(sys.modules, name)
+    for name in [n for n in sys.modules if n.split(".")[0] == missing]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(MissingExtraError, match=rf"^a report needs {missing}; .*pip install 'tumble\[report\]'$"):
+        write_report([file], tmp_path / "report.html")
+
+
+# -------------------- in a browser --------------------
+
+
+@pytest.fixture(scope="session")
+def browser() -> str:
+    for name in ("chromium", "chromium-browser", "google-chrome"):
+        found = shutil.which(name)
+        if found:
+            return found
+    said = "no chromium: install Debian's package chromium to open reports in a browser"
+    if os.environ.get("CI") == "true":
+        pytest.fail(said)
+    pytest.skip(said)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Visit:
+    """What happened when a browser opened a page: what it put on the console, and what it tried to load."""
+
+    console: tuple[str, ...]
+    requests: tuple[str, ...]
+
+
+def visited(browser: str, page: Path, folder: Path, width: int) -> Visit:
+    """Open a page at a width without any network. The browser's own requests have no page as their initiator."""
+    flags = "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking"
+    flags += " --disable-component-update --disable-sync --hide-scrollbars --enable-logging=stderr --v=0"
+    record = folder / f"requests-{width}.json"
+    done = subprocess.run(
+        [
+            browser,
+            *flags.split(),
+            f"--user-data-dir={folder / f'profile-{width}'}",
+            f"--window-size={width},1200",
+            "--host-resolver-rules=MAP * ~NOTFOUND",
+            f"--log-net-log={record}",
+            f"--screenshot={folder / f'{width}.png'}",
+            page.as_uri(),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert (folder / f"{width}.png").stat().st_size > 0, done.stderr
+    return Visit(
+        console=tuple(line for line in done.stderr.splitlines() if "CONSOLE" in line),
+        requests=tuple(started(json.loads(record.read_text(encoding="utf-8")))),
+    )
+
+
+def started(record: Any) -> Iterator[str]:
+    """The addresses that a page, not the browser itself, asked for."""
+    kind = record["constants"]["logEventTypes"]["URL_REQUEST_START_JOB"]
+    for event in record["events"]:
+        found = event.get("params", {})
+        if event["type"] == kind and "url" in found and found.get("initiator") != "not an origin":
+            yield found["url"]
+
+
+def test_a_browser_finds_no_error_and_nothing_to_load(
+    browser: str, html: Path, hostile_html: Path, tmp_path: Path
+) -> None:
+    """On the report, on one of hostile texts, at the width of a desk and of a phone; and a page that does load and err
+    is seen to."""
+    probe = tmp_path / "probe.html"
+    probe.write_text("<img src='http://example.invalid/a.png'><script>nothing()</script>", encoding="utf-8")
+    seen = visited(browser, probe, tmp_path, 800)
+    assert any("nothing is not defined" in line for line in seen.console)
+    assert seen.requests == ("http://example.invalid/a.png",)
+    for page, width in ((html, 1100), (html, 390), (hostile_html, 1000)):
+        seen = visited(browser, page, tmp_path, width)
+        assert seen == Visit(console=(), requests=())
+
+
+def test_a_block_of_six_is_applied_by_the_pseudo_inverse_and_has_its_own_frame() -> None:
+    made = exact(accel=HEXAD, with_gyro=False)
+    document_of = document([Source(file="c.json", sha256="0" * 64, calibration=made)], None)
+    said = repr(document_of)
+    assert "Formula(name='apply_redundant'" in said
+    assert "Formula(name='axes'" not in said
+    assert "Formula(name='apply'," not in said
+    assert "Accelerometer 0 is along its nominal axis" in said
+    assert "true = <b>matrix</b><sup>+</sup>" in to_page(document_of)
+    assert to_pdf(document_of).startswith(b"%PDF")
+
+
+def test_what_readings_are_known_to_has_two_digits_and_no_exponent() -> None:
+    assert predicted(Prediction(force_u=9.80665e-4, rate_u=1.5e-4, at_rate=1.0)).startswith(
+        "corrected specific force at 1 g: u 100 µg"
+    )
