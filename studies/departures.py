@@ -20,10 +20,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import lfilter
 
+from tumble.diagnosis.misfit import misfit
+from tumble.diagnosis.verdict import verdict
 from tumble.earth import earth_rate, normal_gravity
-from tumble.estimation.diagnosis.misfit import misfit
-from tumble.estimation.diagnosis.verdict import verdict
-from tumble.estimation.estimate import Outcome
+from tumble.inference.estimate import Outcome
 from tumble.inference.joint import joint
 from tumble.programme.positions import programme
 from tumble.recording.session import Site

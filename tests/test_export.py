@@ -16,10 +16,10 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.results import Parameter
 from tumble.cli import main
 from tumble.errors import InputError
-from tumble.estimation.estimate import Outcome
 from tumble.export import FORMATS, export_calibration
 from tumble.export.exported import NO_MAGNETOMETER
 from tumble.export.kalibr import Densities, NoiseDensities
+from tumble.inference.estimate import Outcome
 
 PLAIN = tuple(name for name, target in FORMATS.items() if not {"noise", "certificate"} & {*target.takes})
 THERMAL = tuple(name for name in FORMATS if name.endswith("-thermal"))

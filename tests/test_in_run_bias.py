@@ -13,8 +13,8 @@ from test_staged import FINE, NAVIGATION, in_the_hand, observations, unit
 
 from tumble.calibration.notes import drifted
 from tumble.calibration.observed import inspect_session, observations_for_calibration
-from tumble.estimation.diagnosis.verdict import verdict
-from tumble.estimation.estimate import Estimate, Outcome
+from tumble.diagnosis.verdict import verdict
+from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from wandering_biases import middles
 
-from tumble.estimation.diagnosis.verdict import verdict
+from tumble.diagnosis.verdict import verdict
 from tumble.inference import elimination, integral
 from tumble.inference import joint as of_joint
 from tumble.inference.hyperparameters import Components, Hyperparameter

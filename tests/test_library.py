@@ -26,7 +26,7 @@ import tumble
 import tumble.types
 from tumble.commands import __path__ as commands
 from tumble.errors import InputError, MissingExtraError
-from tumble.estimation.estimate import Outcome
+from tumble.inference.estimate import Outcome
 from tumble.planning.setup import Setup
 from tumble.simulation.session import simulate_session
 

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tumble.diagnosis.verdict import verdict
 from tumble.earth import EARTH_RATE, earth_rate
-from tumble.estimation.diagnosis.verdict import verdict
-from tumble.estimation.estimate import Estimate
-from tumble.estimation.methods.staged import accelerometers as staged_accelerometers
-from tumble.estimation.methods.staged import gyro_rows as staged_gyro_rows
-from tumble.estimation.methods.staged.method import staged
+from tumble.inference.estimate import Estimate
+from tumble.methods.staged import accelerometers as staged_accelerometers
+from tumble.methods.staged import gyro_rows as staged_gyro_rows
+from tumble.methods.staged.method import staged
 from tumble.programme.positions import attitude, programme
 from tumble.recording.session import Site
 from tumble.reduction.coloured_noise import WHITE
@@ -354,7 +354,7 @@ def trials(count: int, seed: int, noise: Noise, *, hand: int = 0) -> Trials:
 def table_trials() -> Trials:
     """300 sessions on a rough table, noise of navigation grade, no scatter looked for."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tumble.estimation.agreement.SCATTER_PROBABILITY", 0.0)
+        patch.setattr("tumble.methods.agreement.SCATTER_PROBABILITY", 0.0)
         return trials(300, 76, NAVIGATION)
 
 
@@ -389,7 +389,7 @@ def test_chi_squares_have_the_mean_of_their_degrees(table_trials: Trials) -> Non
 
 def test_noise_in_the_hand_is_honest_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """MEMS, 50 sessions of 12 positions; the standard error of an rms is 0.1."""
-    monkeypatch.setattr("tumble.estimation.agreement.SCATTER_PROBABILITY", 0.0)
+    monkeypatch.setattr("tumble.methods.agreement.SCATTER_PROBABILITY", 0.0)
     found = trials(50, 77, MEMS, hand=12)
     rms = np.sqrt((found.normalised**2).mean(axis=0))
     np.testing.assert_allclose(rms, 1.0, atol=5.5 / np.sqrt(2 * 50))
@@ -398,7 +398,7 @@ def test_noise_in_the_hand_is_honest_too(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_noise_in_four_accelerometers_and_gyros_is_honest_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """20 sessions of 29 parameters; the standard error of the rms of all is below 0.06."""
-    monkeypatch.setattr("tumble.estimation.agreement.SCATTER_PROBABILITY", 0.0)
+    monkeypatch.setattr("tumble.methods.agreement.SCATTER_PROBABILITY", 0.0)
     rng = np.random.default_rng(88)
     distance, normalised = [], []
     for _ in range(20):

@@ -19,15 +19,15 @@ import pytest
 
 from tumble.calibration.calibrate import Terms, calibrate
 from tumble.calibration.calibration_file import Calibration
+from tumble.diagnosis.causes.chances import FALSE_ALARMS, SumOfSquares, standing_out
+from tumble.diagnosis.causes.former_attitudes import _followed
+from tumble.diagnosis.causes.projection import Projection, Remaining, by_north, projections
+from tumble.diagnosis.misfit import misfit
+from tumble.diagnosis.site_gravity import gravity_doubted, gravity_said
+from tumble.diagnosis.undetermined import listed
+from tumble.diagnosis.verdict import verdict
 from tumble.earth import NORMAL_GRAVITY_U
-from tumble.estimation.causes.chances import FALSE_ALARMS, SumOfSquares, standing_out
-from tumble.estimation.causes.former_attitudes import _followed
-from tumble.estimation.causes.projection import Projection, Remaining, by_north, projections
-from tumble.estimation.diagnosis.misfit import misfit
-from tumble.estimation.diagnosis.site_gravity import gravity_doubted, gravity_said
-from tumble.estimation.diagnosis.undetermined import listed
-from tumble.estimation.diagnosis.verdict import verdict
-from tumble.estimation.estimate import Estimate, Outcome
+from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.hyperparameters import Components
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import linearise

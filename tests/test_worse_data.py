@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from tumble.estimation.diagnosis.verdict import verdict
+from tumble.diagnosis.verdict import verdict
 from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from tumble.calibration.case import CaseAlignment
-from tumble.estimation.causes.cause import UNITS, WORDS
-from tumble.estimation.estimate import Estimate
+from tumble.diagnosis.causes.cause import UNITS, WORDS
+from tumble.inference.estimate import Estimate
 from tumble.recording.gaps import Gap
 from tumble.reduction.observations import Observations
 from tumble.sensors.parameters import group_name, positions_by_group

@@ -44,8 +44,8 @@ from tumble.calibration.readings_table import read_table
 from tumble.calibration.results import Readings
 from tumble.calibration.thermometers import check_thermometers
 from tumble.errors import CalibrationError, InputError
-from tumble.estimation.estimate import Fit, sigmas
 from tumble.files import FilePath
+from tumble.inference.estimate import Fit, sigmas
 from tumble.inference.variables import sensors_at
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
