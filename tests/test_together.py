@@ -16,9 +16,9 @@ from click.testing import CliRunner
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.together import calibrate_together
 from tumble.cli import main
-from tumble.diagnosis.causes.linearised_session import LinearisedSession
-from tumble.diagnosis.causes.projection import Remaining, projections
+from tumble.diagnosis.linearised_session import LinearisedSession
 from tumble.diagnosis.misfit import misfit
+from tumble.diagnosis.projection import Remaining, projections
 from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
 from tumble.inference.hyperparameters import Components

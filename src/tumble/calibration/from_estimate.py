@@ -9,7 +9,7 @@ import numpy as np
 from tumble.calibration.calibration_file import Calibration, SensingAxes
 from tumble.calibration.case import CaseAlignment, estimate_in
 from tumble.calibration.coverage import MANY_DEGREES, with_degrees
-from tumble.calibration.notes import case_found, drifted, one_rate, unchecked
+from tumble.calibration.notes import case_found, one_rate, unchecked
 from tumble.calibration.over_temperature import over_temperature
 from tumble.calibration.rests_and_turns import rest_results, turn_results
 from tumble.calibration.results import Parameter, Readings
@@ -67,7 +67,6 @@ def result_of(
         + gravity_doubted(observations.site)
         + unchecked(estimate)
         + one_rate(estimate, observations)
-        + drifted(estimate)
         + limited
         + case_found(case),
         provenance=provenance,

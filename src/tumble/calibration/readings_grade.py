@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import special
 
-from tumble.diagnosis.left_out import left_out_of
+from tumble.diagnosis.linear_model import left_out_of
 from tumble.methods.ellipsoid_fit import EllipsoidFit
 from tumble.reduction.observations import Observations
 from tumble.sensors.grades import GRADES

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tumble.diagnosis.causes.cause import Concerns
+from tumble.diagnosis.linearised_session import Concerns
 from tumble.diagnosis.observability import faces_and_edges, most_telling, standing
 from tumble.inference.common_errors import common_covariance
 from tumble.inference.estimate import SEEN, Estimate

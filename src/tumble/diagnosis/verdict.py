@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tumble.diagnosis.causes.cause import Concerns
+from tumble.diagnosis.linearised_session import Concerns
 from tumble.diagnosis.misfit import Misfit, misfit
 from tumble.diagnosis.site_gravity import gravity_refused
 from tumble.diagnosis.undetermined import (
@@ -17,6 +17,7 @@ from tumble.diagnosis.undetermined import (
     undetermined,
 )
 from tumble.inference.estimate import FIT_SIGMAS, Estimate, Outcome
+from tumble.inference.integral import POOR
 from tumble.reduction.observations import Observations
 from tumble.reduction.segmentation import Segmentation
 from tumble.sensors.parameters import sensor_kind
@@ -26,9 +27,9 @@ SCATTER_LIMIT, TURN_SCATTER_LIMIT = 1e-3 * G_STANDARD, 1.0 * DEGREE
 """Of readings at rest by the methods that have one scatter and leave nothing out, and of turns by all."""
 MOST_LEFT_OUT = 1.0 / 3.0
 """Of the rests or turns: where more do not fit, it is not they that are wrong."""
-FEWEST_POINTS, POOR = 10.0, 0.7
-"""Effective points of the integral over the hyperparameters, and shape of the Pareto distribution of their weights,
-below and above which u is as good as a few points say."""
+FEWEST_POINTS = 10.0
+"""Effective points of the integral over the hyperparameters, below which u is as good as a few points say, where their
+weights are poor, too."""
 
 _Said = tuple[Concerns, str]
 _ORDER: tuple[Concerns, ...] = ("both", "accel", "gyro")

@@ -7,7 +7,7 @@ a bad rest is left out of the fit, and named, instead of bending it; positions t
 parameters are refused as a whole. Gyros, turns, Earth's rate and programme are not used.
 
 Rests alone hardly tell a quadratic term from a bias. So groups beyond the linear model whose usual size is known are
-in the result as nothing within that size, and in the covariance (`tumble.diagnosis.left_out`); the values of bias,
+in the result as nothing within that size, and in the covariance (`tumble.diagnosis.linear_model`); the values of bias,
 scale factors and axis angles are those of the method.
 """
 
@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.diagnosis.left_out import left_out_of, with_left_out
+from tumble.diagnosis.linear_model import left_out_of, with_left_out
 from tumble.diagnosis.observability import Refusal
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Fit

@@ -15,15 +15,14 @@ linear model.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
-from tumble.diagnosis.causes.cause import Candidate, Cause
-from tumble.diagnosis.causes.chances import SumOfSquares
-from tumble.diagnosis.causes.linearised_session import SHORTEST_TURN, LinearisedSession
-from tumble.diagnosis.causes.projection import UNSEEN, Remaining
+from tumble.diagnosis.causes import Candidate, Cause, tested
+from tumble.diagnosis.chances import SumOfSquares, standing_out
+from tumble.diagnosis.linearised_session import SHORTEST_TURN, LinearisedSession
+from tumble.diagnosis.projection import UNSEEN, Remaining
 from tumble.inference.hyperparameters import SCATTER, Components
+from tumble.inference.joint import joint
 from tumble.inference.likelihood import Linearised, Point, Problem, instruments_of, noise_of
 from tumble.inference.linearisation import linearise
 from tumble.inference.turns_about import TurnsAbout
@@ -46,48 +45,28 @@ def stamps_remedy(observations: Observations) -> str:
 
 
 def jittering(observations: Observations) -> str:
-    """What to try where time stamps jitter about even rows, for the turns err then as much as if the rows did."""
-    jitter, interval = _jitter(observations)
+    """What to try where time stamps jitter about even rows, for the turns err then as much as if the rows did.
+
+    Intervals that such stamps make have the covariance −σ² from one to the next; lost samples or a rate that changes
+    have not."""
+    samples = observations.turn_samples
+    if samples is None or not len(samples.start):
+        return ""
+    every = [samples.samples.read(a, b)[2] for a, b in zip(samples.start.tolist(), samples.stop.tolist(), strict=True)]
+    interval = float(np.median(np.concatenate(every)))
+    off = [np.where(np.abs(dt - interval) < 0.5 * interval, dt - interval, 0.0) for dt in every]
+    covariance = sum(float(e[1:] @ e[:-1]) for e in off) / max(1, sum(len(e) - 1 for e in off))
+    jitter = float(np.sqrt(max(0.0, -covariance)))
     return (
         f"; or the time stamps jitter by {1e3 * jitter:.2g} ms: {REGULAR_HINT}" if jitter > JITTERING * interval else ""
     )
 
 
-def _jitter(observations: Observations) -> tuple[float, float]:
-    """By how much, s, the time stamps of the turns leave even times, and the interval of these, s: intervals that such
-    stamps make have the covariance −σ² from one to the next, and lost samples or a rate that changes have not."""
-    samples = observations.turn_samples
-    if samples is None or not len(samples.start):
-        return 0.0, 1.0
-    each = [samples.samples.read(a, b)[2] for a, b in zip(samples.start.tolist(), samples.stop.tolist(), strict=True)]
-    interval = float(np.median(np.concatenate(each)))
-    off = [np.where(np.abs(dt - interval) < 0.5 * interval, dt - interval, 0.0) for dt in each]
-    covariance = sum(float(e[1:] @ e[:-1]) for e in off) / max(1, sum(len(e) - 1 for e in off))
-    return float(np.sqrt(max(0.0, -covariance))), interval
-
-
-def with_all_groups(linear: Linearised, observations: Observations) -> Linearised:
-    """The likelihood of all groups of parameters whose usual size the observations know, without scatter, at the
-    estimate of the linear model: one step from its solution."""
-    instrument, own = instruments_of(observations)
-    problem = Problem.of(observations, instrument=instrument, own=own, usual=observations.usual)
-    values, first = problem.measured[0][1:].copy(), instrument.linear_count
-    values[:first] = linear.point.values[:first]
-    point = Point(
-        values=values,
-        gravity=linear.point.gravity,
-        attitudes=linear.point.attitudes,
-        own=np.zeros((len(problem.parts), len(problem.own_known))),
-    )
-    about = None if linear.about is None else TurnsAbout.of(observations, instrument, values)
-    rows = linearise(problem, point, about)
-    noise = noise_of(problem, rows)
-    return Linearised(problem=problem, point=point, about=about, rows=rows, noise=noise, components=Components())
-
-
-def lost_in_a_turn(session: LinearisedSession, whole: Remaining) -> Iterator[Candidate]:
+def of_turns(session: LinearisedSession, whole: Remaining) -> list[Candidate]:
     """A loss in the turn of each session that lacks samples most likely, by what is left of residuals with the
-    components of variance of the estimate."""
+    components of variance of the estimate; none where time stamps would show it."""
+    if not (session.turned and session.observations.unstamped):
+        return []
     turn = _columns(session)
     W, (residual, covariance) = whole.step.told.weights.turn, whole.left.turn
     whitened = W @ turn
@@ -99,25 +78,32 @@ def lost_in_a_turn(session: LinearisedSession, whole: Remaining) -> Iterator[Can
     fall[seen] = np.einsum("kq,kq->k", along[seen], np.linalg.solve(G[seen], along[seen][..., None])[..., 0])
     most, sentences = np.zeros(len(turn), dtype=bool), list[str]()
     for part, observed in zip(session.problem.parts, session.observed, strict=True):
-        own = fall[part.turns]
-        if not own.any() or observed.turns is None:
+        falls = fall[part.turns]
+        if not falls.any() or observed.turns is None:
             sentences.append("")
             continue
-        worst = int(np.argmax(own))
+        worst = int(np.argmax(falls))
         most[part.turns.start + worst] = True
         sentences.append(
             f"{observed.turn_named(worst)} errs about its own axis by {{size}}: samples are missing or held there; "
             f"leave it out by turn = {observed.turns.first[worst] + 1} in [[exclude]], and record with time stamps"
         )
-    yield Candidate(
+    loss = Candidate(
         name="lost samples",
         concerns="both",
-        rest=np.zeros((*session.rest_shape, turn.shape[2])),
-        turn=turn * most[:, None, None],
+        columns=(session.nothing(turn.shape[2])[0], turn * most[:, None, None]),
         unit=(DEGREE, "°"),
         sentences=tuple(sentences),
         tried=max(part.turns.stop - part.turns.start for part in session.problem.parts),
     )
+    return [loss]
+
+
+def _turned_about(about: TurnsAbout, turns: slice) -> Array:
+    """The axis (K, 3) that each turn was about, of length 0 where nothing turned."""
+    path = np.einsum("kipp->ki", about.moments.Phi[turns][..., RATE])
+    axis = path / np.maximum(np.linalg.norm(path, axis=1, keepdims=True), 1e-9)
+    return np.asarray(axis)
 
 
 def _columns(session: LinearisedSession) -> Array:
@@ -125,11 +111,9 @@ def _columns(session: LinearisedSession) -> Array:
     to them."""
     about, rows = session.linearised.about, session.linearised.rows
     assert about is not None
-    path = np.einsum("kipp->ki", about.moments.Phi[..., RATE])
-    size = np.linalg.norm(path, axis=1, keepdims=True)
-    axis = np.where(about.moments.T[:, None] < SHORTEST_TURN, 0.0, path / np.maximum(size, 1e-9))
+    axis = np.where(about.moments.T[:, None] < SHORTEST_TURN, 0.0, _turned_about(about, slice(None)))
     seen = session.problem.instrument.in_velocities
-    turn = np.zeros((*session.turn_shape, 2 if seen else 1))
+    _, turn = session.nothing(2 if seen else 1)
     turn[:, :3, 0] = axis
     if seen:
         turn[:, 3:6, 1] = np.cross(axis, rows.gained)
@@ -154,8 +138,6 @@ def samples_held(observations: Observations) -> Cause | None:
     return Cause(
         name="lost samples",
         concerns="both",
-        probability=0.0,
-        damage=0.0,
         sentence=f"{same} of {rows} samples of the turns are copies of the one before, {100.0 * same / rows:.2g} %: "
         "the log holds the last sample where one is missing; record all of them",
     )
@@ -167,11 +149,11 @@ def turns_to_blame(linearised: Linearised, alone: Remaining) -> Remaining:
     Z, of = linearised.noise.turn_directions
     along, variance, remaining = Z[:, :, of == SCATTER.index("turn")], 0.0, alone
     for step in range(ROUNDS):
-        found = SumOfSquares.along(remaining.step.told.weights.turn @ along, *remaining.left.turn)
+        square = SumOfSquares.along(remaining.step.told.weights.turn @ along, *remaining.left.turn)
         if step == 0:
-            variance = found.excess
-        elif found.mean > 0.0:
-            variance *= found.square / found.mean
+            variance = square.excess
+        elif square.mean > 0.0:
+            variance *= square.square / square.mean
         remaining = Remaining.of(linearised, Components(turn=float(np.sqrt(variance))))
     return remaining
 
@@ -181,17 +163,18 @@ def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Remaining, u: 
     are to blame: samples that are missing or held. Both are scatter, so that what is compared is one with the other. A
     share p of samples that is lost by chance makes the variance p ω² Δt² a sample of what turns have lost, and scale
     factors of the gyros that are less by p: the latter is no scatter, and is the damage."""
-    about, observed, own = session.linearised.about, session.observed[s], session.problem.parts[s].turns
+    about, observed, part = session.linearised.about, session.observed[s], session.problem.parts[s].turns
     assert about is not None
-    path = np.einsum("kipp->ki", about.moments.Phi[own][..., RATE])
-    axis = path / np.maximum(np.linalg.norm(path, axis=1, keepdims=True), 1e-9)
-    size = np.sqrt(about.moments.body_rates[own][:, [0, 3, 5]].sum(axis=1))[:, None, None]
-    W, left = blamed.step.told.weights.turn[own, :, :3], [each[own] for each in blamed.left.turn]
+    axis = _turned_about(about, part)
+    size = np.sqrt(about.moments.body_rates[part][:, [0, 3, 5]].sum(axis=1))[:, None, None]
+    W, (residual, covariance) = blamed.step.told.weights.turn[part, :, :3], (each[part] for each in blamed.left.turn)
     along, across = (
-        SumOfSquares.along(W @ (size * of), *left) for of in (axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2))
+        SumOfSquares.along(W @ (size * of), residual, covariance)
+        for of in (axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2))
     )
-    damage, interval, instrument = 0.0, _interval(observed), session.problem.instrument
-    if interval is not None and instrument.gyro is not None:
+    damage, samples, turns, instrument = 0.0, observed.turn_samples, observed.turns, session.problem.instrument
+    if samples is not None and turns is not None and instrument.gyro is not None:
+        interval = float(np.median(turns.duration / np.maximum(samples.lengths[: len(turns)], 1)))
         share = max(0.0, along.excess - across.excess) / interval
         damage = share / float(u[instrument.group_columns("gyro.scale")].min())
     return Cause(
@@ -204,10 +187,32 @@ def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Remaining, u: 
     )
 
 
-def _interval(observations: Observations) -> float | None:
-    """The interval of the samples of the turns, s; None where there are none."""
-    samples, turns = observations.turn_samples, observations.turns
-    if samples is None or turns is None:
+def lost_by_velocities(linear: Linearised, observations: Observations) -> Cause | None:
+    """The turn that lacks samples, where an estimate of all groups of parameters shows it: the velocities of turns,
+    which the linear model does without, tell more of it than their rotations. That estimate is made where the noise
+    alone does not explain the velocities about the linear one, one step from its solution and without scatter."""
+    instrument, own = instruments_of(observations)
+    problem = Problem.of(observations, instrument=instrument, own=own, usual=observations.usual)
+    values, first = problem.measured[0][1:].copy(), instrument.linear_count
+    values[:first] = linear.point.values[:first]
+    point = Point(
+        values=values,
+        gravity=linear.point.gravity,
+        attitudes=linear.point.attitudes,
+        own=np.zeros((len(problem.parts), len(problem.own_known))),
+    )
+    about = None if linear.about is None else TurnsAbout.of(observations, instrument, values)
+    rows = linearise(problem, point, about)
+    noise = noise_of(problem, rows)
+    nearby = Linearised(problem=problem, point=point, about=about, rows=rows, noise=noise, components=Components())
+    if _standing_loss(nearby) is None:
         return None
-    counts = samples.lengths[: len(turns)]
-    return float(np.median(turns.duration / np.maximum(counts, 1)))
+    whole = joint(observations).linearised
+    return None if whole is None else _standing_loss(whole)
+
+
+def _standing_loss(linearised: Linearised) -> Cause | None:
+    """The turn that lacks samples most likely, where it stands out."""
+    losses = of_turns(LinearisedSession(linearised), Remaining.of(linearised, linearised.components))
+    causes = [cause for of_session in tested(linearised, losses)[0] for cause in of_session] if losses else []
+    return next((cause for cause in causes if cause.probability <= standing_out([cause.probability])), None)

@@ -12,13 +12,24 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.together import apart
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.model import Block
-from tumble.units import Array
+from tumble.units import DEGREE, G_STANDARD, Array
+
+Kind = Literal["accel", "gyro"]
+Concerns = Literal["accel", "gyro", "both"]
+UNITS: dict[str, tuple[float, str]] = {"accel": (1e-6 * G_STANDARD, "µg"), "gyro": (DEGREE / 3600.0, "°/h")}
+"""In which biases and their like are said, (SI, name)."""
+WORDS = {"accel": "accelerometers", "gyro": "gyros"}
 
 PATH_STEPS = 24
 """Steps a turn is followed in."""
-
 SHORTEST_TURN = 1e-6
 """s: what is shorter is no turn."""
+
+
+def sized(value: float, unit: tuple[float, str], digits: int = 2) -> str:
+    """A quantity (SI) in a unit (SI, name)."""
+    size, name = unit
+    return f"{value / size:.{digits}g} {name}".replace(" °", "°")
 
 
 class LinearisedSession:
@@ -32,8 +43,8 @@ class LinearisedSession:
         L = linearised.point.attitudes
         self.force = linearised.point.gravity * L[:, 1]
         self.rate = self.problem.earth @ L
-        self.rest_shape = linearised.rows.rest.shape[:2]
-        self.turn_shape = linearised.rows.turn.shape[:2]
+        self.accel: Block = self.observations.accel_block
+        self.begins = {part.rests.start for part in self.problem.parts}  # the first rest of each session
 
     @cached_property
     def observed(self) -> list[Observations]:
@@ -42,14 +53,11 @@ class LinearisedSession:
             return [self.observations]
         return [apart(self.observations, part.rests, part.turns) for part in self.problem.parts]
 
-    @cached_property
-    def begins(self) -> set[int]:
-        """The first rest of each session."""
-        return {part.rests.start for part in self.problem.parts}
-
-    @cached_property
-    def accel(self) -> Block:
-        return self.observations.accel_block
+    @property
+    def kinds(self) -> list[tuple[Kind, Block]]:
+        """The sensors by kind."""
+        gyro = self.observations.gyro_block
+        return [("accel", self.accel)] if gyro is None else [("accel", self.accel), ("gyro", gyro)]
 
     @property
     def turned(self) -> bool:
@@ -84,34 +92,26 @@ class LinearisedSession:
             return np.zeros((0, PATH_STEPS, 3))
         return np.asarray(np.einsum("ksab,kb->ksa", self.steps, self.force[turns.first]))
 
+    def nothing(self, q: int) -> tuple[Array, Array]:
+        """Columns (N, r, q) and (K, t, q) of nothing."""
+        rows = self.linearised.rows
+        return np.zeros((*rows.rest.shape[:2], q)), np.zeros((*rows.turn.shape[:2], q))
+
     def biased(self, kind: str, at_rest: Array, in_turn: Array) -> tuple[Array, Array]:
         """Columns of a bias of every sensor of a kind that is so many times as large at rest (N, n) and on the way of
         the turns (K, steps, n)."""
-        n = at_rest.shape[1]
+        n, about = at_rest.shape[1], self.linearised.about
         first = 0 if kind == "accel" else self.accel.size
-        rest = np.zeros((*self.rest_shape, n))
+        rest, turn = self.nothing(n)
         rest[:, first : first + n] = at_rest[:, :, None] * np.eye(n)
-        about = self.linearised.about
-        turn = np.zeros((*self.linearised.rows.turn.shape[:2], n))
         if len(turn):
             turn = self.linearised.rows.bias[:, :, first : first + n] * in_turn.mean(axis=1)[:, None, :]
         if kind == "accel" and about is not None:
-            nominal = np.linalg.pinv(self.accel.axes)
-            each = np.swapaxes(self.steps, 2, 3) @ nominal  # C s_p
-            self.put_velocity(turn, np.einsum("ksip,ksp,k->kip", each, in_turn, about.moments.T / PATH_STEPS))
+            turned = np.swapaxes(self.steps, 2, 3) @ np.linalg.pinv(self.accel.axes)  # C s_p
+            self.put_velocity(turn, np.einsum("ksip,ksp,k->kip", turned, in_turn, about.moments.T / PATH_STEPS))
         return rest, turn
 
     def put_velocity(self, turn: Array, columns: Array) -> None:
         """Put columns (K, 3, q) into the rows of the velocities, where there are any."""
         if self.problem.instrument.in_velocities:
             turn[:, 3:6] = columns
-
-    def nothing(self, q: int) -> tuple[Array, Array]:
-        """Columns of nothing."""
-        return np.zeros((*self.rest_shape, q)), np.zeros((*self.turn_shape, q))
-
-
-def kinds(session: LinearisedSession) -> list[tuple[Literal["accel", "gyro"], Block]]:
-    """The sensors of a session, by kind."""
-    gyro = session.observations.gyro_block
-    return [("accel", session.accel), *([("gyro", gyro)] if gyro is not None else [])]  # type: ignore[list-item]
