@@ -29,7 +29,7 @@ from tumble.inference.step import solve
 from tumble.inference.turns_about import TurnsAbout
 from tumble.methods.paper.scalar import scalar
 from tumble.methods.paper.sequential import sequential
-from tumble.methods.staged.method import staged
+from tumble.methods.staged import staged
 from tumble.planning.budget import GROUPS
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations

@@ -36,7 +36,7 @@ from paper_device import INSTABILITY
 from tumble.earth import earth_rate
 from tumble.inference.joint import joint
 from tumble.methods.paper.levelling import triad
-from tumble.methods.staged.method import staged
+from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.recording.session import Site

@@ -22,7 +22,7 @@ from tumble.methods.ellipsoid import ellipsoid
 from tumble.methods.ellipsoid_fit import TRIAD, EllipsoidFit, fit_ellipsoid
 from tumble.methods.paper.scalar import scalar_rows
 from tumble.methods.quadric import fit_many
-from tumble.methods.staged.method import staged
+from tumble.methods.staged import staged
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests import Rests

@@ -26,7 +26,7 @@ from tumble.inference.linearisation import linearise
 from tumble.inference.start import start_of
 from tumble.inference.step import solve
 from tumble.inference.turns_about import TurnsAbout
-from tumble.methods.staged.method import staged
+from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes
 from tumble.reduction.motion_samples import MotionSamples

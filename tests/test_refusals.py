@@ -28,7 +28,7 @@ from tumble.calibration.observed import inspect_session
 from tumble.cli import main
 from tumble.errors import ProgrammeError
 from tumble.inference.estimate import Estimate
-from tumble.methods.staged.method import staged
+from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.programme.positions import attitude, from_attitudes, programme
 from tumble.recording.session import Site

@@ -329,7 +329,9 @@ def test_the_turntable_recording_is_recovered(data: Path, pipeline: Pipeline) ->
 
 
 def test_scatter_between_rests_is_found_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tumble.methods.agreement.SCATTER_PROBABILITY", 1e-3)  # beyond doubt, so that quiet means none
+    monkeypatch.setattr(
+        "tumble.methods.least_squares.SCATTER_PROBABILITY", 1e-3
+    )  # beyond doubt, so that quiet means none
     rng = np.random.default_rng(9)
     values = drawn_values(1, rng)[0]
     quiet, noisy = (sequential(observations(values, rng, noise=n), iterations=4) for n in (1.0, 10.0))

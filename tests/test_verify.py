@@ -19,7 +19,7 @@ from tumble.calibration.verify import TURNED_ON, Positions, positions_of, verify
 from tumble.cli import main
 from tumble.errors import CalibrationError, InputError
 from tumble.inference.estimate import Estimate, Outcome
-from tumble.methods.staged.method import staged
+from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
 from tumble.recording.session import Site

@@ -1,4 +1,4 @@
-"""Data made worse never improve a verdict."""
+"""Data made worse never improve a verdict, neither the whole one nor that of accelerometers or gyros."""
 
 from __future__ import annotations
 
@@ -34,15 +34,16 @@ def recorded(state: str) -> Observations:
 
 
 @cache
-def judged_before(state: str) -> int:
-    """The verdict on it."""
+def judged_before(state: str) -> list[int]:
+    """The verdicts on it."""
     return judged(recorded(state))
 
 
-def judged(observations: Observations) -> int:
-    """The verdict as a number: larger is worse."""
+def judged(observations: Observations) -> list[int]:
+    """The verdicts on the whole, the accelerometers and the gyros as numbers: larger is worse."""
     order = ["accepted", "accepted with scatter", "not accepted"]
-    return order.index(verdict(joint(observations, quick=True), observations).verdict)
+    outcome = verdict(joint(observations, quick=True), observations)
+    return [order.index(each.verdict) for each in (outcome, outcome.accel, outcome.gyro)]
 
 
 def spoilt(seen: Observations, kind: str, rest: int, size: float, rng: np.random.Generator) -> Observations:
@@ -79,4 +80,4 @@ def spoilt(seen: Observations, kind: str, rest: int, size: float, rng: np.random
 )
 def test_data_made_worse_never_improve_a_verdict(state: str, kind: str, rest: int, size: float) -> None:
     after = judged(spoilt(recorded(state), kind, rest, size, np.random.default_rng(5)))
-    assert after >= judged_before(state)
+    assert all(now >= before for now, before in zip(after, judged_before(state), strict=True))

@@ -30,7 +30,7 @@ from tumble.inference.joint import joint
 from tumble.methods.ellipsoid import ellipsoid
 from tumble.methods.paper.scalar import scalar
 from tumble.methods.paper.sequential import sequential
-from tumble.methods.staged.method import staged
+from tumble.methods.staged import staged
 from tumble.recording.arrays import Temperatures, session_of_arrays
 from tumble.recording.log import Log
 from tumble.recording.session import Session

@@ -39,22 +39,23 @@ def linear_names(names: Sequence[str]) -> tuple[str, ...]:
 def undetermined(
     estimate: Estimate, observations: Observations, missing: tuple[str, ...]
 ) -> list[tuple[Concerns, str]]:
-    """What the data do not determine, the parameters that are `missing`, or else determine poorly, and what would; with
-    the sensors it concerns."""
+    """What the data do not determine, the parameters that are `missing`, and what they determine poorly of kinds of
+    sensors of which none is, and what would; with the sensors it concerns."""
+    said = list[tuple[Concerns, str]]()
     if missing:
-        said = f"not observable in this session: {listed(missing)}"
         helpful = _most_helpful(estimate, observations, estimate.null)
-        return [(_concerned(missing), _and(one_attitude(observations), said, helpful))]
-    combinations, known = _weak(estimate, observations)
-    if not len(known):
-        return []
-    weak = "; ".join(
-        f"{_combination_said(each, estimate.names)} (known to {100.0 * u:.2g} % of its usual size)"
-        for each, u in zip(combinations, known, strict=True)
-    )
-    remedy = _most_helpful(estimate, observations, combinations)
-    concerned = _concerned([estimate.names[i] for each in combinations for i in _largest_of(each)])
-    return [(concerned, _and(f"poorly observable in this session: {weak}", remedy))]
+        unseen = f"not observable in this session: {listed(missing)}"
+        said.append((_concerned(missing), _and(one_attitude(observations), unseen, helpful)))
+    combinations, known = _weak(estimate, observations, {sensor_kind(name) for name in missing})
+    if len(known):
+        weak = "; ".join(
+            f"{_combination_said(each, estimate.names)} (known to {100.0 * u:.2g} % of its usual size)"
+            for each, u in zip(combinations, known, strict=True)
+        )
+        remedy = _most_helpful(estimate, observations, combinations)
+        concerned = _concerned([estimate.names[i] for each in combinations for i in _largest_of(each)])
+        said.append((concerned, _and(f"poorly observable in this session: {weak}", remedy)))
+    return said
 
 
 def faces_alone(estimate: Estimate, missing: Sequence[str]) -> bool:
@@ -107,24 +108,26 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(f"{group} ({count})" for group, count in counted.items())
 
 
-def _weak(estimate: Estimate, observations: Observations) -> tuple[Array, Array]:
-    """Combinations (q, m) of the parameters, in units of `_spreads`, that the data determine poorly or not at all, the
-    worst first, and how well they are known, in the same units. Poorly is also where the square of the uncertainty
-    of scale factors and angles is not small against what the data resolve: u does not hold then, for effects of second
-    order count."""
+def _weak(estimate: Estimate, observations: Observations, without: set[str]) -> tuple[Array, Array]:
+    """Combinations (q, m) of the parameters of the linear model, in units of `_spreads`, that the data determine poorly
+    or not at all, the worst first, and how well they are known, in the same units; `without` those of some kinds of
+    sensors. Poorly is also where the square of the uncertainty of scale factors and angles is not small against what
+    the data resolve: u does not hold then, for effects of second order count."""
     linear = linear_names(estimate.names)
-    spread = _spreads(linear, observations)
-    by_gravity = _by_gravity(
-        estimate.names, observations.site
-    )  # what is common to all rests no further rest would show
-    m, covariance = len(linear), estimate.covariance - np.outer(by_gravity, by_gravity)
+    some = [i for i, name in enumerate(linear) if sensor_kind(name) not in without]
+    spread = _spreads(linear, observations)[some]
+    # what is common to all rests no further rest would show
+    common = [_by_gravity(name, observations.site) for name in estimate.names]
+    covariance = estimate.covariance - np.outer(common, common)
     if estimate.instrument is not None:
         covariance = covariance - common_covariance(observations, estimate.instrument)
-    variance, vectors = np.linalg.eigh(covariance[:m, :m] / np.outer(spread, spread))
-    angles = np.array([within_kind(group_name(name)) != "bias" for name in linear])  # biases are linear
+    variance, vectors = np.linalg.eigh(covariance[np.ix_(some, some)] / np.outer(spread, spread))
+    angles = np.array([within_kind(group_name(linear[i])) != "bias" for i in some], dtype=bool)  # biases are linear
     squared = variance * (vectors[angles] ** 2).sum(axis=0) * group_of("accel.axis").limit ** 2
     poor = np.flatnonzero((variance > POORLY_KNOWN**2) | (squared > _resolution(estimate, observations)))[::-1]
-    return vectors[:, poor].T, np.sqrt(variance[poor])
+    combinations = np.zeros((len(poor), len(linear)))
+    combinations[:, some] = vectors[:, poor].T
+    return combinations, np.sqrt(variance[poor])
 
 
 def _spreads(linear: Sequence[str], observations: Observations) -> Array:
@@ -148,9 +151,9 @@ def _resolution(estimate: Estimate, observations: Observations) -> float:
     return max(tilt, typical(observations.turns.covariance, "gyro turns"))
 
 
-def _by_gravity(names: Sequence[str], site: Site) -> Array:
-    """By how much the parameters change with gravity's standard uncertainty: scale factors are in its unit."""
-    return np.array([site.gravity_u / site.gravity if group_name(name) == "accel.scale" else 0.0 for name in names])
+def _by_gravity(name: str, site: Site) -> float:
+    """By how much a parameter changes with gravity's standard uncertainty: scale factors are in its unit."""
+    return site.gravity_u / site.gravity if group_name(name) == "accel.scale" else 0.0
 
 
 def gravity_wanted(site: Site) -> tuple[str, ...]:

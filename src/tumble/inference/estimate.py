@@ -1,4 +1,4 @@
-"""What every method returns, and the least squares behind it.
+"""What every method returns.
 
 An `Estimate` always comes back: when the data do not determine a parameter it has no value, and the outcome
 names it; when they do not fit, the outcome says which rest or turn, and by how much.
@@ -6,7 +6,7 @@ names it; when they do not fit, the outcome says which rest or turn, and by how 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -28,14 +28,6 @@ that is hardly better known wanders while the estimate is iterated, and takes th
 
 SEEN = 1e-3
 """A parameter is unobservable when more than this part of it (in units of its spread) is in the null space."""
-
-RELATIVE_RANK = 1e-11
-"""Singular values below this part of the largest are rounding."""
-
-SCATTER_PROBABILITY = 0.5
-"""Scatter is estimated where chance alone would exceed chi-square less often than this: where it is above its median.
-With a stricter limit a scatter that is there, but not beyond doubt, would be missing from u."""
-
 
 FIT_SIGMAS = 5.0
 """A rest or turn further than this from the fit does not fit."""
@@ -280,56 +272,3 @@ class Estimate(Brief):
     def u(self) -> Array:
         """Standard uncertainties."""
         return np.sqrt(np.diag(self.covariance))
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Solution:
-    """A weighted least-squares step: `step` (m,), `gain` (m, r) of the whitened residuals, `null` (q, m) the
-    combinations the data do not determine, in units of the spreads, and the covariance (m, m), to which the
-    spreads of the null space have been added."""
-
-    step: Array
-    gain: Array
-    null: Array
-    covariance: Array
-
-    @property
-    def observable(self) -> BoolArray:
-        """Which parameters the data determine."""
-        return np.asarray(np.sqrt((self.null**2).sum(axis=0)) < SEEN)
-
-
-def least_squares(jacobian: Array, residual: Array, spread: Array) -> Solution:
-    """Smallest step that minimises |residual − jacobian · step|², both whitened; singular combinations, which the
-    data determine no better than DETERMINED times their spread, are left alone."""
-    Q, R = np.linalg.qr(jacobian * spread)
-    U, s, Vt = np.linalg.svd(R)
-    rank = int(np.sum(s > max(DETERMINED, RELATIVE_RANK * s[0])))
-    seen, null = Vt[:rank], Vt[rank:]
-    gain = spread[:, None] * (seen.T / s[:rank]) @ (Q @ U[:, :rank]).T
-    covariance = gain @ gain.T + (spread[:, None] * null.T) @ (null * spread)
-    return Solution(step=gain @ residual, gain=gain, null=null, covariance=covariance)
-
-
-def scatter_of(excess: Callable[[float], float], start: float) -> float:
-    """The scatter at which `excess(scatter)` (chi-square less its expectation, falling) vanishes; `start` is a
-    first guess of its size. Zero where there is none."""
-    from scipy.optimize import brentq
-
-    if excess(0.0) <= 0.0:
-        return 0.0
-    high = start
-    while excess(high) > 0.0:
-        high *= 4.0
-    return float(brentq(excess, 0.0, high, rtol=1e-3))
-
-
-def sigmas(normalised: Array, degrees: float, scaled: bool) -> Array:
-    """How many Gaussian sigmas each normalised residual is out; where the scale came from the same residuals, the
-    residual is judged by the scale of all others (externally studentised)."""
-    z = np.abs(normalised)
-    if not scaled or degrees < 2:
-        return z
-    z2 = np.minimum(z**2, degrees * (1.0 - 1e-9))
-    studentised = np.sqrt(z2 * (degrees - 1.0) / (degrees - z2))
-    return np.asarray(0.0 - special.ndtri(special.stdtr(degrees - 1.0, -studentised)))

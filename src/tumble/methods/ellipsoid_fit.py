@@ -42,8 +42,8 @@ from scipy.special import fdtri, ndtri, stdtr
 from tumble.brief import Brief
 from tumble.diagnosis.observability import Refusal, undetermined
 from tumble.errors import InputError
-from tumble.inference.estimate import Fit, Solution, least_squares, sigmas
-from tumble.methods.gauss_newton import negligible, with_scatter
+from tumble.inference.estimate import Fit
+from tumble.methods.least_squares import Solution, least_squares, sigmas, with_scatter
 from tumble.methods.quadric import fit_many
 from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
 from tumble.units import Array, BoolArray, IntArray
@@ -205,7 +205,7 @@ def fit_ellipsoid(
         scatter=found.scatter,
         worst=worst,
         increments=found.increments,
-        converged=negligible(solution, FLOOR * task.spread),
+        converged=solution.negligible(FLOOR * task.spread),
     )
 
 

@@ -42,6 +42,7 @@ from tumble.inference.start import headings
 from tumble.inference.step import solve, tell
 from tumble.inference.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
+from tumble.rotation import unit_vector
 from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import limits_of
@@ -114,31 +115,58 @@ class CheckResult:
 
 def field_check(observations: Observations, known: KnownBefore) -> CheckResult:
     """What a session says of a calibration, see the module's docstring."""
-    limits = limits_of(known.instrument.names)
-    seen = range(known.instrument.linear_count)
-    free: list[int] = []
-    others: list[dict[int, float]] = []
-    at = _started(observations, known)
-    rounds: list[_Tests] = []
+    instrument, limits = known.instrument, limits_of(known.instrument.names)
+    free, others = list[int](), list[dict[int, float]]()  # the changed parameters, and what is as likely instead
+    at, first = _started(observations, known), None
     while True:
-        at, reduced = _iterated(at, known, _freed(known.covariance, free, limits))
-        found = _Tests.of(reduced, _freed(known.covariance, free, limits), known.doubt)
-        candidates = np.array([j for j in seen if j not in free and found.u[j] < limits[j] / DETERMINED], dtype=int)
-        limit = found.limit(candidates)
-        rounds.append(replace(found, candidates=candidates, most=limit))
-        worst = int(candidates[np.argmax(np.abs(found.t[candidates]))]) if len(candidates) else 0
-        if not len(candidates) or abs(found.t[worst]) <= limit or len(free) == MOST_CHANGES:
+        covariance = _freed(known.covariance, free, limits)
+        at, left = _iterated(at, known.components, covariance)
+        tests = _Tests.of(left, covariance, known.doubt)
+        seen = [j for j in range(instrument.linear_count) if j not in free and tests.u[j] < limits[j] / DETERMINED]
+        candidates = np.array(seen, dtype=int)
+        limit = tests.limit(candidates)
+        first = first or (tests, candidates, limit)
+        worst = int(candidates[np.argmax(np.abs(tests.t[candidates]))]) if len(candidates) else 0
+        if not len(candidates) or abs(tests.t[worst]) <= limit or len(free) == MOST_CHANGES:
             break
         free.append(worst)
-        others.append(found.as_likely(worst, candidates, limit))
-    return _result(known, (free, others), reduced, rounds[0])
+        others.append(tests.as_likely(worst, candidates, limit))
+    unfreed = _Tests.of(left, known.covariance, known.doubt)
+    Q, R = np.linalg.qr(unfreed.G[:, free])  # the changes together, their u, and how much of |z|² they explain
+    along, inverse = Q.T @ unfreed.z, np.linalg.inv(R)
+    change, change_u = inverse @ along, np.sqrt((inverse**2).sum(axis=1))
+    S, PR = np.eye(len(left.d)) + left.R @ covariance @ left.R.T, covariance @ left.R.T
+    (alone, candidates, limit), names = first, instrument.names
+    return CheckResult(
+        changes=tuple(
+            ChangedParameter(
+                name=names[j],
+                unit=instrument.units[j],
+                value=float(change[i]),
+                u=float(change_u[i]),
+                others={names[k]: a for k, a in others[i].items()},
+            )
+            for i, j in enumerate(free)
+        ),
+        tests={names[j]: (float(alone.t[j] * alone.u[j]), float(alone.u[j])) for j in candidates},
+        detectable={names[j]: float((limit + special.ndtri(POWER)) * alone.u[j]) for j in candidates},
+        largest=float(np.abs(alone.t[candidates]).max()) if len(candidates) else 0.0,
+        limit=limit,
+        misfit=Fit(
+            chi_square=left.squares + float(unfreed.z @ unfreed.z) - float(along @ along),
+            degrees=float(left.degrees - len(free)),
+            scatter=0.0,
+            scatter_unit="",
+        ),
+        values=known.values + (PR @ np.linalg.solve(S, left.d))[1:],
+        covariance=(covariance - PR @ np.linalg.solve(S, PR.T))[1:, 1:],
+    )
 
 
 def _freed(covariance: Array, free: list[int], limits: Array) -> Array:
     """The covariance with parameters set free within their limits."""
-    out = covariance.copy()
-    which = 1 + np.array(free, dtype=int)
-    out[which, which] += limits[np.array(free, dtype=int)] ** 2
+    out, which = covariance.copy(), np.array(free, dtype=int)
+    out[1 + which, 1 + which] += limits[which] ** 2
     return out
 
 
@@ -157,20 +185,16 @@ def _started(observations: Observations, known: KnownBefore) -> _Where:
     instrument, values = known.instrument, known.values
     start = dict(zip(instrument.names, values.tolist(), strict=True))
     problem = Problem.of(replace(observations, start=start), Prior(covariance=known.covariance), instrument=instrument)
-    force = specific_force(instrument, values, observations.rests.accel)
-    vertical = force / np.linalg.norm(force, axis=1, keepdims=True)
+    vertical = unit_vector(specific_force(instrument, values, observations.rests.accel))
     turns = observations.turns
     about = None if turns is None or not len(turns) else TurnsAbout.of(observations, instrument, values)
     attitudes = headings(problem, vertical, values, about)
-    return _Where(
-        problem=problem,
-        point=Point(values=values, gravity=observations.site.gravity, attitudes=attitudes),
-        about=about,
-    )
+    point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes)
+    return _Where(problem=problem, point=point, about=about)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Reduced:
+class _Left:
     """R (p, p) and d (p,) of Eq. (1) with p = 1 + m, about what was known; the sum of squares that no x explains, and
     the degrees of freedom of all of them."""
 
@@ -180,13 +204,13 @@ class _Reduced:
     degrees: int
 
 
-def _iterated(at: _Where, known: KnownBefore, covariance: Array) -> tuple[_Where, _Reduced]:
+def _iterated(at: _Where, components: Components, covariance: Array) -> tuple[_Where, _Left]:
     """Gauss–Newton with a covariance of the prior, and what the session's own rows leave at the end."""
     problem = replace(at.problem, prior=Prior(covariance=covariance))
     point, about = at.point, at.about
     for _ in range(MAX_ITERATIONS):
         rows = linearise(problem, point, about)
-        step = solve(problem, rows, weights(problem, rows, known.components))
+        step = solve(problem, rows, weights(problem, rows, components))
         new, change = moved(problem, point, step)
         integral = integrated(problem, new, about)
         u = np.sqrt(np.diag(step.covariance)[1:])
@@ -194,14 +218,16 @@ def _iterated(at: _Where, known: KnownBefore, covariance: Array) -> tuple[_Where
             break
         point, about = new, integral
     rows = linearise(problem, point, about)
-    told = tell(problem, rows, weights(problem, rows, known.components))
-    R, d, left = told.sessions[0][:-1, :-1], told.sessions[0][:-1, -1], told.sessions[0][-1, -1]
-    off = np.append(point.gravity, point.values) - problem.measured[0]
+    told = tell(problem, rows, weights(problem, rows, components))
+    session, off = told.sessions[0], np.append(point.gravity, point.values) - problem.measured[0]
     angles = int(np.count_nonzero(np.diagonal(told.factor, axis1=1, axis2=2)[:, :3]))
-    count = sum(each.shape[0] * each.shape[1] for each in told.whitened) - angles
-    return _Where(problem=problem, point=point, about=about), _Reduced(
-        R=R, d=d + R @ off, squares=left**2, degrees=count
+    left = _Left(
+        R=session[:-1, :-1],
+        d=session[:-1, -1] + session[:-1, :-1] @ off,
+        squares=session[-1, -1] ** 2,
+        degrees=sum(each.shape[0] * each.shape[1] for each in told.whitened) - angles,
     )
+    return _Where(problem=problem, point=point, about=about), left
 
 
 # Tests
@@ -209,34 +235,24 @@ def _iterated(at: _Where, known: KnownBefore, covariance: Array) -> tuple[_Where
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Tests:
-    """z (p,) and G (p, m) of Eq. (1), without the column of gravity, and 1/ν (m,) of Eq. (3); which parameters are
-    candidates for a change, and `most`, what the largest |t| of them may be."""
+    """z (p,) and G (p, m) of Eq. (1), without the column of gravity; 1/ν (m,) of Eq. (3), and the tests t (m,) of
+    Eq. (2) with their u, infinite where the session says nothing."""
 
     z: Array
     G: Array
     inverse_degrees: Array
-    candidates: IntArray
-    most: float
+    t: Array
+    u: Array
 
     @staticmethod
-    def of(reduced: _Reduced, covariance: Array, doubt: Array) -> _Tests:
-        S = np.eye(len(reduced.d)) + reduced.R @ covariance @ reduced.R.T
-        both = np.linalg.solve(np.linalg.cholesky(S), np.column_stack([reduced.R, reduced.d]))
-        with_gravity, G = both[:, :-1], both[:, 1:-1]
-        q = with_gravity.T @ G / np.maximum(np.linalg.norm(G, axis=0), 1e-300)
+    def of(left: _Left, covariance: Array, doubt: Array) -> _Tests:
+        S = np.eye(len(left.d)) + left.R @ covariance @ left.R.T
+        both = np.linalg.solve(np.linalg.cholesky(S), np.column_stack([left.R, left.d]))
+        with_gravity, G, z = both[:, :-1], both[:, 1:-1], both[:, -1]
+        u = 1.0 / np.maximum(np.linalg.norm(G, axis=0), 1e-300)
+        q = with_gravity.T @ G * u
         inverse = np.einsum("ij,ik,kj->j", q, doubt, q) ** 2
-        return _Tests(z=both[:, -1], G=G, inverse_degrees=inverse, candidates=np.zeros(0, dtype=int), most=np.inf)
-
-    @property
-    def u(self) -> Array:
-        """u of Eq. (2); infinite where the session says nothing."""
-        size = np.linalg.norm(self.G, axis=0)
-        return np.asarray(1.0 / np.maximum(size, 1e-300))
-
-    @property
-    def t(self) -> Array:
-        """Tests of Eq. (2)."""
-        return np.asarray(self.u * (self.G.T @ self.z))
+        return _Tests(z=z, G=G, inverse_degrees=inverse, t=u * (G.T @ z), u=u)
 
     def limit(self, candidates: IntArray) -> float:
         """What the largest |t| of the candidates exceeds in CHANCE of all cases."""
@@ -253,12 +269,6 @@ class _Tests:
         near = [int(j) for j in candidates if j != chosen and abs(self.t[j]) > least]
         return {j: float(self.t[j] * self.u[j]) for j in near}
 
-    def together(self, which: list[int]) -> tuple[Array, Array, float]:
-        """Changes of several parameters, their u, and how much of |z|² they explain."""
-        Q, R = np.linalg.qr(self.G[:, which])
-        along, inverse = Q.T @ self.z, np.linalg.inv(R)
-        return inverse @ along, np.sqrt((inverse**2).sum(axis=1)), float(along @ along)
-
 
 def _student(normal: Array, inverse_degrees: Array) -> Array:
     """√(ν/χ²_ν) by which a normal number becomes one of Student's t, from another normal number (Wilson & Hilferty)."""
@@ -270,39 +280,3 @@ def _student(normal: Array, inverse_degrees: Array) -> Array:
 def _normal(size: int) -> Array:
     """The same normal numbers (DRAWS, size) for every check."""
     return np.random.default_rng(20190).standard_normal((DRAWS, size))
-
-
-def _result(
-    known: KnownBefore, found: tuple[list[int], list[dict[int, float]]], reduced: _Reduced, first: _Tests
-) -> CheckResult:
-    instrument, (free, others) = known.instrument, found
-    names, units = instrument.names, instrument.units
-    tests = _Tests.of(reduced, known.covariance, known.doubt)
-    value, u, explained = tests.together(free)
-    covariance = _freed(known.covariance, free, limits_of(names))
-    S = np.eye(len(reduced.d)) + reduced.R @ covariance @ reduced.R.T
-    PR = covariance @ reduced.R.T
-    return CheckResult(
-        changes=tuple(
-            ChangedParameter(
-                name=names[j],
-                unit=units[j],
-                value=float(value[i]),
-                u=float(u[i]),
-                others={names[k]: a for k, a in others[i].items()},
-            )
-            for i, j in enumerate(free)
-        ),
-        tests={names[j]: (float(first.t[j] * first.u[j]), float(first.u[j])) for j in first.candidates},
-        detectable={names[j]: float((first.most + special.ndtri(POWER)) * first.u[j]) for j in first.candidates},
-        largest=float(np.abs(first.t[first.candidates]).max()) if len(first.candidates) else 0.0,
-        limit=first.most,
-        misfit=Fit(
-            chi_square=reduced.squares + float(tests.z @ tests.z) - explained,
-            degrees=float(reduced.degrees - len(free)),
-            scatter=0.0,
-            scatter_unit="",
-        ),
-        values=known.values + (PR @ np.linalg.solve(S, reduced.d))[1:],
-        covariance=(covariance - PR @ np.linalg.solve(S, PR.T))[1:, 1:],
-    )

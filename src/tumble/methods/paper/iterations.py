@@ -21,7 +21,7 @@ from scipy import linalg
 
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate
-from tumble.methods.agreement import Residuals, explaining
+from tumble.methods.least_squares import Residuals, explaining
 from tumble.methods.paper.four_stages import (
     PaperMethod,
     ProgrammeCourse,
