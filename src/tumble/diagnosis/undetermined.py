@@ -146,7 +146,7 @@ def _resolution(estimate: Estimate, observations: Observations) -> float:
         return float(np.hypot(np.sqrt(variance), estimate.fits[group].scatter if group in estimate.fits else 0.0))
 
     tilt = typical(observations.rests.accel_covariance, "accelerometers") / observations.site.gravity
-    if observations.turns is None or estimate.gyro is None:
+    if observations.turns is None or not len(observations.turns) or estimate.gyro is None:
         return tilt
     return max(tilt, typical(observations.turns.covariance, "gyro turns"))
 
