@@ -29,8 +29,7 @@ import formulas_against_simulation as simulation
 import numpy as np
 
 from tumble.earth import earth_rate, normal_gravity
-from tumble.methods.paper.gyro_bias import invariant_bias, scalar_bias, vertical_bias
-from tumble.methods.paper.levelling import carried, triad
+from tumble.methods.paper.gyro_bias import carried, invariant_bias, scalar_bias, triad, vertical_bias
 from tumble.planning.setup import Setup
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.sensors.grades import NoiseModel

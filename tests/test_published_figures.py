@@ -31,12 +31,11 @@ from rough_launches import (
 from tumble.earth import EARTH_RATE
 from tumble.methods.paper.accuracy_formulas import accelerometer_leakage
 from tumble.methods.paper.four_stages import PaperMethod
-from tumble.methods.paper.gyro_bias import invariant_bias
+from tumble.methods.paper.gyro_bias import invariant_bias, triad
 from tumble.methods.paper.indirect import (
     horizontal_differences,
     programme_matrix,
 )
-from tumble.methods.paper.levelling import triad
 from tumble.methods.paper.scalar import accelerometers as scalar_accelerometers
 from tumble.methods.paper.scalar import scalar_differences, scalar_fit, scalar_rows
 from tumble.methods.paper.sequential import accelerometers as sequential_accelerometers

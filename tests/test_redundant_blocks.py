@@ -19,7 +19,7 @@ from test_staged import COARSE, FINE, NAVIGATION, PYRAMID, error_of, in_the_hand
 from tumble.calibration.calibrate import calibrate
 from tumble.earth import earth_rate
 from tumble.methods.paper.accuracy_formulas import angle_variance, best_elevations
-from tumble.methods.paper.levelling import triad
+from tumble.methods.paper.gyro_bias import triad
 from tumble.methods.paper.sequential import angle_between, bias_and_scale
 from tumble.methods.staged import staged
 from tumble.planning.setup import Setup

@@ -1,4 +1,5 @@
-"""Gyro biases from rests, stage 3: three ways to compare what gyros read with the Earth's rate.
+"""Alignment of a body at rest, and gyro biases from rests, stage 3: three ways to compare what gyros read with the
+Earth's rate.
 
 All of them take any leading axes: rates ω̂ and specific forces (..., N, 3) of N rests in the body frame,
 `earth_rate` (3,) Ω in N, U, E. Bias is the reading minus the true rate.
@@ -15,12 +16,25 @@ from __future__ import annotations
 import numpy as np
 
 from tumble.methods.paper.accuracy_formulas import applied, solved, transposed
-from tumble.methods.paper.levelling import triad
-from tumble.rotation import unit_vector
+from tumble.rotation import rotation_matrix, unit_vector
 from tumble.units import Array
 
 STANDING = 1e-6
 """Cosine deficit at which a nominal axis still counts as vertical."""
+
+
+def triad(force: Array, rate: Array) -> Array:
+    """Attitude body → geographic N, U, E (..., 3, 3) from the specific force and the Earth's rate measured at rest:
+    e_U ∥ ŵ, e_E ∥ ω̂ × e_U, e_N = e_U × e_E."""
+    up = unit_vector(force)
+    east = unit_vector(np.cross(rate, up))
+    return np.stack([np.cross(up, east), up, east], axis=-2)
+
+
+def carried(attitude: Array, C: Array, earth_rate: Array, seconds: Array | float) -> Array:
+    """Attitude (..., 3, 3) after a move that turned the body by C (body at the end → body at the start, in the
+    non-rotating frame) and took `seconds`, in which the geographic frame turned by Ω T: exp(−[Ω T×]) L C."""
+    return np.asarray(rotation_matrix(-earth_rate * seconds) @ attitude @ C)
 
 
 def vector_bias(rate: Array, force: Array, earth_rate: Array) -> Array:

@@ -32,7 +32,7 @@ from tumble.methods.paper.accuracy_formulas import (
     indirect_accelerometer_matrix,
     indirect_matrix,
 )
-from tumble.methods.paper.levelling import carried
+from tumble.methods.paper.gyro_bias import carried
 from tumble.programme.positions import Programme
 from tumble.rotation import unit_vector
 from tumble.units import DEGREE, Array

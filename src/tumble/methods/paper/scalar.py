@@ -17,8 +17,7 @@ import numpy as np
 from tumble.errors import ProgrammeError
 from tumble.inference.estimate import Estimate
 from tumble.methods.paper.accuracy_formulas import solved
-from tumble.methods.paper.four_stages import PaperMethod
-from tumble.methods.paper.iterations import iterated
+from tumble.methods.paper.four_stages import PaperMethod, iterated
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
 from tumble.sensors.model import SensorModel, triad_model
