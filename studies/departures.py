@@ -126,7 +126,7 @@ DEPARTURES = (
     Departure(name="gyro steps, noise 0.3 of one", resolution=1.0 / 0.3, causes=("quantisation",)),
     Departure(name="0.2 % of samples lost", lost=0.002, causes=("lost samples",)),
     Departure(name="1 % of samples lost", lost=0.01, causes=("lost samples",)),
-    Departure(name="scales drift by 20 ppm", scale_drift=20e-6, causes=("drift",)),
+    Departure(name="scales drift by 20 ppm", scale_drift=20e-6, causes=("scale-factor drift",)),
     Departure(
         name="biases drift by 50 µg, 0.1 °/h",
         accel_bias_drift=50.0 * MICRO_G,

@@ -79,7 +79,7 @@ def test_clean_sessions_are_accepted_without_a_word(setting: int) -> None:
         ("memory 50 ppm over 60 s", 3.0, "memory"),
         ("gyro nonlinearity 20 ppm at 10 °/s", 3.0, "gyro nonlinearity"),
         ("biases drift by 50 µg, 0.1 °/h", 3.0, "drift"),
-        ("scales drift by 20 ppm", 3.0, "drift"),
+        ("scales drift by 20 ppm", 3.0, "scale-factor drift"),
         ("1 % of samples lost", 1.0, "lost samples"),
         ("1 % of samples held", 1.0, "lost samples"),
     ],

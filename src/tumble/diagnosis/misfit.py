@@ -137,11 +137,10 @@ def misfit(estimate: Estimate) -> Misfit | None:
         of_all = _of_all(
             [(n, each) for n, each in zip(together.names, every, strict=True) if each.remarks or each.reasons]
         )
-    names = tuple("drift" if cause == "scale-factor drift" else cause for _, cause, _ in wandering)
     joined = Misfit(
         reasons=of_all.reasons,
         remarks=tuple((concerns, remark) for concerns, _, remark in wandering) + of_all.remarks,
-        causes=tuple(dict.fromkeys(of_all.causes + names)),
+        causes=tuple(dict.fromkeys((*of_all.causes, *(cause for _, cause, _ in wandering)))),
     )
     return joined if estimate.method == "joint" else _about_joint(joined)
 
