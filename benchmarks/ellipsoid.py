@@ -20,7 +20,7 @@ from itertools import product
 
 import numpy as np
 
-from tumble.estimation.quadric import fit_many
+from tumble.methods.quadric import fit_many
 from tumble.units import Array
 
 UNITS, ALONE, RUNS, TARGET = 50_000, 1_000, 7, 100_000

@@ -237,8 +237,8 @@ class _Motion:
         return L, own + of_earth, change, self.moves[k] * (dds / self.turn**2)[:, None]
 
     def sensed(self, t: Array, levers: Array, delays: Array) -> tuple[Array, Array, Array]:
-        """ω (N, 3) at times, each component of f (N, 3, 3) of all accelerometers at their places and times, [:, p] being
-        the force at accelerometer p, and f (N, 3) that the gyros feel."""
+        """ω (N, 3) at times, each component of f (N, 3, 3) of all accelerometers at their places and times, [:, p] that
+        at accelerometer p, and f (N, 3) that the gyros feel."""
         force = np.empty((len(t), 3, 3))
         for p in range(3):
             L, w, dw, a = self.at(t - delays[p])

@@ -26,8 +26,8 @@ from itertools import product
 import numpy as np
 
 from tumble.calibration.case import Verticals, align_case
-from tumble.estimation.methods.paper.scalar import scalar_rows
-from tumble.estimation.quadric import fit_many
+from tumble.methods.paper.scalar import scalar_rows
+from tumble.methods.quadric import fit_many
 from tumble.programme.positions import programme
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame

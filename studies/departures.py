@@ -20,10 +20,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import lfilter
 
+from tumble.diagnosis.misfit import misfit
+from tumble.diagnosis.verdict import verdict
 from tumble.earth import earth_rate, normal_gravity
-from tumble.estimation.diagnosis.misfit import misfit
-from tumble.estimation.diagnosis.verdict import verdict
-from tumble.estimation.estimate import Outcome
+from tumble.inference.estimate import Outcome
 from tumble.inference.joint import joint
 from tumble.programme.positions import programme
 from tumble.recording.session import Site
@@ -126,7 +126,7 @@ DEPARTURES = (
     Departure(name="gyro steps, noise 0.3 of one", resolution=1.0 / 0.3, causes=("quantisation",)),
     Departure(name="0.2 % of samples lost", lost=0.002, causes=("lost samples",)),
     Departure(name="1 % of samples lost", lost=0.01, causes=("lost samples",)),
-    Departure(name="scales drift by 20 ppm", scale_drift=20e-6, causes=("drift",)),
+    Departure(name="scales drift by 20 ppm", scale_drift=20e-6, causes=("scale-factor drift",)),
     Departure(
         name="biases drift by 50 µg, 0.1 °/h",
         accel_bias_drift=50.0 * MICRO_G,

@@ -19,9 +19,9 @@ import numpy as np
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.check import known_before
 from tumble.calibration.results import Parameter
-from tumble.estimation.estimate import Estimate, Outcome
-from tumble.estimation.field_check import CheckResult, field_check
+from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
+from tumble.methods.field_check import CheckResult, field_check
 from tumble.planning.setup import Setup
 from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.simulation.observations import simulate_observations

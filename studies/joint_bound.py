@@ -19,17 +19,17 @@ from dataclasses import dataclass
 import numpy as np
 from formulas_against_simulation import DEVICE
 
-from tumble.estimation.estimate import Estimate
-from tumble.estimation.methods.paper.scalar import scalar
-from tumble.estimation.methods.paper.sequential import sequential
-from tumble.estimation.methods.staged.method import staged
-from tumble.estimation.turns_about import TurnsAbout
+from tumble.inference.estimate import Estimate
 from tumble.inference.fits import TOTAL
 from tumble.inference.hyperparameters import Components
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import Point, Problem, weights
 from tumble.inference.linearisation import linearise
 from tumble.inference.step import solve
+from tumble.inference.turns_about import TurnsAbout
+from tumble.methods.paper.scalar import scalar
+from tumble.methods.paper.sequential import sequential
+from tumble.methods.staged import staged
 from tumble.planning.budget import GROUPS
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations

@@ -34,9 +34,9 @@ import numpy as np
 from paper_device import INSTABILITY
 
 from tumble.earth import earth_rate
-from tumble.estimation.methods.paper.levelling import triad
-from tumble.estimation.methods.staged.method import staged
 from tumble.inference.joint import joint
+from tumble.methods.paper.gyro_bias import triad
+from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.recording.session import Site

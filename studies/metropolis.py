@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from tumble.calibration.observed import inspect_session, observations_for_calibration
-from tumble.estimation.estimate import Outcome
+from tumble.inference.estimate import Outcome
 from tumble.inference.hyperparameters import components_of, sized
 from tumble.inference.in_run import of_session
 from tumble.inference.integral import posterior

@@ -28,7 +28,7 @@ from scipy import stats
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.together import calibrate_together
-from tumble.estimation.estimate import Estimate, Fit
+from tumble.inference.estimate import Estimate, Fit
 from tumble.inference.hyperparameters import Components
 from tumble.inference.joint import joint
 from tumble.inference.step import solve

@@ -29,19 +29,19 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.launches import difference_percent
 from tumble.calibration.results import Launch, Parameter
 from tumble.earth import earth_rate, normal_gravity
-from tumble.estimation.estimate import Outcome
-from tumble.estimation.methods.paper.accuracy_formulas import scalar_scale_error
-from tumble.estimation.methods.paper.four_stages import (
+from tumble.inference.estimate import Outcome
+from tumble.methods.paper.accuracy_formulas import scalar_scale_error
+from tumble.methods.paper.four_stages import (
     PaperMethod,
     ProgrammeCourse,
     accelerometer_pass,
     gyro_bias_pass,
     gyro_matrix_pass,
 )
-from tumble.estimation.methods.paper.indirect import RecordedTurn, known_turns, programme_matrix
-from tumble.estimation.methods.paper.scalar import accelerometers as scalar
-from tumble.estimation.methods.paper.sequential import accelerometers as sequential
-from tumble.estimation.methods.paper.sequential import check_positions
+from tumble.methods.paper.indirect import RecordedTurn, known_turns, programme_matrix
+from tumble.methods.paper.scalar import accelerometers as scalar
+from tumble.methods.paper.sequential import accelerometers as sequential
+from tumble.methods.paper.sequential import check_positions
 from tumble.planning.setup import Setup
 from tumble.programme.positions import Programme
 from tumble.rotation import rotation_matrix

@@ -16,8 +16,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tumble.estimation.diagnosis.verdict import verdict
-from tumble.estimation.estimate import Estimate
+from tumble.diagnosis.verdict import verdict
+from tumble.inference.estimate import Estimate
 from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
 from tumble.sensors.parameters import group_name

@@ -27,7 +27,7 @@ import tumble.types
 from tests.support import ROOT
 from tumble.commands import __path__ as commands
 from tumble.errors import InputError, MissingExtraError
-from tumble.estimation.estimate import Outcome
+from tumble.inference.estimate import Outcome
 from tumble.planning.setup import Setup
 from tumble.simulation.session import simulate_session
 

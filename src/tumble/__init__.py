@@ -71,13 +71,13 @@ if TYPE_CHECKING:
     from tumble.errors import ProgrammeError as ProgrammeError
     from tumble.errors import SessionError as SessionError
     from tumble.errors import TumbleError as TumbleError
-    from tumble.estimation.ellipsoid import EllipsoidFit as EllipsoidFit
-    from tumble.estimation.ellipsoid import fit_ellipsoid as fit_ellipsoid
-    from tumble.estimation.estimate import Estimate as Estimate
-    from tumble.estimation.estimate import Fit as Fit
-    from tumble.estimation.estimate import Outcome as Outcome
     from tumble.export import export_calibration as export_calibration
     from tumble.export.exported import Exported as Exported
+    from tumble.inference.estimate import Estimate as Estimate
+    from tumble.inference.estimate import Fit as Fit
+    from tumble.inference.estimate import Outcome as Outcome
+    from tumble.methods.ellipsoid_fit import EllipsoidFit as EllipsoidFit
+    from tumble.methods.ellipsoid_fit import fit_ellipsoid as fit_ellipsoid
     from tumble.planning.bounds import Bound as Bound
     from tumble.planning.bounds import bound as bound
     from tumble.planning.budget import Budget as Budget
@@ -140,11 +140,11 @@ _PUBLIC = {
     "Member": "calibration.results",
     "RestResult": "calibration.results",
     "TurnResult": "calibration.results",
-    "Estimate": "estimation.estimate",
-    "Outcome": "estimation.estimate",
-    "Fit": "estimation.estimate",
-    "EllipsoidFit": "estimation.ellipsoid",
-    "fit_ellipsoid": "estimation.ellipsoid",
+    "Estimate": "inference.estimate",
+    "Outcome": "inference.estimate",
+    "Fit": "inference.estimate",
+    "EllipsoidFit": "methods.ellipsoid_fit",
+    "fit_ellipsoid": "methods.ellipsoid_fit",
     "calibrate": "calibration.calibrate",
     "Observed": "calibration.observed",
     "inspect_session": "calibration.observed",

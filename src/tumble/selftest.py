@@ -28,8 +28,8 @@ from tumble import __version__, compiled
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.earth import normal_gravity
-from tumble.estimation.quadric import fit_many
 from tumble.files import FilePath, whole_file
+from tumble.methods.quadric import fit_many
 from tumble.planning.setup import Setup
 from tumble.recording.session import Session
 from tumble.reduction.allan_deviation import allan_deviation

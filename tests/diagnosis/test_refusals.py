@@ -27,8 +27,8 @@ from tumble.calibration.calibrate import calibrate as calibrated
 from tumble.calibration.observed import inspect_session
 from tumble.cli import main
 from tumble.errors import ProgrammeError
-from tumble.estimation.estimate import Estimate
-from tumble.estimation.methods.staged.method import staged
+from tumble.inference.estimate import Estimate
+from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.programme.positions import attitude, from_attitudes, programme
 from tumble.recording.session import Site

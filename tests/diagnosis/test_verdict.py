@@ -17,15 +17,15 @@ import pytest
 from tests.support import study
 from tumble.calibration.calibrate import Terms, calibrate
 from tumble.calibration.calibration_file import Calibration
+from tumble.diagnosis.causes import followed
+from tumble.diagnosis.chances import FALSE_ALARMS, SumOfSquares, standing_out
+from tumble.diagnosis.misfit import misfit
+from tumble.diagnosis.projection import Projection, Remaining, by_north, projections
+from tumble.diagnosis.site_gravity import gravity_doubted, gravity_said
+from tumble.diagnosis.undetermined import listed
+from tumble.diagnosis.verdict import verdict
 from tumble.earth import NORMAL_GRAVITY_U
-from tumble.estimation.causes.chances import FALSE_ALARMS, SumOfSquares, standing_out
-from tumble.estimation.causes.former_attitudes import _followed
-from tumble.estimation.causes.projection import Projection, Remaining, by_north, projections
-from tumble.estimation.diagnosis.misfit import misfit
-from tumble.estimation.diagnosis.site_gravity import gravity_doubted, gravity_said
-from tumble.estimation.diagnosis.undetermined import listed
-from tumble.estimation.diagnosis.verdict import verdict
-from tumble.estimation.estimate import Estimate, Outcome
+from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.hyperparameters import Components
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import linearise
@@ -64,6 +64,7 @@ def test_clean_sessions_are_accepted_without_a_word(setting: int) -> None:
         ("memory 50 ppm over 60 s", 3.0, "memory"),
         ("gyro nonlinearity 20 ppm at 10 °/s", 3.0, "gyro nonlinearity"),
         ("biases drift by 50 µg, 0.1 °/h", 3.0, "drift"),
+        ("scales drift by 20 ppm", 3.0, "scale-factor drift"),
         ("1 % of samples lost", 1.0, "lost samples"),
         ("1 % of samples held", 1.0, "lost samples"),
     ],
@@ -346,9 +347,9 @@ def test_parameters_are_listed_by_name_or_where_they_are_many_counted() -> None:
 def test_a_memory_is_the_same_in_one_go_and_step_by_step(passed: float) -> None:
     rng = np.random.default_rng(1)
     begin, targets = rng.normal(size=3), rng.normal(size=(24, 3))
-    behind, end = _followed(begin, targets, passed)
+    behind, end = followed(begin, targets, passed)
     slow = begin
     for found, target in zip(behind, targets, strict=True):
-        (mean,), slow = _followed(slow, target[None], passed)
+        (mean,), slow = followed(slow, target[None], passed)
         assert found == pytest.approx(mean, abs=1e-13)
     assert end == pytest.approx(slow, abs=1e-13)

@@ -46,7 +46,6 @@ ANSWERS = {
 }
 """What the last line of a study says."""
 FALLS_SHORT = {
-    "departures.py": "a drift of scale factors of three times the sheet on a rough table is accepted without a word",
     "metropolis.py": "u agrees with a sampler within 7 %, not 5 %",
     "over_temperature.py": "not run since biases are processes",
     "tuning.py": "not run since biases are processes",

@@ -17,9 +17,9 @@ from tests.support.exports import beside
 from tests.use.test_applied_model import larger, read, truth
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.temperature_curves import model_at
-from tumble.estimation.prediction import Prediction
 from tumble.export import FORMATS, export_calibration
 from tumble.export.larger_model import not_held
+from tumble.inference.prediction import Prediction
 from tumble.units import DEGREE, G_STANDARD, Array
 
 __all__ = ["gcc"]

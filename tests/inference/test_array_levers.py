@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tumble.estimation.array_levers import COMMON, ArrayLevers, array_levers
+from tumble.inference.array_levers import COMMON, ArrayLevers, array_levers
 from tumble.reduction.array_motion import ArrayMoments, MovedArray, array_moments
 from tumble.reduction.motion_samples import MotionSamples
 from tumble.sensors.instrument import Instrument

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import tumble
-from tumble.estimation.common_errors import by_time_base, clocked, common_rounding
+from tumble.inference.common_errors import by_time_base, clocked, common_rounding
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import Problem, noise_of
 from tumble.inference.linearisation import linearise

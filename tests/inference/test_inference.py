@@ -11,7 +11,7 @@ import pytest
 
 from tests.support import study
 from tests.support.wandering_biases import middles
-from tumble.estimation.diagnosis.verdict import verdict
+from tumble.diagnosis.verdict import verdict
 from tumble.inference import elimination, integral
 from tumble.inference import joint as of_joint
 from tumble.inference.hyperparameters import Components, Hyperparameter

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from tests.support.formula_setup import device_setup
-from tumble.estimation.turns_about import TurnsAbout
 from tumble.inference.hyperparameters import Components
 from tumble.inference.likelihood import NO_PRIOR, Point, Prior, Problem, Rows, bases, noise_of, weights
 from tumble.inference.linearisation import linearise
 from tumble.inference.maximum import heading_information
 from tumble.inference.row_loops import inverse_left_jacobian
 from tumble.inference.step import left, solve
+from tumble.inference.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
 from tumble.rotation import rotation_matrix, rotation_vector

@@ -16,13 +16,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tumble.calibration.calibrate import calibrate
+from tumble.diagnosis.observability import Refusal
 from tumble.errors import InputError
-from tumble.estimation.ellipsoid import TRIAD, EllipsoidFit, fit_ellipsoid
-from tumble.estimation.methods.ellipsoid import ellipsoid
-from tumble.estimation.methods.paper.scalar import scalar_rows
-from tumble.estimation.methods.staged.method import staged
-from tumble.estimation.observability import Refusal
-from tumble.estimation.quadric import fit_many
+from tumble.methods.ellipsoid import ellipsoid
+from tumble.methods.ellipsoid_fit import TRIAD, EllipsoidFit, fit_ellipsoid
+from tumble.methods.paper.scalar import scalar_rows
+from tumble.methods.quadric import fit_many
+from tumble.methods.staged import staged
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests import Rests

@@ -16,10 +16,8 @@ import pytest
 
 from tests.support.formula_setup import device_setup
 from tumble.calibration.calibrate import calibrate
-from tumble.estimation.diagnosis.verdict import verdict
-from tumble.estimation.estimate import Estimate
-from tumble.estimation.methods.staged.method import staged
-from tumble.estimation.turns_about import TurnsAbout
+from tumble.diagnosis.verdict import verdict
+from tumble.inference.estimate import Estimate
 from tumble.inference.fits import TOTAL
 from tumble.inference.hyperparameters import Components
 from tumble.inference.joint import QUICK_STEPS, joint
@@ -27,6 +25,8 @@ from tumble.inference.likelihood import Prior, Problem, weights
 from tumble.inference.linearisation import linearise
 from tumble.inference.start import start_of
 from tumble.inference.step import solve
+from tumble.inference.turns_about import TurnsAbout
+from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes
 from tumble.reduction.motion_samples import MotionSamples

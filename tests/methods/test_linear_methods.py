@@ -11,9 +11,9 @@ import pytest
 
 from tumble.calibration.calibrate import Terms, calibrate
 from tumble.calibration.verify import verify_calibration
-from tumble.estimation.diagnosis.linear_model import moved_by
-from tumble.estimation.methods.ellipsoid import ellipsoid
-from tumble.estimation.methods.staged.accelerometers import estimate_accelerometers
+from tumble.diagnosis.linear_model import moved_by
+from tumble.methods.ellipsoid import ellipsoid
+from tumble.methods.staged import estimate_accelerometers
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector

@@ -28,10 +28,10 @@ from tests.methods.test_staged import (
 from tests.support.paper_variants import angle_astride
 from tumble.calibration.calibrate import calibrate
 from tumble.earth import earth_rate
-from tumble.estimation.methods.paper.accuracy_formulas import angle_variance, best_elevations
-from tumble.estimation.methods.paper.levelling import triad
-from tumble.estimation.methods.paper.sequential import angle_between, bias_and_scale
-from tumble.estimation.methods.staged.method import staged
+from tumble.methods.paper.accuracy_formulas import angle_variance, best_elevations
+from tumble.methods.paper.gyro_bias import triad
+from tumble.methods.paper.sequential import angle_between, bias_and_scale
+from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.sensors.grades import GRADES
@@ -90,7 +90,7 @@ def test_normalised_errors_of_six_have_unit_rms(monkeypatch: pytest.MonkeyPatch)
     """20 sessions with noise of navigation grade, no scatter looked for: rms of (value − truth)/u of biases, scale
     factors and angles of either kind, each group taken for as informative as three independent errors a session, and
     the distance of all 45 errors in units of their covariance."""
-    monkeypatch.setattr("tumble.estimation.agreement.SCATTER_PROBABILITY", 0.0)
+    monkeypatch.setattr("tumble.methods.least_squares.SCATTER_PROBABILITY", 0.0)
     rng = np.random.default_rng(103)
     normalised, distance = [], []
     for _ in range(20):

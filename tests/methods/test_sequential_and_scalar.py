@@ -24,9 +24,9 @@ from tests.support.rough_launches import (
     rough_attitudes,
 )
 from tumble.errors import InputError, ProgrammeError, SessionError
-from tumble.estimation.estimate import Estimate
-from tumble.estimation.methods.paper.scalar import scalar
-from tumble.estimation.methods.paper.sequential import sequential
+from tumble.inference.estimate import Estimate
+from tumble.methods.paper.scalar import scalar
+from tumble.methods.paper.sequential import sequential
 from tumble.programme.positions import programme
 from tumble.recording.log import open_log
 from tumble.recording.session import Site
@@ -330,7 +330,7 @@ def test_the_turntable_recording_is_recovered(data: Path, pipeline: Pipeline) ->
 
 def test_scatter_between_rests_is_found_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "tumble.estimation.agreement.SCATTER_PROBABILITY", 1e-3
+        "tumble.methods.least_squares.SCATTER_PROBABILITY", 1e-3
     )  # beyond doubt, so that quiet means none
     rng = np.random.default_rng(9)
     values = drawn_values(1, rng)[0]

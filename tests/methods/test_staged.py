@@ -15,12 +15,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tumble.diagnosis.verdict import verdict
 from tumble.earth import EARTH_RATE, earth_rate
-from tumble.estimation.diagnosis.verdict import verdict
-from tumble.estimation.estimate import Estimate
-from tumble.estimation.methods.staged import accelerometers as staged_accelerometers
-from tumble.estimation.methods.staged import gyro_rows as staged_gyro_rows
-from tumble.estimation.methods.staged.method import staged
+from tumble.inference.estimate import Estimate
+from tumble.methods import staged as stages
+from tumble.methods.staged import staged
 from tumble.programme.positions import attitude, programme
 from tumble.recording.session import Site
 from tumble.reduction.coloured_noise import WHITE
@@ -282,16 +281,16 @@ def test_the_rest_rows_have_the_right_derivatives(axes: Array) -> None:
     rng = np.random.default_rng(74)
     device = unit(rng, COARSE, axes)
     seen = observations(device, in_the_hand(rng, 12), rng)
-    rows = staged_accelerometers._rest_rows(seen, device.accel_truth, 0.0)
+    rows = stages.rest_rows(seen, device.accel_truth, 0.0)
     found = np.empty_like(rows.jacobian)
     for k, step in enumerate(1e-5 * np.eye(len(device.accel_truth))):
-        ahead = staged_accelerometers._rest_rows(seen, device.accel_truth + step, 0.0).residual
-        behind = staged_accelerometers._rest_rows(seen, device.accel_truth - step, 0.0).residual
+        ahead = stages.rest_rows(seen, device.accel_truth + step, 0.0).residual
+        behind = stages.rest_rows(seen, device.accel_truth - step, 0.0).residual
         found[..., k] = -(ahead - behind) / 2e-5
     np.testing.assert_allclose(rows.jacobian, found, atol=1e-6 * np.abs(found).max())
     heavier = replace(seen, site=replace(SITE, gravity=SITE.gravity + 1e-4))
     lighter = replace(seen, site=replace(SITE, gravity=SITE.gravity - 1e-4))
-    by_gravity = [staged_accelerometers._rest_rows(s, device.accel_truth, 0.0).residual for s in (heavier, lighter)]
+    by_gravity = [stages.rest_rows(s, device.accel_truth, 0.0).residual for s in (heavier, lighter)]
     np.testing.assert_allclose(rows.gravity, -(by_gravity[0] - by_gravity[1]) / 2e-4, rtol=1e-6)
 
 
@@ -305,12 +304,12 @@ def test_the_gyro_rows_have_the_right_derivatives(axes: Array) -> None:
     seen = observations(device, way, rng, samples=3000)
     seen = replace(seen, rests=replace(seen.rests, gyro_covariance=1e-14 * seen.rests.gyro_covariance))
     rng_full = np.random.default_rng(75)
-    accel = staged_accelerometers.estimate_accelerometers(observations(device, in_the_hand(rng_full), rng_full))
+    accel = stages.estimate_accelerometers(observations(device, in_the_hand(rng_full), rng_full))
     accel = replace(accel, vertical=way.attitudes[:, 1], gain=accel.gain[:, :6])
 
-    def rows(values: Array) -> staged_gyro_rows.GyroRows:
+    def rows(values: Array) -> stages.GyroRows:
         turns = seen.turns_about(device.gyro.model(values))
-        return staged_gyro_rows.gyro_rows(seen, accel, turns, values, staged_gyro_rows.GyroScatter())
+        return stages.gyro_rows(seen, accel, turns, values, stages.GyroScatter())
 
     found = np.empty((18 + 10, 12))
     for k, step in enumerate(1e-6 * np.eye(12)):
@@ -354,7 +353,7 @@ def trials(count: int, seed: int, noise: Noise, *, hand: int = 0) -> Trials:
 def table_trials() -> Trials:
     """300 sessions on a rough table, noise of navigation grade, no scatter looked for."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tumble.estimation.agreement.SCATTER_PROBABILITY", 0.0)
+        patch.setattr("tumble.methods.least_squares.SCATTER_PROBABILITY", 0.0)
         return trials(300, 76, NAVIGATION)
 
 
@@ -389,7 +388,7 @@ def test_chi_squares_have_the_mean_of_their_degrees(table_trials: Trials) -> Non
 
 def test_noise_in_the_hand_is_honest_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """MEMS, 50 sessions of 12 positions; the standard error of an rms is 0.1."""
-    monkeypatch.setattr("tumble.estimation.agreement.SCATTER_PROBABILITY", 0.0)
+    monkeypatch.setattr("tumble.methods.least_squares.SCATTER_PROBABILITY", 0.0)
     found = trials(50, 77, MEMS, hand=12)
     rms = np.sqrt((found.normalised**2).mean(axis=0))
     np.testing.assert_allclose(rms, 1.0, atol=5.5 / np.sqrt(2 * 50))
@@ -398,7 +397,7 @@ def test_noise_in_the_hand_is_honest_too(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_noise_in_four_accelerometers_and_gyros_is_honest_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """20 sessions of 29 parameters; the standard error of the rms of all is below 0.06."""
-    monkeypatch.setattr("tumble.estimation.agreement.SCATTER_PROBABILITY", 0.0)
+    monkeypatch.setattr("tumble.methods.least_squares.SCATTER_PROBABILITY", 0.0)
     rng = np.random.default_rng(88)
     distance, normalised = [], []
     for _ in range(20):

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from tests.support.paper_variants import angle_astride
 from tumble.errors import ProgrammeError
-from tumble.estimation.methods.paper.accuracy_formulas import best_elevations
-from tumble.estimation.methods.paper.sequential import (
+from tumble.methods.paper.accuracy_formulas import best_elevations
+from tumble.methods.paper.sequential import (
     accelerometers,
     angle_between,
     axis_angles,

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from tests.support.formula_setup import AXIS, BIAS, GRAVITY, LATITUDE, NINE, SCALE, SEED, SETUP, SIMULATION
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.errors import ProgrammeError
-from tumble.estimation.methods.paper.accuracy_formulas import (
+from tumble.methods.paper.accuracy_formulas import (
     accelerometer_leakage,
     angle_variance,
     assumed_vertical_errors,
@@ -49,7 +49,7 @@ from tumble.estimation.methods.paper.accuracy_formulas import (
     up_down_rms,
     vertical_axis_error,
 )
-from tumble.estimation.methods.paper.scalar import scalar_rows
+from tumble.methods.paper.scalar import scalar_rows
 from tumble.programme.positions import ANY_MOVE, Move, Programme, attitude, programme
 from tumble.rotation import axes_matrix, rotation_matrix, skew
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array

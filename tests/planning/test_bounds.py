@@ -10,14 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.formula_setup import device_setup
+from tumble.diagnosis.observability import in_words
 from tumble.errors import InputError
-from tumble.estimation.observability import in_words
-from tumble.estimation.turns_about import TurnsAbout
 from tumble.inference.hyperparameters import Components
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import Point, Problem, weights
 from tumble.inference.linearisation import linearise
 from tumble.inference.step import solve
+from tumble.inference.turns_about import TurnsAbout
 from tumble.planning.bounds import Course, bound, bound_of, course_of, instrument_of
 from tumble.planning.budget import GROUPS, budget
 from tumble.planning.error_propagation import NAMES

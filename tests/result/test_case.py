@@ -27,7 +27,7 @@ from tumble.calibration.case import (
 )
 from tumble.cli import main
 from tumble.errors import InputError
-from tumble.estimation.methods.staged.method import staged
+from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.programme.positions import BUILT_IN, attitude, from_attitudes, programme
 from tumble.reduction.observations import Observations

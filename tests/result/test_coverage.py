@@ -29,8 +29,8 @@ from tumble.calibration.coverage import (
 from tumble.calibration.from_readings import calibrate_table
 from tumble.calibration.readings_table import ReadingsTable, read_table
 from tumble.calibration.results import coverage_factor
-from tumble.estimation.estimate import Fit
 from tumble.export import export_calibration
+from tumble.inference.estimate import Fit
 from tumble.units import Array
 from tumble.views.numbers import with_expanded
 from tumble.views.report.document import Source, document

@@ -19,8 +19,8 @@ from tumble.calibration.apply import applied, apply_to_session, rest_residuals
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.half import accepted_part
 from tumble.errors import CalibrationError, InputError
-from tumble.estimation.estimate import Outcome
 from tumble.export import FORMATS, export_calibration
+from tumble.inference.estimate import Outcome
 from tumble.registry.submission import Particulars, read_submission
 from tumble.sensors.parameters import sensor_kind
 

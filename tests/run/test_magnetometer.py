@@ -19,8 +19,8 @@ from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.launches import Run, mean_of_launches
 from tumble.cli import main
 from tumble.errors import InputError, SessionError
-from tumble.estimation.ellipsoid import TRIAD
-from tumble.estimation.methods.magnetometer import NAMES
+from tumble.methods.ellipsoid_fit import TRIAD
+from tumble.methods.magnetometer import NAMES
 from tumble.recording.log import open_log
 from tumble.recording.session_file import read_session, write_session
 from tumble.reduction.blocks import reduce_log

@@ -19,7 +19,7 @@ from tumble.calibration.readings_grade import AT_REST
 from tumble.calibration.readings_table import ReadingsTable, read_table
 from tumble.cli import main
 from tumble.errors import InputError
-from tumble.estimation.ellipsoid import TRIAD
+from tumble.methods.ellipsoid_fit import TRIAD
 from tumble.sensors.grades import GRADES
 from tumble.sensors.parameters import usual_sizes
 from tumble.units import DEGREE, G_STANDARD, Array

@@ -16,17 +16,17 @@ from click.testing import CliRunner
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.together import calibrate_together
 from tumble.cli import main
+from tumble.diagnosis.linearised_session import LinearisedSession
+from tumble.diagnosis.misfit import misfit
+from tumble.diagnosis.projection import Remaining, projections
+from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
-from tumble.estimation.causes.linearised_session import LinearisedSession
-from tumble.estimation.causes.projection import Remaining, projections
-from tumble.estimation.diagnosis.misfit import misfit
-from tumble.estimation.diagnosis.verdict import verdict
-from tumble.estimation.turns_about import TurnsAbout
 from tumble.inference.hyperparameters import Components
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import OWN, Point, Problem, noise_of
 from tumble.inference.linearisation import linearise
 from tumble.inference.step import solve
+from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.variables import variables_of
 from tumble.planning.setup import Setup
 from tumble.recording.log import open_log

@@ -11,7 +11,7 @@ import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.results import Parameter, RestResult
-from tumble.estimation.estimate import Outcome
+from tumble.inference.estimate import Outcome
 from tumble.recording.session_file import write_session
 from tumble.sensors.frames import Frame
 from tumble.sensors.model import Block

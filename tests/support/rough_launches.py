@@ -14,14 +14,14 @@ from scipy.spatial.transform import Rotation
 
 from tests.support.preintegrated import preintegrate
 from tumble.earth import earth_rate, normal_gravity
-from tumble.estimation.methods.paper.four_stages import (
+from tumble.methods.paper.four_stages import (
     PaperMethod,
     ProgrammeCourse,
     accelerometer_pass,
     gyro_bias_pass,
     gyro_matrix_pass,
 )
-from tumble.estimation.methods.paper.indirect import RecordedTurn, known_turns, programme_matrix
+from tumble.methods.paper.indirect import RecordedTurn, known_turns, programme_matrix
 from tumble.programme.positions import programme
 from tumble.reduction.coloured_noise import WHITE
 from tumble.reduction.turns import Turns

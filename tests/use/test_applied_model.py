@@ -15,7 +15,7 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.correction import angular_acceleration
 from tumble.calibration.results import Parameter
 from tumble.errors import InputError
-from tumble.estimation.estimate import GroupFinding
+from tumble.inference.estimate import GroupFinding
 from tumble.sensors.instrument import Instrument, readings
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import ParameterGroup, Variable, group_of

@@ -22,11 +22,11 @@ from tumble.calibration.results import Launch, Member, Parameter
 from tumble.calibration.type_spread import KnownLaunches
 from tumble.cli import main
 from tumble.errors import CalibrationError, InputError
-from tumble.estimation.estimate import Outcome
-from tumble.estimation.field_check import CHANCE, CheckResult, _student, field_check
+from tumble.inference.estimate import Outcome
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import Point, Prior, Problem
 from tumble.inference.linearisation import linearise
+from tumble.methods.field_check import CHANCE, CheckResult, _student, field_check
 from tumble.planning.setup import Setup
 from tumble.recording.circumstances import Circumstances
 from tumble.recording.session_file import read_session

@@ -18,8 +18,8 @@ from tumble.calibration.results import Parameter, Readings
 from tumble.calibration.verify import TURNED_ON, Positions, positions_of, verify_calibration, verticals
 from tumble.cli import main
 from tumble.errors import CalibrationError, InputError
-from tumble.estimation.estimate import Estimate, Outcome
-from tumble.estimation.methods.staged.method import staged
+from tumble.inference.estimate import Estimate, Outcome
+from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
 from tumble.recording.session import Site

@@ -21,8 +21,8 @@ from tumble.calibration.further import decided_by_priors, group_lines, predicted
 from tumble.calibration.launches import Run, difference_percent, mean_of_launches
 from tumble.calibration.results import Parameter
 from tumble.cli import main
-from tumble.estimation.estimate import GroupFinding, HyperparameterEstimate, Integral, Outcome, ProcessBias
-from tumble.estimation.prediction import Prediction
+from tumble.inference.estimate import GroupFinding, HyperparameterEstimate, Integral, Outcome, ProcessBias
+from tumble.inference.prediction import Prediction
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.simulation.session import simulate_session

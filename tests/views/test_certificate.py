@@ -28,8 +28,8 @@ from tumble.calibration.observed import inspect_session
 from tumble.calibration.results import Launch, Parameter
 from tumble.cli import main
 from tumble.errors import InputError
-from tumble.estimation.estimate import Outcome
 from tumble.export import export_calibration
+from tumble.inference.estimate import Outcome
 from tumble.planning.setup import Setup
 from tumble.recording.circumstances import AirConditions, Circumstances
 from tumble.recording.session_file import session_of

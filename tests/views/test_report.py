@@ -36,7 +36,7 @@ from tumble.calibration.further import described, predicted
 from tumble.calibration.results import coverage_factor
 from tumble.cli import main
 from tumble.errors import MissingExtraError
-from tumble.estimation.prediction import Prediction
+from tumble.inference.prediction import Prediction
 from tumble.planning.setup import Setup
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import FURTHER

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tumble.bench.follow import BRIDGED, SoundSamples
-from tumble.estimation.estimate import Estimate
+from tumble.inference.estimate import Estimate
 from tumble.inference.joint import joint
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk

@@ -15,7 +15,7 @@ from tumble.bench.course import Progress
 from tumble.bench.live import Followed
 from tumble.bench.task import Task
 from tumble.bench.wishes import DIRECTIONS, gains, reached
-from tumble.estimation.estimate import FIT_SIGMAS, Estimate
+from tumble.inference.estimate import FIT_SIGMAS, Estimate
 from tumble.recording.session import Exclusion
 from tumble.reduction.blocks import Reduction
 from tumble.reduction.segmentation import RestSpan

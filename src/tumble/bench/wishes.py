@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.estimation.estimate import Estimate
+from tumble.inference.estimate import Estimate
 from tumble.planning.requirements import wanted_of
 from tumble.planning.setup import Setup
 from tumble.sensors.grades import Grade, grade

@@ -19,18 +19,18 @@ from tumble.calibration.half import accepted_kinds
 from tumble.calibration.notes import bridged_in
 from tumble.calibration.observed import Progress, inspected, observations_for_calibration
 from tumble.calibration.with_magnetometer import with_magnetometer
+from tumble.diagnosis.linear_model import judged, left_out, taken_as_nothing
+from tumble.diagnosis.undetermined import one_attitude
 from tumble.errors import CalibrationError, InputError
-from tumble.estimation.common_errors import by_time_base, clocked
-from tumble.estimation.diagnosis.linear_model import judged, left_out, taken_as_nothing
-from tumble.estimation.diagnosis.undetermined import one_attitude
-from tumble.estimation.estimate import Estimate, Outcome
-from tumble.estimation.methods.ellipsoid import ellipsoid
-from tumble.estimation.methods.paper.scalar import scalar
-from tumble.estimation.methods.paper.sequential import sequential
-from tumble.estimation.methods.staged.method import staged
 from tumble.files import FilePath
+from tumble.inference.common_errors import by_time_base, clocked
+from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.hyperparameters import GUESSED, SHEET, STATED
 from tumble.inference.joint import joint
+from tumble.methods.ellipsoid import ellipsoid
+from tumble.methods.paper.scalar import scalar
+from tumble.methods.paper.sequential import sequential
+from tumble.methods.staged import staged
 from tumble.recording.arrays import Temperatures, session_of_arrays
 from tumble.recording.log import Log
 from tumble.recording.session import Session

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from tumble.calibration.results import Launch, fits_content, member_content, parameter_content
-from tumble.estimation.estimate import GroupFinding
+from tumble.inference.estimate import GroupFinding
 from tumble.recording.autopilot import sensors_content
 from tumble.recording.circumstances import circumstances_content
 from tumble.sensors.model import SensorModel

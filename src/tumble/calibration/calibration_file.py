@@ -42,9 +42,9 @@ from tumble.calibration.results import (
 )
 from tumble.documents import json_of, shown, text_of_document
 from tumble.errors import CalibrationError, InputError
-from tumble.estimation.estimate import Fit, GroupFinding, HyperparameterEstimate, Integral, Outcome, ProcessBias
-from tumble.estimation.prediction import Prediction
 from tumble.files import FilePath, whole_file
+from tumble.inference.estimate import Fit, GroupFinding, HyperparameterEstimate, Integral, Outcome, ProcessBias
+from tumble.inference.prediction import Prediction
 from tumble.recording.autopilot import AutopilotSensor, sensors_from
 from tumble.recording.circumstances import UNKNOWN, Circumstances, circumstances_from
 from tumble.recording.session import Site

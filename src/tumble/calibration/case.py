@@ -27,7 +27,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from tumble.errors import InputError
-from tumble.estimation.estimate import Estimate
+from tumble.inference.estimate import Estimate
 from tumble.programme.positions import Programme
 from tumble.reduction.observations import Observations
 from tumble.rotation import UP, rotation_matrix, skew, tangent_basis

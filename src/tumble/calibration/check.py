@@ -41,12 +41,12 @@ from tumble.calibration.results import Parameter
 from tumble.calibration.thermometers import check_thermometers
 from tumble.calibration.type_spread import KnownLaunches, known_launches
 from tumble.errors import CalibrationError, InputError
-from tumble.estimation.estimate import Outcome
-from tumble.estimation.field_check import ChangedParameter, CheckResult, KnownBefore, field_check
-from tumble.estimation.prediction import prediction
 from tumble.files import FilePath
+from tumble.inference.estimate import Outcome
 from tumble.inference.hyperparameters import Components
+from tumble.inference.prediction import prediction
 from tumble.inference.variables import variables_of
+from tumble.methods.field_check import ChangedParameter, CheckResult, KnownBefore, field_check
 from tumble.planning.bounds import components_of
 from tumble.recording.circumstances import Circumstances
 from tumble.recording.session import Session, Site

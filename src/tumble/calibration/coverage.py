@@ -34,7 +34,7 @@ import numpy as np
 from scipy import special
 
 from tumble.calibration.results import Parameter, coverage_factor, stated_factor
-from tumble.estimation.estimate import Fit
+from tumble.inference.estimate import Fit
 from tumble.sensors.parameters import group_name, sensor_kind
 from tumble.units import Array
 

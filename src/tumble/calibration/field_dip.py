@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.estimation.diagnosis.exchanged_columns import signed_permutations
+from tumble.diagnosis.carried_vertical import signed_permutations
 from tumble.recording.session import Magnetometer
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector

@@ -29,8 +29,8 @@ import numpy as np
 from tumble.calibration.calibration_file import Calibration, text_of
 from tumble.calibration.results import Parameter
 from tumble.errors import InputError
-from tumble.estimation.estimate import Outcome
 from tumble.files import FilePath
+from tumble.inference.estimate import Outcome
 from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
 from tumble.sensors.parameters import group_of
 from tumble.units import Array

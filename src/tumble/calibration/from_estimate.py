@@ -9,14 +9,14 @@ import numpy as np
 from tumble.calibration.calibration_file import Calibration, SensingAxes
 from tumble.calibration.case import CaseAlignment, estimate_in
 from tumble.calibration.coverage import MANY_DEGREES, with_degrees
-from tumble.calibration.notes import case_found, drifted, one_rate, unchecked
+from tumble.calibration.notes import case_found, one_rate, unchecked
 from tumble.calibration.over_temperature import over_temperature
 from tumble.calibration.rests_and_turns import rest_results, turn_results
 from tumble.calibration.results import Parameter, Readings
-from tumble.estimation.diagnosis.site_gravity import gravity_doubted
-from tumble.estimation.diagnosis.undetermined import faces_alone
-from tumble.estimation.diagnosis.verdict import verdict
-from tumble.estimation.estimate import Estimate, Outcome
+from tumble.diagnosis.site_gravity import gravity_doubted
+from tumble.diagnosis.undetermined import faces_alone
+from tumble.diagnosis.verdict import verdict
+from tumble.inference.estimate import Estimate, Outcome
 from tumble.recording.session import Channels, Session
 from tumble.reduction import exclusion
 from tumble.reduction.observations import Observations
@@ -67,7 +67,6 @@ def result_of(
         + gravity_doubted(observations.site)
         + unchecked(estimate)
         + one_rate(estimate, observations)
-        + drifted(estimate)
         + limited
         + case_found(case),
         provenance=provenance,

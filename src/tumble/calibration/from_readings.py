@@ -40,12 +40,12 @@ from tumble.calibration.readings_table import (
 from tumble.calibration.readings_table import nominal as nominal_of
 from tumble.calibration.results import Parameter, Readings
 from tumble.calibration.table_positions import TablePositions, positions_of
+from tumble.diagnosis.observability import Refusal, undetermined
 from tumble.errors import InputError
-from tumble.estimation.ellipsoid import TRIAD, EllipsoidFit, fit_ellipsoid
-from tumble.estimation.estimate import Estimate, Outcome
-from tumble.estimation.methods.ellipsoid import estimate_of
-from tumble.estimation.observability import Refusal, undetermined
 from tumble.files import FilePath
+from tumble.inference.estimate import Estimate, Outcome
+from tumble.methods.ellipsoid import estimate_of
+from tumble.methods.ellipsoid_fit import TRIAD, EllipsoidFit, fit_ellipsoid
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests import Rests

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tumble.calibration.results import Parameter
-from tumble.estimation.prediction import Prediction, directions
+from tumble.inference.prediction import Prediction, directions
 from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind, shown_in
 from tumble.units import G_STANDARD, engineering, two_digits
 

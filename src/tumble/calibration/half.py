@@ -13,7 +13,7 @@ import numpy as np
 
 from tumble.calibration.results import Launch, Parameter
 from tumble.errors import CalibrationError
-from tumble.estimation.estimate import Outcome
+from tumble.inference.estimate import Outcome
 from tumble.sensors.model import SensorKind
 from tumble.sensors.parameters import sensor_kind
 from tumble.units import Array

@@ -26,12 +26,12 @@ from tumble.calibration.same_recording import Means, check_recordings
 from tumble.calibration.shared_errors import by_priors
 from tumble.calibration.type_spread import TypeSpread, pooled
 from tumble.errors import InputError
-from tumble.estimation.common_errors import by_time_base, clocked
-from tumble.estimation.ellipsoid import TRIAD
-from tumble.estimation.estimate import GroupFinding, Outcome
-from tumble.estimation.methods.magnetometer import NAMES
-from tumble.estimation.prediction import Prediction, prediction
 from tumble.files import FilePath
+from tumble.inference.common_errors import by_time_base, clocked
+from tumble.inference.estimate import GroupFinding, Outcome
+from tumble.inference.prediction import Prediction, prediction
+from tumble.methods.ellipsoid_fit import TRIAD
+from tumble.methods.magnetometer import NAMES
 from tumble.recording.circumstances import AirConditions, Circumstances
 from tumble.recording.log import Log
 from tumble.recording.session import Session

@@ -7,21 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from tumble.calibration.case import CaseAlignment
-from tumble.estimation.causes.cause import UNITS, WORDS
-from tumble.estimation.estimate import Estimate
+from tumble.inference.estimate import Estimate
 from tumble.recording.gaps import Gap
 from tumble.reduction.observations import Observations
-from tumble.sensors.parameters import group_name, positions_by_group
+from tumble.sensors.parameters import group_name
 from tumble.units import DEGREE
 
 _GAPS_SHOWN = 5
 ONE_RATE = 1.3
 """The largest rate of the turns, root mean square, in parts of the smallest, where they count as one rate: at rest,
 scale factors that change with the square of the rate would be known seven times worse than at it."""
-BEYOND_DOUBT = 4.0
-"""Standard uncertainties: a drift that exceeds them is one; by chance one of six does in 0.04 % of sessions."""
-BEYOND_U = 3.0
-"""Standard uncertainties of a bias by which it may drift from the middle of a session without a word."""
 
 
 def bridged_in(found: Sequence[Gap]) -> tuple[str, ...]:
@@ -68,30 +63,6 @@ def one_rate(estimate: Estimate, observations: Observations) -> tuple[str, ...]:
         f"all turns have about {rates.mean() / DEGREE:.2g} °/s: the scale factors of the gyros hold at this rate; "
         "for others turn at a second rate too, or state gyro_cubic in [device.prior]",
     )
-
-
-def drifted(estimate: Estimate) -> tuple[str, ...]:
-    """How far biases are at the ends of the session from those in its middle, which are given, as notes: where their
-    drift is beyond doubt and takes them further than their u says."""
-    times = None if estimate.linearised is None else estimate.linearised.problem.variables.get("time")
-    if times is None:
-        return ()
-    half, place, u = np.abs(times[0]).max(), positions_by_group(estimate.names), estimate.u
-    notes = []
-    for kind, words in WORDS.items():
-        bias, drift = place.get(f"{kind}.bias", []), place.get(f"{kind}.bias.drift", [])
-        if not drift:
-            continue
-        change = half * np.abs(estimate.values[drift])
-        sigmas = np.where(change > BEYOND_DOUBT * half * u[drift], change / u[bias], 0.0)
-        if sigmas.max() > BEYOND_U:
-            size, unit = UNITS[kind]
-            moved = f"{change[sigmas.argmax()] / size:.2g} {unit}".replace(" °", "°")
-            notes.append(
-                f"biases of the {words} drift: those given are of the middle of the session, at its ends they differ "
-                f"by up to {moved}, {sigmas.max():.2g} times their u; let the device warm up before the session"
-            )
-    return tuple(notes)
 
 
 def case_found(case: CaseAlignment | None) -> tuple[str, ...]:

@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tumble.brief import Brief
-from tumble.estimation.diagnosis.accelerometer_unit import accelerometer_faults
-from tumble.estimation.diagnosis.carried_vertical import sense_faults
-from tumble.estimation.diagnosis.channels import channel_faults, dead_zones, mixed_rows, normalised
-from tumble.estimation.diagnosis.verdict import no_rests
-from tumble.estimation.estimate import Outcome
+from tumble.diagnosis.accelerometer_unit import accelerometer_faults
+from tumble.diagnosis.carried_vertical import sense_faults
+from tumble.diagnosis.channels import channel_faults, dead_zones, mixed_rows, normalised
+from tumble.diagnosis.verdict import no_rests
 from tumble.files import FilePath
+from tumble.inference.estimate import Outcome
 from tumble.recording.circumstances import Circumstances
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log, open_log

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tumble.estimation.estimate import Estimate
+from tumble.inference.estimate import Estimate
 from tumble.inference.variables import at_two_temperatures, both_ways, over_a_range
 from tumble.reduction.observations import Observations
 from tumble.reduction.warming import OVER_TEMPERATURE

@@ -18,8 +18,8 @@ from dataclasses import replace
 import numpy as np
 from scipy import special
 
-from tumble.estimation.ellipsoid import EllipsoidFit
-from tumble.estimation.left_out import left_out_of
+from tumble.diagnosis.linear_model import left_out_of
+from tumble.methods.ellipsoid_fit import EllipsoidFit
 from tumble.reduction.observations import Observations
 from tumble.sensors.grades import GRADES
 from tumble.sensors.parameters import FURTHER, usual_sizes

@@ -312,7 +312,7 @@ def _sizes(table: ReadingsTable, unit: str, scale: Sequence[float] | None, lengt
 def sizes_seen(values: Array, length: float) -> Array | None:
     """The output (3,) of the channels per unit of a vector of this length, from the ellipsoid through the readings
     (N, 3); None where they lie on none."""
-    from tumble.estimation.quadric import fit_many
+    from tumble.methods.quadric import fit_many
 
     found = fit_many(values[None])
     return np.linalg.norm(found.models(length).matrix[0], axis=1) if found.found[0] else None
@@ -321,7 +321,7 @@ def sizes_seen(values: Array, length: float) -> Array | None:
 def _polarity(table: ReadingsTable, sizes: Array, known: Mapping[int, Array], *, free: bool) -> tuple[Array, IntArray]:
     """Signs (3,) that roughly known positions give the channels, and the number of the position that told each, 0 for
     none; where `free` is false the signs must not differ from those of the scale."""
-    from tumble.estimation.observability import rough_directions
+    from tumble.diagnosis.observability import rough_directions
 
     seen = rough_directions(table.values / sizes)
     signs, told = np.ones(3), np.zeros(3, dtype=int)

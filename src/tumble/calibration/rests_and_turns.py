@@ -6,7 +6,7 @@ import numpy as np
 
 from tumble.calibration.results import RestResult, SensorsAtRest, TurnResult
 from tumble.errors import InputError
-from tumble.estimation.estimate import Estimate
+from tumble.inference.estimate import Estimate
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests import Rests
 from tumble.sensors.model import Block

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.special import stdtrit
 
-from tumble.estimation.estimate import Fit
+from tumble.inference.estimate import Fit
 from tumble.recording.circumstances import UNKNOWN, Circumstances
 from tumble.recording.session import Site
 from tumble.units import Array

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tumble.calibration.coverage import by_gravity, shared_gravity
-from tumble.estimation.common_errors import by_time_base, clocked
+from tumble.inference.common_errors import by_time_base, clocked
 from tumble.sensors.parameters import Variable, variable_of
 from tumble.units import Array
 

@@ -22,8 +22,8 @@ from tumble.calibration.observed import Progress, inspect_session, observations_
 from tumble.calibration.results import Member, Parameter
 from tumble.calibration.same_recording import Means, check_recordings
 from tumble.errors import InputError
-from tumble.estimation.estimate import Estimate, Outcome, OwnEstimate
 from tumble.files import FilePath
+from tumble.inference.estimate import Estimate, Outcome, OwnEstimate
 from tumble.inference.joint import joint
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Log

@@ -9,8 +9,8 @@ import numpy as np
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.field_dip import exchanged_columns
 from tumble.calibration.results import Parameter
-from tumble.estimation.methods.magnetometer import NAMES as MAGNETOMETER_NAMES
-from tumble.estimation.methods.magnetometer import magnetometer
+from tumble.methods.magnetometer import NAMES as MAGNETOMETER_NAMES
+from tumble.methods.magnetometer import magnetometer
 from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
 

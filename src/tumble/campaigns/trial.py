@@ -21,13 +21,13 @@ import numpy as np
 from tumble.calibration.calibrate import ITERATED_METHODS, METHODS, Method, calibrate
 from tumble.campaigns.engine import Row
 from tumble.campaigns.triads import fit_statics
+from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
-from tumble.estimation.diagnosis.verdict import verdict
-from tumble.estimation.estimate import DETERMINED, Estimate
-from tumble.estimation.turns_about import TurnsAbout
+from tumble.inference.estimate import DETERMINED, Estimate
 from tumble.inference.likelihood import Point, Problem, weights
 from tumble.inference.linearisation import linearise
 from tumble.inference.step import joined, tell
+from tumble.inference.turns_about import TurnsAbout
 from tumble.planning.bounds import components_of, over_session
 from tumble.planning.setup import Setup
 from tumble.recording.session import Session

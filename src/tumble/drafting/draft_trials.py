@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from tumble.calibration.observed import Observed, Progress, inspect_session
+from tumble.diagnosis.carried_vertical import fitting_gyro_unit, fitting_time_unit, misses_by_unit
 from tumble.drafting.draft import Draft
 from tumble.drafting.gyro_unit_at_rest import more_than_gyros_read
 from tumble.drafting.gyro_unit_by_earth import RATES, reads_the_earth
 from tumble.drafting.log_times import ASSUMED_RATE, RATES_OF_LOGS
 from tumble.drafting.raw_scale import accel_scale, gyro_factor
 from tumble.errors import TumbleError
-from tumble.estimation.diagnosis.carried_vertical import fitting_gyro_unit, fitting_time_unit, misses_by_unit
 from tumble.recording.formats.columns import ACCEL, GYRO
 from tumble.recording.formats.scales import ScaleMatch, matched
 from tumble.recording.session_file import session_of

@@ -11,7 +11,7 @@ from collections.abc import Container, Mapping
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.estimation.prediction import directions
+from tumble.inference.prediction import directions
 from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.parameters import (
     FORCE,

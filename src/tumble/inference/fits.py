@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from tumble.estimation.estimate import Fit
+from tumble.inference.estimate import Fit
 from tumble.inference.hyperparameters import Components, Noise, Weights
 from tumble.inference.likelihood import Problem
 from tumble.inference.step import Left

@@ -17,8 +17,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.estimation.common_errors import common_covariance
-from tumble.estimation.estimate import (
+from tumble.inference.common_errors import common_covariance
+from tumble.inference.estimate import (
     DETERMINED,
     Estimate,
     GroupFinding,
@@ -28,8 +28,6 @@ from tumble.estimation.estimate import (
     OwnEstimate,
     ProcessBias,
 )
-from tumble.estimation.prediction import prediction
-from tumble.estimation.turns_about import TurnsAbout
 from tumble.inference.fits import chi_squares, left_out, sigmas, with_total
 from tumble.inference.hyperparameters import Components
 from tumble.inference.integral import POINTS, Posterior, posterior
@@ -37,8 +35,10 @@ from tumble.inference.lag import KEPT, maximum_with_lag
 from tumble.inference.likelihood import NO_PRIOR, Linearised, Prior, Problem, instruments_of
 from tumble.inference.linearisation import at_reference
 from tumble.inference.maximum import MAX_ITERATIONS, Maximum, without_outliers
+from tumble.inference.prediction import prediction
 from tumble.inference.start import start_of
 from tumble.inference.step import left
+from tumble.inference.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument

@@ -45,10 +45,10 @@ from functools import cached_property
 import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
-from tumble.estimation.turns_about import TurnsAbout
 from tumble.inference.hyperparameters import NO_COMPONENTS, Components, Noise, Weights
 from tumble.inference.row_loops import turned
 from tumble.inference.session_spans import SessionSpan, session_spans
+from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.variables import GROWING, Variables, by_lag, variables_of
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, skew

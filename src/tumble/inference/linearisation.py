@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.estimation.turns_about import TurnsAbout
 from tumble.inference.elimination import fold
 from tumble.inference.likelihood import Point, Problem, Rows, bases
 from tumble.inference.row_loops import add_rests, add_turns, inverse_left_jacobian
+from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.variables import GROWING
 from tumble.rotation import UP, rotation_vector
 from tumble.sensors.model import beyond_body

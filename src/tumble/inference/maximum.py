@@ -28,7 +28,6 @@ from enum import Enum
 
 import numpy as np
 
-from tumble.estimation.turns_about import TurnsAbout
 from tumble.inference.fits import (
     LEAST_WEIGHT,
     LEFT_OUT,
@@ -43,6 +42,7 @@ from tumble.inference.hyperparameters import SCATTER, Components, Hyperparameter
 from tumble.inference.likelihood import Point, Problem, Rows, noise_of
 from tumble.inference.linearisation import linearise, with_priors
 from tumble.inference.step import Left, Step, left, scatter_score, solve
+from tumble.inference.turns_about import TurnsAbout
 from tumble.units import Array, BoolArray
 
 MAX_ITERATIONS = 40

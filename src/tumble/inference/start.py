@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from tumble.earth import EARTH_RATE
-from tumble.estimation.turns_about import TurnsAbout
 from tumble.inference.elimination import carry
 from tumble.inference.likelihood import Point, Problem
 from tumble.inference.maximum import At
+from tumble.inference.turns_about import TurnsAbout
 from tumble.rotation import skew, unit_vector
 from tumble.units import Array
 

@@ -1,7 +1,7 @@
 """Programmes by what they show: the best next position, and programmes optimised for a number of positions.
 
 How good a programme is (`Criterion`), smaller being better: by "A" the root mean square of u over the weights, which
-are the spreads of `tumble.estimation.estimate` or wanted accuracies; by "D" the geometric mean of the semi-axes of
+are the spreads of `tumble.inference.estimate` or wanted accuracies; by "D" the geometric mean of the semi-axes of
 the ellipsoid of uncertainty, which does not depend on weights. A prior as wide as the spreads makes either finite
 while positions are too few; afterwards it counts for nothing. Groups of parameters beyond the linear model have their
 usual spreads as prior; they count by A only where an accuracy of them is wanted. Drifts with time are left out, as a
@@ -28,8 +28,8 @@ from typing import Literal
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.estimation.estimate import DETERMINED
 from tumble.inference.elimination import eliminate
+from tumble.inference.estimate import DETERMINED
 from tumble.planning.bounds import Bound, begun, bound, course_of, instrument_of, view
 from tumble.planning.reachable_attitudes import ANY, Places, TurnTable, Ways, ways_through
 from tumble.planning.setup import Setup

@@ -20,7 +20,7 @@ The method `joint` needs no formulas: what it leaves is the bound (`tumble.plann
 groups of parameters, too, which the others take for parameters of the linear model.
 
 T₀, D and q are those of `tumble.planning.error_propagation`, the symbols those of
-`tumble.estimation.methods.paper.accuracy_formulas`. `tumble.planning.requirements` is the inverse.
+`tumble.methods.paper.accuracy_formulas`. `tumble.planning.requirements` is the inverse.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ import numpy as np
 from tumble.brief import Brief
 from tumble.earth import earth_rate
 from tumble.errors import InputError
-from tumble.estimation.methods.paper.accuracy_formulas import turn_bias_error
 from tumble.inference.hyperparameters import CORRELATION_TIME
+from tumble.methods.paper.accuracy_formulas import turn_bias_error
 from tumble.planning.bounds import begins, bound, course_of
 from tumble.planning.error_propagation import (
     BUDGETED_METHODS,

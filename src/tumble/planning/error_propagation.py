@@ -3,7 +3,7 @@
 X are the 21 parameters (the order of the calibration file), b of the accelerometers as angles. To first order a pass
 leaves (T₀ + Σ τ_k D_k) X of them, with the deviations τ_k of the attitudes from the programme: `first_order`. On an
 exact programme it errs by a quadratic form of X besides: `second_order`. Errors of single observations, as by noise,
-go through `estimates`. Symbols are those of `tumble.estimation.methods.paper.accuracy_formulas`.
+go through `estimates`. Symbols are those of `tumble.methods.paper.accuracy_formulas`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.errors import ProgrammeError
-from tumble.estimation.methods.paper.accuracy_formulas import (
+from tumble.methods.paper.accuracy_formulas import (
     KnownTurns,
     accelerometer_errors,
     applied,
@@ -38,7 +38,7 @@ from tumble.estimation.methods.paper.accuracy_formulas import (
     turn_error,
     turns_of,
 )
-from tumble.estimation.methods.paper.scalar import scalar_rows
+from tumble.methods.paper.scalar import scalar_rows
 from tumble.programme.positions import Programme
 from tumble.rotation import rotation_matrix, rotation_vector_near, unit_vector
 from tumble.sensors.model import Block, triad_model

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.estimation.estimate import DETERMINED, GroupFinding
+from tumble.inference.estimate import DETERMINED, GroupFinding
 from tumble.inference.hyperparameters import Components
 from tumble.inference.likelihood import Problem, Rows, weights
 from tumble.inference.linearisation import with_priors

@@ -1,7 +1,7 @@
 """What the accelerometers of an array read while it is moved: moments that know no parameters.
 
 The readings y of n accelerometers contain the specific force and the angular acceleration of the body, six unknowns of
-every sample. What the other n − 6 combinations say of lever arms (`tumble.estimation.array_levers`) needs no more of
+every sample. What the other n − 6 combinations say of lever arms (`tumble.inference.array_levers`) needs no more of
 the samples than the sums of products of
 
     x = (1, y (n), ω_i ω_j (6), d(ω_i ω_j)/dt (6), d²(ω_i ω_j)/dt² (6), dω/dt (3), f_i f_j (6), df/dt (3))

@@ -40,7 +40,7 @@ from scipy import special
 
 from tumble.calibration.coverage import apart, expanded_of, shared_gravity, welch_satterthwaite
 from tumble.calibration.shared_errors import shared_time_base
-from tumble.estimation.estimate import scatter_of
+from tumble.methods.least_squares import scatter_of
 from tumble.registry.series import Series, SeriesPoint
 from tumble.units import Array
 

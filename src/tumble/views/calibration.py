@@ -27,8 +27,8 @@ from tumble.calibration.further import (
 )
 from tumble.calibration.launches import difference_percent
 from tumble.calibration.results import Parameter
-from tumble.estimation.diagnosis.site_gravity import gravity_said
-from tumble.estimation.estimate import Fit
+from tumble.diagnosis.site_gravity import gravity_said
+from tumble.inference.estimate import Fit
 from tumble.sensors.parameters import sensor_kind
 from tumble.units import engineering
 from tumble.views.blocks import Block, Items, Table, Text, table

@@ -12,7 +12,7 @@ from tumble.calibration.check import FieldCheck
 from tumble.calibration.compare import Comparison
 from tumble.calibration.results import Parameter
 from tumble.calibration.verify import Verification
-from tumble.estimation.field_check import CHANCE
+from tumble.methods.field_check import CHANCE
 from tumble.selftest import SelftestRecord
 from tumble.sensors.parameters import group_name, group_of, positions_by_group
 from tumble.units import G_STANDARD, engineering, two_digits

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from tumble.estimation.estimate import GroupFinding
-from tumble.estimation.observability import in_words, sum_in_words
+from tumble.diagnosis.observability import in_words, sum_in_words
+from tumble.inference.estimate import GroupFinding
 from tumble.planning.best_positions import Aim, Compared, Next
 from tumble.planning.bounds import Bound
 from tumble.planning.budget import Budget

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from tumble.calibration.quiet_samples import RecordedNoise
     from tumble.calibration.verify import Verification
     from tumble.campaigns.fleet import Tally
-    from tumble.estimation.estimate import GroupFinding
+    from tumble.inference.estimate import GroupFinding
     from tumble.planning.best_positions import Compared, Next
     from tumble.planning.bounds import Bound
     from tumble.planning.budget import Budget

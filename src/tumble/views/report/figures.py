@@ -12,7 +12,7 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import expanded
 from tumble.calibration.further import by_group, linear_parameters
 from tumble.calibration.results import Parameter, RestResult, SensorsAtRest, TurnResult
-from tumble.estimation.estimate import FIT_SIGMAS
+from tumble.inference.estimate import FIT_SIGMAS
 from tumble.sensors.parameters import within_group
 from tumble.units import Array, engineering
 from tumble.views.numbers import raised, shown_units

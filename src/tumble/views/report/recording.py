@@ -10,9 +10,9 @@ import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.results import Launch, Readings, RestResult, SensorsAtRest, TurnResult
+from tumble.diagnosis.site_gravity import against_normal
 from tumble.errors import ProgrammeError
-from tumble.estimation.diagnosis.site_gravity import against_normal
-from tumble.estimation.estimate import Fit
+from tumble.inference.estimate import Fit
 from tumble.programme.positions import Position, from_attitudes
 from tumble.programme.sheet_words import short_code
 from tumble.recording.session import Site

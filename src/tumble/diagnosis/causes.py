@@ -1,0 +1,358 @@
+"""What may be behind residuals that the noise does not explain, of each session the most likely first.
+
+A candidate is columns of the rows of rests and turns per unit of its size: `_candidates` is the table of them. All are
+tested at the linearisation of the estimate, without solving again (`tumble.diagnosis.projection`). A fall of chi-square
+Δχ² is judged as chi-square of q degrees of freedom by the noise alone, and by F = (Δχ²/q) / ((χ² − Δχ²)/(ν − q)) with
+the components of variance of the estimate too: of few degrees of freedom a scatter may be had by chance, and what is
+left beside a cause be nothing. What drifts or settles is no candidate: it is in the processes of the biases and in the
+groups that go with time, whose sizes are estimated (`tumble.diagnosis.misfit`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tumble.diagnosis.linearised_session import (
+    PATH_STEPS,
+    SHORTEST_TURN,
+    UNITS,
+    WORDS,
+    Concerns,
+    LinearisedSession,
+    sized,
+)
+from tumble.diagnosis.projection import Projection, Remaining, projections
+from tumble.earth import earth_rate
+from tumble.inference.hyperparameters import Components
+from tumble.inference.likelihood import Linearised
+from tumble.inference.linearisation import linearise
+from tumble.inference.step import Step
+from tumble.inference.turns_about import TurnsAbout
+from tumble.sensors.instrument import functions
+from tumble.sensors.model import Block
+from tumble.sensors.parameters import PAIRS, PRODUCTS, RATE
+from tumble.units import DEGREE, G_STANDARD, Array
+
+MEMORIES = (10.0, 60.0, 300.0)
+"""Time constants of a memory that are tried, s."""
+PLAY = 0.05 * G_STANDARD
+"""Half the width of the play of a hysteresis: a change of the own force by twice as much takes it across."""
+LATITUDE_KNOWN = 0.01
+"""rad: gyros that know the latitude to no better hardly see the Earth's rate, nor the headings, and these are not
+linear then."""
+FEWEST_BESIDE = 2
+"""Rests on either side of a jump: one alone with another bias is a rest that does not fit."""
+FREE = 0.01
+"""Of the variance of a step of a process: the data say nothing of one of which they leave more than 1 − FREE."""
+COARSE = 0.5
+"""What rounding does to the mean of a rest, in parts of its noise, from which on it is a cause."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Cause:
+    """A candidate cause as a session sees it: its `name`, which sensors it `concerns`, the `probability` that chance
+    alone shows as much, by how much the parameters of the linear model err without it at most, in their u, and a
+    `sentence` with size and remedy."""
+
+    name: str
+    concerns: Concerns
+    probability: float = 0.0
+    damage: float = 0.0
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Candidate:
+    """Columns of the rows of rests (N, r, q) and of turns (K, t, q) of a candidate, per SI unit of its size; sentences
+    with a place for the size, one or that of each session, which is said in a `unit` (size in SI, name)."""
+
+    name: str
+    concerns: Concerns
+    columns: tuple[Array, Array]
+    unit: tuple[float, str]
+    sentences: tuple[str, ...]
+    known: float = np.inf
+    """A session that knows the size to no better, SI, says nothing of it."""
+    tried: int = 1
+    """Of how many places it is the most likely."""
+
+    def tested(self, s: int, some: slice, alone: Projection, whole: Projection, linear: int) -> Cause | None:
+        """The candidate in session s, its columns being `some` of those in the projections with the noise alone and
+        with the components of variance of the estimate: it is no more likely than by either. None where the session
+        does not see it."""
+        explained = whole.explained(some, self.known)
+        if explained is None:
+            return None
+        by_noise = alone.explained(some)
+        probability = 1.0 if by_noise is None else alone.chance(by_noise.fall, by_noise.q)
+        return Cause(
+            name=self.name,
+            concerns=self.concerns,
+            probability=max(probability, whole.chance(explained.fall, explained.q)),
+            damage=float(np.max(np.abs(explained.moved[:linear]) / whole.u[:linear])),
+            sentence=self.sentences[min(s, len(self.sentences) - 1)].format(
+                size=sized(float(np.abs(explained.values).max()), self.unit)
+            ),
+        )
+
+
+def tested(linearised: Linearised, candidates: Sequence[Candidate]) -> tuple[list[list[Cause]], list[Array]]:
+    """Of each session the candidates that it sees, of each name and kind of sensor the most likely with its probability
+    as that of one of many; and u of the parameters (m,)."""
+    rest, turn = (np.concatenate([c.columns[rows] for c in candidates], axis=2) for rows in (0, 1))
+    ends = np.cumsum([c.columns[0].shape[2] for c in candidates]).tolist()
+    linear = linearised.problem.instrument.linear_count
+    whole = list(projections(linearised, linearised.components, rest, turn))
+    alone = projections(linearised, Components(), rest, turn) if whole[0].scatters else whole
+    tried = dict[tuple[str, Concerns], int]()
+    for candidate in candidates:
+        key = candidate.name, candidate.concerns
+        tried[key] = tried.get(key, 0) + candidate.tried
+    by_session = []
+    for s, seen_by in enumerate(zip(alone, whole, strict=True)):
+        best = dict[tuple[str, Concerns], Cause]()
+        for candidate, end in zip(candidates, ends, strict=True):
+            key = candidate.name, candidate.concerns
+            cause = candidate.tested(s, slice(end - candidate.columns[0].shape[2], end), *seen_by, linear)
+            if cause is not None and (key not in best or cause.probability < best[key].probability):
+                best[key] = cause
+        by_session.append([replace(c, probability=min(1.0, tried[key] * c.probability)) for key, c in best.items()])
+    return by_session, [projection.u for projection in whole]
+
+
+def candidates_of(session: LinearisedSession) -> Iterator[Candidate]:
+    """Everything that is tried by columns, but for lost samples (`tumble.diagnosis.lost_samples`)."""
+    about, gyro = session.linearised.about, session.observations.gyro_block
+    yield from jumps(session)
+    yield Candidate(
+        name="hysteresis",
+        concerns="accel",
+        columns=session.biased("accel", *_followed_along(session, session.accel, _played, 1.0)),
+        unit=UNITS["accel"],
+        sentences=(
+            "hysteresis of the accelerometers of {size}, by the sign of the last change of the own force: come to each "
+            "position from both sides",
+        ),
+    )
+    for kind, block in session.kinds:
+        for memory in MEMORIES:
+            at_rest, in_turn = _followed_along(session, block, followed, memory)
+            size, unit = UNITS[kind]
+            yield Candidate(
+                name="memory",
+                concerns=kind,
+                columns=session.biased(kind, at_rest, in_turn),
+                unit=(size / G_STANDARD, f"{unit}/g"),
+                sentences=(
+                    f"{WORDS[kind]} that remember the previous attitude by {{size}} for about {memory:.0f} s: longer "
+                    "rests, of which the beginning is left out",
+                ),
+            )
+    yield from products(session)
+    modelled = "gyro.cubic" in session.problem.instrument.members
+    if session.turned and about is not None and gyro is not None and not modelled:
+        yield gyro_nonlinearity(session, about, gyro)
+    if gyro is not None and session.observations.site.latitude is not None:
+        yield latitude_error(session, session.observations.site.latitude)
+
+
+def jumps(session: LinearisedSession) -> Iterator[Candidate]:
+    """Biases of a kind of sensors that change between two rests, as where a driver measures them anew or another device
+    goes on; the turn between is taken as lying half before and half after it. They do so where their process, had it
+    all scatter of the rests and lasted as long as the session, would step by the most beside its usual steps."""
+    rests, before_turn, first = session.observations.rests, session.problem.before_turn, 0
+    components, longest = session.linearised.components, max(float(np.ptp(rests.start)), 1.0)
+    wandering = Components(
+        accel_in_run=float(np.hypot(components.accel, components.accel_in_run)),
+        gyro_in_run=float(np.hypot(components.gyro, components.gyro_in_run)),
+        accel_time=longest,
+        gyro_time=longest,
+    )
+    if not wandering.wanders:
+        return
+    step = Remaining.of(session.linearised, wandering).step
+    N, most = len(rests), max(part.rests.stop - part.rests.start for part in session.problem.parts)
+    for kind, block in session.kinds:
+        falls = _falls(step, slice(first, first + block.size))
+        first += block.size
+        after, in_turn, sentences = np.zeros(N), np.zeros(len(before_turn)), list[str]()
+        for part in session.problem.parts:
+            places = np.arange(part.rests.start + FEWEST_BESIDE - 1, part.rests.stop - FEWEST_BESIDE)
+            if not len(places) or falls[places].max() <= 0.0:
+                sentences.append("")
+                continue
+            last = int(places[np.argmax(falls[places])])
+            after[last + 1 : part.rests.stop] = 1.0
+            turns = np.arange(part.turns.start, part.turns.stop)
+            in_turn[turns] = 0.5 * (1.0 + np.sign(before_turn[turns] - last))
+            sentences.append(
+                f"biases of the {WORDS[kind]} jump by {{size}} after "
+                f"{session.observations.rest_named(last).rpartition(': ')[2]} "
+                f"({rests.start[last]:z.1f}–{rests.stop[last]:z.1f} s), as of a driver that measures them anew or of "
+                "another device: calibrate what is before and what is after as launches, each with the times of the "
+                "other in [[exclude]]"
+            )
+        steps = np.ones((1, PATH_STEPS, block.size))
+        yield Candidate(
+            name="jump",
+            concerns=kind,
+            columns=session.biased(kind, np.outer(after, np.ones(block.size)), in_turn[:, None, None] * steps),
+            unit=UNITS[kind],
+            sentences=tuple(sentences),
+            tried=max(1, most - 2 * FEWEST_BESIDE + 1),
+        )
+
+
+def _falls(step: Step, sensors: slice) -> Array:
+    """By how much chi-square falls (N,) without the step of the processes of some sensors after each rest; 0 where none
+    follows, or where the data say nothing of it."""
+    process = step.told.process
+    assert process is not None
+    n = len(process.sigma)
+    states = step.shared[0][:, :, -n:, -n:][:, :, sensors, sensors]
+    values, rho = step.unknowns[:, -n:][:, sensors], process.rho[:, sensors]
+    here, following, across = states[0, :-1], states[0, 1:], states[1, :-1] * rho[:-1, :, None]
+    deviation = process.deviation[:-1, sensors]
+    steps = (values[1:] - rho[:-1] * values[:-1]) / deviation
+    covariance = following - across - np.swapaxes(across, 1, 2) + rho[:-1, :, None] * here * rho[:-1, None]
+    covariance /= deviation[:, :, None] * deviation[:, None]
+    told, directions = np.linalg.eigh(np.eye(covariance.shape[1]) - covariance)
+    along = (steps[:, None] @ directions)[:, 0]
+    fall = np.where(told > FREE, along**2 / np.maximum(told, FREE), 0.0).sum(axis=1)
+    return np.append(np.where(process.follows[:-1], fall, 0.0), 0.0)
+
+
+# ---- readings that depend on where the sensors come from
+
+
+def _followed_along(
+    session: LinearisedSession, block: Block, follow: Callable[[Array, Array, float], tuple[Array, Array]], unit: float
+) -> tuple[Array, Array]:
+    """What a state of every sensor of a block, carried from rest to rest, does to its readings: at rest (N, n) and in
+    the steps of the turns (K, steps, n). `follow(state, own forces (steps, n), time of a step)`, times being in a
+    `unit`, s, has that and the state after the steps; the first rest of a session begins at its own force."""
+    rests, turns, link = session.observations.rests, session.observations.turns, session.problem.link
+    own, paths = session.force @ block.axes.T, session.paths @ block.axes.T
+    at_rest, in_turn = np.zeros_like(own), np.zeros_like(paths)
+    state = own[0]
+    for i, here in enumerate(own):
+        state = here if i in session.begins else state
+        (at_rest[i],), state = follow(state, here[None], float(rests.stop[i] - rests.start[i]) / unit)
+        if (k := link[i]) >= 0 and turns is not None:
+            in_turn[k], state = follow(state, paths[k], float(turns.duration[k]) / PATH_STEPS / unit)
+    return at_rest, in_turn
+
+
+def _played(middle: Array, targets: Array, _: float) -> tuple[Array, Array]:
+    """Where in their play, −1 … 1, the own forces (steps, n) are, and the middle of the play after them."""
+    place = np.empty_like(targets)
+    for j, target in enumerate(targets):
+        middle = np.clip(middle, target - PLAY, target + PLAY)
+        place[j] = (target - middle) / PLAY
+    return place, middle
+
+
+def followed(slow: Array, targets: Array, passed: float) -> tuple[Array, Array]:
+    """The means of slow − target over steps of a time, in time constants, with a target (n,) each, and slow after them:
+    slow_j+1 = target_j + (slow_j − target_j) e^(−t)."""
+    steps = len(targets)
+    lag = np.arange(steps + 1)[:, None] - np.arange(steps)  # from the end of each step
+    weight = np.where(lag > 0, np.exp(-passed * np.maximum(lag - 1, 0)), 0.0)
+    before = np.exp(-passed * np.arange(steps + 1))[:, None] * slow - np.expm1(-passed) * (weight @ targets)
+    mean = -np.expm1(-passed) / passed if passed > 0.0 else 1.0  # of e^(−t) over a step
+    return (before[:-1] - targets) * mean, before[-1]
+
+
+# ---- readings that are not linear in force and rate, and the place
+
+
+def products(session: LinearisedSession) -> Iterator[Candidate]:
+    """Products of forces that no group of the instrument has: cross products in accelerometers, all in gyros."""
+    about = session.linearised.about
+    for kind, block in session.kinds:
+        first = 0 if kind == "accel" else session.accel.size
+        chosen = [b for b, pair in enumerate(PAIRS, start=PRODUCTS.start) if pair[0] != pair[1] or kind == "gyro"]
+        beta = functions(block, session.force, session.rate)[:, 0, chosen]
+        n, q = block.size, block.size * len(chosen)
+        rest, turn = session.nothing(q)
+        rest[:, first : first + n] = np.einsum("nb,ps->npsb", beta, np.eye(n)).reshape(len(rest), n, q)
+        if about is not None and kind == "accel":
+            session.put_velocity(turn, about.by_force[..., chosen].reshape(len(turn), 3, q))
+        elif about is not None:
+            turn[:, :3] = about.by_phi[..., chosen].reshape(len(turn), 3, q)
+        size, unit = UNITS[kind]
+        yield Candidate(
+            name="cross products" if kind == "accel" else "g² sensitivity",
+            concerns=kind,
+            columns=(rest, turn),
+            unit=(size / G_STANDARD**2, f"{unit}/g²"),
+            sentences=(
+                f"{WORDS[kind]} that read products of forces, by {{size}}: more oblique rests, or use it near the "
+                "attitudes of the session",
+            ),
+        )
+
+
+def gyro_nonlinearity(session: LinearisedSession, about: TurnsAbout, gyro: Block) -> Candidate:
+    """Scale factors with the square of the rate, of an estimate that has no such parameters."""
+    duration = np.maximum(about.moments.T, SHORTEST_TURN)[:, None]
+    square = about.moments.body_rates[:, [0, 3, 5]] / duration @ (gyro.axes**2).T
+    rest, turn = session.nothing(gyro.size)
+    phi, V = (
+        np.einsum("kipb,pb,kp->kip", by[..., RATE], gyro.axes, square) for by in (about.by_phi, about.by_velocity)
+    )
+    turn[:, :3] = phi
+    session.put_velocity(turn, V)
+    return Candidate(
+        name="gyro nonlinearity",
+        concerns="gyro",
+        columns=(rest, turn),
+        unit=(1e-6 / (10.0 * DEGREE) ** 2, "ppm at 10 °/s"),
+        sentences=(
+            "scale factors of the gyros that depend on the rate, by {size}: turn at the rates of use, at one rate, or "
+            "make them parameters by gyro_cubic in [device.prior]",
+        ),
+    )
+
+
+def latitude_error(session: LinearisedSession, latitude: float) -> Candidate:
+    """An error of the latitude of the site, rad, by a difference."""
+    step = 1e-4
+    moved = replace(session.problem, earth=np.array(earth_rate(latitude + step)))
+    rows, there = session.linearised.rows, linearise(moved, session.linearised.point, session.linearised.about)
+    rest, turn = ((a - b)[..., None] / step for a, b in zip(rows.residuals, there.residuals, strict=True))
+    return Candidate(
+        name="latitude",
+        concerns="both",
+        columns=(rest, turn),
+        unit=(DEGREE, "°"),
+        sentences=("a latitude that the gyros contradict by {size}: look at latitude_deg in [site], and its sign",),
+        known=LATITUDE_KNOWN,
+    )
+
+
+def quantisation(session: LinearisedSession, s: int) -> Iterator[Cause]:
+    """Channels of session s whose steps the noise does not cover, where what rounding does to a mean is not small
+    beside its noise."""
+    rests = session.problem.parts[s].rests
+    for kind, _ in session.kinds:
+        rounding = session.observations.rounding.get(kind)
+        if rounding is None or not rounding.common_u.any():
+            continue
+        covariance = getattr(session.observations.rests, f"{kind}_covariance")[rests]
+        variance = np.median(np.diagonal(covariance, axis1=1, axis2=2), axis=0) - rounding.of_rest**2
+        coarse = rounding.common_u > COARSE * np.sqrt(np.maximum(variance, 0.0))
+        if coarse.any():
+            worst = int(np.argmax(np.where(coarse, rounding.common_u, 0.0)))
+            step, error = float(rounding.step[worst]), float(rounding.common_u[worst])
+            scale, unit = UNITS[kind]
+            yield Cause(
+                name="quantisation",
+                concerns=kind,
+                sentence=f"steps of the {WORDS[kind]} of {step / scale:.2g} {unit} that the noise does not cover, "
+                f"{rounding.noise[worst] / step:.2g} of one: the mean of a rest errs by up to {error / scale:.2g} "
+                f"{unit}; log with more digits, or use a smaller range",
+            )

@@ -1,0 +1,186 @@
+"""The linear model where the instrument has more: whether the session shows it, and by how much it moves the result.
+
+The methods beside `joint` have bias, scale factor and axis angles alone, and take what else there is for one of these:
+a quadratic term of the accelerometers for a bias and scale factors. Two things are asked of such an estimate.
+
+Its residuals are judged about the estimate that `joint` makes of the same model (`judged`), for the turns show most of
+what rests alone can be fitted to. And what they do not show is counted: in u by the method ellipsoid, which has no
+turns, in a note by the others. Groups of usual size σ, beyond bias, scale factor and axis angles, add B φ to the
+readings at rest, B along what no turn of the vertical reaches. A fit of the linear columns A, with the weights it has,
+takes A⁺ B φ for parameters:
+
+    ΔX = A⁺ B φ,   cov(ΔX) = A⁺ B Σ (A⁺ B)ᵀ,   cov(ΔX, −φ) = −A⁺ B Σ,   Σ = diag(σ²)
+
+The groups stay at nothing, so that −φ is their error. With it the corrected force in the attitudes of the rests is as
+well known as the fit has it, and in others as badly as the groups allow.
+
+This is docs/mathematics.md (36) with usual sizes; the columns are those of Eq. (12) of the turntable paper, for any
+number of sensors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tumble.diagnosis.lost_samples import lost_by_velocities
+from tumble.diagnosis.misfit import DAMAGE, damaging
+from tumble.diagnosis.undetermined import linear_names
+from tumble.inference.estimate import Estimate, GroupFinding
+from tumble.inference.joint import joint
+from tumble.inference.likelihood import Problem, instruments_of
+from tumble.inference.prediction import prediction
+from tumble.reduction.observations import Observations
+from tumble.rotation import tangent_basis, unit_vector
+from tumble.sensors.instrument import Instrument, functions
+from tumble.sensors.parameters import FORCE, positions_by_group, shown_in
+from tumble.units import Array
+
+_NOTHING = 1e-9
+"""Of the largest singular value: what rests do not determine is moved by nothing that they show."""
+_AT_REST = {
+    "accel.quadratic": "quadratic terms",
+    "accel.cubic": "cubic terms",
+    "accel.asymmetry": "asymmetry",
+}
+"""Groups that change readings of the accelerometers at rest."""
+_WORDS = {"accel.bias": "biases", "accel.scale": "scale factors", "accel.axis": "axis angles"}
+
+
+def judged(estimate: Estimate, observations: Observations, whole: Observations) -> Estimate:
+    """An estimate of the linear model with a likelihood by which its residuals are judged, and with what the velocities
+    of turns say of lost samples; `whole` are the observations that know the usual sizes of all groups."""
+    if estimate.linearised is None and not estimate.unobservable and estimate.converged:
+        seen = observations if estimate.gyro is not None else observations.of_accelerometers()
+        try:
+            beside = joint(seen)
+        except np.linalg.LinAlgError:
+            return estimate
+        if beside.converged and not linear_names(beside.unobservable):
+            estimate = replace(estimate, linearised=beside.linearised)
+    if estimate.linearised is None or not whole.unstamped or estimate.gyro is None:
+        return estimate
+    lost = lost_by_velocities(estimate.linearised, whole)
+    if lost is None:
+        return estimate
+    if lost.damage > DAMAGE:
+        return replace(estimate, reasons=(*estimate.reasons, damaging(lost)))
+    return replace(estimate, remarks=(*estimate.remarks, f"probable cause: {lost.sentence}"))
+
+
+def left_out(estimate: Estimate, observations: Observations, whole: Observations) -> tuple[str, ...]:
+    """What an estimate of the linear model leaves out, and by how much more than u that moves it, as a note."""
+    block = observations.accel_block
+    names = {name for name in whole.usual if name in _AT_REST}
+    if not names or not set(block.names) <= set(estimate.names) or estimate.unobservable:
+        return ()
+    moved, u = moved_by(names, whole), estimate.u[: len(block.names)]
+    sizes = []
+    for name, at in positions_by_group(block.names).items():
+        by, known = float(np.sqrt((moved[at] ** 2).mean())), float(np.sqrt((u[at] ** 2).mean()))
+        if by > known:
+            size, unit = shown_in(name, block.units[at[0]], by)
+            sizes.append(f"{_WORDS[name]} by {by / size:.2g} {unit}")
+    if not sizes:
+        return ()
+    return (
+        f"not in the model: {', '.join(_AT_REST[name] for name in _AT_REST if name in names)} of the accelerometers; "
+        f"where they are of the size usual in instruments of the grade, they move {', '.join(sizes)} (rms), which u "
+        "does not contain; the method joint with all its terms does",
+    )
+
+
+def taken_as_nothing(estimate: Estimate) -> tuple[str, ...]:
+    """That groups are nothing by the method and in its u by their size, where an estimate has such, as a note."""
+    if not estimate.groups:
+        return ()
+    return (
+        f"the method {estimate.method} takes all of it as nothing and has its usual size in u; the method joint finds "
+        "what the session shows of it, and --terms linear leaves it out",
+    )
+
+
+def moved_by(names: set[str], observations: Observations) -> Array:
+    """Standard deviations (m,) by which groups of their usual sizes move bias, scale factors and axis angles of the
+    accelerometers in a fit to the rests that does not have them."""
+    return np.asarray(np.linalg.norm(left_out_of(observations, names=names).by_usual, axis=1))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class LeftOut:
+    """The `instrument` with the groups that are left out, the standard deviations (k,) of these, by how much one of
+    each `moves` the parameters (m, k) of the linear model, and what it `leaves` (r, k) in the rows that these are
+    fitted to, in units of their standard deviations."""
+
+    instrument: Instrument
+    usual: Array
+    moves: Array
+    leaves: Array
+
+    @property
+    def by_usual(self) -> Array:
+        """What their usual sizes move (m, k)."""
+        return self.moves * self.usual
+
+
+def left_out_of(observations: Observations, sigma: Array | None = None, names: Container[str] | None = None) -> LeftOut:
+    """The groups of the accelerometers of which the observations know a usual size, those of `names` alone where there
+    are any, and what they do in a fit to rests with standard deviations `sigma` (N,), equal ones where None."""
+    seen = observations.of_accelerometers()
+    usual = {name: size for name, size in seen.usual.items() if names is None or name in names}
+    whole = instruments_of(replace(seen, usual=usual))[0]
+    instrument = replace(whole, further=tuple(group for group in whole.further if group.variable != "lag"))
+    problem = Problem.of(seen, instrument=instrument, usual=usual)
+    block, g, values = seen.accel_block, seen.site.gravity, np.zeros(len(instrument.names))
+    force = g * unit_vector(block.nominal().apply(seen.rests.accel))
+    beta, D = functions(block, force, np.zeros_like(force)), instrument.derivative(block, values)
+    changes = np.einsum("ipb,pbm->ipm", beta, D)
+    changing, base = problem.changed
+    changes[:, :, changing] = changes[:, :, base] * problem.goes[0][:, None]
+    turning = np.einsum("pk,ijk->ipj", instrument.coefficients(block, values)[:, FORCE], tangent_basis(force / g))
+    across, _ = np.linalg.qr(turning, mode="complete")  # beyond the first two: what no turn of the vertical reaches
+    rows = np.einsum("ipr,ipm->irm", across[:, :, 2:], changes).reshape(-1, len(values))
+    if sigma is not None:
+        rows = rows / np.repeat(sigma, block.size - 2)[:, None]
+    A, B = np.split(rows, [instrument.linear_count], axis=1)
+    moves = np.linalg.pinv(A, rcond=_NOTHING) @ B
+    return LeftOut(
+        instrument=instrument, usual=problem.measured[1][1 + A.shape[1] :], moves=moves, leaves=B - A @ moves
+    )
+
+
+def with_left_out(estimate: Estimate, found: LeftOut, gravity: float) -> Estimate:
+    """An estimate of the accelerometers, with degrees of freedom, with the groups it leaves out, which are nothing
+    within their usual sizes, and their part in its covariance."""
+    instrument, moved, k, first = found.instrument, found.by_usual, len(found.usual), found.instrument.linear_count
+    linear, crossed = estimate.covariance + moved @ moved.T, -moved * found.usual
+    covariance = np.block([[linear, crossed], [crossed.T, np.diag(found.usual**2)]])
+    values = np.append(estimate.values, np.zeros(k))
+    assert estimate.degrees is not None
+    degrees = estimate.degrees * (np.diag(linear) / np.diag(estimate.covariance)) ** 2
+    groups = (
+        GroupFinding(
+            name=name,
+            kept=True,
+            prior=float(found.usual[members.start - first]),
+            widened=1.0,
+            learned=(0.0,) * (members.stop - members.start),
+        )
+        for name, members in ((group.name, instrument.members[group.name]) for group in instrument.further)
+    )
+    return replace(
+        estimate,
+        names=instrument.names,
+        units=instrument.units,
+        values=values,
+        covariance=covariance,
+        observable=np.append(estimate.observable, np.ones(k, dtype=bool)),
+        null=np.pad(estimate.null, ((0, 0), (0, k))),
+        increments=tuple(np.append(step, np.zeros(k)) for step in estimate.increments),
+        instrument=instrument,
+        groups=tuple(groups),
+        degrees=np.append(degrees, np.full(k, np.inf)),
+        prediction=prediction(instrument, values, covariance, gravity=gravity, rate=None),
+    )

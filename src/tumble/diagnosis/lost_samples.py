@@ -1,0 +1,218 @@
+"""Samples that are missing, or held where one is missing, in all turns or in one.
+
+Without time stamps nothing in a log says that rows are missing. A turn says it: what it lacks is a rotation δ about its
+own axis a, so that it does not carry the vertical from rest to rest; and of the specific force, which turned by δ from
+there on, the velocity has lost
+
+    ΔV = δ a × g u (T − s),    0 ≤ s ≤ T
+
+where the samples were lost after s of a turn that began with the vertical u and lasted T: a device that rests before
+and after has gained none. Both are tested, as every cause, for each turn by itself, and the least probability times the
+number of turns is taken. For the few turns of a short session there are always parameters that explain their rotations,
+and then the velocities alone show it: they are in an estimate of all groups of parameters, and not in that of the
+linear model.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tumble.diagnosis.causes import Candidate, Cause, tested
+from tumble.diagnosis.chances import SumOfSquares, standing_out
+from tumble.diagnosis.linearised_session import SHORTEST_TURN, LinearisedSession
+from tumble.diagnosis.projection import UNSEEN, Remaining
+from tumble.inference.hyperparameters import SCATTER, Components
+from tumble.inference.joint import joint
+from tumble.inference.likelihood import Linearised, Point, Problem, instruments_of, noise_of
+from tumble.inference.linearisation import linearise
+from tumble.inference.turns_about import TurnsAbout
+from tumble.recording.gaps import REGULAR_HINT
+from tumble.reduction.observations import Observations
+from tumble.rotation import tangent_basis
+from tumble.sensors.parameters import RATE
+from tumble.units import DEGREE, Array
+
+FEWEST_HELD = 3
+ROUNDS = 4
+"""Of the scatter of turns that are to blame for all."""
+JITTERING = 3e-3
+"""Of an interval: time stamps that jitter by less are right, as far as any turn shows."""
+
+
+def stamps_remedy(observations: Observations) -> str:
+    """What to do about the time stamps of a log whose turns err as if samples were missing."""
+    return jittering(observations).removeprefix("; ") or "record with time stamps"
+
+
+def jittering(observations: Observations) -> str:
+    """What to try where time stamps jitter about even rows, for the turns err then as much as if the rows did.
+
+    Intervals that such stamps make have the covariance −σ² from one to the next; lost samples or a rate that changes
+    have not."""
+    samples = observations.turn_samples
+    if samples is None or not len(samples.start):
+        return ""
+    every = [samples.samples.read(a, b)[2] for a, b in zip(samples.start.tolist(), samples.stop.tolist(), strict=True)]
+    interval = float(np.median(np.concatenate(every)))
+    off = [np.where(np.abs(dt - interval) < 0.5 * interval, dt - interval, 0.0) for dt in every]
+    covariance = sum(float(e[1:] @ e[:-1]) for e in off) / max(1, sum(len(e) - 1 for e in off))
+    jitter = float(np.sqrt(max(0.0, -covariance)))
+    return (
+        f"; or the time stamps jitter by {1e3 * jitter:.2g} ms: {REGULAR_HINT}" if jitter > JITTERING * interval else ""
+    )
+
+
+def of_turns(session: LinearisedSession, whole: Remaining) -> list[Candidate]:
+    """A loss in the turn of each session that lacks samples most likely, by what is left of residuals with the
+    components of variance of the estimate; none where time stamps would show it."""
+    if not (session.turned and session.observations.unstamped):
+        return []
+    turn = _columns(session)
+    W, (residual, covariance) = whole.step.told.weights.turn, whole.left.turn
+    whitened = W @ turn
+    length = np.sqrt((whitened**2).sum(axis=1))
+    B = whitened / np.maximum(length, 1e-300)[:, None]
+    G, along = np.swapaxes(B, 1, 2) @ covariance @ B, np.einsum("krq,kr->kq", B, residual)
+    seen = np.linalg.eigvalsh(G)[:, 0] > UNSEEN**2
+    fall = np.zeros(len(turn))
+    fall[seen] = np.einsum("kq,kq->k", along[seen], np.linalg.solve(G[seen], along[seen][..., None])[..., 0])
+    most, sentences = np.zeros(len(turn), dtype=bool), list[str]()
+    for part, observed in zip(session.problem.parts, session.observed, strict=True):
+        falls = fall[part.turns]
+        if not falls.any() or observed.turns is None:
+            sentences.append("")
+            continue
+        worst = int(np.argmax(falls))
+        most[part.turns.start + worst] = True
+        sentences.append(
+            f"{observed.turn_named(worst)} errs about its own axis by {{size}}: samples are missing or held there; "
+            f"leave it out by turn = {observed.turns.first[worst] + 1} in [[exclude]], and record with time stamps"
+        )
+    loss = Candidate(
+        name="lost samples",
+        concerns="both",
+        columns=(session.nothing(turn.shape[2])[0], turn * most[:, None, None]),
+        unit=(DEGREE, "°"),
+        sentences=tuple(sentences),
+        tried=max(part.turns.stop - part.turns.start for part in session.problem.parts),
+    )
+    return [loss]
+
+
+def _turned_about(about: TurnsAbout, turns: slice) -> Array:
+    """The axis (K, 3) that each turn was about, of length 0 where nothing turned."""
+    path = np.einsum("kipp->ki", about.moments.Phi[turns][..., RATE])
+    axis = path / np.maximum(np.linalg.norm(path, axis=1, keepdims=True), 1e-9)
+    return np.asarray(axis)
+
+
+def _columns(session: LinearisedSession) -> Array:
+    """The columns (K, t, q) of a loss in each turn: of the rotation, and, where velocities are seen, of what that does
+    to them."""
+    about, rows = session.linearised.about, session.linearised.rows
+    assert about is not None
+    axis = np.where(about.moments.T[:, None] < SHORTEST_TURN, 0.0, _turned_about(about, slice(None)))
+    seen = session.problem.instrument.in_velocities
+    _, turn = session.nothing(2 if seen else 1)
+    turn[:, :3, 0] = axis
+    if seen:
+        turn[:, 3:6, 1] = np.cross(axis, rows.gained)
+    return turn
+
+
+def samples_held(observations: Observations) -> Cause | None:
+    """Samples of turns whose accelerometers and gyros all read what they read in the sample before, where that is not
+    for want of resolution."""
+    samples = observations.turn_samples
+    if samples is None:
+        return None
+    rows = same = 0
+    fewest = np.zeros(6, dtype=np.int64)
+    for start, stop in zip(samples.start.tolist(), samples.stop.tolist(), strict=True):
+        rates, forces, _ = samples.samples.read(start, stop)
+        equal = [column[1:] == column[:-1] for column in (*rates.T, *forces.T)]
+        rows, same = rows + len(equal[0]), same + int(np.count_nonzero(np.logical_and.reduce(equal)))
+        fewest += [np.count_nonzero(column) for column in equal]
+    if same < FEWEST_HELD or same < 0.8 * fewest.min() or fewest.min() > 0.5 * rows:
+        return None
+    return Cause(
+        name="lost samples",
+        concerns="both",
+        sentence=f"{same} of {rows} samples of the turns are copies of the one before, {100.0 * same / rows:.2g} %: "
+        "the log holds the last sample where one is missing; record all of them",
+    )
+
+
+def turns_to_blame(linearised: Linearised, alone: Remaining) -> Remaining:
+    """What is left of residuals where turns alone scatter, by as much as residuals do: lost samples make rotations err,
+    and an estimate may have taken that for rests that scatter."""
+    Z, of = linearised.noise.turn_directions
+    along, variance, remaining = Z[:, :, of == SCATTER.index("turn")], 0.0, alone
+    for step in range(ROUNDS):
+        square = SumOfSquares.along(remaining.step.told.weights.turn @ along, *remaining.left.turn)
+        if step == 0:
+            variance = square.excess
+        elif square.mean > 0.0:
+            variance *= square.square / square.mean
+        remaining = Remaining.of(linearised, Components(turn=float(np.sqrt(variance))))
+    return remaining
+
+
+def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Remaining, u: Array) -> Cause:
+    """Rotations of turns of session s that err about their own axis, with the angle, more than across it, where turns
+    are to blame: samples that are missing or held. Both are scatter, so that what is compared is one with the other. A
+    share p of samples that is lost by chance makes the variance p ω² Δt² a sample of what turns have lost, and scale
+    factors of the gyros that are less by p: the latter is no scatter, and is the damage."""
+    about, observed, part = session.linearised.about, session.observed[s], session.problem.parts[s].turns
+    assert about is not None
+    axis = _turned_about(about, part)
+    size = np.sqrt(about.moments.body_rates[part][:, [0, 3, 5]].sum(axis=1))[:, None, None]
+    W, (residual, covariance) = blamed.step.told.weights.turn[part, :, :3], (each[part] for each in blamed.left.turn)
+    along, across = (
+        SumOfSquares.along(W @ (size * of), residual, covariance)
+        for of in (axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2))
+    )
+    damage, samples, turns, instrument = 0.0, observed.turn_samples, observed.turns, session.problem.instrument
+    if samples is not None and turns is not None and instrument.gyro is not None:
+        interval = float(np.median(turns.duration / np.maximum(samples.lengths[: len(turns)], 1)))
+        share = max(0.0, along.excess - across.excess) / interval
+        damage = share / float(u[instrument.group_columns("gyro.scale")].min())
+    return Cause(
+        name="lost samples",
+        concerns="gyro",
+        probability=along.chance_beside(across),
+        damage=damage,
+        sentence="turns that err about their own axis, with their angle: samples are missing or held in the log; "
+        + stamps_remedy(observed),
+    )
+
+
+def lost_by_velocities(linear: Linearised, observations: Observations) -> Cause | None:
+    """The turn that lacks samples, where an estimate of all groups of parameters shows it: the velocities of turns,
+    which the linear model does without, tell more of it than their rotations. That estimate is made where the noise
+    alone does not explain the velocities about the linear one, one step from its solution and without scatter."""
+    instrument, own = instruments_of(observations)
+    problem = Problem.of(observations, instrument=instrument, own=own, usual=observations.usual)
+    values, first = problem.measured[0][1:].copy(), instrument.linear_count
+    values[:first] = linear.point.values[:first]
+    point = Point(
+        values=values,
+        gravity=linear.point.gravity,
+        attitudes=linear.point.attitudes,
+        own=np.zeros((len(problem.parts), len(problem.own_known))),
+    )
+    about = None if linear.about is None else TurnsAbout.of(observations, instrument, values)
+    rows = linearise(problem, point, about)
+    noise = noise_of(problem, rows)
+    nearby = Linearised(problem=problem, point=point, about=about, rows=rows, noise=noise, components=Components())
+    if _standing_loss(nearby) is None:
+        return None
+    whole = joint(observations).linearised
+    return None if whole is None else _standing_loss(whole)
+
+
+def _standing_loss(linearised: Linearised) -> Cause | None:
+    """The turn that lacks samples most likely, where it stands out."""
+    losses = of_turns(LinearisedSession(linearised), Remaining.of(linearised, linearised.components))
+    causes = [cause for of_session in tested(linearised, losses)[0] for cause in of_session] if losses else []
+    return next((cause for cause in causes if cause.probability <= standing_out([cause.probability])), None)

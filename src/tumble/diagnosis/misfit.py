@@ -1,0 +1,324 @@
+"""Residuals that the noise does not explain: how likely by chance, how large, what is behind them, and what follows.
+
+An estimate is accepted with scatter where a group of residuals is larger than the noise within rests explains, where
+a cause stands out (`tumble.diagnosis.causes`), or where biases or scale factors wander or drift beyond what is usual:
+by all tests together in less than one of a hundred clean sessions. It is not accepted where its uncertainty cannot be
+trusted: where a cause that stands out, being left out, moves a parameter of the linear model by more than DAMAGE of its
+u, for then the error is not random.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tumble.diagnosis.causes import Cause, candidates_of, quantisation, tested
+from tumble.diagnosis.chances import SumOfSquares, standing_out
+from tumble.diagnosis.linearised_session import UNITS, WORDS, Concerns, Kind, LinearisedSession, sized
+from tumble.diagnosis.lost_samples import (
+    jittering,
+    lost_in_all_turns,
+    of_turns,
+    samples_held,
+    stamps_remedy,
+    turns_to_blame,
+)
+from tumble.diagnosis.projection import Remaining
+from tumble.inference.estimate import Estimate, HyperparameterEstimate
+from tumble.inference.hyperparameters import REST_MODES, SCATTER, Components
+from tumble.inference.likelihood import Linearised
+from tumble.inference.session_spans import SessionSpan
+from tumble.reduction.observations import Observations
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD
+
+NAMED_PROBABILITY = 0.02
+"""A cause is named for scatter that is there where chance alone would show as much less often."""
+MOST_NAMED = 3
+MOST_SESSIONS = 5
+"""Of several sessions, so many at most are described one by one."""
+MANY = 30.0
+"""Times the noise: a larger scatter is no disturbance of a model that otherwise holds."""
+NOTHING = {"accel": 5e-6 * G_STANDARD, "gyro": 0.02 * DEGREE_PER_HOUR, "turn": 2e-5}
+"""m/s², rad/s, rad: scatter that no use of an inertial unit would notice, however small the noise of the log."""
+BEYOND_USUAL = 3.0
+"""Times what is usual of the grade: an in-run bias or a drift that is larger for certain, by the lower limit of its
+middle 68 %, is said; and so is the in-run bias of a sensor, beside those of its kind."""
+TURNS_MORE = 10.0
+"""Times: turns that scatter by more than gyros at rest, in parts of their noise, do so for a cause of their own."""
+DAMAGE = 3.0
+"""Times u: a parameter that errs by more because a cause was left out."""
+CONTAINED = "; u contains it"
+AT_RANDOM = f"{CONTAINED} as far as it is random"
+
+Said = tuple[Concerns, str]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Group:
+    """A group of residuals: its components of scatter, of which the first gives its size, which sensors it concerns,
+    words, and (SI, name) of a unit."""
+
+    components: tuple[str, ...]
+    concerns: Kind
+    words: str
+    unit: tuple[float, str]
+
+    @property
+    def name(self) -> str:
+        """That of its first component."""
+        return self.components[0]
+
+    def scatter(self, components: Components) -> float:
+        """Its scatter, with that of the in-run bias."""
+        in_run = {"accel": components.accel_in_run, "gyro": components.gyro_in_run}.get(self.name, 0.0)
+        return float(np.hypot(getattr(components, self.name), in_run))
+
+    def noise(self, observations: Observations) -> float:
+        """The usual noise of a row."""
+        rests, turns = observations.rests, observations.turns
+        covariances = {"accel": rests.accel_covariance, "gyro": rests.gyro_covariance}
+        if turns is not None:
+            covariances |= {"turn": turns.covariance, "velocity": turns.velocity_covariance}
+        covariance = covariances[self.name]
+        return float(np.sqrt(np.median(np.trace(covariance, axis1=1, axis2=2) / covariance.shape[1])))
+
+    def chance(self, linearised: Linearised, alone: Remaining, part: SessionSpan) -> float:
+        """Probability that chance alone makes the residuals of a session as large as they are beside the noise within
+        rests, in the directions of the scatter."""
+        noise, weights, after = linearised.noise, alone.step.told.weights, alone.left
+        rests = self.name in REST_MODES
+        Z, of = noise.rest_directions if rests else noise.turn_directions
+        W, (residual, covariance) = (weights.rest, after.rest) if rests else (weights.turn, after.turn)
+        some = part.rests if rests else part.turns
+        along = Z[:, :, np.isin(of, [SCATTER.index(name) for name in self.components])]
+        return SumOfSquares.along(W[some] @ along[some], residual[some], covariance[some]).chance
+
+
+GROUPS = (
+    Group(components=("accel",), concerns="accel", words="readings of the accelerometers at rest", unit=UNITS["accel"]),
+    Group(components=("gyro",), concerns="gyro", words="readings of the gyros at rest", unit=UNITS["gyro"]),
+    Group(components=("turn", "apart"), concerns="gyro", words="rotations of the turns", unit=(DEGREE, "°")),
+    Group(components=("velocity",), concerns="accel", words="velocities of the turns", unit=(1e-3, "mm/s")),
+)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Misfit:
+    """Reasons and remarks with what they concern, and the names of the causes that stand out, the most likely first."""
+
+    reasons: tuple[Said, ...] = ()
+    remarks: tuple[Said, ...] = ()
+    causes: tuple[str, ...] = ()
+
+
+def misfit(estimate: Estimate) -> Misfit | None:
+    """What the residuals of an estimate say, of several sessions each for itself; None where nothing keeps a likelihood
+    of it."""
+    linearised = estimate.linearised
+    if linearised is None:
+        return None
+    alone, whole = Remaining.of(linearised, Components()), Remaining.of(linearised, linearised.components)
+    session, parts = LinearisedSession(linearised), linearised.problem.parts
+    chances = [{group: group.chance(linearised, alone, part) for group in GROUPS} for part in parts]
+    causes = _causes(session, alone, whole)
+    limit = standing_out([p for by in chances for p in by.values()] + [c.probability for by in causes for c in by])
+    wandering = list(_wandering(estimate, linearised))
+    usual = {h.name.removesuffix("_in_run"): h.usual for h in estimate.hyperparameters}
+    known = {concerns for concerns, cause, _ in wandering if cause != "scale-factor drift"}
+    every = [
+        _of_session(linearised, *of_session, limit, usual, known)
+        for of_session in zip(session.observed, chances, causes, strict=True)
+    ]
+    together = linearised.problem.observations.together
+    of_all = every[0]
+    if together is not None:
+        of_all = _of_all(
+            [(n, each) for n, each in zip(together.names, every, strict=True) if each.remarks or each.reasons]
+        )
+    joined = Misfit(
+        reasons=of_all.reasons,
+        remarks=tuple((concerns, remark) for concerns, _, remark in wandering) + of_all.remarks,
+        causes=tuple(dict.fromkeys((*of_all.causes, *(cause for _, cause, _ in wandering)))),
+    )
+    return joined if estimate.method == "joint" else _about_joint(joined)
+
+
+def _causes(session: LinearisedSession, alone: Remaining, whole: Remaining) -> list[list[Cause]]:
+    """Of each session all causes, the most significant first, one of a name and kind of sensor, by what is left of the
+    residuals with the noise alone and with the components of variance of the estimate."""
+    by_session, us = tested(session.linearised, [*candidates_of(session), *of_turns(session, whole)])
+    blamed = turns_to_blame(session.linearised, alone) if session.turned else whole
+    for s, (causes, u) in enumerate(zip(by_session, us, strict=True)):
+        causes += quantisation(session, s)
+        lost = [cause for cause in causes if cause.name == "lost samples"]
+        held = samples_held(session.observed[s])
+        if held is None and session.turned_in(s):
+            lost.append(lost_in_all_turns(session, s, blamed, u))
+        likely = held or min(lost, key=lambda cause: cause.probability, default=None)
+        causes[:] = [cause for cause in causes if cause not in lost] + ([likely] if likely is not None else [])
+        causes.sort(key=lambda cause: cause.probability)
+    return by_session
+
+
+def _about_joint(found: Misfit) -> Misfit:
+    """What residuals about the joint estimate say of one by another method, whose u has a scatter of its own."""
+    bare = ((concerns, remark.replace(AT_RANDOM, "").replace(CONTAINED, "")) for concerns, remark in found.remarks)
+    return replace(
+        found,
+        reasons=tuple((concerns, f"by the method joint, {reason}") for concerns, reason in found.reasons),
+        remarks=tuple((concerns, f"by the method joint, {remark}") for concerns, remark in bare),
+    )
+
+
+def _of_all(sessions: list[tuple[str, Misfit]]) -> Misfit:
+    """What residuals of sessions say, each with its name: the first few, and how many more."""
+    more = len(sessions) - MOST_SESSIONS
+    remarks = [(concerns, f"{name}: {said}") for name, of in sessions[:MOST_SESSIONS] for concerns, said in of.remarks]
+    if more > 0:
+        remarks.append(("both", f"{more} more sessions scatter: calibrate them one by one to see by what"))
+    return Misfit(
+        reasons=tuple((concerns, f"{name}: {said}") for name, of in sessions for concerns, said in of.reasons),
+        remarks=tuple(remarks),
+        causes=tuple(dict.fromkeys(cause for _, of in sessions for cause in of.causes)),
+    )
+
+
+def _of_session(
+    linearised: Linearised,
+    observations: Observations,
+    chances: Mapping[Group, float],
+    causes: list[Cause],
+    limit: float,
+    usual: Mapping[str, float],
+    known: set[Concerns],
+) -> Misfit:
+    """What the residuals of a session say, by the probabilities of its groups and of its causes, of which those up to a
+    limit stand out. A scatter within what is `usual` of in-run biases is nothing to speak of, and that of the readings
+    of some sensors is `known` by their in-run biases already."""
+    components = linearised.components
+    larger = [g for g, p in chances.items() if p <= limit and g.scatter(components) > usual.get(g.name, 0.0)]
+    lost = [cause for cause in causes if cause.name == "lost samples" and cause.probability < NAMED_PROBABILITY]
+    first = lost if any(group.name == "turn" for group in larger) else []  # what they do looks like others
+    named = first + [cause for cause in causes if cause.probability <= limit and cause not in first]
+    ratios = {group.name: group.scatter(components) / group.noise(observations) for group in larger}
+    if larger:
+        others = [cause for cause in causes if cause not in named]
+        named += _likely(others, ratios, {group.concerns for group in larger}, observations)
+    named = named[:MOST_NAMED]
+    harmful = [c for c in named if c.damage > DAMAGE and (c.probability <= limit or c in first)]
+    remarks: list[Said] = [(g.concerns, _larger(g, ratios[g.name], linearised)) for g in larger if g.name not in known]
+    remarks += [(cause.concerns, f"probable cause: {cause.sentence}") for cause in named if cause not in harmful]
+    return Misfit(
+        reasons=tuple((cause.concerns, damaging(cause)) for cause in harmful),
+        remarks=tuple(remarks),
+        causes=tuple(cause.name for cause in named),
+    )
+
+
+def _likely(
+    causes: list[Cause], ratios: Mapping[str, float], concerned: set[Kind], observations: Observations
+) -> list[Cause]:
+    """Causes, of those that do not stand out, for a scatter that is there, which is `ratios` times the noise. What
+    makes turns scatter and not, or much less, the gyros at rest is random itself, so that nothing systematic need fit
+    well: it comes first."""
+    likely = [c for c in causes if c.concerns in {*concerned, "both"}]
+    standing = [c for c in likely if c.probability < NAMED_PROBABILITY]
+    if ratios.get("turn", 0.0) <= TURNS_MORE * ratios.get("gyro", 0.0):
+        return standing
+    moved = Cause(
+        name="movement",
+        concerns="gyro",
+        probability=1.0,
+        sentence="a device that moved after it was put down, or before it was taken up: wait until it lies still",
+    )
+    untold = "or samples that are missing or held in the log, which these turns do not tell from movement: "
+    untold += stamps_remedy(observations)
+    return [moved, *(replace(c, sentence=untold) for c in likely if c.name == "lost samples"), *standing]
+
+
+def _larger(group: Group, ratio: float, linearised: Linearised) -> str:
+    """That a group of residuals is larger than its noise, with its size."""
+    observations, components = linearised.problem.observations, linearised.components
+    scatter = group.scatter(components)
+    if group.name == "turn" and observations.turns is not None:
+        aliased = components.aliased * float(np.sqrt(observations.turns.aliased.max()))
+        if aliased > components.turn:
+            return (
+                f"the rotations of the turns err by up to about {aliased / DEGREE:.2g}° where rates jump from sample "
+                f"to sample, as instantaneous samples of jerky turns do{CONTAINED}; turn smoothly, or sample faster"
+                + jittering(observations)
+            )
+    if scatter == 0.0:
+        return f"the {group.words} are further from the fit than their noise explains"
+    said = f"the {group.words} scatter by {sized(scatter, group.unit)}, {ratio:.2g} times their noise"
+    if ratio > MANY and scatter > NOTHING.get(group.name, np.inf):
+        said += f", more than {MANY:.0f}: something is there that the model does not have"
+        if group.name == "turn":
+            said += f"; look for lost or held samples{jittering(observations)}"
+    return f"{said}{AT_RANDOM}"
+
+
+def _wandering(estimate: Estimate, linearised: Linearised) -> Iterator[tuple[Concerns, str, str]]:
+    """What changes within the session far beyond what is usual, by the sizes that were estimated: drifts of biases and
+    of scale factors, in-run biases of kinds of sensors, and of single ones. What each concerns, the name of the cause,
+    and a remark."""
+    by_name, rests = {h.name: h for h in estimate.hyperparameters}, linearised.problem.observations.rests
+    longest = max(float(rests.stop[p.rests].max() - rests.start[p.rests].min()) for p in linearised.problem.parts)
+    for block in linearised.problem.instrument.blocks:
+        kind: Kind = "accel" if block.kind == "accel" else "gyro"
+        words, drifts = WORDS[kind], dict[str, bool]()
+        for what, cause, drifting, unit in (
+            ("bias", "drift", f"biases of the {words}", UNITS[kind]),
+            ("scale", "scale-factor drift", f"scale factors of the {words}", (1e-6, "ppm")),
+        ):
+            name = f"{kind}.{what}.drift"
+            drifts[what] = name in by_name and _beyond(by_name[name])
+            if drifts[what]:
+                yield (
+                    kind,
+                    cause,
+                    f"{drifting} drift by {sized(longest * _slope(name, linearised), unit)} over the session, those "
+                    f"given are of its middle{CONTAINED}; let the device warm up, or make the session shorter",
+                )
+        size, lasting = by_name.get(f"{kind}_in_run"), by_name.get(f"{kind}_time")
+        if size is None or lasting is None:
+            continue
+        of_kind = sized(size.value, UNITS[kind])
+        if _beyond(size) and not drifts["bias"]:
+            lasts = lasting.value > longest
+            yield (
+                kind,
+                "drift" if lasts else "in-run bias",
+                f"biases of the {words} wander by {of_kind} in the session, where {sized(size.usual, UNITS[kind])} is "
+                "usual"
+                + (", and last longer than it: a drift, or warm-up after power-on; switch on earlier" if lasts else "")
+                + CONTAINED,
+            )
+        for sensor in block.sensors:
+            unlike = by_name.get(f"{kind}.in_run.{sensor}")
+            if unlike is not None and _beyond(unlike):
+                alone = sized(unlike.value * size.value, UNITS[kind])
+                remark = f"{kind}.bias.{sensor} wanders by {alone}, those of the other {words} by {of_kind}{CONTAINED}"
+                yield kind, "wandering sensor", remark
+
+
+def _beyond(size: HyperparameterEstimate) -> bool:
+    """Whether a size is far beyond the usual one."""
+    return size.low > BEYOND_USUAL * size.usual
+
+
+def _slope(name: str, linearised: Linearised) -> float:
+    """The largest change a second of a group of drifts, of the instrument or of the sessions."""
+    problem, point = linearised.problem, linearised.point
+    if name in problem.instrument.members:
+        return float(np.abs(point.values[problem.instrument.members[name]]).max())
+    assert problem.own is not None
+    members, first = problem.own.members[name], problem.own.linear_count
+    return float(np.abs(point.own[:, members.start - first : members.stop - first]).max())
+
+
+def damaging(cause: Cause) -> str:
+    """A cause that does harm, as a reason."""
+    return f"{cause.sentence}; without it parameters err by up to {cause.damage:.2g} times their u"

@@ -1,0 +1,227 @@
+"""Parameters and combinations of them that a session does not determine, in words, and what would determine them."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from tumble.diagnosis.linearised_session import Concerns
+from tumble.diagnosis.observability import faces_and_edges, most_telling, standing
+from tumble.inference.common_errors import common_covariance
+from tumble.inference.estimate import SEEN, Estimate
+from tumble.recording.session import Site
+from tumble.reduction.observations import Observations
+from tumble.rotation import onto_body, skew, tangent_basis
+from tumble.sensors.parameters import LINEAR, group_name, group_of, limits_of, sensor_kind, within_kind
+from tumble.units import DEGREE, Array
+
+POORLY_KNOWN = 0.05
+"""Of the spreads: a combination of parameters of a triad that is known no better is poorly observable, and one of
+more sensors where all err alike by as much."""
+
+_ONE_ATTITUDE = math.cos(10.0 * DEGREE)
+"""Cosine between verticals in the body: closer ones are those of one attitude."""
+
+MOST_LISTED = 21
+"""Parameters that are named one by one."""
+
+
+def linear_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Those of these parameters that belong to the linear model. They come first in an estimate; the others have
+    priors."""
+    linear = {group.name for group in LINEAR}
+    return tuple(name for name in names if group_name(name) in linear)
+
+
+def undetermined(
+    estimate: Estimate, observations: Observations, missing: tuple[str, ...]
+) -> list[tuple[Concerns, str]]:
+    """What the data do not determine, the parameters that are `missing`, and what they determine poorly of kinds of
+    sensors of which none is, and what would; with the sensors it concerns."""
+    said = list[tuple[Concerns, str]]()
+    if missing:
+        helpful = _most_helpful(estimate, observations, estimate.null)
+        unseen = f"not observable in this session: {listed(missing)}"
+        said.append((_concerned(missing), _and(one_attitude(observations), unseen, helpful)))
+    combinations, known = _weak(estimate, observations, {sensor_kind(name) for name in missing})
+    if len(known):
+        weak = "; ".join(
+            f"{_combination_said(each, estimate.names)} (known to {100.0 * u:.2g} % of its usual size)"
+            for each, u in zip(combinations, known, strict=True)
+        )
+        remedy = _most_helpful(estimate, observations, combinations)
+        concerned = _concerned([estimate.names[i] for each in combinations for i in _largest_of(each)])
+        said.append((concerned, _and(f"poorly observable in this session: {weak}", remedy)))
+    return said
+
+
+def faces_alone(estimate: Estimate, missing: Sequence[str]) -> bool:
+    """Whether a session shows bias and scale factor of every accelerometer of a triad and, as six faces do, no angles
+    between their axes."""
+    angles = all(group_name(name) == "accel.axis" for name in missing)
+    return bool(missing) and angles and estimate.gyro is None and len(estimate.accel.bias) == len("xyz")
+
+
+def as_six_faces_give(estimate: Estimate, observations: Observations, missing: Sequence[str]) -> str:
+    """What a session without oblique rests gives, and which rests would show the rest."""
+    return _and(
+        f"bias and scale factor of each axis alone, as six faces give them: not observable in this session and taken "
+        f"as 0 is {listed(missing)}, of which u contains any usual size",
+        _most_helpful(estimate, observations, estimate.null),
+    )
+
+
+def one_attitude(observations: Observations) -> str:
+    """That the device lay in one attitude only, or nothing."""
+    rests = observations.rests
+    if rests.accel.shape[1] != len("xyz"):
+        return ""
+    up = rests.accel / np.linalg.norm(rests.accel, axis=1, keepdims=True)
+    if (up @ up.T).min() < _ONE_ATTITUDE:
+        return ""
+    counted = "1 rest" if len(up) == 1 else f"all {len(up)} rests"
+    return (
+        f"the device lay in one attitude ({counted}), which calibrates nothing: put it down in others too (`tumble "
+        "programme` lists them); the noise of a recording at rest is told by `tumble noise`"
+    )
+
+
+def _and(*parts: str) -> str:
+    """What there is to say, separated by semicolons."""
+    return "; ".join(part for part in parts if part)
+
+
+def _concerned(parameters: Sequence[str]) -> Concerns:
+    """The kind of sensor that all parameters are of, else both."""
+    kinds = {sensor_kind(name) for name in parameters}
+    return "accel" if kinds == {"accel"} else "gyro" if kinds == {"gyro"} else "both"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Parameters by name, or where they are many by group: "accel.axis (12), accel.scale (6)"."""
+    if len(names) <= MOST_LISTED:
+        return ", ".join(names)
+    counted = Counter(group_name(name) for name in names)
+    return ", ".join(f"{group} ({count})" for group, count in counted.items())
+
+
+def _weak(estimate: Estimate, observations: Observations, without: set[str]) -> tuple[Array, Array]:
+    """Combinations (q, m) of the parameters of the linear model, in units of `_spreads`, that the data determine poorly
+    or not at all, the worst first, and how well they are known, in the same units; `without` those of some kinds of
+    sensors. Poorly is also where the square of the uncertainty of scale factors and angles is not small against what
+    the data resolve: u does not hold then, for effects of second order count."""
+    linear = linear_names(estimate.names)
+    some = [i for i, name in enumerate(linear) if sensor_kind(name) not in without]
+    spread = _spreads(linear, observations)[some]
+    # what is common to all rests no further rest would show
+    common = [_by_gravity(name, observations.site) for name in estimate.names]
+    covariance = estimate.covariance - np.outer(common, common)
+    if estimate.instrument is not None:
+        covariance = covariance - common_covariance(observations, estimate.instrument)
+    variance, vectors = np.linalg.eigh(covariance[np.ix_(some, some)] / np.outer(spread, spread))
+    angles = np.array([within_kind(group_name(linear[i])) != "bias" for i in some], dtype=bool)  # biases are linear
+    squared = variance * (vectors[angles] ** 2).sum(axis=0) * group_of("accel.axis").limit ** 2
+    poor = np.flatnonzero((variance > POORLY_KNOWN**2) | (squared > _resolution(estimate, observations)))[::-1]
+    combinations = np.zeros((len(poor), len(linear)))
+    combinations[:, some] = vectors[:, poor].T
+    return combinations, np.sqrt(variance[poor])
+
+
+def _spreads(linear: Sequence[str], observations: Observations) -> Array:
+    """The limits of the parameters, wider by √(n/3) for n sensors of a kind: a combination of unit length of n sensors
+    that err alike is then known as well as one of a triad whose three err by as much."""
+    blocks = (observations.accel_block, observations.gyro_block)
+    wider: dict[str, float] = {block.kind: np.sqrt(block.size / 3.0) for block in blocks if block is not None}
+    return np.asarray(limits_of(linear) * [wider[sensor_kind(name)] for name in linear])
+
+
+def _resolution(estimate: Estimate, observations: Observations) -> float:
+    """The angle, rad, that the rests and turns both resolve, scatter included."""
+
+    def typical(covariance: Array, group: str) -> float:
+        variance = np.median(np.diagonal(covariance, axis1=1, axis2=2))
+        return float(np.hypot(np.sqrt(variance), estimate.fits[group].scatter if group in estimate.fits else 0.0))
+
+    tilt = typical(observations.rests.accel_covariance, "accelerometers") / observations.site.gravity
+    if observations.turns is None or not len(observations.turns) or estimate.gyro is None:
+        return tilt
+    return max(tilt, typical(observations.turns.covariance, "gyro turns"))
+
+
+def _by_gravity(name: str, site: Site) -> float:
+    """By how much a parameter changes with gravity's standard uncertainty: scale factors are in its unit."""
+    return site.gravity_u / site.gravity if group_name(name) == "accel.scale" else 0.0
+
+
+def gravity_wanted(site: Site) -> tuple[str, ...]:
+    """That gravity is not known well enough for the scale factors of accelerometers, which are all as uncertain."""
+    relative = site.gravity_u / site.gravity
+    if np.sqrt(3.0) * relative < POORLY_KNOWN * group_of("accel.scale").limit:
+        return ()
+    return (
+        f"gravity is {site.gravity:.5f} m/s^2 with a standard uncertainty of {site.gravity_u:.2g} m/s^2: all scale "
+        f"factors of the accelerometers together are known to {100.0 * relative:.2g} % only, which u contains; give "
+        "latitude_deg or gravity in [site]",
+    )
+
+
+def _largest_of(combination: Array) -> list[int]:
+    """Which parameters a combination (m,) consists of for the most part, the largest first."""
+    order = np.argsort(-np.abs(combination))
+    return [int(i) for i in order[:4] if abs(combination[i]) > 0.5 * abs(combination[order[0]])]
+
+
+def _combination_said(combination: Array, names: Sequence[str]) -> str:
+    """A combination (m,) of parameters in words, by its largest parts."""
+    largest = _largest_of(combination)
+    sign = np.sign(combination[largest[0]])
+    parts = [f"{'+' if sign * combination[i] > 0 else '−'} {names[i]}" for i in largest]
+    return " ".join(parts).removeprefix("+ ")
+
+
+def _most_helpful(estimate: Estimate, observations: Observations, unseen: Array) -> str:
+    """The rests, or the turns, that together would say what the data do not determine, the most telling first; `unseen`
+    (q, m) are combinations of parameters."""
+    m = len(observations.accel_block.names)
+    null = unseen[:, :m]
+    if np.abs(null).max(initial=0.0) > SEEN:
+        rests = {standing(u): _rest_rows(observations, u) for u in faces_and_edges()}
+        return _advice(estimate, "rests", *most_telling(null, rests))
+    turns = {
+        f"180° about {'XYZ'[axis]} from {'XYZ'[up]} up": _turn_rows(observations, axis, up)
+        for up in range(3)
+        for axis in range(3)
+    }
+    return _advice(estimate, "turns", *most_telling(unseen[:, m:], turns))
+
+
+def _advice(estimate: Estimate, what: str, names: list[str], left: int) -> str:
+    said = [f"{what} that would help, the most helpful first: {', '.join(names)}"] if names else []
+    if left:
+        said.append(f"the others no further {what} would show to the method {estimate.method}")
+    return "; ".join(said)
+
+
+def _rest_rows(observations: Observations, vertical: Array) -> Array:
+    """What one more rest would say about the accelerometer parameters, whatever the exact vertical, in units of their
+    spreads: (n − 2, m), m/s²."""
+    block, g = observations.accel_block, observations.site.gravity
+    derivative = block.jacobian(np.zeros(len(block.names)))
+    basis, _ = np.linalg.qr(block.axes @ tangent_basis(vertical).T, mode="complete")
+    rows = np.einsum("pr,pqm,q->rm", basis[:, 2:], derivative, np.append(g * vertical, 1.0))
+    return np.asarray(rows * limits_of(block.names))
+
+
+def _turn_rows(observations: Observations, axis: int, up: int) -> Array:
+    """What one more turn by 180° about a body axis would say about the gyro parameters, in units of their spreads:
+    (2, m), rad."""
+    block = observations.gyro_block
+    assert block is not None
+    n = np.eye(3)[axis]
+    derivative = np.einsum("ap,pqm->aqm", onto_body(block.axes), block.jacobian(np.zeros(len(block.names))))
+    path = np.pi * np.outer(n, n) + 2.0 * skew(n)  # ∫ C dθ of a turn by π, Eq. (6.2)
+    rows = tangent_basis(np.eye(3)[up]) @ skew(np.eye(3)[up]) @ path @ np.einsum("aqm,q->am", derivative[:, :3], n)
+    return np.asarray(rows * limits_of(block.names))

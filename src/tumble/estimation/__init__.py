@@ -1,1 +1,0 @@
-"""From observations to an estimate: likelihood, methods, diagnosis, observability."""

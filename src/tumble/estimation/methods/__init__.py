@@ -1,1 +1,0 @@
-"""Methods of estimation, interchangeable: observations in, estimate out."""

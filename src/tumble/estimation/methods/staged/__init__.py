@@ -1,1 +1,0 @@
-"""The staged method: accelerometers first, then gyros."""

@@ -1,0 +1,274 @@
+"""What every method returns.
+
+An `Estimate` always comes back: when the data do not determine a parameter it has no value, and the outcome
+names it; when they do not fit, the outcome says which rest or turn, and by how much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from scipy import special
+
+from tumble.brief import Brief
+from tumble.inference.prediction import Prediction
+from tumble.sensors.instrument import Instrument
+from tumble.sensors.model import SensorModel
+from tumble.units import Array, BoolArray
+
+if TYPE_CHECKING:
+    from tumble.inference.likelihood import Linearised
+
+DETERMINED = 10.0
+"""How many times better than the spreads the data must know a combination of parameters for it to count as seen. One
+that is hardly better known wanders while the estimate is iterated, and takes the others with it."""
+
+SEEN = 1e-3
+"""A parameter is unobservable when more than this part of it (in units of its spread) is in the null space."""
+
+FIT_SIGMAS = 5.0
+"""A rest or turn further than this from the fit does not fit."""
+
+
+Verdict = Literal["accepted", "accepted with scatter", "not accepted"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Judgement:
+    """Whether a result can be used: `reasons` against it, `remarks` on residuals that the noise does not explain, each
+    a sentence with cause and remedy."""
+
+    reasons: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def verdict(self) -> Verdict:
+        """Not accepted where there is a reason, with scatter where there is a remark."""
+        if self.reasons:
+            return "not accepted"
+        return "accepted with scatter" if self.remarks else "accepted"
+
+    @property
+    def accepted(self) -> bool:
+        """No reason against it."""
+        return not self.reasons
+
+    def __bool__(self) -> bool:
+        """Whether it is accepted."""
+        return self.accepted
+
+    def content(self) -> dict[str, Any]:
+        """As the calibration file has it."""
+        return {"verdict": self.verdict, "reasons": list(self.reasons), "remarks": list(self.remarks)}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Outcome(Judgement):
+    """Whether an estimate can be used, and if not, why. `reasons` and `remarks` are all there are; `of_accel` and
+    `of_gyro` those among them that concern the accelerometers or the gyros alone: good accelerometers are not lost to
+    bad gyros."""
+
+    unobservable: tuple[str, ...] = ()
+    of_accel: tuple[str, ...] = ()
+    of_gyro: tuple[str, ...] = ()
+
+    @property
+    def accel(self) -> Judgement:
+        """Whether the accelerometers can be used."""
+        return self._without(self.of_gyro)
+
+    @property
+    def gyro(self) -> Judgement:
+        """Whether the gyros can be used."""
+        return self._without(self.of_accel)
+
+    def _without(self, others: tuple[str, ...]) -> Judgement:
+        return Judgement(
+            reasons=tuple(reason for reason in self.reasons if reason not in others),
+            remarks=tuple(remark for remark in self.remarks if remark not in others),
+        )
+
+    def content(self) -> dict[str, Any]:
+        """As the calibration file has it."""
+        return {
+            "accepted": self.accepted,
+            "verdict": self.verdict,
+            "reasons": list(self.reasons),
+            "remarks": list(self.remarks),
+            "unobservable": list(self.unobservable),
+            "accel": self.accel.content(),
+            "gyro": self.gyro.content(),
+        }
+
+    @staticmethod
+    def from_content(content: Mapping[str, Any]) -> Outcome:
+        """The outcome of what `content` gave."""
+        accel, gyro = ({*content[kind]["reasons"], *content[kind]["remarks"]} for kind in ("accel", "gyro"))
+        remarks = tuple(content.get("remarks", ()))
+        said = (*content["reasons"], *remarks)
+        return Outcome(
+            reasons=tuple(content["reasons"]),
+            remarks=remarks,
+            unobservable=tuple(content.get("unobservable", ())),
+            of_accel=tuple(each for each in said if each not in gyro),
+            of_gyro=tuple(each for each in said if each not in accel),
+        )
+
+
+def chance_of(chi_square: float, degrees: float) -> float:
+    """Probability that chance alone exceeds a chi-square of so many degrees of freedom."""
+    return float(special.chdtrc(degrees, chi_square)) if degrees > 0.0 else 1.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Fit:
+    """Chi-square of a group of residuals with its degrees of freedom and the scatter (SI) that was added to the
+    noise within rests to explain it; `scatter_unit` is m/s^2, rad/s or rad."""
+
+    chi_square: float
+    degrees: float
+    scatter: float
+    scatter_unit: str
+
+    @property
+    def probability(self) -> float:
+        """Probability that chance alone exceeds this chi-square."""
+        return chance_of(self.chi_square, self.degrees)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GroupFinding:
+    """A group of parameters beyond the linear model: whether the session says anything of it (`kept`), the standard
+    deviation of its prior, SI, how many times that had to be `widened`, and the `learned` fraction 1 − u²/s² of each
+    parameter, s being the widened prior."""
+
+    name: str
+    kept: bool
+    prior: float
+    widened: float
+    learned: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class OwnEstimate:
+    """What each of several sessions has of its own: names and SI units (q,), values and standard uncertainties (S, q),
+    and the priors (q,), as widened."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    u: Array
+    priors: Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HyperparameterEstimate:
+    """What the session says of something that the model does not know about itself: name, SI unit and words, the value
+    and the limits of its middle 68 %, and the usual value, about which its prior is."""
+
+    name: str
+    unit: str
+    words: str
+    value: float
+    low: float
+    high: float
+    usual: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Integral:
+    """How the posterior was integrated over the hyperparameters: at how many points, their effective number, and the
+    shape of the Pareto distribution of their weights, of which more than 0.7 is not to be relied on."""
+
+    points: int
+    effective: float
+    pareto: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ProcessBias:
+    """The bias of a sensor as the mean of its process, about which that of the next minute or of another day is: its
+    value and standard uncertainty, SI, and u of the bias that is met next, the process's own spread included."""
+
+    name: str
+    value: float
+    u: float
+    next_u: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Omitted:
+    """What was left out because it does not fit: rests by their accelerometers (N,), by their gyros (N,), and turns
+    (K,)."""
+
+    accel: BoolArray
+    gyro: BoolArray
+    turn: BoolArray
+
+    @property
+    def any(self) -> bool:
+        """Whether something was."""
+        return bool(self.accel.any() or self.gyro.any() or self.turn.any())
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+class Estimate(Brief):
+    """Parameter values with covariance in the order of `names`; `observable` marks those the data determine, and
+    only these mean anything; `null` (q, m) are the combinations they do not, in units of the spreads.
+    `converged` says whether the last step was negligible. `rest_residual` (N,) is |corrected reading| − g, m/s²;
+    `rest_sigmas` and `turn_sigmas` say how far each rest and turn is from the fit. `increments` are the parameter
+    changes of each iteration, `fits` the chi-squares by what they judge."""
+
+    method: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    covariance: Array
+    observable: BoolArray
+    null: Array
+    accel: SensorModel
+    gyro: SensorModel | None
+    rest_residual: Array
+    rest_sigmas: Array
+    turn_sigmas: Array
+    increments: tuple[Array, ...]
+    fits: Mapping[str, Fit]
+    converged: bool
+    reasons: tuple[str, ...] = ()
+    """What the method itself has against the result."""
+    remarks: tuple[str, ...] = ()
+    """What it says of residuals that the noise does not explain."""
+    instrument: Instrument | None = None
+    """The instrument whose parameters these are, where it has groups beyond the linear model."""
+    groups: tuple[GroupFinding, ...] = ()
+    degrees: Array | None = None
+    """Degrees of freedom (m,) behind the u of the parameters, where the method knows them."""
+    prediction: Prediction | None = None
+    """What corrected readings are known to."""
+    gyro_rest_sigmas: Array = field(default_factory=lambda: np.empty(0))
+    """How far the gyros alone are from the fit at each rest (N,); empty where the method does not judge them."""
+    linearised: Linearised | None = None
+    """The likelihood about the estimate, or where the method has none, that by which it is judged."""
+    own: OwnEstimate | None = None
+    """Of several sessions, what each has of its own."""
+    hyperparameters: tuple[HyperparameterEstimate, ...] = ()
+    """What the model did not know about itself."""
+    integral: Integral | None = None
+    """How that was integrated over."""
+    process_bias: tuple[ProcessBias, ...] = ()
+    """The biases as the means of their processes; the parameters are those of the session."""
+    left_out: Omitted | None = None
+    """What was left out because it does not fit, where the method leaves out."""
+
+    @property
+    def unobservable(self) -> tuple[str, ...]:
+        """Names of the parameters the data do not determine."""
+        return tuple(name for name, seen in zip(self.names, self.observable, strict=True) if not seen)
+
+    @property
+    def u(self) -> Array:
+        """Standard uncertainties."""
+        return np.sqrt(np.diag(self.covariance))

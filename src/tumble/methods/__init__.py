@@ -1,0 +1,1 @@
+"""Methods of estimation beside the default one, interchangeable: observations in, estimate out."""

@@ -1,0 +1,111 @@
+"""Ellipsoid method: the accelerometers alone, from the rest means of any log in any orientation, or a table of them.
+
+The rest means lie on an ellipsoid (`tumble.methods.ellipsoid_fit`); their covariances are the weights, and a scatter
+between rests is estimated on top. Where the rests are good this is stage 1 of the method `staged`, to a small part
+of u. What differs: it starts from the algebraic fit, not from nominal sensors, so that errors of any size are found;
+a bad rest is left out of the fit, and named, instead of bending it; positions that cannot determine all nine
+parameters are refused as a whole. Gyros, turns, Earth's rate and programme are not used.
+
+Rests alone hardly tell a quadratic term from a bias. So groups beyond the linear model whose usual size is known are
+in the result as nothing within that size, and in the covariance (`tumble.diagnosis.linear_model`); the values of bias,
+scale factors and axis angles are those of the method.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tumble.diagnosis.linear_model import left_out_of, with_left_out
+from tumble.diagnosis.observability import Refusal
+from tumble.errors import InputError
+from tumble.inference.estimate import Estimate, Fit
+from tumble.methods.ellipsoid_fit import EllipsoidFit, fit_ellipsoid
+from tumble.reduction.observations import Observations
+from tumble.rotation import unit_vector
+from tumble.units import Array
+
+
+def ellipsoid(observations: Observations) -> Estimate:
+    """The accelerometer parameters of a session with covariance.
+
+    Raises InputError for more than three accelerometers, and LinAlgError where the rests lie on no ellipsoid."""
+    block, rests, site = observations.accel_block, observations.rests, observations.site
+    if block.size != 3:
+        raise InputError(
+            f"method ellipsoid: expected three accelerometers, found {block.size}; take the method staged, which also "
+            "uses what they say of each other"
+        )
+    found = fit_ellipsoid(
+        rests.accel,
+        modulus=site.gravity,
+        modulus_u=site.gravity_u,
+        covariance=rests.accel_covariance,
+        block=block,
+    )
+    if isinstance(found, Refusal):
+        return _refused(observations, found)
+    return estimate_of(found, observations)
+
+
+def estimate_of(found: EllipsoidFit, observations: Observations) -> Estimate:
+    """The estimate of a fit to the rests of observations, its covariance zero where the fit has none."""
+    block, gravity = observations.accel_block, observations.site.gravity
+    covariance = np.zeros((9, 9)) if found.covariance is None else found.covariance
+    variance = np.diag(covariance)
+    by_noise = variance - found.by_modulus**2
+    parts = np.divide(variance, by_noise, out=np.full(9, np.inf), where=by_noise > 0.0)
+    estimate = Estimate(
+        method="ellipsoid",
+        names=block.names,
+        units=block.units,
+        values=found.values,
+        covariance=covariance,
+        observable=np.ones(9, dtype=bool),
+        null=np.empty((0, 9)),
+        accel=found.model,
+        gyro=None,
+        rest_residual=found.residual,
+        rest_sigmas=found.sigmas,
+        turn_sigmas=np.empty(0),
+        increments=found.increments,
+        fits={"accelerometers": found.fit("m/s^2")},
+        converged=found.converged,
+        degrees=found.noise_degrees * parts**2,  # Welch, Satterthwaite
+    )
+    if not observations.usual:
+        return estimate
+    return with_left_out(estimate, left_out_of(observations, _sigma(found, observations)), gravity)
+
+
+def _sigma(found: EllipsoidFit, observations: Observations) -> Array:
+    """The standard deviations (N,) of the rests along the vertical that the fit has, infinite where it leaves them
+    out."""
+    up = unit_vector(found.model.apply(observations.rests.accel))
+    variance = np.einsum("ip,ipq,iq->i", up, observations.rests.accel_covariance, up) + found.scatter**2
+    return np.where(found.used, np.sqrt(variance), np.inf)
+
+
+def _refused(observations: Observations, refusal: Refusal) -> Estimate:
+    """No parameter is determined: a part of them would be as wrong as the missing part allows."""
+    if not len(refusal.null):
+        raise np.linalg.LinAlgError(refusal.reason)
+    block, rests = observations.accel_block, observations.rests
+    model = block.nominal()
+    return Estimate(
+        method="ellipsoid",
+        names=block.names,
+        units=block.units,
+        values=np.zeros(9),
+        covariance=np.zeros((9, 9)),
+        observable=np.zeros(9, dtype=bool),
+        null=refusal.null,
+        accel=model,
+        gyro=None,
+        rest_residual=np.linalg.norm(model.apply(rests.accel), axis=1) - observations.site.gravity,
+        rest_sigmas=np.zeros(len(rests)),
+        turn_sigmas=np.empty(0),
+        increments=(),
+        fits={"accelerometers": Fit(chi_square=0.0, degrees=0.0, scatter=0.0, scatter_unit="m/s^2")},
+        converged=False,
+        reasons=(refusal.reason,),
+    )

@@ -1,0 +1,282 @@
+"""Whether a calibration still holds, from a few rests in any attitude and the turns between them.
+
+The likelihood is that of the method joint, with all that is known of the parameters as one prior. With x the deviation
+of gravity and the parameters from what was known, of covariance P, and attitudes and in-run biases eliminated, the
+session leaves
+
+    d = R x + n,   n of unit variance,   S = 1 + R P Rᵀ = L Lᵀ,   z = L⁻¹ d,   G = L⁻¹ R                         (1)
+
+and residuals that no x explains. If nothing has changed, z is of unit variance too. A change of parameter j by a,
+beyond what P allows, has the estimate, standard uncertainty and test
+
+    a = g_jᵀ z / g_jᵀ g_j,   u = 1/|g_j|,   t_j = a/u   (2)
+
+The t_j of all parameters that the session sees have the correlations of the columns g_j. They would be normal if P were
+known. As it is an estimate, they have Student's t distribution with ν_j degrees of freedom,
+
+    1/√ν_j = q_jᵀ D q_j,   q_j = Gᵀ g_j u_j   (3)
+
+with D of `tumble.calibration.check`: as a part of P is wrong, so is that part of the variance of t_j, all parts
+together. The largest |t_j| is compared with what the largest of such numbers exceeds in CHANCE of all cases. Where it
+is larger, its parameter is set free, everything is solved again, and so on: that gives the changes together. What no
+change explains is judged by χ² = |z|² and the residuals, against MISFIT_CHANCE.
+
+The prior decides nothing of a change: it is beyond it. A change smaller than what turning on again may do is none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+from scipy import special
+
+from tumble.inference.estimate import DETERMINED, Fit
+from tumble.inference.hyperparameters import Components
+from tumble.inference.likelihood import Point, Prior, Problem, weights
+from tumble.inference.linearisation import linearise
+from tumble.inference.maximum import integrated, moved
+from tumble.inference.start import headings
+from tumble.inference.step import solve, tell
+from tumble.inference.turns_about import TurnsAbout
+from tumble.reduction.observations import Observations
+from tumble.rotation import unit_vector
+from tumble.sensors.compensation import specific_force
+from tumble.sensors.instrument import Instrument
+from tumble.sensors.parameters import limits_of
+from tumble.units import Array, IntArray
+
+CHANCE = 0.009
+"""How often the largest of the tests calls a calibration changed that is not."""
+MISFIT_CHANCE = 0.001
+"""How often χ² says so."""
+POWER = 0.9
+"""A change is called detectable that is found as often."""
+MOST_CHANGES = 6
+AS_LIKELY = 4.0
+"""χ² by which another change may explain less and still be named beside the one that explains most."""
+DRAWS = 20_000
+_LEAST_ROOT = 1e-2  # of χ²/ν
+CONVERGED = 1e-2  # of the standard uncertainty
+MAX_ITERATIONS = 12
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class KnownBefore:
+    """What was known before: values (m,) of the parameters of an instrument, the covariance (1 + m, 1 + m) of gravity
+    and of them, SI, in how far that is known itself, D of Eq. (3), and the components of variance beside its noise."""
+
+    instrument: Instrument
+    values: Array
+    covariance: Array
+    doubt: Array
+    components: Components
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ChangedParameter:
+    """A parameter that has changed by `value`, SI, with standard uncertainty; `others` have changes, by name, that
+    explain the session nearly as well."""
+
+    name: str
+    unit: str
+    value: float
+    u: float
+    others: Mapping[str, float]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class CheckResult:
+    """The `changes` that were found; of every parameter that the session sees, by name, (change, its u) as if it alone
+    had changed, and the size that is detectable; `largest` of |change|/u and what it may be, `limit`; the `misfit`
+    that no change explains; values (m,) and covariance (m, m) of the parameters by calibration and check together."""
+
+    changes: tuple[ChangedParameter, ...]
+    tests: Mapping[str, tuple[float, float]]
+    detectable: Mapping[str, float]
+    largest: float
+    limit: float
+    misfit: Fit
+    values: Array
+    covariance: Array
+
+    @property
+    def explained(self) -> bool:
+        """Whether chance and the changes explain the session."""
+        return self.misfit.probability >= MISFIT_CHANCE
+
+    @property
+    def valid(self) -> bool:
+        """Whether nothing has changed, as far as the session sees."""
+        return self.explained and not self.changes
+
+
+def field_check(observations: Observations, known: KnownBefore) -> CheckResult:
+    """What a session says of a calibration, see the module's docstring."""
+    instrument, limits = known.instrument, limits_of(known.instrument.names)
+    free, others = list[int](), list[dict[int, float]]()  # the changed parameters, and what is as likely instead
+    at, first = _started(observations, known), None
+    while True:
+        covariance = _freed(known.covariance, free, limits)
+        at, left = _iterated(at, known.components, covariance)
+        tests = _Tests.of(left, covariance, known.doubt)
+        seen = [j for j in range(instrument.linear_count) if j not in free and tests.u[j] < limits[j] / DETERMINED]
+        candidates = np.array(seen, dtype=int)
+        limit = tests.limit(candidates)
+        first = first or (tests, candidates, limit)
+        worst = int(candidates[np.argmax(np.abs(tests.t[candidates]))]) if len(candidates) else 0
+        if not len(candidates) or abs(tests.t[worst]) <= limit or len(free) == MOST_CHANGES:
+            break
+        free.append(worst)
+        others.append(tests.as_likely(worst, candidates, limit))
+    unfreed = _Tests.of(left, known.covariance, known.doubt)
+    Q, R = np.linalg.qr(unfreed.G[:, free])  # the changes together, their u, and how much of |z|² they explain
+    along, inverse = Q.T @ unfreed.z, np.linalg.inv(R)
+    change, change_u = inverse @ along, np.sqrt((inverse**2).sum(axis=1))
+    S, PR = np.eye(len(left.d)) + left.R @ covariance @ left.R.T, covariance @ left.R.T
+    (alone, candidates, limit), names = first, instrument.names
+    return CheckResult(
+        changes=tuple(
+            ChangedParameter(
+                name=names[j],
+                unit=instrument.units[j],
+                value=float(change[i]),
+                u=float(change_u[i]),
+                others={names[k]: a for k, a in others[i].items()},
+            )
+            for i, j in enumerate(free)
+        ),
+        tests={names[j]: (float(alone.t[j] * alone.u[j]), float(alone.u[j])) for j in candidates},
+        detectable={names[j]: float((limit + special.ndtri(POWER)) * alone.u[j]) for j in candidates},
+        largest=float(np.abs(alone.t[candidates]).max()) if len(candidates) else 0.0,
+        limit=limit,
+        misfit=Fit(
+            chi_square=left.squares + float(unfreed.z @ unfreed.z) - float(along @ along),
+            degrees=float(left.degrees - len(free)),
+            scatter=0.0,
+            scatter_unit="",
+        ),
+        values=known.values + (PR @ np.linalg.solve(S, left.d))[1:],
+        covariance=(covariance - PR @ np.linalg.solve(S, PR.T))[1:, 1:],
+    )
+
+
+def _freed(covariance: Array, free: list[int], limits: Array) -> Array:
+    """The covariance with parameters set free within their limits."""
+    out, which = covariance.copy(), np.array(free, dtype=int)
+    out[1 + which, 1 + which] += limits[which] ** 2
+    return out
+
+
+# The likelihood about the solution
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Where:
+    problem: Problem
+    point: Point
+    about: TurnsAbout | None
+
+
+def _started(observations: Observations, known: KnownBefore) -> _Where:
+    """The calibrated parameters, and attitudes by them."""
+    instrument, values = known.instrument, known.values
+    start = dict(zip(instrument.names, values.tolist(), strict=True))
+    problem = Problem.of(replace(observations, start=start), Prior(covariance=known.covariance), instrument=instrument)
+    vertical = unit_vector(specific_force(instrument, values, observations.rests.accel))
+    turns = observations.turns
+    about = None if turns is None or not len(turns) else TurnsAbout.of(observations, instrument, values)
+    attitudes = headings(problem, vertical, values, about)
+    point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes)
+    return _Where(problem=problem, point=point, about=about)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Left:
+    """R (p, p) and d (p,) of Eq. (1) with p = 1 + m, about what was known; the sum of squares that no x explains, and
+    the degrees of freedom of all of them."""
+
+    R: Array
+    d: Array
+    squares: float
+    degrees: int
+
+
+def _iterated(at: _Where, components: Components, covariance: Array) -> tuple[_Where, _Left]:
+    """Gauss–Newton with a covariance of the prior, and what the session's own rows leave at the end."""
+    problem = replace(at.problem, prior=Prior(covariance=covariance))
+    point, about = at.point, at.about
+    for _ in range(MAX_ITERATIONS):
+        rows = linearise(problem, point, about)
+        step = solve(problem, rows, weights(problem, rows, components))
+        new, change = moved(problem, point, step)
+        integral = integrated(problem, new, about)
+        u = np.sqrt(np.diag(step.covariance)[1:])
+        if integral is about and np.all(np.abs(change) <= CONVERGED * u):
+            break
+        point, about = new, integral
+    rows = linearise(problem, point, about)
+    told = tell(problem, rows, weights(problem, rows, components))
+    session, off = told.sessions[0], np.append(point.gravity, point.values) - problem.measured[0]
+    angles = int(np.count_nonzero(np.diagonal(told.factor, axis1=1, axis2=2)[:, :3]))
+    left = _Left(
+        R=session[:-1, :-1],
+        d=session[:-1, -1] + session[:-1, :-1] @ off,
+        squares=session[-1, -1] ** 2,
+        degrees=sum(each.shape[0] * each.shape[1] for each in told.whitened) - angles,
+    )
+    return _Where(problem=problem, point=point, about=about), left
+
+
+# Tests
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Tests:
+    """z (p,) and G (p, m) of Eq. (1), without the column of gravity; 1/ν (m,) of Eq. (3), and the tests t (m,) of
+    Eq. (2) with their u, infinite where the session says nothing."""
+
+    z: Array
+    G: Array
+    inverse_degrees: Array
+    t: Array
+    u: Array
+
+    @staticmethod
+    def of(left: _Left, covariance: Array, doubt: Array) -> _Tests:
+        S = np.eye(len(left.d)) + left.R @ covariance @ left.R.T
+        both = np.linalg.solve(np.linalg.cholesky(S), np.column_stack([left.R, left.d]))
+        with_gravity, G, z = both[:, :-1], both[:, 1:-1], both[:, -1]
+        u = 1.0 / np.maximum(np.linalg.norm(G, axis=0), 1e-300)
+        q = with_gravity.T @ G * u
+        inverse = np.einsum("ij,ik,kj->j", q, doubt, q) ** 2
+        return _Tests(z=z, G=G, inverse_degrees=inverse, t=u * (G.T @ z), u=u)
+
+    def limit(self, candidates: IntArray) -> float:
+        """What the largest |t| of the candidates exceeds in CHANCE of all cases."""
+        if not len(candidates):
+            return np.inf
+        lower = np.linalg.qr(self.G[:, candidates] * self.u[candidates], mode="r")
+        drawn = _normal(len(lower) + 1)
+        wider = _student(drawn[:, -1:], self.inverse_degrees[candidates])
+        return float(np.quantile((np.abs(drawn[:, :-1] @ lower) * wider).max(axis=1), 1.0 - CHANCE))
+
+    def as_likely(self, chosen: int, candidates: IntArray, limit: float) -> dict[int, float]:
+        """Changes of other parameters that explain nearly as much."""
+        least = np.sqrt(max(self.t[chosen] ** 2 - AS_LIKELY, limit**2))
+        near = [int(j) for j in candidates if j != chosen and abs(self.t[j]) > least]
+        return {j: float(self.t[j] * self.u[j]) for j in near}
+
+
+def _student(normal: Array, inverse_degrees: Array) -> Array:
+    """√(ν/χ²_ν) by which a normal number becomes one of Student's t, from another normal number (Wilson & Hilferty)."""
+    ninth = 2.0 / 9.0 * inverse_degrees
+    return np.asarray(np.maximum(1.0 - ninth + np.sqrt(ninth) * normal, _LEAST_ROOT) ** -1.5)
+
+
+@cache
+def _normal(size: int) -> Array:
+    """The same normal numbers (DRAWS, size) for every check."""
+    return np.random.default_rng(20190).standard_normal((DRAWS, size))

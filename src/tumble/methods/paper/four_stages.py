@@ -1,0 +1,426 @@
+"""The four stages of the paper's method, each with the results of the stage before, and their iterations on a session.
+
+    1  biases and scale factors of the accelerometers     from rests
+    2  angles between the axes of the accelerometers      from rests (the scalar method does 1 and 2 at once)
+    3  biases of the gyros                                from rests in which each is vertical, Eq. (18)
+    4  scale factors and axis angles of the gyros         from turns, by the indirect method
+
+All stages together are a pass. It starts from the models of the pass before (at first from nominal sensors), looks at
+readings compensated by them, and composes what it finds with them, exactly. Stage 3 is the one of the paper's ways that
+needs neither more positions nor an azimuth: it holds for any bias, where the polar axis (17) and the scalar method want
+one far below the Earth's rate. Stage 4 uses the programme matrix of §6.3 and plain least squares, as the paper has it.
+
+An iteration is one pass over the same data, with the turns integrated about the gyro model of the pass. Its increment
+measures what the pass before erred by its own method, not the noise, which is common to all.
+
+Uncertainty is propagated through the passes as they are: the derivative of each pass with respect to every mean
+reading, turn, gravity and the values it starts from, by central differences, chained. Noise within rests and turns
+comes with the observations; where the residuals need more, scatter between rests and of turns is estimated from them
+and included. What the last pass errs by its own method is included, too: it is judged by the passes that would follow,
+as the paper judges an iteration by the next; so are the residuals, which speak of the data alone.
+
+The stages take any leading axes. Source: Vodicheva & Parysheva 2019; the turntable method, §2 to §6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy import linalg
+
+from tumble.earth import earth_rate
+from tumble.errors import InputError, ProgrammeError, SessionError
+from tumble.inference.estimate import Estimate
+from tumble.methods.least_squares import Residuals, explaining
+from tumble.methods.paper.accuracy_formulas import solved
+from tumble.methods.paper.gyro_bias import STANDING, triad, vertical_bias
+from tumble.methods.paper.indirect import (
+    RecordedTurn,
+    Series,
+    check_directions,
+    horizontal_differences,
+    known_turns,
+    programme_matrix,
+)
+from tumble.programme.positions import Programme
+from tumble.reduction.observations import Observations
+from tumble.reduction.turns import Turns
+from tumble.rotation import rotation_matrix, unit_vector
+from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, Block, SensorModel, triad_model, triad_parameters
+from tumble.sensors.parameters import group_name
+from tumble.units import Array
+
+MAX_PASSES = 30
+NEGLIGIBLE = 1e-2
+"""Of the uncertainties, or of the steps of the differences: increments that mean nothing."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PaperMethod:
+    """What tells the pipelines apart. `accelerometers(readings, nominal, gravity)` is stages 1 and 2, and
+    `check(nominal)` raises ProgrammeError where the rests, with nominal verticals (N, 3), are not enough."""
+
+    name: str
+    accelerometers: Callable[[Array, Array, Array], SensorModel]
+    check: Callable[[Array], None]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class ProgrammeCourse:
+    """What is known of a session's rests and turns from its programme: nominal verticals (N, 3) in the body, series
+    of recorded turns, durations (K,) of all turns, the Earth's rate (3,) in N, U, E, and the programme matrix."""
+
+    nominal: Array
+    series: tuple[Series, ...]
+    duration: Array
+    earth_rate: Array
+    matrix: Array
+
+
+# One pass
+
+
+def accelerometer_pass(
+    method: PaperMethod, course: ProgrammeCourse, readings: Array, gravity: Array, before: SensorModel
+) -> SensorModel:
+    """Stages 1 and 2: the model after a pass over readings (..., N, 3), given the one before."""
+    return before.composed(method.accelerometers(before.apply(readings), course.nominal, gravity))
+
+
+def gyro_bias_pass(course: ProgrammeCourse, rates: Array, force: Array, before: SensorModel) -> SensorModel:
+    """Stage 3: the gyro model with the biases of this pass, from rates (..., N, 3) and calibrated specific forces."""
+    bias = vertical_bias(before.apply(rates), force, course.earth_rate, course.nominal)
+    return before.composed(SensorModel(matrix=np.eye(3), bias=bias))
+
+
+def gyro_matrix_pass(course: ProgrammeCourse, rates: Array, force: Array, C: Array, before: SensorModel) -> SensorModel:
+    """Stage 4: the gyro model after a pass, with turns C (..., K, 3, 3) integrated about the model `before`."""
+    x = solved(course.matrix, differences(course, rates, force, C, before))
+    return before.composed(triad_model(np.zeros_like(x[..., :3]), x[..., :3], x[..., 3:]))
+
+
+def differences(course: ProgrammeCourse, rates: Array, force: Array, C: Array, model: SensorModel) -> Array:
+    """y (..., 2T) of the indirect method for a gyro model and the turns integrated about it."""
+    attitude = triad(force, model.apply(rates))
+    return horizontal_differences(course.series, attitude, force, C, course.duration, course.earth_rate)
+
+
+# The course of a session
+
+
+def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCourse:
+    """The course of a session, with everything the method needs checked. Raises InputError."""
+    programme, position = observations.programme, observations.position
+    if programme is None or position is None:
+        raise ProgrammeError(
+            f"method {method.name}: expected a programme with known positions and turns, such as rough-table, "
+            "found none; give [programme] in session.toml or take the method staged"
+        )
+    _check_sensors(observations, method)
+    nominal = np.array([programme.positions[k].vertical_b for k in position])
+    method.check(nominal)
+    if observations.gyro_block is None:
+        return ProgrammeCourse(
+            nominal=nominal, series=(), duration=np.empty(0), earth_rate=np.zeros(3), matrix=np.empty((0, 9))
+        )
+    _check_standing(nominal, method)
+    check_directions(programme)
+    return ProgrammeCourse(
+        nominal=nominal,
+        series=_recorded(observations, programme),
+        duration=np.empty(0) if observations.turns is None else observations.turns.duration,
+        earth_rate=_earth_rate(observations, method),
+        matrix=programme_matrix(programme)[0],
+    )
+
+
+def _check_sensors(observations: Observations, method: PaperMethod) -> None:
+    for block in (observations.accel_block, observations.gyro_block):
+        if block is not None and not block.triad:
+            raise InputError(
+                f"method {method.name}: expected three sensors of a kind along the body axes, found {block.size} "
+                f"({block.kind}) with other directions; take the method staged"
+            )
+
+
+def _check_standing(nominal: Array, method: PaperMethod) -> None:
+    if not np.all(np.any(np.abs(nominal) > 1.0 - STANDING, axis=0)):
+        raise ProgrammeError(
+            f"method {method.name}: expected rests in which X, Y and Z each are vertical, found others in the "
+            "programme; take the programme rough-table or the method staged"
+        )
+
+
+def _earth_rate(observations: Observations, method: PaperMethod) -> Array:
+    if observations.site.latitude is None:
+        raise SessionError(
+            f"[site]: expected latitude_deg, from which the method {method.name} has the Earth's rate, found none; "
+            "give it or take the method staged"
+        )
+    return np.array(earth_rate(observations.site.latitude))
+
+
+def _recorded(observations: Observations, programme: Programme) -> tuple[Series, ...]:
+    """The recorded turns of every series of known turns, from the first rest in its first position on."""
+    assert observations.position is not None
+    between = {} if observations.turns is None else {int(a): k for k, a in enumerate(observations.turns.first)}
+    course = []
+    for moves in known_turns(programme):
+        rests = np.flatnonzero((observations.position >= moves[0]) & (observations.position <= moves[-1] + 1))
+        for rest in rests[:-1]:
+            if int(rest) not in between:
+                raise ProgrammeError(
+                    f"programme {programme.name}: expected the turn from rest {rest + 1} to rest {rest + 2} in the "
+                    "log, found the end of a file; record every series in one file or take the method staged"
+                )
+        course.append(
+            tuple(
+                RecordedTurn(
+                    turn=between[int(a)],
+                    first=int(a),
+                    last=int(b),
+                    counts=bool(observations.position[a] != observations.position[b]),
+                )
+                for a, b in pairwise(rests)
+            )
+        )
+    return tuple(course)
+
+
+# Iterations
+
+
+def iterated(observations: Observations, method: PaperMethod, iterations: int) -> Estimate:
+    """The estimate after so many iterations, at least one, with covariance. The first starts from what is known of the
+    sensors (`Observations.start`). Raises InputError."""
+    if iterations < 1:
+        raise InputError(f"iterations: expected at least 1, found {iterations}")
+    launch = _SessionData.of(observations, method)
+    values = np.concatenate([observations.start_values(block) for block in launch.blocks])
+    derivative = np.zeros((len(values), len(launch.data)))
+    increments = []
+    for _ in range(iterations):
+        turned = launch.turned(launch.after_pass(launch.data, values, None))
+        by_data, by_start = launch.derivatives(launch.after_pass, values, turned)
+        after = launch.after_pass(launch.data, values, turned)
+        derivative = by_data + by_start @ derivative
+        increments.append(after - values)
+        values = after
+    return _estimate(launch, values, derivative, tuple(increments))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Turned:
+    """Turns integrated about a gyro model, and what they are about another near to it, to first order."""
+
+    turns: Turns
+    about: SensorModel
+
+    def rotations(self, model: SensorModel) -> Array:
+        """C (..., K, 3, 3) about `model`, where rates compensated by `about` are (I + E) ω + δ: exp([−(M : E + B δ)×])
+        C."""
+        E = np.linalg.solve(self.about.matrix, model.matrix) - np.eye(3)
+        δ = np.linalg.solve(self.about.matrix, (model.bias - self.about.bias)[..., None])[..., 0]
+        turned = np.einsum("kipq,...pq->...ki", self.turns.M, E) + np.einsum("kip,...p->...ki", self.turns.B, δ)
+        return np.asarray(rotation_matrix(-turned) @ self.turns.C)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _SessionData:
+    """A session as one vector of data, the mean readings in body axes, the errors of the turns and gravity, and one
+    of values, the parameters of the blocks in their order; with either, leading axes for many at once."""
+
+    observations: Observations
+    method: PaperMethod
+    course: ProgrammeCourse
+    data: Array
+
+    @staticmethod
+    def of(observations: Observations, method: PaperMethod) -> _SessionData:
+        course = course_of(observations, method)
+        rests, block = observations.rests, observations.gyro_block
+        parts = [(rests.accel @ observations.accel_block.axes).ravel()]
+        if block is not None:
+            parts += [(rests.gyro @ block.axes).ravel(), np.zeros(3 * len(course.duration))]
+        parts.append(np.array([observations.site.gravity]))
+        return _SessionData(observations=observations, method=method, course=course, data=np.concatenate(parts))
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        gyro = self.observations.gyro_block
+        return (self.observations.accel_block,) if gyro is None else (self.observations.accel_block, gyro)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(name for block in self.blocks for name in block.names)
+
+    @property
+    def kinds(self) -> dict[str, slice]:
+        """Where the data of each kind are, by the group of residuals that they make."""
+        n, last = 3 * len(self.observations.rests), len(self.data) - 1
+        return {"accelerometers": slice(0, n), "gyro rests": slice(n, min(2 * n, last)), "gyro turns": slice(2 * n, -1)}
+
+    @property
+    def steps(self) -> Array:
+        """Steps of the central differences for the data and the values."""
+        data = np.full(len(self.data), 1e-5)
+        data[self.kinds["gyro rests"]], data[self.kinds["gyro turns"]] = 1e-9, 1e-6
+        values = [{"accel.bias": 1e-5, "gyro.bias": 1e-9}.get(group_name(name), 1e-6) for name in self.names]
+        return np.concatenate([data, values])
+
+    def readings(self, data: Array) -> tuple[Array, Array, Array, Array]:
+        """Specific forces and rates (..., N, 3), errors of turns (..., K, 3), both empty without gyros, and g (...)."""
+        parts = (data[..., kind] for kind in self.kinds.values())
+        force, rate, turning = (part.reshape(*part.shape[:-1], -1, 3) for part in parts)
+        return force, rate, turning, data[..., -1]
+
+    def models(self, values: Array) -> tuple[SensorModel, SensorModel]:
+        """Models in body axes; without gyros those of perfect ones."""
+        signs = [block.axes.sum(axis=0) for block in self.blocks]
+        accel = triad_model(signs[0] * values[..., :3], values[..., 3:6], values[..., 6:9])
+        if len(signs) == 1:
+            return accel, PERFECT_TRIAD
+        return accel, triad_model(signs[1] * values[..., 9:12], values[..., 12:15], values[..., 15:])
+
+    def values(self, accel: SensorModel, gyro: SensorModel) -> Array:
+        """Parameters of models in body axes: `models` inverted."""
+        parts = []
+        for block, model in zip(self.blocks, (accel, gyro), strict=False):
+            bias, scale, angles = triad_parameters(model)
+            angles = angles if block.kind == "gyro" else angles[..., ACCEL_ANGLES]
+            parts += [block.axes.sum(axis=0) * bias, scale, angles]
+        return np.concatenate(parts, axis=-1)
+
+    def turned(self, values: Array) -> _Turned | None:
+        """The turns integrated about the gyro model of values (m,)."""
+        block = self.observations.gyro_block
+        if block is None:
+            return None
+        about = self.observations.turns_about(block.model(values[9:]))
+        return _Turned(turns=about, about=self.models(values)[1])
+
+    def after_pass(self, data: Array, values: Array, turned: _Turned | None) -> Array:
+        """Values (..., m) after all stages of a pass over data (..., d) that starts from values (..., m); after the
+        stages of the rests where the turns are not integrated."""
+        force, rate, turning, gravity = self.readings(data)
+        accel, gyro = self.models(values)
+        accel = accelerometer_pass(self.method, self.course, force, gravity, accel)
+        if len(self.blocks) == 2:
+            corrected = accel.apply(force)
+            gyro = gyro_bias_pass(self.course, rate, corrected, gyro)
+            if turned is not None:
+                C = rotation_matrix(turning) @ turned.rotations(gyro)
+                gyro = gyro_matrix_pass(self.course, rate, corrected, C, gyro)
+        return self.values(accel, gyro)
+
+    def residuals(self, data: Array, values: Array, turned: _Turned | None) -> Array:
+        """What is left at values (..., m): |w| − g of every rest, û·ω − Ω sin B of every rest, y of every turn."""
+        force, rate, turning, gravity = self.readings(data)
+        accel, gyro = self.models(values)
+        corrected = accel.apply(force)
+        parts = [np.linalg.norm(corrected, axis=-1) - gravity[..., None]]
+        if turned is not None:
+            C = rotation_matrix(turning) @ turned.rotations(gyro)
+            parts.append((unit_vector(corrected) * gyro.apply(rate)).sum(axis=-1) - self.course.earth_rate[1])
+            parts.append(differences(self.course, rate, corrected, C, gyro))
+        return np.concatenate(parts, axis=-1)
+
+    def derivatives(
+        self, function: Callable[[Array, Array, _Turned | None], Array], values: Array, turned: _Turned | None
+    ) -> tuple[Array, Array]:
+        """Derivatives of `function(data, values, turned)` with respect to data and values, by central differences."""
+        d, steps = len(self.data), self.steps
+        shifted = np.concatenate([self.data, values]) + np.concatenate([np.diag(steps), -np.diag(steps)])
+        high, low = np.split(function(shifted[:, :d], shifted[:, d:], turned), 2)
+        both = (high - low).T / (2.0 * steps)
+        return both[:, :d], both[:, d:]
+
+    def covariance(self, scatter: Mapping[str, float]) -> Array:
+        """Covariance (d, d) of the data: noise within rests and turns, scatter between them, and gravity."""
+        rests, (accel, *gyro) = self.observations.rests, self.blocks
+        parts = list(
+            accel.axes.T @ rests.accel_covariance @ accel.axes + scatter.get("accelerometers", 0.0) ** 2 * np.eye(3)
+        )
+        if gyro and self.observations.turns is not None:
+            turns, of_rest = self.observations.turns, scatter.get("gyro rests", 0.0)
+            parts += list(gyro[0].axes.T @ rests.gyro_covariance @ gyro[0].axes + of_rest**2 * np.eye(3))
+            drift = (of_rest * turns.duration) ** 2 + scatter.get("gyro turns", 0.0) ** 2
+            parts += list(turns.covariance + drift[:, None, None] * np.eye(3))
+        parts.append(np.array([[self.observations.site.gravity_u**2]]))
+        return np.asarray(linalg.block_diag(*parts), dtype=float)
+
+
+# Uncertainty, and how well it fits
+
+
+_GROUPS = {"accelerometers": ("m/s^2", 1), "gyro rests": ("rad/s", 1), "gyro turns": ("rad", 2)}
+"""Groups of residuals: the unit of the scatter they judge, on top of the noise within rests and turns, and how many a
+rest or a turn has."""
+
+
+def _estimate(launch: _SessionData, values: Array, derivative: Array, increments: tuple[Array, ...]) -> Estimate:
+    """The estimate of values (m,) with their derivative (m, d) with respect to the data."""
+    turned, n = launch.turned(values), len(launch.observations.rests)
+    u = np.sqrt(np.diag(derivative @ launch.covariance({}) @ derivative.T))
+    limit, converged = _limit(launch, values, turned, u)
+    direct, by_values = launch.derivatives(launch.residuals, limit, turned)
+    residual, total = launch.residuals(launch.data, limit, turned), direct + by_values @ derivative
+    rows = {"accelerometers": slice(0, n), "gyro rests": slice(n, 2 * n), "gyro turns": slice(2 * n, None)}
+    groups = {name: _GROUPS[name] for name in list(_GROUPS)[: 3 if len(launch.blocks) == 2 else 1]}
+
+    def residuals_of(name: str, scatter: Mapping[str, float]) -> Residuals:
+        noise, own = launch.covariance(scatter), rows[name]
+        variance = np.einsum("rd,de,re->r", direct[own], noise, direct[own])
+        return Residuals(residual=residual[own], variance=variance, left=total[own] @ noise @ total[own].T)
+
+    scatter = dict[str, float]()
+    for name in groups:
+
+        def at(trial: float, name: str = name, known: Mapping[str, float] = dict(scatter)) -> Residuals:
+            return residuals_of(name, {**known, name: trial})
+
+        noise = np.diag(launch.covariance({}))[launch.kinds[name]]
+        scatter[name] = explaining(at, float(np.sqrt(np.median(noise))))
+    fits, outliers = {}, {}
+    for name, (unit, size) in groups.items():
+        residuals = residuals_of(name, scatter)
+        fits[name] = residuals.fit(scatter[name], unit)
+        outliers[name] = residuals.sigmas(size, scaled=scatter[name] > 0.0)
+    turn_sigmas = np.zeros(len(launch.course.duration))
+    counted = [t.turn for series in launch.course.series for t in series if t.counts]
+    if counted:
+        turn_sigmas[counted] = outliers.pop("gyro turns")
+    noise = derivative @ launch.covariance(scatter) @ derivative.T
+    accel, *gyro = launch.blocks
+    return Estimate(
+        method=launch.method.name,
+        names=launch.names,
+        units=tuple(unit for block in launch.blocks for unit in block.units),
+        values=values,
+        covariance=noise + np.outer(limit - values, limit - values),
+        observable=np.ones(len(values), dtype=bool),
+        null=np.empty((0, len(values))),
+        accel=accel.model(values[:9]),
+        gyro=gyro[0].model(values[9:]) if gyro else None,
+        rest_residual=launch.residuals(launch.data, values, turned)[:n],
+        rest_sigmas=np.max(list(outliers.values()), axis=0),
+        turn_sigmas=turn_sigmas,
+        increments=increments,
+        fits=fits,
+        converged=converged,
+    )
+
+
+def _limit(launch: _SessionData, values: Array, turned: _Turned | None, u: Array) -> tuple[Array, bool]:
+    """Where the passes lead from values (m,) of uncertainty u, with the turns to first order, and whether they get
+    there."""
+    negligible = NEGLIGIBLE * np.maximum(u, launch.steps[len(launch.data) :])
+    for _ in range(MAX_PASSES):
+        after = launch.after_pass(launch.data, values, turned)
+        if np.all(np.abs(after - values) <= negligible):
+            return after, True
+        values = after
+    return values, False

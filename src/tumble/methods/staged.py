@@ -1,0 +1,421 @@
+"""Staged method: accelerometers by the scalar method on all rests, then gyros from rests and turns.
+
+Stage 1 is Eqs. (12), (13) in norm form and with covariance. At rest y = S g u + b with the vertical u unknown, so a
+rest of n accelerometers says n − 2 things: the residual y − b − S g u with the two directions in which u may turn
+projected out. For a triad that is |S⁻¹(y − b)| = g. Iterated to convergence, so that the coefficients are those of the
+estimated orientation and the second-order errors of (15) do not remain.
+
+Stage 2, with û = S⁻¹(y − b)/g from stage 1:
+
+    rests   ω̂ = û Ω sin B + (horizontal part of the Earth's rate, azimuth unknown: zero ± Ω cos B/√2 an axis)
+    turns   C û_j = exp([ω_i T ×]) û_i, the vertical after a turn carried back by the gyros, two equations each,
+            with the Jacobian from the logged rate, §6.6
+
+The first is the dot-product invariant û·ω̂ = Ω sin B where the noise is small against Ω, and the mean of the rests
+where it is large; the second is the indirect method for turns of any kind. ω_i, the Earth's rate in the body, is
+the measured one, shrunk towards the vertical part in proportion to its noise. More than three gyros also say n − 3
+things of themselves at every rest and in every turn: their readings must be those of one rate.
+
+The weight of stage 2 is the covariance of the noise of rests (accelerometers and gyros) and of turns, their scatter,
+what stage 1 leaves, and the uncertainty of g, all propagated; rests shared by two turns make their rows correlated.
+Turns are integrated again about the parameters after every step. The covariance of the estimate has what both stages
+have in common. Scatter between rests and of turns is estimated where the residuals need it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tumble.earth import EARTH_RATE
+from tumble.inference.estimate import Estimate, Fit
+from tumble.methods.least_squares import (
+    Residuals,
+    Solution,
+    explaining,
+    gauss_newton,
+    least_squares,
+    sigmas,
+    with_scatter,
+)
+from tumble.reduction.observations import Observations
+from tumble.reduction.turns import Turns
+from tumble.rotation import onto_body, rotation_matrix, skew, tangent_basis, unit_vector
+from tumble.sensors.model import SensorModel, beyond_body
+from tumble.sensors.parameters import limits_of
+from tumble.units import Array
+
+
+def staged(observations: Observations) -> Estimate:
+    """All parameters of a session by stages, with covariance and outcome."""
+    block, gyro_block = observations.accel_block, observations.gyro_block
+    accel = estimate_accelerometers(observations)
+    estimate = Estimate(
+        method="staged",
+        names=block.names,
+        units=block.units,
+        values=accel.values,
+        covariance=accel.covariance,
+        observable=accel.solution.observable,
+        null=accel.solution.null,
+        accel=accel.model,
+        gyro=None,
+        rest_residual=np.linalg.norm(accel.model.apply(observations.rests.accel), axis=1) - observations.site.gravity,
+        rest_sigmas=accel.sigmas,
+        turn_sigmas=np.empty(0),
+        increments=accel.increments,
+        fits={"accelerometers": accel.fit},
+        converged=accel.solution.negligible(),
+    )
+    if gyro_block is None:
+        return estimate
+    gyro, m, n = estimate_gyros(observations, accel), len(accel.values), len(gyro_block.names)
+    null = np.vstack([np.pad(estimate.null, ((0, 0), (0, n))), np.pad(gyro.solution.null, ((0, 0), (m, 0)))])
+    increments = [np.append(step, np.zeros(n)) for step in accel.increments]
+    increments += [np.append(np.zeros(m), step) for step in gyro.increments]
+    return replace(
+        estimate,
+        names=block.names + gyro_block.names,
+        units=block.units + gyro_block.units,
+        values=np.concatenate([accel.values, gyro.values]),
+        covariance=np.block([[accel.covariance, gyro.by_accel.T], [gyro.by_accel, gyro.solution.covariance]]),
+        observable=np.concatenate([estimate.observable, gyro.solution.observable]),
+        null=null,
+        gyro=gyro_block.model(gyro.values),
+        rest_sigmas=np.maximum(accel.sigmas, gyro.rest_sigmas),
+        turn_sigmas=gyro.turn_sigmas,
+        gyro_rest_sigmas=gyro.rest_sigmas,
+        increments=tuple(increments),
+        fits={"accelerometers": accel.fit, **gyro.fits},
+        converged=estimate.converged and gyro.solution.negligible(),
+    )
+
+
+# ---- stage 1
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Accelerometers:
+    """Stage 1: values and their solution, the verticals found, and what the residuals say."""
+
+    values: Array
+    model: SensorModel
+    solution: Solution
+    null: Array
+    """(q, m): combinations the data do not determine, each as long as its spread."""
+    gain: Array
+    """(m, N, n): change of the values with the mean reading of each rest."""
+    by_gravity: Array
+    """(m,): change of the values with g, per m/s²."""
+    vertical: Array
+    covariance: Array
+    fit: Fit
+    sigmas: Array
+    increments: tuple[Array, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RestRows:
+    """Whitened residuals (N, n − 2) and their derivatives with respect to the parameters (N, n − 2, m), to minus
+    the readings (N, n − 2, n) and to g (N, n − 2)."""
+
+    residual: Array
+    jacobian: Array
+    reading: Array
+    gravity: Array
+    spread: Array
+
+    def solution(self) -> Solution:
+        return least_squares(self.jacobian.reshape(-1, len(self.spread)), self.residual.ravel(), self.spread)
+
+    def chi_square(self) -> float:
+        """Of the residuals after a step."""
+        after = self.residual - self.jacobian @ self.solution().step
+        return float((after**2).sum())
+
+
+def rest_rows(observations: Observations, values: Array, scatter: float) -> RestRows:
+    """What the rests say of the accelerometers, linearised about values."""
+    block, g = observations.accel_block, observations.site.gravity
+    model, readings = block.model(values), observations.rests.accel
+    vertical = unit_vector(model.apply(readings))
+    covariance = observations.rests.accel_covariance + scatter**2 * np.eye(block.size)
+    lower = np.linalg.cholesky(covariance)
+    turning = np.einsum("pk,ijk->ipj", model.matrix, tangent_basis(vertical)) * g
+    basis, _ = np.linalg.qr(np.linalg.solve(lower, turning), mode="complete")
+    free = basis[:, :, 2:]  # the n − 2 directions that no turn of the vertical reaches
+    whiten = np.swapaxes(np.linalg.solve(np.swapaxes(lower, 1, 2), free), 1, 2)
+    homogeneous = np.concatenate([g * vertical, np.ones((len(vertical), 1))], axis=1)
+    return RestRows(
+        residual=np.einsum("irp,ip->ir", whiten, readings - model.predict(g * vertical)),
+        jacobian=np.einsum("irp,pqm,iq->irm", whiten, block.jacobian(values), homogeneous),
+        reading=whiten,
+        gravity=np.einsum("irp,pk,ik->ir", whiten, model.matrix, vertical),
+        spread=limits_of(block.names),
+    )
+
+
+def estimate_accelerometers(observations: Observations) -> Accelerometers:
+    """The accelerometers from all rests, with scatter between rests where the residuals need it."""
+    block, site, rests = observations.accel_block, observations.site, observations.rests
+    size = float(np.sqrt(np.median(np.trace(rests.accel_covariance, axis1=1, axis2=2))))
+
+    def degrees_of(rows: RestRows) -> float:
+        return float(rows.residual.size - (len(rows.spread) - len(rows.solution().null)))
+
+    def agreement_at(values: Array) -> tuple[Callable[[float], float], float, float]:
+        degrees = degrees_of(rest_rows(observations, values, 0.0))
+        return lambda scatter: rest_rows(observations, values, scatter).chi_square(), degrees, size
+
+    values, scatter, increments = with_scatter(
+        lambda at, scatter: rest_rows(observations, at, scatter).solution(),
+        agreement_at,
+        observations.start_values(block),
+        limits_of(block.names),
+    )
+    rows = rest_rows(observations, values, scatter)
+    solution, degrees, m = rows.solution(), degrees_of(rows), len(values)
+    by_rest = solution.gain.reshape(m, *rows.residual.shape)
+    by_gravity = -np.einsum("mir,ir->m", by_rest, rows.gravity)
+    left = np.eye(rows.residual.size) - rows.jacobian.reshape(-1, m) @ solution.gain
+    expected = np.maximum(np.diag(left @ left.T), 1e-12).reshape(rows.residual.shape)
+    normalised = rows.residual / np.sqrt(expected)
+    normalised[expected < 1e-6] = 0.0  # a residual the fit has no freedom to show
+    model = block.model(values)
+    return Accelerometers(
+        values=values,
+        model=model,
+        solution=solution,
+        null=solution.null * rows.spread,
+        gain=np.einsum("mir,irp->mip", by_rest, rows.reading),
+        by_gravity=by_gravity,
+        vertical=unit_vector(model.apply(rests.accel)),
+        covariance=solution.covariance + site.gravity_u**2 * np.outer(by_gravity, by_gravity),
+        fit=Fit(chi_square=rows.chi_square(), degrees=degrees, scatter=scatter, scatter_unit="m/s^2"),
+        sigmas=sigmas(np.sqrt((normalised**2).mean(axis=1)), degrees, scatter > 0.0),
+        increments=increments,
+    )
+
+
+# ---- stage 2
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GyroScatter:
+    """Scatter between rests (rad/s) and of turns (rad) on top of the noise within rests."""
+
+    rest: float = 0.0
+    turn: float = 0.0
+
+
+_GROUPS = {"rests": ("rest", "rad/s", 3), "turns": ("turn", "rad", 2)}
+"""Groups of rows: the scatter they judge, its unit, and how many rows a rest or a turn has."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class GyroRows:
+    """Residuals (r,) of rests (three each: along the vertical, then two horizontal) and turns (two each), their
+    derivatives (r, m), their covariance (r, r) without scatter, what a unit variance of scatter adds to it, and
+    the part shared with the accelerometer values (r, m_a); `ends` of the rows of rests, and of turns."""
+
+    residual: Array
+    jacobian: Array
+    noise: Array
+    by_rest_scatter: Array
+    by_turn_scatter: Array
+    with_accel: Array
+    ends: tuple[int, int]
+
+    def covariance(self, scatter: GyroScatter) -> Array:
+        """Covariance (r, r) at a scatter."""
+        return self.noise + scatter.rest**2 * self.by_rest_scatter + scatter.turn**2 * self.by_turn_scatter
+
+    def solved(self, scatter: GyroScatter, spread: Array) -> tuple[Solution, Array]:
+        """The step, and the covariance (r, r) of the residuals left after it."""
+        lower = np.linalg.cholesky(self.covariance(scatter))
+        whitened = np.asarray(np.linalg.solve(lower, np.column_stack([self.jacobian, self.residual])), dtype=float)
+        solution = least_squares(whitened[:, :-1], whitened[:, -1], spread)
+        left = lower @ (np.eye(len(lower)) - whitened[:, :-1] @ solution.gain)
+        return solution, left @ left.T
+
+    def residuals(self, name: str, scatter: GyroScatter, spread: Array) -> Residuals:
+        """What a step leaves of the rows of a group at a scatter."""
+        solution, left = self.solved(scatter, spread)
+        group = slice(0, self.ends[0]) if name == "rests" else slice(*self.ends)
+        residual, variance = self.residual - self.jacobian @ solution.step, np.diag(self.covariance(scatter))
+        return Residuals(residual=residual[group], variance=variance[group], left=left[group, group])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Gyros:
+    """Stage 2: values and their solution, their covariance (m_gyro, m_accel) with the accelerometers', and what the
+    residuals say of rests and turns."""
+
+    values: Array
+    solution: Solution
+    by_accel: Array
+    fits: dict[str, Fit]
+    rest_sigmas: Array
+    turn_sigmas: Array
+    increments: tuple[Array, ...]
+
+
+def estimate_gyros(observations: Observations, accel: Accelerometers) -> Gyros:
+    """The gyros from rests and turns, with scatter of both where the residuals need it."""
+    block, turns = observations.gyro_block, observations.turns
+    assert block is not None
+    values, scatter, spread = observations.start_values(block), GyroScatter(), limits_of(block.names)
+    values[: block.size] = np.median(observations.rests.gyro, axis=0)
+    increments: tuple[Array, ...] = (values,)
+    noises = {
+        "rests": observations.rests.gyro_covariance,
+        "turns": np.zeros((0, 3, 3)) if turns is None else turns.covariance,
+    }
+
+    def rows_at(at: Array, scatter: GyroScatter) -> GyroRows:
+        return gyro_rows(observations, accel, observations.turns_about(block.model(at)), at, scatter)
+
+    for again in range(3):
+        if again:
+            scatter = _found_scatter(rows_at(values, scatter), scatter, noises, spread)
+
+        def solution_at(at: Array, scatter: GyroScatter = scatter) -> Solution:
+            return rows_at(at, scatter).solved(scatter, spread)[0]
+
+        values, steps = gauss_newton(solution_at, values, spread)
+        increments += steps
+    rows = rows_at(values, scatter)
+    solution, _ = rows.solved(scatter, spread)
+    fits, outliers = {}, {}
+    for name, (of, unit, size) in _GROUPS.items():
+        residuals, found = rows.residuals(name, scatter, spread), getattr(scatter, of)
+        fits[f"gyro {name}"] = residuals.fit(found, unit)
+        outliers[name] = residuals.sigmas(size, scaled=found > 0.0)
+    return Gyros(
+        values=values,
+        solution=solution,
+        by_accel=solution.gain @ np.linalg.solve(np.linalg.cholesky(rows.covariance(scatter)), rows.with_accel),
+        fits=fits,
+        rest_sigmas=outliers["rests"],
+        turn_sigmas=outliers["turns"],
+        increments=increments,
+    )
+
+
+def _found_scatter(rows: GyroRows, scatter: GyroScatter, noises: dict[str, Array], spread: Array) -> GyroScatter:
+    """The scatter that explains the residuals of the rests, then that of the turns, where they need one."""
+    for name, noise in noises.items():
+        of = _GROUPS[name][0]
+
+        def residuals_at(trial: float, name: str = name, of: str = of, others: GyroScatter = scatter) -> Residuals:
+            return rows.residuals(name, replace(others, **{of: trial}), spread)
+
+        start = float(np.sqrt(np.trace(noise, axis1=1, axis2=2).mean())) if len(noise) else 0.0
+        scatter = replace(scatter, **{of: explaining(residuals_at, start, needed=getattr(scatter, of) > 0.0)})
+    return scatter
+
+
+def gyro_rows(
+    observations: Observations, accel: Accelerometers, turns: Turns, values: Array, scatter: GyroScatter
+) -> GyroRows:
+    """Residuals with their first-order dependence on everything uncertain; `turns` integrated about `values`."""
+    block, rests, site, u = observations.gyro_block, observations.rests, observations.site, accel.vertical
+    assert block is not None
+    N, K, m = len(rests), len(turns), len(values)
+    spare = block.size - 3 if observations.turn_readings else 0
+    of_turns, size = 3 * N, 3 * N + 2 * K + spare * (N + K)
+    residual, jacobian = np.zeros(size), np.zeros((size, m))
+    by_vertical, by_rate, by_unseen = np.zeros((3, size, N, 3))
+    noise, by_rest_scatter, by_turn_scatter = np.zeros((3, size, size))
+
+    # the rates at rest, ω, and −dω/dθ; the Earth's rate, of which the measured horizontal part is believed as `known`
+    model, to_body = block.model(values), onto_body(block.axes)
+    inverse = np.asarray(np.linalg.inv(to_body @ model.matrix), dtype=float) @ to_body
+    derivative = np.einsum("ap,pqm->aqm", inverse, block.jacobian(values))
+    rate, rate_covariance = (rests.gyro - model.bias) @ inverse.T, inverse @ rests.gyro_covariance @ inverse.T
+    by_values = np.einsum("aqm,iq->iam", derivative, np.column_stack([rate, np.ones(N)]))
+    horizontal = np.eye(3) - u[:, :, None] * u[:, None, :]
+    if site.latitude is None:
+        up_rate, variance = 0.0, EARTH_RATE**2 / 3.0
+        unseen = np.broadcast_to(variance * np.eye(3), (N, 3, 3))
+    else:
+        up_rate, variance = EARTH_RATE * np.sin(site.latitude), 0.5 * (EARTH_RATE * np.cos(site.latitude)) ** 2
+        unseen = variance * horizontal
+    measured = 0.5 * np.einsum("iab,ibc,ica->i", horizontal, rate_covariance, horizontal) + scatter.rest**2
+    known = (variance / (variance + measured))[:, None, None]
+
+    # rests: Ω sin B û − ω along û, the dot-product invariant, and two horizontal axes
+    i, at_rest = np.arange(N), np.arange(3 * N).reshape(N, 3)
+    basis = np.concatenate([u[:, None, :], tangent_basis(u)], axis=1)
+    residual[:of_turns] = -_times(basis, up_rate * u - rate).ravel()
+    jacobian[:of_turns] = (basis @ by_values).reshape(-1, m)
+    by_vertical[at_rest, i[:, None]] = up_rate * basis
+    by_vertical[at_rest[:, 0], i] = u * (u * rate).sum(axis=1)[:, None] - rate
+    by_rate[at_rest, i[:, None]] = by_unseen[at_rest, i[:, None]] = -basis
+
+    # turns: C û_b − exp([ω T×]) û_a, across the vertical
+    a, b, T = turns.first, turns.last, turns.duration
+    in_turn = of_turns + np.arange(2 * K).reshape(K, 2)
+    earth = T[:, None] * (up_rate * u[a] + _times(known[a] * horizontal[a], rate[a]))
+    carried, back = rotation_matrix(earth), _times(turns.C, u[b])
+    across = tangent_basis(back)
+    by_angle = across @ skew(back)
+    by_matrix = np.einsum("kipq,pqm->kim", turns.M, derivative[:, :3]) + turns.B @ derivative[:, 3]
+    by_earth = T[:, None, None] * across @ carried @ skew(u[a]) @ (np.eye(3) - 0.5 * skew(earth)) @ horizontal[a]
+    residual[in_turn] = -_times(across, back - _times(carried, u[a]))
+    jacobian[in_turn] = by_angle @ by_matrix - known[a] * by_earth @ by_values[a]
+    by_vertical[in_turn, b[:, None]] += across @ turns.C
+    by_vertical[in_turn, a[:, None]] -= across @ carried
+    by_rate[in_turn, a[:, None]] += known[a] * by_earth
+    by_unseen[in_turn, a[:, None]] += (known[a] - 1.0) * by_earth
+    own = in_turn[:, :, None], in_turn[:, None, :]
+    noise[own] = by_angle @ turns.covariance @ np.swapaxes(by_angle, 1, 2)
+    by_turn_scatter[own] = by_angle @ np.swapaxes(by_angle, 1, 2)
+    by_rest_scatter[own] = T[:, None, None] ** 2 * by_turn_scatter[own]
+
+    if spare:  # what n gyros say of themselves: nothing in the directions that no rate explains, at rest or in a turn
+        readings = observations.turn_readings
+        assert readings is not None
+        seconds = np.concatenate([np.ones(N), T])
+        y = np.concatenate([rests.gyro, readings.integral]) - np.outer(seconds, model.bias)
+        free = beyond_body(model.matrix)
+        of_body = np.column_stack([y @ model.inverse().T, seconds])
+        rows = of_turns + 2 * K + np.arange(spare * (N + K)).reshape(N + K, spare)
+        residual[rows], own = y @ free.T, (rows[:, :, None], rows[:, None, :])
+        jacobian[rows] = free @ np.einsum("pqm,iq->ipm", block.jacobian(values), of_body)
+        noise[own] = free @ np.concatenate([rests.gyro_covariance, readings.covariance]) @ free.T
+        by_rest_scatter[rows[:N, :, None], rows[:N, None, :]] = np.eye(spare)
+        by_turn_scatter[rows[N:, :, None], rows[N:, None, :]] = np.eye(spare)
+
+    # the covariance of the rows from all that is uncertain, and what of it the accelerometer values share
+    force, to_force = accel.model.apply(rests.accel), accel.model.inverse()
+    by_force = horizontal / np.linalg.norm(force, axis=1)[:, None, None]
+    reading_by_value = np.einsum(
+        "pqm,iq->ipm", observations.accel_block.jacobian(accel.values), np.column_stack([force, np.ones(N)])
+    )
+    by_accel = np.einsum("rik,ikm->rm", by_vertical, -by_force @ to_force @ reading_by_value)
+    by_noise = np.einsum("rik,ikp->rip", by_vertical, by_force @ to_force)
+    by_noise += np.einsum("rm,mip->rip", by_accel, accel.gain)
+    common = np.vstack([accel.null, accel.by_gravity * site.gravity_u])  # unseen combinations, and g
+    by_common = by_accel @ common.T
+    accel_covariance = rests.accel_covariance + accel.fit.scatter**2 * np.eye(rests.accel.shape[1])
+    noise += by_common @ by_common.T
+    for by, covariance in ((by_noise, accel_covariance), (by_rate, rate_covariance), (by_unseen, unseen)):
+        noise += np.einsum("rip,ipq,siq->rs", by, covariance, by, optimize=True)
+    shared = np.einsum("rip,ipq,miq->rm", by_noise, accel_covariance, accel.gain, optimize=True)
+    return GyroRows(
+        residual=residual,
+        jacobian=jacobian,
+        noise=noise,
+        by_rest_scatter=by_rest_scatter + np.einsum("rip,sip->rs", by_rate, by_rate),
+        by_turn_scatter=by_turn_scatter,
+        with_accel=-(shared + by_common @ common),
+        ends=(of_turns, of_turns + 2 * K),
+    )
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    """Matrices (N, p, q) times vectors (N, q)."""
+    return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
