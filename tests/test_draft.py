@@ -13,7 +13,7 @@ from click.testing import CliRunner, Result
 from tumble.cli import main
 from tumble.earth import EARTH_RATE
 from tumble.planning.setup import Setup
-from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name, temperature_unit
+from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, columns_by_name, temperature_unit
 from tumble.recording.session import Session
 from tumble.recording.session_file import read_session
 from tumble.simulation.session import simulate_session

@@ -9,7 +9,7 @@ import numpy as np
 from tumble.calibration.case import CaseAlignment
 from tumble.estimation.causes.cause import UNITS, WORDS
 from tumble.estimation.estimate import Estimate
-from tumble.recording.gaps import Gap
+from tumble.recording.rows.gaps import Gap
 from tumble.reduction.observations import Observations
 from tumble.sensors.parameters import group_name, positions_by_group
 from tumble.units import DEGREE

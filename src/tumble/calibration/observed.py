@@ -22,8 +22,8 @@ from tumble.estimation.diagnosis.verdict import no_rests
 from tumble.estimation.estimate import Outcome
 from tumble.files import FilePath
 from tumble.recording.circumstances import Circumstances
-from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log, open_log
+from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.reduction import exclusion

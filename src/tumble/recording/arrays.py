@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tumble.errors import InputError
-from tumble.recording.formats.columns import unit_of_name
+from tumble.recording.columns.names import unit_of_name
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_of
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, ZERO_CELSIUS, Array

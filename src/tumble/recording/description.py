@@ -13,10 +13,9 @@ import numpy as np
 
 from tumble.recording.autopilot import sensors_content
 from tumble.recording.circumstances import Circumstances, circumstances_content
-from tumble.recording.dialect import Dialect
 from tumble.recording.session import Channels, LogSpec, ProgrammeSpec, Session, Site, TemperatureChannels
-from tumble.recording.session_keys.log import CLOCK
-from tumble.recording.session_keys.temperature import TemperatureTable
+from tumble.recording.session.document import CLOCK, RAW
+from tumble.recording.text.dialect import Dialect
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, TIME_UNITS, Unit
 
 
@@ -91,7 +90,7 @@ def _thermometers(given: TemperatureChannels) -> dict[str, Any]:
     one_each = max(map(len, of_kinds)) == 1
     listed = list(dict.fromkeys(chain(*of_kinds))) if one_each else [*given.accel, *given.gyro]
     content: dict[str, Any] = {"columns": [given.columns[t] for t in listed], "unit": given.unit_name}
-    if given.unit_name == TemperatureTable.RAW:
+    if given.unit_name == RAW:
         scale = 1.0 / given.gain
         content |= {"scale": scale[listed].tolist(), "offset": (-given.shift * scale)[listed].tolist()}
     return content

@@ -27,7 +27,7 @@ from tumble.estimation.turns_about import TurnsAbout
 from tumble.inference.hyperparameters import SCATTER, Components
 from tumble.inference.likelihood import Linearised, Point, Problem, instruments_of, noise_of
 from tumble.inference.linearisation import linearise
-from tumble.recording.gaps import REGULAR_HINT
+from tumble.recording.rows.gaps import REGULAR_HINT
 from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis
 from tumble.sensors.parameters import RATE

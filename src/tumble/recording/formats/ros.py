@@ -20,8 +20,8 @@ import polars as pl
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from tumble.recording.columns.thermometers import thermometer
 from tumble.recording.formats.message import AXES, TIME, Message, triad
-from tumble.recording.formats.thermometers import thermometer
 
 NOTHING = "no topic of type sensor_msgs/Imu"
 
