@@ -19,7 +19,9 @@ from hypothesis.extra.numpy import arrays
 from tumble.errors import SessionError
 from tumble.programme.positions import BUILT_IN
 from tumble.recording.session import Session
-from tumble.recording.session.document import AccelTable, GyroTable, SessionDocument, SessionTable, table_behind
+from tumble.recording.session.document import SessionDocument, table_behind
+from tumble.recording.session.log_tables import AccelTable, GyroTable
+from tumble.recording.session.table import SessionTable
 from tumble.recording.session_file import read_session, write_session
 from tumble.units import TIME_UNITS
 

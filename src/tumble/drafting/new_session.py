@@ -42,7 +42,7 @@ from tumble.recording.formats.message import TIME, Message
 from tumble.recording.log import Log
 from tumble.recording.readers import source_of
 from tumble.recording.rows.gaps import is_reading
-from tumble.recording.session.document import RAW
+from tumble.recording.session.log_tables import RAW
 from tumble.recording.session_file import SESSION_FILE, session_of
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, TEMPERATURE_UNITS, Array
 

@@ -14,7 +14,7 @@ import numpy as np
 from tumble.recording.autopilot import sensors_content
 from tumble.recording.circumstances import Circumstances, circumstances_content
 from tumble.recording.session import Channels, LogSpec, ProgrammeSpec, Session, Site, TemperatureChannels
-from tumble.recording.session.document import CLOCK, RAW
+from tumble.recording.session.log_tables import CLOCK, RAW
 from tumble.recording.text.dialect import Dialect
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, TIME_UNITS, Unit
 

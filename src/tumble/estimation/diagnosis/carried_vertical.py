@@ -12,7 +12,7 @@ from tumble.estimation.diagnosis.exchanged_columns import columns_said, signed_p
 from tumble.estimation.diagnosis.upside_down import specific_forces, upside_down, verticals
 from tumble.estimation.observability import rough_directions
 from tumble.recording.session import Channels, LogSpec, Session
-from tumble.recording.session.document import GyroTable
+from tumble.recording.session.log_tables import GyroTable
 from tumble.reduction.observations import Observations
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, GYRO_UNITS, TIME_UNITS, Array
