@@ -13,8 +13,6 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import takewhile
-from operator import eq
 from pathlib import Path
 from typing import Any
 
@@ -29,16 +27,16 @@ from tumble.drafting.found_log import HEAD_ROWS, SAMPLE_ROWS, FoundLog
 from tumble.drafting.hypotheses.readings import step_in_deg_s, too_fast_for_rad_s
 from tumble.drafting.hypotheses.trials import tried
 from tumble.drafting.mended import mended
+from tumble.drafting.recordings import log_of_recording
 from tumble.drafting.times import Times
 from tumble.errors import InputError, LogError
 from tumble.files import FilePath, OutputFolder, nothing_left, whole_file
 from tumble.programme.positions import BUILT_IN
 from tumble.recording import formats
 from tumble.recording.autopilot import sensors_content
-from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, TIME_KIND, Columns, temperature_unit
+from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, TIME_KIND, temperature_unit
 from tumble.recording.columns.scales import ACCEL_COUNTS, matched
 from tumble.recording.formats import Sensors
-from tumble.recording.formats.message import TIME, Message
 from tumble.recording.log import Log
 from tumble.recording.readers import source_of
 from tumble.recording.rows.gaps import is_reading
@@ -153,7 +151,9 @@ def _of_files(files: list[Path], folder: OutputFolder, given: Given) -> Draft:
         )
     if len(files) > 1 and len(recordings) < len(files):
         raise InputError(f"{recordings[0]}: expected one recording, found other files too; give each its own session")
-    return _of_recording(recordings, folder, given)
+    recorded, imu = log_of_recording(recordings, folder, given.message)
+    draft = _of_log(mended(recorded, folder, given.rate), given.rate)
+    return replace(draft, content={**draft.content, "device": {"imu": sensors_content(imu)}} if imu else draft.content)
 
 
 def _of_log(log: FoundLog, rate: float | None) -> Draft:
@@ -265,80 +265,6 @@ def _row_as_read(draft: Draft) -> str:
 def _is_whole(read: Array) -> bool:
     """Whether readings are whole numbers."""
     return bool((read == np.floor(read))[np.isfinite(read)].all())
-
-
-def _of_recording(recordings: Sequence[Path], folder: OutputFolder, given: Given) -> Draft:
-    """From another format, whose messages become a Parquet file. Several files are one recording where the
-    accelerometers are in the one and the gyros in the other."""
-    recording, found = recordings[0], formats.messages(*recordings)
-    if len(recordings) > 1 and (len(found) > len(recordings) or sum(m.accel is not None for m in found) > 1):
-        raise InputError(f"{recording}: expected one recording, found {len(recordings)}; give each its own session")
-    accel = _named(found, given.message, recording)
-    gyro = accel if accel.gyro else next((m for m in found if m.gyro and _pairs(accel, m)), None)
-    log = folder.new_file("log.parquet")
-    apart = [] if _temperatures(accel, gyro) else [m for m in found if m.thermometer]
-    thermometers = _thermometers_of(accel, gyro, apart)
-    formats.as_log(log, accel, gyro, thermometers)
-    said = [f"{recording.name}: message {accel.name}, written to {log}"]
-    said += [f"temperature from {thermometer.name}, interpolated" for thermometer in thermometers]
-    unused = [m.name for m in apart if m not in thermometers]
-    said += [f"other thermometers, not used: {', '.join(unused)}"] if unused else []
-    if gyro is not None and gyro is not accel:
-        said.append(f"gyros from {gyro.name}; the accelerometers are interpolated at their times")
-    others = [m.name for m in found if m not in (accel, gyro) and m.accel]
-    said += [f"also there, and not used: {', '.join(others)} (--message takes another)"] if others else []
-    said += [remark for remark in {m.remark: None for m in (accel, gyro) if m is not None} if remark]
-    triads = {ACCEL: accel.accel, GYRO: gyro.gyro if gyro is not None else None}
-    triads |= {MAGNETOMETER: accel.magnetometer if gyro in (None, accel) else None}
-    columns = Columns(
-        time=TIME if accel.timed else None,
-        time_unit=None,
-        triads={kind: sensors for kind, sensors in triads.items() if sensors is not None},
-        temperatures=_temperatures(accel, gyro) or tuple(t for m in thermometers for t in m.temperatures),
-    )
-    written = mended(FoundLog(files=(log,), keys={}, columns=columns, said=tuple(said)), folder, given.rate)
-    draft = _of_log(written, given.rate)
-    imu = {kind: sensor for m in (gyro, accel) if m is not None for kind, sensor in m.imu.items()}
-    return replace(draft, content={**draft.content, "device": {"imu": sensors_content(imu)}} if imu else draft.content)
-
-
-def _thermometers_of(accel: Message, gyro: Message | None, apart: Sequence[Message]) -> list[Message]:
-    """Of messages with nothing but temperatures, that of the accelerometers and that of the gyros, where each have one,
-    else that whose name begins, between slashes, most like that of the accelerometers."""
-
-    def shared(message: Message) -> int:
-        alike = map(eq, message.name.split("/"), accel.name.split("/"))
-        return sum(1 for _ in takewhile(bool, alike))
-
-    near = sorted(apart, key=shared, reverse=True)
-    each = [next((m for m in near if m.temperatures == (f"{kind}_temperature",)), None) for kind in (ACCEL, GYRO)]
-    both = [m for m in each if m is not None]
-    return both if gyro is not None and len(both) == 2 else near[:1]
-
-
-def _temperatures(accel: Message, gyro: Message | None) -> tuple[str, ...]:
-    """The columns of the temperatures beside the accelerometers and beside the gyros."""
-    beside = [m.temperatures for m in {id(m): m for m in (accel, gyro) if m is not None}.values() if m.temperatures]
-    if len(beside) == 2 and max(map(len, beside)) == 1:
-        return beside[0] + beside[1]
-    return next(iter(beside), ())
-
-
-def _named(found: list[Message], name: str | None, recording: Path) -> Message:
-    with_accel = [m for m in found if m.accel]
-    if name is None:
-        return max(with_accel, key=lambda m: m.gyro is not None)
-    for m in with_accel:
-        if m.name == name:
-            return m
-    raise InputError(f"{recording}: expected a message {name!r}, found {', '.join(m.name for m in with_accel)}")
-
-
-def _pairs(accel: Message, gyro: Message) -> bool:
-    """Whether gyros in another message belong to the accelerometers: of one clock, and the same instance where
-    messages are counted."""
-    counted = accel.name.rpartition(".")[2], gyro.name.rpartition(".")[2]
-    return accel.timed and gyro.timed and (not all(c.isdecimal() for c in counted) or counted[0] == counted[1])
 
 
 def _thermometers(log: FoundLog, columns: Sequence[str]) -> tuple[dict[str, Any] | None, str]:
