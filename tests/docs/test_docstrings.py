@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import tumble
-from tumble.recording.formats.columns import unit_of_name
+from tumble.recording.columns.names import unit_of_name
 
 CALLS = [name for name in tumble.__all__ if inspect.isfunction(getattr(tumble, name))]
 EXAMPLES = [

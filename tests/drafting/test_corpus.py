@@ -17,11 +17,11 @@ from tests.support.corpus.dialects import Case
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.cli import main
-from tumble.drafting.archive import unzipped
-from tumble.drafting.log_detection import files_of, found_log
-from tumble.drafting.log_times import Stamps, times_of_column
-from tumble.drafting.mended_log import mended
+from tumble.drafting.containers.archive import unzipped
+from tumble.drafting.detection import files_of, found_log
+from tumble.drafting.mended import mended
 from tumble.drafting.new_session import new_session
+from tumble.drafting.times import Stamps, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
 from tumble.planning.setup import Setup

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,12 @@ from click.testing import CliRunner, Result
 from tumble.cli import main
 from tumble.earth import EARTH_RATE
 from tumble.planning.setup import Setup
-from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name, temperature_unit
+from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, columns_by_name, temperature_unit
 from tumble.recording.session import Session
 from tumble.recording.session_file import read_session
+from tumble.recording.text.text_log import TextLog
 from tumble.simulation.session import simulate_session
-from tumble.units import ACCEL_UNITS, DEGREE, DEGREE_PER_HOUR, GYRO_UNITS, Array
+from tumble.units import ACCEL_UNITS, DEGREE, DEGREE_PER_HOUR, G_STANDARD, GYRO_UNITS, Array
 
 
 def named(*stems: str, unit: str = "") -> list[str]:
@@ -207,6 +209,24 @@ def test_the_unit_of_the_time_is_found_from_its_steps(
     session, said = drafted(handheld.with_columns(pl.col("t") / size), tmp_path)
     assert session.log.time_factor == size
     assert f"in {unit} (by its steps), 100 samples per second" in said
+
+
+def test_a_log_is_parsed_once_whatever_is_tried(
+    handheld: pl.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scaled(handheld, 1.0 / G_STANDARD, 1.0 / DEGREE).write_csv(tmp_path / "log.csv", separator=";")
+    parsed: list[int] = []
+    pieces = TextLog.pieces
+
+    def counted(log: TextLog) -> Iterator[bytes]:
+        for piece in pieces(log):
+            parsed.append(len(piece))
+            yield piece
+
+    monkeypatch.setattr(TextLog, "pieces", counted)
+    result = new(tmp_path / "session", "--log", tmp_path / "log.csv")
+    assert result.exit_code == 0, result.stderr
+    assert 0 < sum(parsed) <= (tmp_path / "log.csv").stat().st_size
 
 
 def test_a_log_in_counts_gets_the_scales_of_data_sheets_from_its_rests_and_turns(

@@ -8,20 +8,20 @@ import numpy as np
 import polars as pl
 import pytest
 
+from tumble.drafting.dialects.named_values import cells
+from tumble.drafting.dialects.respelled import respelled
 from tumble.drafting.found_log import samples_in
-from tumble.drafting.gyro_unit_by_readings import step_in_deg_s
-from tumble.drafting.log_times import Stamps, overflow_of, recordings_of, times_of_column
-from tumble.drafting.named_values import cells
+from tumble.drafting.hypotheses.readings import step_in_deg_s
+from tumble.drafting.hypotheses.rests_and_turns import accel_scale
 from tumble.drafting.new_session import Given, new_session
-from tumble.drafting.raw_scale import accel_scale
-from tumble.drafting.respelled import respelled
+from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column
 from tumble.errors import InputError, LogError
 from tumble.files import OutputFolder
-from tumble.recording.clock import seconds_of
-from tumble.recording.dialect import Dialect, is_clock, top_of
-from tumble.recording.formats.columns import ACCEL, GYRO, columns_by_name, is_no_sensor
-from tumble.recording.formats.columns_by_data import columns_by_data
-from tumble.recording.formats.scales import matched
+from tumble.recording.columns.names import ACCEL, GYRO, columns_by_name, is_no_sensor
+from tumble.recording.columns.numbers import columns_by_data
+from tumble.recording.columns.scales import matched
+from tumble.recording.text.clock import seconds_of
+from tumble.recording.text.dialect import Dialect, is_clock, top_of
 from tumble.units import G_STANDARD, Array
 
 FACES = np.vstack([np.eye(3), -np.eye(3)])
@@ -157,7 +157,7 @@ def test_rows_come_out_of_what_is_about_them(lines: list[str], copied: str, tmp_
     log.write_text("\n".join([*lines, ""]))
     found = respelled(log, log.read_bytes(), OutputFolder(tmp_path / "session"))
     assert found is not None
-    assert found[0].read_text() == copied
+    assert found[0][0].read_text() == copied
 
 
 def test_dates_tell_the_unit_of_a_time() -> None:

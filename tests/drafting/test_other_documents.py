@@ -13,13 +13,12 @@ import polars as pl
 import pytest
 
 from tests.support.corpus import documents as d
-from tumble.drafting.found_log import times_of
-from tumble.drafting.log_detection import found_log
+from tumble.drafting.containers.workbook import sheets_of
+from tumble.drafting.detection import found_log
 from tumble.drafting.new_session import new_session
-from tumble.drafting.workbook import sheets_of
 from tumble.errors import InputError, MissingExtraError
 from tumble.files import OutputFolder
-from tumble.recording.formats.columns import ACCEL, GYRO
+from tumble.recording.columns.names import ACCEL, GYRO
 from tumble.units import G_STANDARD, Array
 
 
@@ -39,7 +38,7 @@ def check_read(files: list[Path], rows: Array, folder: Path, *, accel: float = 1
     found = found_log(files, OutputFolder(folder))
     assert found.read(found.columns.triads[ACCEL].columns) == pytest.approx(accel * rows[:, 1:4], abs=1e-9)
     assert found.read(found.columns.triads[GYRO].columns) == pytest.approx(rows[:, 4:], abs=1e-9)
-    times = times_of(found, None)
+    times = found.times(None)
     assert times.rate == pytest.approx(50.0)
 
 

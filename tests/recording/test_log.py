@@ -20,12 +20,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tumble.errors import LogError
-from tumble.recording import gaps as bridging
-from tumble.recording import table_log, text_pieces, timed_rows, unpacked
+from tumble.recording import table_log
 from tumble.recording.description import description_of
-from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log, open_log
+from tumble.recording.rows import gaps as bridging
+from tumble.recording.rows import timed as timed_rows
+from tumble.recording.rows.gaps import Gap
 from tumble.recording.session_file import read_session, write_session
+from tumble.recording.text import pieces as text_pieces
+from tumble.recording.text import unpacked
 from tumble.reduction.blocks import reduce_log
 from tumble.units import Array
 

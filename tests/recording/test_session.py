@@ -19,12 +19,11 @@ from hypothesis.extra.numpy import arrays
 from tests.support import ROOT
 from tumble.errors import SessionError
 from tumble.programme.positions import BUILT_IN
-from tumble.recording import session_file
 from tumble.recording.session import Session
+from tumble.recording.session.document import SessionDocument, table_behind
+from tumble.recording.session.log_tables import AccelTable, GyroTable
+from tumble.recording.session.table import SessionTable
 from tumble.recording.session_file import read_session, write_session
-from tumble.recording.session_keys.document import TABLES, SessionDocument
-from tumble.recording.session_keys.sensors import AccelTable, GyroTable
-from tumble.recording.session_keys.table import SessionTable
 from tumble.units import TIME_UNITS
 
 DOCUMENT = ROOT / "docs/reference/session-file.md"
@@ -482,7 +481,7 @@ def test_negative_scale_is_the_polarity_of_its_channel(tmp_path: Path) -> None:
 
 @given(arrays(float, (4, 3), elements=st.floats(allow_nan=False, allow_infinity=False)))
 def test_si_numbers_are_kept_to_the_bit(raw: np.ndarray[Any, np.dtype[np.float64]]) -> None:
-    channels = session_file._channels(AccelTable(**BASE["log"]["accel"]), None)
+    channels = AccelTable(**BASE["log"]["accel"]).si(None)
     assert channels.to_si(raw, np.full(4, DT)).tobytes() == raw.tobytes()
 
 
@@ -580,7 +579,11 @@ def documented_examples() -> list[str]:
 def test_every_key_is_documented() -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
     tables: dict[str, type[SessionTable]] = {"": SessionDocument}
-    tables |= TABLES
+    waiting: list[type[SessionTable]] = [SessionDocument]
+    while waiting:
+        inner = {key: table_behind(field.annotation) for key, field in waiting.pop().model_fields.items()}
+        tables |= {key: table for key, table in inner.items() if table is not None}
+        waiting += [table for table in inner.values() if table is not None]
     keys = [(table, key) for table, model in tables.items() for key in model.model_fields]
     assert len(keys) > 30
     # every key has its own entry: a table in brackets, another key at the start of a row

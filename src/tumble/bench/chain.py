@@ -11,8 +11,8 @@ import numpy as np
 from tumble.bench.follow import BRIDGED, SoundSamples
 from tumble.inference.estimate import Estimate
 from tumble.inference.joint import joint
-from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk
+from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Exclusion, Session
 from tumble.reduction.blemishes import without_blemishes
 from tumble.reduction.blocks import Reducer, Reduction

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from tumble.bench.lines import Lines, numbers_in
-from tumble.recording.gaps import JUMP
+from tumble.recording.rows.gaps import JUMP
+from tumble.recording.rows.timed import leaping
 from tumble.recording.session import LogSpec
-from tumble.recording.timed_rows import leaping
 from tumble.units import Array
 
 PIECE_BYTES = 1 << 18

@@ -36,15 +36,15 @@ from tumble.files import FilePath
 from tumble.inference.variables import sensors_at
 from tumble.recording.ahead import one_ahead
 from tumble.recording.arrays import SI
-from tumble.recording.clock import times_of
+from tumble.recording.columns.names import unit_of_name
 from tumble.recording.description import description_of
-from tumble.recording.formats.columns import unit_of_name
-from tumble.recording.gaps import side_by_side
 from tumble.recording.log import open_log
 from tumble.recording.log_source import LogSource, rows_of_numbers
 from tumble.recording.readers import source_of
+from tumble.recording.rows.gaps import side_by_side
 from tumble.recording.session import Channels, LogSpec, Magnetometer, Session
 from tumble.recording.session_file import session_from
+from tumble.recording.text.clock import times_of
 from tumble.recording.writer import write_tables
 from tumble.reduction.thermometer import followed
 from tumble.sensors.compensation import Compensator

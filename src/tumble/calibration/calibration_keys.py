@@ -18,7 +18,8 @@ from pydantic_core import PydanticCustomError
 
 from tumble.documents import dotted, is_plain, shown
 from tumble.errors import CalibrationError
-from tumble.recording.session_keys.device import LONGEST_NAME, ImuTable
+from tumble.recording.session.document import ImuTable
+from tumble.recording.session.table import LONGEST_NAME
 from tumble.sensors.parameters import is_parameter
 from tumble.units import Array
 

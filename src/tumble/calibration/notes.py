@@ -8,7 +8,7 @@ import numpy as np
 
 from tumble.calibration.case import CaseAlignment
 from tumble.inference.estimate import Estimate
-from tumble.recording.gaps import Gap
+from tumble.recording.rows.gaps import Gap
 from tumble.reduction.observations import Observations
 from tumble.sensors.parameters import group_name
 from tumble.units import DEGREE

@@ -22,8 +22,8 @@ from tumble.diagnosis.verdict import no_rests
 from tumble.files import FilePath
 from tumble.inference.estimate import Outcome
 from tumble.recording.circumstances import Circumstances
-from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log, open_log
+from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.reduction import exclusion

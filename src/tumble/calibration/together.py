@@ -25,8 +25,8 @@ from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome, OwnEstimate
 from tumble.inference.joint import joint
-from tumble.recording.gaps import Gap
 from tumble.recording.log import Log
+from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations

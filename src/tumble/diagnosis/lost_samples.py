@@ -26,7 +26,7 @@ from tumble.inference.joint import joint
 from tumble.inference.likelihood import Linearised, Point, Problem, instruments_of, noise_of
 from tumble.inference.linearisation import linearise
 from tumble.inference.turns_about import TurnsAbout
-from tumble.recording.gaps import REGULAR_HINT
+from tumble.recording.rows.gaps import REGULAR_HINT
 from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis
 from tumble.sensors.parameters import RATE

@@ -4,31 +4,56 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+
+from tumble.recording.readers import KeptLog
+from tumble.recording.session import Session
+from tumble.recording.session_file import session_of
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Draft:
-    """The content of a session.toml as far as it is known, and how each part of it came about, in sentences. A table
-    [log.magnetometer] is offered as a comment: iron nearby spoils it, and not the rest. Whether the rate is a guess,
-    whether the unit of the gyros is, and that of a time column; whether the gyros and the
-    accelerometers are whole numbers, as counts are; the rate, Hz, by the times; the median magnitude of what the
-    accelerometers read, as written; and whether anything of it is `guessed`: a unit, a time or a column."""
+    """The content of a session.toml as far as it is known, and how each part of it came about, in sentences."""
 
     content: Mapping[str, Any]
     said: tuple[str, ...]
     magnetometer: Mapping[str, Any] | None = None
+    """The table [log.magnetometer], offered as a comment: iron nearby spoils it, and not the rest."""
     rate_guessed: bool = False
     gyro_unknown: bool = False
+    """Whether the unit of the gyros is a guess."""
     time_guessed: bool = False
+    """Whether the unit of a time column is a guess."""
     gyro_whole: bool = False
     accel_whole: bool = False
+    """Whether they are whole numbers, as counts are."""
     rate: float = 1.0
+    """Hz, by the times."""
     accel_magnitude: float = 1.0
+    """The median one of what the accelerometers read, as written."""
     guessed: bool = False
+    """Whether anything is: a unit, a time or a column."""
+    kept: Mapping[Path, KeptLog] = field(default_factory=dict)
+    """The files of the log as far as they were read, by their paths."""
+
+    @property
+    def log(self) -> Mapping[str, Any]:
+        """The table [log]."""
+        table: Mapping[str, Any] = self.content["log"]
+        return table
+
+    def with_log(self, said: Sequence[str] = (), /, **tables: Any) -> Draft:
+        """The draft with these tables and keys of [log], and what there is to say of them."""
+        return replace(self, content={**self.content, "log": {**self.log, **tables}}, said=(*self.said, *said))
+
+    def session(self) -> Session:
+        """The session of the content, whose log is read from what was kept of it."""
+        session = session_of(self.content)
+        files = tuple(self.kept.get(Path(str(file)), file) for file in session.log.files)
+        return replace(session, log=replace(session.log, files=files))
 
 
 def session_text(draft: Draft, folder: Path, programme: str | None, *, named: bool) -> str:
@@ -40,6 +65,9 @@ def session_text(draft: Draft, folder: Path, programme: str | None, *, named: bo
     serial = draft.content["device"]["serial"]
     latitude = draft.content.get("site", {}).get("latitude_deg")
     place = "of the place; without it the Earth's rate and local gravity are unknown"
+    imu = draft.content["device"].get("imu", {})
+    comment = "# which sensors of the autopilot these are, from 1, and their device ids: `tumble export` compares them"
+    imu_lines = ["[device.imu]", comment, *(_line(key, value) for key, value in imu.items()), ""] if imu else []
     lines = [
         "format = 1",
         "",
@@ -47,7 +75,7 @@ def session_text(draft: Draft, folder: Path, programme: str | None, *, named: bo
         _line("serial", serial) + ("" if named else "   # the serial number"),
         '# model = "…"',
         "",
-        *_imu_lines(draft.content["device"].get("imu", {})),
+        *imu_lines,
         "[site]",
         f"# latitude_deg = 0.0   # {place}" if latitude is None else _line("latitude_deg", latitude),
         "# height_m = 0.0",
@@ -72,14 +100,6 @@ def session_text(draft: Draft, folder: Path, programme: str | None, *, named: bo
     else:
         lines += ["[programme]", _line("name", programme)]
     return "\n".join(lines) + "\n"
-
-
-def _imu_lines(imu: Mapping[str, int]) -> list[str]:
-    """The table [device.imu]."""
-    if not imu:
-        return []
-    said = "# which sensors of the autopilot these are, from 1, and their device ids: `tumble export` compares them"
-    return ["[device.imu]", said, *(_line(key, value) for key, value in imu.items()), ""]
 
 
 _LOG_KEYS = (

@@ -11,27 +11,30 @@ from typing import Any
 
 import numpy as np
 
-from tumble.drafting.log_times import Stamps, Times, times_of_column, times_without_column
-from tumble.errors import InputError, LogError
-from tumble.recording.dialect import Dialect, is_clock
-from tumble.recording.formats.columns import ACCEL, Columns, is_no_sensor
-from tumble.recording.gaps import is_reading
-from tumble.recording.log_source import LogSource
-from tumble.recording.readers import source_of
+from tumble.drafting.times import Stamps, Times, times_of_column, times_without_column
+from tumble.errors import InputError, LogError, did_you_mean
+from tumble.recording.columns.names import ACCEL, TIME_KIND, Columns, is_no_sensor, time_unit, unit_of_name
+from tumble.recording.formats.message import Sensors
+from tumble.recording.readers import KeptLog, source_of
+from tumble.recording.rows.gaps import is_reading
+from tumble.recording.text.dialect import Dialect, is_clock
 from tumble.reduction.tuning import USUAL
 from tumble.units import Array
 
 LONGEST = 2_000_000
 """Rows that are looked at."""
 
+HEAD_ROWS = 20_000
 SAMPLE_ROWS = 200
-_HEAD = 20_000
 _FUSED = re.compile(r"grav|user_?acc|linear_?acc(?!.*cov)|\blacc", re.IGNORECASE)
 SHOWN = 12
 _SHORTEST_SESSION = 4 * USUAL.rest
 """s: what four rests alone take, and fewer tell nothing."""
 _FILLED = 50
 """Rows that are alike in all sensors, at the end of a log, are no samples if they are as many."""
+
+Stated = Mapping[str, Sequence[str]]
+"""Columns by what they are: three of "accel" and of "gyro", one of "time"; nothing where none are stated."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -46,32 +49,53 @@ class FoundLog:
     cells: Mapping[str, Sequence[str]] = field(default_factory=dict)
     said: tuple[str, ...] = ()
     dialect: Dialect | None = None
+    kept: dict[Path, KeptLog] = field(default_factory=dict)
+    """The files that were read, by their paths: every look at them is at what was read once."""
 
-    def sources(self) -> Iterator[LogSource]:
+    def sources(self) -> Iterator[KeptLog]:
         """The files, as they are read."""
         for file in self.files:
-            yield source_of(file, self.dialect)
+            path = file.resolve()
+            if path not in self.kept:
+                self.kept[path] = KeptLog(source_of(file, self.dialect))
+            yield self.kept[path]
 
-    def read(self, columns: Sequence[str], *, rows: int = LONGEST, clock: str | None = None) -> Array:
-        """The first rows of some columns, of all files."""
-        found, count = [np.empty((0, len(columns)))], 0
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The columns of the first file."""
+        return next(self.sources()).names
+
+    @property
+    def clock(self) -> str | None:
+        """The column of times of day, where that of the time is one."""
+        column = self.columns.time
+        return column if column is not None and self.is_clock(column) else None
+
+    def read(self, columns: Sequence[str], *, rows: int = LONGEST) -> Array:
+        """The first rows of some columns, of all files; those that a session would read are read together. Of times of
+        day seconds, NaN for what is no reading."""
+        known = self.columns
+        sensors = [c for kind in ("accel", "gyro") if kind in known.triads for c in known.triads[kind].columns]
+        together = [c for c in (known.time, *sensors) if c is not None]
+        wanted = together if set(columns) <= set(together) else columns
+        parts, count = [np.empty((0, len(columns)))], 0
         for source in self.sources():
-            for table, _ in source.tables(columns, clock):
-                read = table.select(columns).to_numpy()[: rows - count]
-                found.append(np.where(is_reading(read), read, np.nan))
-                count += len(found[-1])
+            for table, _ in source.tables(wanted, self.clock if self.clock in wanted else None):
+                numbers = table.select(columns).to_numpy()[: rows - count]
+                parts.append(np.where(is_reading(numbers), numbers, np.nan))
+                count += len(numbers)
                 if count >= rows:
-                    return np.concatenate(found)
-        return np.concatenate(found)
+                    return np.concatenate(parts)
+        return np.concatenate(parts)
 
     def readings(self, column: str) -> Array:
-        """The numbers in the first rows of a column; where there are none, those in all. None where some of its rows
-        cannot be read."""
+        """The numbers in the first rows of a column; where there are none, those in all; none where it cannot be
+        read."""
         with suppress(LogError):
-            for rows in (_HEAD, LONGEST):
-                found = self.read([column], rows=rows)[:, 0]
-                if np.isfinite(found).any():
-                    return found[np.isfinite(found)]
+            for rows in (HEAD_ROWS, LONGEST):
+                numbers = self.read([column], rows=rows)[:, 0]
+                if np.isfinite(numbers).any():
+                    return numbers[np.isfinite(numbers)]
         return np.empty(0)
 
     def is_clock(self, column: str) -> bool:
@@ -80,16 +104,101 @@ class FoundLog:
         return bool(cells) and sum(map(is_clock, cells)) > len(cells) // 2
 
     def stamps(self) -> Stamps | None:
-        """The time stamps of the first file, if it has any."""
+        """The time stamps of the first file, if it has any; times of day go on past midnight."""
         column = self.columns.time
         if column is None:
             return None
-        clock = self.is_clock(column)
-        first = replace(self, files=self.files[:1])
-        values = first.read([column], clock=column if clock else None)[:, 0]
-        if clock:  # past midnight
+        clock = self.clock is not None
+        values = replace(self, files=self.files[:1]).read([column])[:, 0]
+        if clock:
             values = values + 86400.0 * np.cumsum(np.diff(values, prepend=values[:1]) < -43200.0)
         return Stamps(column=column, values=values, unit=self.columns.time_unit, clock=clock)
+
+    def times(self, rate: float | None) -> Times:
+        """When the rows were taken; `rate` as given, Hz."""
+        if rate is not None:
+            return times_without_column(rate, ())
+        stamps = self.stamps()
+        times = None if stamps is None else times_of_column(stamps)
+        if times is not None and stamps is not None:
+            span = len(stamps.values) / times.rate
+            if len(self.files) > 1 or span >= _SHORTEST_SESSION:
+                return times
+            said = f"time: all of the log is {span:.3g} s by its times, too short to turn and rest in"
+            return replace(times, said=(*times.said, f"{said}: is the unit right?"))
+        assumed = times_without_column(None, self.remarks)
+        if stamps is None:
+            return assumed
+        return replace(assumed, said=(f"time: column {stamps.column!r} does not grow and is not used", *assumed.said))
+
+    def with_stated(self, stated: Stated) -> FoundLog:
+        """The log with sensors and time as the user states them, by name or by number from 1; what was taken for
+        something else of these columns is so no more. Raises InputError for columns that it does not have."""
+        columns = {kind: tuple(self._named(kind, c.strip()) for c in listed) for kind, listed in stated.items()}
+        taken = [c for listed in columns.values() for c in listed]
+        if not taken:
+            return self
+        twice = next((c for c in taken if taken.count(c) > 1), None)
+        for kind, listed in columns.items():
+            if len(listed) != (1 if kind == TIME_KIND else 3) or twice in listed:
+                three = "three columns that are nothing else, with commas between"
+                wanted = "one column" if kind == TIME_KIND else three
+                raise InputError(f"--{kind}: expected {wanted}, found {','.join(stated[kind])}")
+        known = self.columns
+        triads = {kind: s for kind, s in known.triads.items() if kind not in columns and not {*s.columns} & {*taken}}
+        for kind in columns.keys() - {TIME_KIND}:
+            x, y, z = columns[kind]
+            triads[kind] = Sensors(columns=(x, y, z), unit=unit_of_name(kind, x))
+        time = columns.get(TIME_KIND, (None if known.time in taken else known.time,))[0]
+        stayed = time == known.time
+        changed = replace(
+            known,
+            triads=triads,
+            time=time,
+            time_unit=known.time_unit if stayed else None if time is None else time_unit(time),
+            times=known.times if stayed else (),
+            temperatures=tuple(c for c in known.temperatures if c not in taken),
+            counter=None if known.counter in taken else known.counter,
+        )
+        said = (f"{kind}: {', '.join(listed)}, as stated" for kind, listed in columns.items())
+        return replace(self, columns=changed, said=(*self.said, *said))
+
+    def _named(self, kind: str, column: str) -> str:
+        """The name of a column that is given by that, or by its number from 1."""
+        names = self.names
+        if column in names:
+            return column
+        if column.isdecimal() and 0 < int(column) <= len(names):
+            return names[int(column) - 1]
+        raise InputError(
+            f"{self.files[0]}: --{kind}: expected names of columns, or numbers from 1 to {len(names)}, found "
+            f"{column!r}; there are {', '.join(names[:SHOWN])[:200]}{did_you_mean(column, names)}"
+        )
+
+    def check_has_accelerometers(self) -> None:
+        """Raises InputError where no columns are those of accelerometers."""
+        if ACCEL in self.columns.triads:
+            return
+        columns = self.names
+        names = ", ".join(columns[:SHOWN])
+        if len(columns) == len("xyz") and all(name.isdecimal() for name in columns):
+            raise InputError(
+                f"{self.files[0]}: expected a recording, found three columns without names that are none by their "
+                "numbers; of a table with a row a position write `x,y,z` above the rows, with commas between the "
+                "values, and give it to `tumble ellipsoid`"
+            )
+        if any(_FUSED.search(name) for name in columns):
+            raise InputError(
+                f"{self.files[0]}: expected readings of accelerometers, found gravity and acceleration without it, "
+                f"which a filter has made of them ({names[:120]}); log the raw accelerometers"
+            )
+        remedy = "log the readings of the accelerometers too"
+        if sum(not is_no_sensor(name) for name in columns) >= len("xyz"):
+            remedy = "state which they are (--accel N,N,N, names or numbers from 1)"
+        raise InputError(
+            f"{self.files[0]}: expected columns named as accelerometers are, such as ax, ay, az or acc_x, acc_y, "
+            f"acc_z; found {names[:200]}; {remedy}"
+        )
 
 
 def samples_in(read: Array) -> int:
@@ -100,49 +209,3 @@ def samples_in(read: Array) -> int:
     alike = ((read == read[-1]) | ~np.isfinite(read)).all(axis=1)
     last = int(np.flatnonzero(~alike)[-1]) + 1 if not alike.all() else len(read)
     return last if len(read) - last >= _FILLED else len(read)
-
-
-def check_has_accelerometers(log: FoundLog) -> None:
-    """Raises InputError where no columns are those of accelerometers."""
-    if ACCEL not in log.columns.triads:
-        columns = next(iter(log.sources())).names
-        names = ", ".join(columns[:SHOWN])
-        if len(columns) == len("xyz") and all(name.isdecimal() for name in columns):
-            raise InputError(
-                f"{log.files[0]}: expected a recording, found three columns without names that are none by their "
-                "numbers; of a table with a row a position write `x,y,z` above the rows, with commas between the "
-                "values, and give it to `tumble ellipsoid`"
-            )
-        if any(_FUSED.search(name) for name in columns):
-            raise InputError(
-                f"{log.files[0]}: expected readings of accelerometers, found gravity and acceleration without it, "
-                f"which a filter has made of them ({names[:120]}); log the raw accelerometers"
-            )
-        free = [name for name in columns if not is_no_sensor(name)]
-        remedy = (
-            "state which they are (--accel N,N,N, names or numbers from 1)"
-            if len(free) >= len("xyz")
-            else "log the readings of the accelerometers too"
-        )
-        raise InputError(
-            f"{log.files[0]}: expected columns named as accelerometers are, such as ax, ay, az or acc_x, acc_y, acc_z; "
-            f"found {names[:200]}; {remedy}"
-        )
-
-
-def times_of(log: FoundLog, rate: float | None) -> Times:
-    """When the rows of a log were taken; `rate` as given, Hz."""
-    if rate is not None:
-        return times_without_column(rate, ())
-    stamps = log.stamps()
-    times = None if stamps is None else times_of_column(stamps)
-    if times is not None and stamps is not None:
-        span = len(stamps.values) / times.rate
-        if len(log.files) > 1 or span >= _SHORTEST_SESSION:
-            return times
-        short = f"time: all of the log is {span:.3g} s by its times, too short to turn and rest in: is the unit right?"
-        return replace(times, said=(*times.said, short))
-    assumed = times_without_column(None, log.remarks)
-    if stamps is None:
-        return assumed
-    return replace(assumed, said=(f"time: column {stamps.column!r} does not grow and is not used", *assumed.said))

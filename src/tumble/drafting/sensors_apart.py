@@ -9,12 +9,11 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
-from tumble.drafting.found_log import SHOWN, FoundLog, check_has_accelerometers
-from tumble.drafting.log_times import grows_mostly, recordings_of, times_of_column
+from tumble.drafting.found_log import HEAD_ROWS, SHOWN, FoundLog
+from tumble.drafting.times import grows_mostly, recordings_of, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
-from tumble.recording import formats
-from tumble.recording.formats.columns import (
+from tumble.recording.columns.names import (
     ACCEL,
     GYRO,
     SENSOR_WORDS,
@@ -23,12 +22,13 @@ from tumble.recording.formats.columns import (
     is_no_sensor,
     unit_of_name,
 )
-from tumble.recording.formats.columns_by_data import time_by_data
+from tumble.recording.columns.numbers import time_by_data
+from tumble.recording.columns.scales import CANDIDATES
+from tumble.recording.formats import as_log
 from tumble.recording.formats.message import TIME, Message, Sensors
-from tumble.recording.formats.scales import CANDIDATES
 from tumble.units import TIME_UNITS
 
-_HEAD, _NEAR = 20_000, 0.1
+_NEAR = 0.1
 _UNCALIBRATED = re.compile(r"acc.*uncal|uncal.*acc", re.IGNORECASE)
 _NOT_ACCEL = re.compile(r"lin|user|uncal|without|\bno[_ ]?g", re.IGNORECASE)
 
@@ -68,7 +68,7 @@ def _reads_gravity(log: FoundLog) -> bool:
     columns = _three(log, ACCEL)[1]
     if not columns:
         return False
-    length = float(np.nanmedian(np.linalg.norm(log.read(columns, rows=_HEAD), axis=1)))
+    length = float(np.nanmedian(np.linalg.norm(log.read(columns, rows=HEAD_ROWS), axis=1)))
     return any(c.unit is not None and abs(length / c.value - 1.0) < _NEAR for c in CANDIDATES[ACCEL])
 
 
@@ -76,18 +76,16 @@ def of_sensors_apart(logs: Sequence[FoundLog], folder: OutputFolder) -> FoundLog
     """Accelerometers and gyros that come in a file each, as of phones, as one log at the times of the gyros."""
     by_kind = _by_kind(logs)
     if ACCEL not in by_kind:
-        check_has_accelerometers(logs[0])
+        logs[0].check_has_accelerometers()
     accel, gyro = _message(by_kind[ACCEL], ACCEL), _message(by_kind[GYRO], GYRO) if GYRO in by_kind else None
     joined = folder.new_file("log.parquet")
-    formats.as_log(joined, accel, gyro)
+    as_log(joined, accel, gyro)
     triads = {ACCEL: accel.accel, GYRO: gyro.gyro if gyro is not None else None}
     named = " and ".join(log.files[0].name for log in by_kind.values())
     columns = Columns(
         time=TIME,
         time_unit="s",
         triads={kind: sensors for kind, sensors in triads.items() if sensors is not None},
-        temperatures=(),
-        others=(),
     )
     unused = [log.files[0].name for log in logs if log not in by_kind.values()]
     also = (f"also there, and not used: {', '.join(unused)}",) if unused else ()
@@ -129,7 +127,7 @@ def _message(log: FoundLog, kind: str) -> Message:
         )
     unit = unit_of_name(kind, source[0]) or unit_of_name(kind, f"{'acc' if kind == ACCEL else 'gyro'} {source[0]}")
     x, y, z = (f"{kind}_{axis}" for axis in "xyz")
-    read = log.read([stamps.column, *source], clock=stamps.column if stamps.clock else None)
+    read = log.read([stamps.column, *source])
     read = read[np.isfinite(read).all(axis=1)]
     if recordings_of(read[:, 0]) is not None:
         raise InputError(

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tumble.errors import InputError
-from tumble.recording.formats.columns import unit_of_name
+from tumble.recording.columns.names import unit_of_name
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_of
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, ZERO_CELSIUS, Array
@@ -69,7 +69,8 @@ def session_of_arrays(
         if given is not None:
             readings = readings_of(kind, given)
             columns = _columns(kind, readings.shape[1])
-            log[kind] = {"columns": columns, "unit": SI[kind][0]} | _axes(axes)
+            log[kind] = {"columns": columns, "unit": SI[kind][0]}
+            log[kind] |= {} if axes is None else {"axes": _numbers("axes", axes).tolist()}
             data |= dict(zip(columns, readings.T, strict=True))
     _check_gravity(np.column_stack([data[column] for column in log["accel"]["columns"]]))
     if time is not None:
@@ -83,14 +84,18 @@ def session_of_arrays(
     _check_lengths(data)
     if clock_ppm_u is not None:
         log["clock_ppm_u"] = _number("clock_ppm_u", clock_ppm_u)
-    description: dict[str, Any] = {
-        "format": 1,
-        "device": {"serial": serial},
-        "site": _site(latitude, height, gravity, gravity_u),
-        "log": log,
-    }
+    site = {"height_m": _number("height", height)}
+    if latitude is not None:
+        if not abs(_number("latitude", latitude)) <= np.pi / 2:
+            raise InputError(f"latitude: expected radians from -π/2 to π/2, found {latitude:g}; use np.radians(…)")
+        site["latitude_deg"] = _number("latitude", latitude) / DEGREE
+    for name, value in (("gravity", gravity), ("gravity_u", gravity_u)):
+        if value is not None:
+            site[name] = _number(name, value)
+    description: dict[str, Any] = {"format": 1, "device": {"serial": serial}, "site": site, "log": log}
     if programme is not None:
-        description["programme"] = _programme(programme)
+        listed = [] if isinstance(programme, str) else [{"attitude": code} for code in programme]
+        description["programme"] = {"name": programme} if isinstance(programme, str) else {"position": listed}
     return session_of(description, data)
 
 
@@ -111,19 +116,13 @@ def numbers_of(what: str, given: npt.ArrayLike, *, increments: bool = False) -> 
     Raises InputError for anything else, and for columns of a frame whose names say another unit."""
     numbers = _numbers(what, given)
     check_finite(what, numbers)
-    if what in SI:
-        rate, increment = SI[what]
-        _check_unit(what, given, increment if increments else rate)
-    return numbers
-
-
-def _check_unit(kind: str, given: npt.ArrayLike, si: str) -> None:
-    for column in map(str, getattr(given, "columns", ())):
-        unit = unit_of_name(kind, column)
+    for column in map(str, getattr(given, "columns", ()) if what in SI else ()):
+        si, unit = SI[what][increments], unit_of_name(what, column)
         if unit not in (None, si):
-            known = _UNITS[kind][unit]
+            known = _UNITS[what][unit]
             advice = f"multiply it by {known.factor:.9g}" if known.kind == "rate" else "convert it"
-            raise InputError(f"{kind}: expected {si}, found a column {column!r} in {unit}; {advice}")
+            raise InputError(f"{what}: expected {si}, found a column {column!r} in {unit}; {advice}")
+    return numbers
 
 
 def check_finite(what: str, numbers: Array) -> None:
@@ -166,10 +165,6 @@ def _number(what: str, value: object) -> float:
 
 def _columns(kind: str, sensors: int) -> list[str]:
     return [f"{kind}_{'xyz'[i] if sensors == 3 else i}" for i in range(sensors)]
-
-
-def _axes(axes: npt.ArrayLike | None) -> dict[str, Any]:
-    return {} if axes is None else {"axes": _numbers("axes", axes).tolist()}
 
 
 def _check_gravity(accel: Array) -> None:
@@ -223,17 +218,3 @@ def _check_lengths(data: Mapping[str, Array]) -> None:
             raise InputError(
                 f"{name}: expected {len(data[first])} samples, as many as {first} has, found {len(data[name])}"
             )
-
-
-def _site(latitude: float | None, height: float, gravity: float | None, gravity_u: float | None) -> dict[str, Any]:
-    site = {"height_m": _number("height", height)}
-    if latitude is not None:
-        if not abs(_number("latitude", latitude)) <= np.pi / 2:
-            raise InputError(f"latitude: expected radians from -π/2 to π/2, found {latitude:g}; use np.radians(…)")
-        site["latitude_deg"] = _number("latitude", latitude) / DEGREE
-    given = {"gravity": gravity, "gravity_u": gravity_u}
-    return site | {name: _number(name, value) for name, value in given.items() if value is not None}
-
-
-def _programme(given: str | Sequence[str]) -> dict[str, Any]:
-    return {"name": given} if isinstance(given, str) else {"position": [{"attitude": code} for code in given]}

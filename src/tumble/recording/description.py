@@ -12,11 +12,9 @@ from typing import Any
 import numpy as np
 
 from tumble.recording.autopilot import sensors_content
-from tumble.recording.circumstances import Circumstances, circumstances_content
-from tumble.recording.dialect import Dialect
-from tumble.recording.session import Channels, LogSpec, ProgrammeSpec, Session, Site, TemperatureChannels
-from tumble.recording.session_keys.log import CLOCK
-from tumble.recording.session_keys.temperature import TemperatureTable
+from tumble.recording.circumstances import circumstances_content
+from tumble.recording.session import Channels, LogSpec, Session, TemperatureChannels
+from tumble.recording.session.log_tables import CLOCK, RAW
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, TIME_UNITS, Unit
 
 
@@ -29,47 +27,50 @@ def description_of(session: Session) -> dict[str, Any]:
     >>> tumble.description_of(session)["log"]
     {'rate_hz': 100.0, 'accel': {'columns': ['accel_x', 'accel_y', 'accel_z'], 'unit': 'm/s^2'}}
     """
-    device: dict[str, Any] = {"serial": session.device.serial, "model": session.device.model}
-    device |= {"imu": sensors_content(session.device.imu)} if session.device.imu else {}
-    passport = session.device.systematic
+    device, site, spec, given = session.device, session.site, session.log, session.circumstances
     content: dict[str, Any] = {
         "format": 1,
-        "device": _given(device | {"systematic": None if passport is None else str(passport.resolve())}),
-        "site": _site(session.site),
-        "log": _log(session.log),
+        "device": {
+            "serial": device.serial,
+            "model": device.model,
+            "imu": sensors_content(device.imu) or None,
+            "systematic": None if device.systematic is None else str(device.systematic.resolve()),
+        },
+        "site": {
+            "latitude_deg": None if site.latitude is None else site.latitude / DEGREE,
+            "height_m": site.height,
+            "gravity": site.gravity,
+            "gravity_u": site.gravity_u,
+            "field": site.field,
+        },
+        "log": _log(spec),
+        "programme": None,
+        "session": circumstances_content(given) or None,
     }
-    content |= {} if session.programme is None else {"programme": _programme(session.programme)}
-    return content | _circumstances(session.circumstances)
-
-
-def _circumstances(given: Circumstances) -> dict[str, Any]:
-    """The table [session], where there is anything to say."""
-    stated = circumstances_content(given)
     if given.date is not None:
-        stated["date"] = datetime.fromisoformat(given.date) if "T" in given.date else given.day
-    return {"session": stated} if stated else {}
+        content["session"]["date"] = datetime.fromisoformat(given.date) if "T" in given.date else given.day
+    if session.programme is not None:
+        name, positions = session.programme.name, session.programme.positions
+        listed = [{"attitude": p.attitude, "start": p.start, "stop": p.stop} for p in positions]
+        content["programme"] = {"name": name, "position": None if name is not None else listed}
+    stated: dict[str, Any] = _stated(content)
+    return stated
 
 
-def _given(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in values.items() if value is not None}
-
-
-def _site(site: Site) -> dict[str, Any]:
-    values = {
-        "latitude_deg": None if site.latitude is None else site.latitude / DEGREE,
-        "height_m": site.height,
-        "gravity": site.gravity,
-        "gravity_u": site.gravity_u,
-        "field": site.field,
-    }
-    return _given(values)
+def _stated(value: Any) -> Any:
+    """What is not None of a table and those within it."""
+    if isinstance(value, list):
+        return [_stated(part) for part in value]
+    if not isinstance(value, dict):
+        return value
+    return {key: _stated(part) for key, part in value.items() if part is not None}
 
 
 def _log(spec: LogSpec) -> dict[str, Any]:
     files = [str(file.resolve()) for file in spec.files if isinstance(file, Path)]
     unit = CLOCK if spec.clock else next(name for name, factor in TIME_UNITS.items() if factor == spec.time_factor)
     magnetometer = spec.magnetometer
-    values = {
+    return {
         "file": files[0] if len(files) == 1 else files or None,
         "time": spec.time,
         "time_unit": None if spec.time is None or unit == "s" else unit,
@@ -79,11 +80,8 @@ def _log(spec: LogSpec) -> dict[str, Any]:
         "accel": _channels(spec.accel, ACCEL_UNITS),
         "gyro": None if spec.gyro is None else _channels(spec.gyro, GYRO_UNITS),
         "temperature": None if spec.temperature is None else _thermometers(spec.temperature),
-        "magnetometer": None
-        if magnetometer is None
-        else {"columns": list(magnetometer.columns), "unit": magnetometer.unit},
-    }
-    return _given(values | _dialect(spec.dialect))
+        "magnetometer": magnetometer and {"columns": list(magnetometer.columns), "unit": magnetometer.unit},
+    } | ({} if spec.dialect is None else asdict(spec.dialect))
 
 
 def _thermometers(given: TemperatureChannels) -> dict[str, Any]:
@@ -91,14 +89,10 @@ def _thermometers(given: TemperatureChannels) -> dict[str, Any]:
     one_each = max(map(len, of_kinds)) == 1
     listed = list(dict.fromkeys(chain(*of_kinds))) if one_each else [*given.accel, *given.gyro]
     content: dict[str, Any] = {"columns": [given.columns[t] for t in listed], "unit": given.unit_name}
-    if given.unit_name == TemperatureTable.RAW:
+    if given.unit_name == RAW:
         scale = 1.0 / given.gain
         content |= {"scale": scale[listed].tolist(), "offset": (-given.shift * scale)[listed].tolist()}
     return content
-
-
-def _dialect(dialect: Dialect | None) -> dict[str, Any]:
-    return {} if dialect is None else asdict(dialect)
 
 
 def _channels(channels: Channels, units: Mapping[str, Unit]) -> dict[str, Any]:
@@ -110,14 +104,3 @@ def _channels(channels: Channels, units: Mapping[str, Unit]) -> dict[str, Any]:
     if not np.array_equal(channels.axes, np.eye(3)):
         content["axes"] = channels.axes.tolist()
     return content
-
-
-def _programme(spec: ProgrammeSpec) -> dict[str, Any]:
-    if spec.name is not None:
-        return {"name": spec.name}
-    return {
-        "position": [
-            _given({"attitude": position.attitude, "start": position.start, "stop": position.stop})
-            for position in spec.positions
-        ]
-    }

@@ -12,19 +12,20 @@ import os
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
 from tumble.brief import Brief
 from tumble.errors import LogError, TumbleError, did_you_mean
 from tumble.recording.circumstances import date_of_unix
-from tumble.recording.even_times import regular_grid, rounded_grid
-from tumble.recording.gaps import Bridge, Gap, Grid
 from tumble.recording.log_source import LogSource, readable
 from tumble.recording.readers import source_of
+from tumble.recording.rows.even import regular_grid, rounded_grid
+from tumble.recording.rows.gaps import Bridge, Gap, Grid
+from tumble.recording.rows.timed import check_head, rows_of
 from tumble.recording.samples import Samples
 from tumble.recording.session import LogSpec, Session
-from tumble.recording.timed_rows import check_head, rows_of
 from tumble.units import ZERO_CELSIUS, Array
 
 HEAD_ROWS = 1000
@@ -105,7 +106,8 @@ class Log(Brief):
                 for piece in file.content(self.session.log.columns):
                     digest.update(piece)
             else:
-                with readable(file), file.open("rb", buffering=0) as stream:
+                path = file if isinstance(file, Path) else file.path
+                with readable(path), path.open("rb", buffering=0) as stream:
                     hashlib.file_digest(stream, lambda: digest)
         return digest.hexdigest()
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from tumble.errors import LogError
 from tumble.recording.ahead import one_ahead
-from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log
+from tumble.recording.rows.gaps import Gap
 from tumble.reduction import kernels as _kernels
 from tumble.reduction.array_motion import FEWEST
 from tumble.reduction.motion_samples import MotionSamples

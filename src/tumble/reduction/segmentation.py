@@ -34,7 +34,7 @@ from typing import Literal
 import numpy as np
 
 from tumble.earth import EARTH_RATE
-from tumble.recording.gaps import Gap
+from tumble.recording.rows.gaps import Gap
 from tumble.reduction.blocks import ChannelState, FileBlocks, Reduction
 from tumble.reduction.gyro_levels import OffLevel, Span, core, level_function, times_of
 from tumble.reduction.tuning import USUAL, Tuning

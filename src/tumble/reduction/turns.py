@@ -8,7 +8,7 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 
-from tumble.recording.gaps import Gap
+from tumble.recording.rows.gaps import Gap
 from tumble.reduction.blemishes import bad_samples_of_turns
 from tumble.reduction.blocks import Reduction
 from tumble.reduction.coloured_noise import ColouredNoise

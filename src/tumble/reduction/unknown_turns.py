@@ -17,7 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from tumble.recording.gaps import Gap
+from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Channels
 from tumble.reduction.array_motion import read_by
 from tumble.reduction.blocks import Reduction, extremes

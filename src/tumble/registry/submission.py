@@ -16,7 +16,7 @@ from tumble.calibration.calibration_file import Calibration, calibration_of, tex
 from tumble.calibration.half import accepted_part
 from tumble.errors import InputError
 from tumble.files import FilePath
-from tumble.recording.session_keys.device import LONGEST_NAME
+from tumble.recording.session.table import LONGEST_NAME
 from tumble.registry.types import State
 
 

@@ -10,8 +10,7 @@ Parquet file, which a session can name. One reader per format, each behind the e
     .mat, .h5, .hdf5              arrays                   arrays
 """
 
-from tumble.recording.formats.conversion import as_log
 from tumble.recording.formats.message import Message, Sensors
-from tumble.recording.formats.recording import ENDINGS, is_recording, messages
+from tumble.recording.formats.recording import ENDINGS, as_log, is_recording, messages
 
 __all__ = ["ENDINGS", "Message", "Sensors", "as_log", "is_recording", "messages"]

@@ -10,7 +10,6 @@ import math
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -55,23 +54,7 @@ def messages(path: Path) -> list[Message]:
         finally:
             log.close()
     origin = min((rows[0][0] for rows in kept.values()), default=0.0)
-    found = ((kind, instance, np.array(rows)) for (kind, instance), rows in sorted(kept.items()))
-    return [
-        replace(_message(kind, instance, rows, origin), imu=_sensors(kind, instance + 1, ids))
-        for kind, instance, rows in found
-    ]
-
-
-def _sensors(kind: str, number: int, ids: Mapping[str, int]) -> dict[str, AutopilotSensor]:
-    """Which accelerometers and gyros a message is of: the number is that of its instance, the id among the
-    parameters."""
-    prefix, counted = ("INS", "" if number == 1 else str(number)) if number <= _NAMED_INSIDE else (f"INS{number}", "")
-    wanted = {"accel": "ACC", "gyro": "GYR"}
-    return {
-        sensor: AutopilotSensor(number=number, id=ids.get(f"{prefix}_{word}{counted}_ID") or None)
-        for sensor, word in wanted.items()
-        if kind in ("IMU", word)
-    }
+    return [_message(kind, instance, np.array(rows), origin, ids) for (kind, instance), rows in sorted(kept.items())]
 
 
 @contextmanager
@@ -97,11 +80,14 @@ def _reading(kind: str, message: Any) -> list[float]:
     return [taken, *(getattr(message, field) for field in _FIELDS[kind].values()), *temperature]
 
 
-def _message(kind: str, instance: int, rows: Any, origin: float) -> Message:
+def _message(kind: str, instance: int, rows: Any, origin: float, ids: Mapping[str, int]) -> Message:
+    """Rows of one instance; its number among the sensors is that of the instance, and their ids are parameters."""
     rows[:, 0] = (rows[:, 0] - origin) * _SECOND
     names = [TIME, *_FIELDS[kind]]
     warm = kind == "IMU" and bool(np.isfinite(rows[:, -1]).all() and rows[:, -1].any())  # 0: no thermometer
     names += [_TEMPERATURE] if warm else []
+    number = instance + 1
+    prefix, counted = ("INS", "" if number == 1 else str(number)) if number <= _NAMED_INSIDE else (f"INS{number}", "")
     return Message(
         name=f"{kind}.{instance}",
         count=len(rows),
@@ -110,6 +96,11 @@ def _message(kind: str, instance: int, rows: Any, origin: float) -> Message:
         temperatures=(_TEMPERATURE,) if warm else (),
         rows=partial(_tables, rows[:, : len(names)], names),
         remark=_REMARK,
+        imu={
+            sensor: AutopilotSensor(number=number, id=ids.get(f"{prefix}_{word}{counted}_ID") or None)
+            for sensor, word in (("accel", "ACC"), ("gyro", "GYR"))
+            if kind in ("IMU", word)
+        },
     )
 
 

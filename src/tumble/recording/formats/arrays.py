@@ -21,12 +21,12 @@ from scipy.io import loadmat
 from scipy.io.matlab import MatlabOpaque, MatReadError
 
 from tumble.errors import InputError
-from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name
-from tumble.recording.formats.columns import Columns as Known
-from tumble.recording.formats.columns_by_data import columns_by_data, grows
+from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, columns_by_name
+from tumble.recording.columns.names import Columns as Known
+from tumble.recording.columns.numbers import columns_by_data, grows
 from tumble.recording.formats.message import TIME, Message
-from tumble.recording.gaps import is_reading
-from tumble.recording.unpacked import LARGEST_RATIO, SMALL_BYTES
+from tumble.recording.rows.gaps import is_reading
+from tumble.recording.text.unpacked import LARGEST_RATIO, SMALL_BYTES
 from tumble.units import TIME_UNITS
 
 NOTHING = "no arrays named as accelerometers are, such as acc_x or accel (m, 3)"

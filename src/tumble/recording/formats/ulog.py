@@ -1,14 +1,13 @@
 """PX4 flight logs (ULog): the uncorrected messages sensor_accel and sensor_gyro, one per instance, and sensor_mag; of
 sensor_baro the temperature.
 
-sensor_combined and vehicle_imu are left aside where the others are there: they hold values that PX4 has corrected with
-its own calibration and averaged.
+sensor_combined is left aside where the others are there: it holds values that PX4 has corrected with its own
+calibration and averaged.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,91 +17,72 @@ import polars as pl
 from pyulog import ULog
 
 from tumble.recording.autopilot import AutopilotSensor
-from tumble.recording.formats.message import TIME, Message, Sensors, triad
+from tumble.recording.formats.message import AXES, TIME, Message, triad
 
 NOTHING = "no messages sensor_accel or sensor_combined; set SDLOG_PROFILE to log the raw sensors"
 
 _SECOND = 1e-6  # times are in µs
-_CORRECTED = (
-    "PX4 has corrected these readings with its own calibration: reset it (CAL_ACC*, CAL_GYRO*) before recording"
-)
-_SENSORS = {
-    "sensor_accel": ("accel", ("x", "y", "z")),
-    "sensor_gyro": ("gyro", ("x", "y", "z")),
-    "sensor_mag": ("field", ("x", "y", "z")),
+_REMARKS = {
+    "sensor_combined": "PX4 has corrected these readings with its own calibration: reset it (CAL_ACC*, CAL_GYRO*) "
+    "before recording"
 }
+_UNITS = {"accel": "m/s^2", "gyro": "rad/s", "field": "gauss"}
+_FIELDS: Mapping[str, Mapping[str, str]] = {
+    "sensor_accel": {f"accel_{axis}": axis for axis in AXES},
+    "sensor_gyro": {f"gyro_{axis}": axis for axis in AXES},
+    "sensor_mag": {f"field_{axis}": axis for axis in AXES},
+    "sensor_baro": {},
+    "sensor_combined": {f"accel_{axis}": f"accelerometer_m_s2[{i}]" for i, axis in enumerate(AXES)}
+    | {f"gyro_{axis}": f"gyro_rad[{i}]" for i, axis in enumerate(AXES)},
+}
+"""Columns of each message, and its fields."""
+_THERMOMETERS = {"sensor_accel": "accel", "sensor_gyro": "gyro", "sensor_mag": "field", "sensor_baro": "baro"}
 _CALIBRATED = {"sensor_accel": ("accel", "CAL_ACC{}_ID"), "sensor_gyro": ("gyro", "CAL_GYRO{}_ID")}
 _MOST = 4  # sensors of a kind that PX4 has calibrations of
-_BAROMETER = "sensor_baro"
-_COMBINED = {
-    "accel": ("accelerometer_m_s2[0]", "accelerometer_m_s2[1]", "accelerometer_m_s2[2]"),
-    "gyro": ("gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]"),
-}
 
 
 def messages(path: Path) -> list[Message]:
     """Messages with inertial sensors, an entry for each instance."""
     with path.open("rb") as stream:
-        log = ULog(stream, [*_SENSORS, _BAROMETER, "sensor_combined"])
+        log = ULog(stream, list(_FIELDS))
     kept = sorted(log.data_list, key=lambda d: (d.name, d.multi_id))
-    kept = [data for data in kept if data.name != _BAROMETER or _has_temperature(data.data)]
+    kept = [data for data in kept if data.name != "sensor_baro" or _has_temperature(data.data)]
     origin = min((int(_taken(data.data)[0]) for data in kept), default=0)
-    found = [replace(_message(data, origin), imu=_sensors(data, log.initial_parameters)) for data in kept]
+    found = [_message(data, origin, log.initial_parameters) for data in kept]
     raw = [m for m in found if not m.name.startswith("sensor_combined")]
     return raw if any(m.accel for m in raw) else found
 
 
+def _message(data: Any, origin: int, parameters: Mapping[str, Any]) -> Message:
+    values, fields = data.data, dict(_FIELDS[data.name])
+    sensors = {kind: triad(kind, unit) for kind, unit in _UNITS.items() if f"{kind}_x" in fields}
+    warmth = {}
+    if data.name in _THERMOMETERS and _has_temperature(values):
+        warmth = {f"{_THERMOMETERS[data.name]}_temperature": "temperature"}
+    return Message(
+        name=f"{data.name}.{data.multi_id}",
+        count=len(values["timestamp"]),
+        accel=sensors.get("accel"),
+        gyro=sensors.get("gyro"),
+        magnetometer=sensors.get("field"),
+        temperatures=tuple(warmth),
+        rows=partial(_rows, values, fields | warmth, origin),
+        remark=_REMARKS.get(data.name, ""),
+        imu=_sensors(data, parameters),
+    )
+
+
 def _sensors(data: Any, parameters: Mapping[str, Any]) -> dict[str, AutopilotSensor]:
     """Which accelerometer or gyro a message is of: that whose calibration has its device id (CAL_ACC2_ID is that of the
-    third), else by the number of its instance."""
+    third; parameters have ids as numbers with a sign), else by the number of its instance."""
     kind, parameter = _CALIBRATED.get(data.name, ("", ""))
     if not kind:
         return {}
     ids = data.data.get("device_id")
     device = None if ids is None or not int(ids[0]) else int(ids[0])
-    slots = [k for k in range(_MOST) if device is not None and _unsigned(parameters.get(parameter.format(k))) == device]
+    calibrated = {slot: parameters.get(parameter.format(slot)) for slot in range(_MOST)}
+    slots = [slot for slot, stated in calibrated.items() if stated is not None and int(stated) % 2**32 == device]
     return {kind: AutopilotSensor(number=1 + (slots[0] if slots else data.multi_id), id=device)}
-
-
-def _unsigned(parameter: Any) -> int | None:
-    """A device id, which parameters have as a number with a sign."""
-    return None if parameter is None else int(parameter) % 2**32
-
-
-def _message(data: Any, origin: int) -> Message:
-    values, count = data.data, len(data.data["timestamp"])
-    name = f"{data.name}.{data.multi_id}"
-    if data.name == "sensor_combined":
-        fields = {f"{kind}_{axis}": f for kind, fs in _COMBINED.items() for axis, f in zip("xyz", fs, strict=True)}
-        accel, gyro = triad("accel", "m/s^2"), triad("gyro", "rad/s")
-        return Message(
-            name=name,
-            count=count,
-            accel=accel,
-            gyro=gyro,
-            rows=partial(_rows, values, fields, origin),
-            remark=_CORRECTED,
-        )
-    if data.name == _BAROMETER:
-        fields = {"baro_temperature": "temperature"}
-        rows = partial(_rows, values, fields, origin)
-        return Message(name=name, count=count, accel=None, gyro=None, temperatures=("baro_temperature",), rows=rows)
-    kind, columns = _SENSORS[data.name]
-    fields = {f"{kind}_{axis}": f for axis, f in zip("xyz", columns, strict=True)}
-    warmth = {f"{kind}_temperature": "temperature"} if _has_temperature(values) else {}
-    return Message(
-        name=name,
-        count=count,
-        accel=_only("accel", kind, "m/s^2"),
-        gyro=_only("gyro", kind, "rad/s"),
-        magnetometer=_only("field", kind, "gauss"),
-        temperatures=tuple(warmth),
-        rows=partial(_rows, values, fields | warmth, origin),
-    )
-
-
-def _only(wanted: str, kind: str, unit: str) -> Sensors | None:
-    return triad(kind, unit) if kind == wanted else None
 
 
 def _has_temperature(values: dict[str, Any]) -> bool:

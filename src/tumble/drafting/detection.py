@@ -1,0 +1,264 @@
+"""What files of text or Parquet are: how they are written, and which columns are those of which sensors."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from tumble.documents import check_regular
+from tumble.drafting.containers.json_document import tables_of_json
+from tumble.drafting.containers.other_formats import check_is_log
+from tumble.drafting.containers.sensor_rows import split_by_header, split_by_sensor
+from tumble.drafting.dialects.respelled import respelled
+from tumble.drafting.found_log import LONGEST, SAMPLE_ROWS, FoundLog, Stated, samples_in
+from tumble.drafting.mended import nanoseconds_of
+from tumble.drafting.sensors_apart import are_sensors_apart, of_sensors_apart
+from tumble.drafting.times import times_of_column
+from tumble.errors import InputError
+from tumble.files import OutputFolder
+from tumble.recording.columns.names import ACCEL, GYRO, columns_by_name, is_no_sensor, time_unit, unit_of_name
+from tumble.recording.columns.numbers import ToldColumns, columns_by_data, time_by_data
+from tumble.recording.formats.message import Sensors
+from tumble.recording.log_source import readable
+from tumble.recording.readers import ENDINGS, source_of
+from tumble.recording.text.dialect import LINE_BYTES, Dialect, Top, dialect_of, is_clock
+from tumble.recording.text.pieces import opened
+
+_SEEN_BYTES = 1 << 18
+_GROWING = 0.9  # of the steps of stamps that are those of rows
+_NO_LOGS = (".toml", ".json", ".md", ".pdf", ".png", ".html")
+
+
+def files_of(log: Path) -> list[Path]:
+    """The files that a path means: itself, those of a folder, or those that a pattern fits, in the order of the numbers
+    in their names: pos2 before pos10."""
+    pattern = not log.exists() and bool(set(log.name) & set("*?["))
+    if log.is_dir() and not (log / "metadata.yaml").is_file():
+        files = [file for file in log.iterdir() if file.is_file() and not file.name.startswith(".")]
+        files = [file for file in files if file.suffix.lower() not in _NO_LOGS]
+        missing = "a folder with logs, found none in it"
+    elif pattern:
+        files, missing = list(log.parent.glob(log.name)), "files that fit this pattern, found none"
+    else:
+        check_regular(log)
+        files, missing = [log] if log.exists() else [], "a log, found no such file"
+    if not files:
+        raise InputError(f"{log}: expected {missing}")
+
+    def natural(path: Path) -> list[tuple[int, str]]:
+        parts = re.split(r"([0-9]+)", path.name)
+        return [(int(part) if re.fullmatch("[0-9]{1,18}", part) else -1, part) for part in parts]
+
+    return sorted(files, key=natural)
+
+
+def found_log(files: Sequence[Path], folder: OutputFolder, stated: Stated = MappingProxyType({})) -> FoundLog:
+    """What text and Parquet files are, and which of their columns are what, where it is not `stated`. Files alike whose
+    columns no name tells are one log: a file of one position does not tell what they are, all of them do. Raises
+    InputError for those that are no logs, or not alike."""
+    logs, omitted = _those_with_rows(files, folder)
+    logs = [log.with_stated(stated) for log in logs]
+    logs = [_with_thermometers(_with_finest_time(log) if len(log.columns.times) > 1 else log) for log in logs]
+    if are_sensors_apart(logs):
+        apart = of_sensors_apart(logs, folder)
+        return replace(apart, said=(*apart.said, *omitted))
+    whole = [log for log in logs if ACCEL in log.columns.triads]
+    beside = [log for log in logs if whole and log not in whole and not all(map(str.isdecimal, log.cells))]
+    omitted += tuple(f"{log.files[0].name} has no accelerometers and is left out" for log in beside)
+    logs = [log for log in logs if log not in beside]
+    first = logs[0]
+    if len(logs) > 1 and not whole and all(log.cells and _likeness(log) == _likeness(first) for log in logs):
+        numeric = _numeric(first)
+        time = first.columns.time or time_by_data(numeric, first.read(numeric, rows=LONGEST // 10))
+        pooled = tuple(file for log in logs for file in log.files)
+        logs = [replace(first, files=pooled, columns=replace(first.columns, time=time))]
+    logs = [_with_time(log) if log in whole else _by_data(log) for log in logs]
+    first = logs[0]
+    for log in logs[1:]:
+        if (log.keys, log.columns.triads, log.columns.time) != (first.keys, first.columns.triads, first.columns.time):
+            raise InputError(
+                f"{log.files[0]}: expected a log written as {first.files[0].name} is, found another; give them to "
+                "sessions of their own"
+            )
+    first.check_has_accelerometers()
+    taken = tuple(file for log in logs for file in log.files)
+    kept = {path: source for log in logs for path, source in log.kept.items()}
+    said = first.said + ((f"{len(taken)} files, each a recording of its own",) if len(taken) > 1 else ()) + omitted
+    return replace(first, files=taken, said=said, kept=kept)
+
+
+def _likeness(log: FoundLog) -> tuple[Mapping[str, Any], set[str]]:
+    return log.keys, set(log.cells)
+
+
+class _NoRowsError(InputError):
+    """A text file without rows of readings."""
+
+
+def _those_with_rows(files: Sequence[Path], folder: OutputFolder) -> tuple[list[FoundLog], tuple[str, ...]]:
+    """What the files are, and what is said of those left out: text without rows of readings beside logs that have
+    some, as the metadata that a phone writes."""
+    logs: list[FoundLog] = []
+    without: list[_NoRowsError] = []
+    said: list[str] = []
+    for file in files:
+        try:
+            logs += _found(file, folder)
+        except _NoRowsError as error:
+            without.append(error)
+            said.append(f"{file.name} has no rows of readings and is left out")
+    if not logs:
+        raise without[0]
+    return logs, tuple(said)
+
+
+def _found(file: Path, folder: OutputFolder) -> list[FoundLog]:
+    """What a file is: one log, or where its rows are of single sensors one of each."""
+    if file.suffix.lower() == ".parquet":
+        return [FoundLog(files=(file,), keys={}, columns=columns_by_name(source_of(file).names))]
+    with readable(file), opened(file) as stream:
+        seen = stream.read(_SEEN_BYTES)
+    if not seen:
+        raise _NoRowsError(f"{file}: expected a log, found an empty file")
+    check_is_log(file, seen)
+    if parts := split_by_header(file, seen, folder):
+        return [log for part in parts for log in _found(part, folder)]
+    copied = respelled(file, seen, folder) or tables_of_json(file, seen, folder)
+    if copied is not None:
+        parts, remark = copied
+        return [replace(log, said=(remark, *log.said)) for part in parts for log in _found(part, folder)]
+    dialect_and_top = dialect_of(seen)
+    if dialect_and_top is None:
+        if max(map(len, seen.split(b"\n"))) > LINE_BYTES // 8 or b"\0" in seen[:1000]:
+            raise InputError(f"{file}: expected a log of rows of numbers, found something else; is it a recording?")
+        raise _NoRowsError(f"{file}: expected rows of readings below the names of the columns, found none")
+    if parts := split_by_sensor(file, seen, *dialect_and_top, folder):
+        return [log for part in parts for log in _found(part, folder)]
+    return [_found_text(file, seen, *dialect_and_top)]
+
+
+def _found_text(file: Path, seen: bytes, dialect: Dialect, top: Top) -> FoundLog:
+    plain = dialect == Dialect() and top.lines == 1 and "".join(file.suffixes[-2:]).lower().endswith(ENDINGS)
+    lines = seen.decode(dialect.encoding, errors="replace").split("\n")[top.lines : top.lines + SAMPLE_ROWS]
+    rows = [row for line in lines if len(row := dialect.cells(line)) == len(top.names)]
+    if len(rows) < 2:
+        raise _NoRowsError(f"{file}: expected rows of readings below the names of the columns, found none")
+    cells = {name: [row[j] for row in rows] for j, name in enumerate(top.names) if name}
+    words = {name for name, column in cells.items() if _are_words(column, dialect)}
+    log = FoundLog(
+        files=(file,),
+        keys={} if plain else dialect.keys(),
+        columns=columns_by_name([name for name in top.names if top.names.count(name) == 1 and name not in words]),
+        remarks=top.remarks,
+        cells=cells,
+        said=() if plain else (_described(dialect, top),),
+        dialect=None if plain else dialect,
+    )
+    if log.columns.time is None:
+        clock = next((name for name in cells if log.is_clock(name)), None)
+        log = replace(log, columns=replace(log.columns, time=clock))
+    return log
+
+
+def _are_words(column: Sequence[str], dialect: Dialect) -> bool:
+    """Whether the cells of a column are neither numbers nor times: week and seconds in one, `2022:120847.300`."""
+    filled = [cell for cell in column if cell.strip()]
+    return bool(filled) and not any(dialect.is_number(cell) or is_clock(cell) for cell in filled)
+
+
+_DELIMITER_WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
+
+
+def _described(dialect: Dialect, top: Top) -> str:
+    parts = [f"{_DELIMITER_WORDS[dialect.delimiter]} between the values"]
+    parts += ["decimal commas"] if dialect.decimal == "," else []
+    parts += [dialect.encoding] if dialect.encoding != "utf-8" else []
+    parts += ["columns without names"] if not dialect.header else []
+    parts += [f"{top.lines} lines above the numbers"] if top.lines > 1 else []
+    return f"text: {', '.join(parts)}"
+
+
+def _numeric(log: FoundLog) -> list[str]:
+    """Columns of numbers."""
+    if not log.cells:
+        schema = pl.scan_parquet(log.files[0], glob=False).collect_schema()
+        return [name for name, kind in schema.items() if kind.is_numeric()]
+    is_number = (log.dialect or Dialect()).is_number
+    return [name for name, cells in log.cells.items() if sum(map(is_number, cells)) > len(cells) // 2]
+
+
+def _by_data(log: FoundLog) -> FoundLog:
+    """A log whose accelerometers, and gyros unless they are named, are told by their numbers, if they can be. Columns
+    whose names say that they are something else are left aside; gx, gy and gz may be no gyros."""
+    known = log.columns
+    named = {kind: sensors for kind, sensors in known.triads.items() if kind != ACCEL}
+    told = _told(log, named)
+    if ACCEL not in told.columns.triads and GYRO in named:
+        named = {kind: sensors for kind, sensors in named.items() if kind != GYRO}
+        told = _told(log, named)
+    triads = {kind: replace(s, unit=unit_of_name(kind, s.columns[0])) for kind, s in told.columns.triads.items()}
+    if ACCEL not in triads:
+        return log
+    columns = replace(known, triads=triads | named, time=known.time or told.columns.time, others=(), times=())
+    return replace(log, columns=columns, said=(*log.said, *told.said(named)))
+
+
+def _told(log: FoundLog, named: Mapping[str, Sensors]) -> ToldColumns:
+    """What the columns of a log are by their numbers, but for those of sensors that are named."""
+    names = list(log.names)
+    taken = {column for sensors in named.values() for column in sensors.columns} | {log.columns.time}
+    numeric = [n for n in _numeric(log) if n not in taken and names.count(n) == 1 and not is_no_sensor(n)]
+    read = log.read(numeric) if len(numeric) >= 3 else np.empty((0, len(numeric)))
+    every = np.full((samples_in(read), len(names)), np.nan)
+    every[:, [names.index(name) for name in numeric]] = read[: len(every)]
+    return columns_by_data(names, every)
+
+
+def _with_finest_time(log: FoundLog) -> FoundLog:
+    """A log with several times: with the first whose stamps grow from row to row, else the first that grows at all."""
+    growing: list[FoundLog] = []
+    for name in dict.fromkeys((log.columns.time, *log.columns.times)):
+        trial = replace(log, columns=replace(log.columns, time=name, time_unit=time_unit(name or "")))
+        stamps = trial.stamps()
+        steps = np.zeros(1) if stamps is None else np.diff(stamps.values)
+        if np.mean(steps >= 0.0) > _GROWING and np.any(steps > 0.0) and nanoseconds_of(trial) is not None:
+            return trial
+        if stamps is None or times_of_column(stamps) is None:
+            continue
+        if np.mean(steps > 0.0) > _GROWING:
+            return trial
+        growing.append(trial)
+    return next(iter(growing), log)
+
+
+def _with_thermometers(log: FoundLog) -> FoundLog:
+    """A log without the thermometers that read nothing, so that one that does is taken."""
+    empty = [name for name in log.columns.temperatures if not len(log.readings(name))]
+    if not empty:
+        return log
+    known = log.columns
+    sensors = [column for triad in known.triads.values() for column in triad.columns]
+    anew = columns_by_name([n for n in (*sensors, *known.temperatures, *known.others) if n not in empty])
+    columns = replace(known, temperatures=anew.temperatures, others=anew.others)
+    said = f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
+    return _with_thermometers(replace(log, columns=columns, said=(*log.said, said)))
+
+
+def _with_time(log: FoundLog) -> FoundLog:
+    """A log whose time, if no name says which column it is, is one that grows as times do."""
+    if log.columns.time is not None:
+        return log
+    known = {log.columns.counter, *(c for triad in log.columns.triads.values() for c in triad.columns)}
+    names = [name for name in _numeric(log) if name not in known]
+    time = time_by_data(names, log.read(names, rows=LONGEST // 10)) if names else None
+    if time is None:
+        return log
+    said = f"time: column {time!r}, by its numbers (a guess)"
+    return replace(log, columns=replace(log.columns, time=time, time_unit=time_unit(time)), said=(*log.said, said))

@@ -1,0 +1,115 @@
+"""Lines that name their values: `ax=0.01 ay=-0.02`, `acc: 0.1, 0.2, 9.8; gyro: …`, `Acc (mg) [ 12.2, …`, `Rotation X:
+0.01, Y: -0.02, Z: 0.00 rad/s`, `GYRO: X=0.01, Y=-0.02, Z=0.00, ACCEL: X=…`; and samples of several such lines, as
+`rostopic echo` prints messages: a name stands for what is above it too, `angular_velocity:` and then `x: 0.1` further
+in, and a sample ends where a name comes again."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+
+from tumble.drafting.dialects.spelling import Spelling, of_named_values
+from tumble.recording.text.dialect import is_clock
+
+LONGEST_LINE = 4096
+# A word is looked at from its first letter, and once: a line of nothing but letters takes no longer than another one.
+_KEY = re.compile(
+    r"(?<![^\W\d])([^\W\d][\w.]*+)\s*(?:\(\s*([^()\d]+?)\s*\)\s*)?(?:[=:]\s*(?=[-+\d.\[(])|(?=\[\s*[-+]?\d+\.))"
+)
+_GROUP = re.compile(r"(?<![^\W\d])([^\W\d]\w*+)\s*(?:\([^()]*\))?\s*:\s*(?=[^\W\d]\w*\s*=)")
+_NUMBER = re.compile(r"(?<![\w^/.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_WHEN = re.compile(r"[\s\[\]()>,;|:-]*$")
+_WORD = re.compile(r"([^\W\d]\w*)\s+$")
+_WORDS = re.compile(r"(?<!\w)([^\W\d]\w*(?:[ \t]+[^\W\d]\w*)*)\s+$")
+_UNITS = r"(?:m/s\^?2|rad/s|deg/s|m?dps|m?g)"
+_UNIT = re.compile(rf"(?<![^\W\d])\s*({_UNITS})\s*$")
+_BEHIND = re.compile(rf"^[-+.,\deE\s]*(?:{_UNITS}(?!\w))?")
+"""A number and its unit."""
+_ABOVE = re.compile(r"([ \t]*)([^\W\d][\w.]*)\s*:\s*")
+_LEAST_NAMES = 6
+_SHARE = 0.8
+_TIME = "time"
+_QUANTITIES = ("velocity", "acceleration", "rate", "field")
+
+
+def named_values(lines: Sequence[str]) -> Spelling | None:
+    """The names and numbers that most lines have; None where they have none."""
+    return of_named_values(cells, lines, "names before the numbers")
+
+
+def cells(line: str) -> dict[str, str]:
+    """Names and numbers of a line; a time before the first name is one too, and a name before three numbers three."""
+    keys, groups = (list(pattern.finditer(line[:LONGEST_LINE])) for pattern in (_KEY, _GROUP))
+    if not keys:
+        return {}
+    first = min(name.start() for name in (keys[0], *groups[:1]))
+    when = _WHEN.sub("", _WORDS.sub("", line[:first])).strip(" []")
+    values = {_TIME: when} if is_clock(when) or _NUMBER.fullmatch(when) else {}
+    for key, name, after in zip(keys, _names(line, keys, groups), [*keys[1:], None], strict=True):
+        numbers = _NUMBER.findall(line[key.end() : after.start() if after else None])
+        unit = f" [{key[2]}]" if key[2] else ""
+        if len(numbers) == 1:
+            values[name + unit] = numbers[0]
+        elif len(numbers) == 3:
+            word = _WORD.search(line[: key.start()]) if name.lower() in _QUANTITIES else None  # `Angular Velocity: (…)`
+            name = f"{word[1]} {name}" if word else name
+            values |= {f"{name}_{axis}{unit}": number for axis, number in zip("xyz", numbers, strict=True)}
+    return values
+
+
+def _names(line: str, keys: Sequence[re.Match[str]], groups: Sequence[re.Match[str]]) -> list[str]:
+    """The names in a line: an axis with the sensor that stands before several, `GYRO: X=0.1, Y=…`, else with the words
+    before it, `Linear Accel X = 0.1, Y = …`, which are those of the axes behind it too."""
+    names, words, end = [], "", 0
+    for key in keys:
+        of = [group[1] for group in groups if group.end() <= key.start() and key[0].rstrip().endswith("=")]
+        before = _WORDS.search(_BEHIND.sub("", line[end : key.start()]))
+        words = before[1] if before else words
+        end = key.end()
+        names.append("_".join([*of[-1:], key[1]]) if of or len(key[1]) > 1 else f"{words} {key[1]}".strip())
+    return names
+
+
+def several_lines(lines: Sequence[str]) -> Spelling | None:
+    """The spelling of lines of which several are a sample; None where one is, or they are none."""
+    sample_before = _samples()
+    samples = [done for line in lines if (done := sample_before(line)) is not None]
+    kinds = Counter(tuple(values) for values, count in samples[1:] if count > 1)
+    names, count = kinds.most_common(1)[0] if kinds else ((), 0)
+    if len(names) < _LEAST_NAMES or count <= max(_SHARE * (len(samples) - 1), 1):
+        return None
+    reading = _samples()
+
+    def values(line: str) -> Sequence[str] | None:
+        done = reading(line)
+        return [done[0].get(name, "") for name in names] if done is not None else None
+
+    return Spelling(names=names, values=values, said=f"several lines a sample ({', '.join(names)})")
+
+
+def _samples() -> Callable[[str], tuple[dict[str, str], int] | None]:
+    """Is fed line by line, and gives the sample before, and of how many lines it was, where a line begins the next."""
+    sample: dict[str, str] = {}
+    above: list[tuple[int, str]] = []
+    count = 0
+
+    def fed(line: str) -> tuple[dict[str, str], int] | None:
+        nonlocal sample, count
+        inside = len(line) - len(line.lstrip())
+        above[:] = [(at, name) for at, name in above if at < inside]
+        title = _ABOVE.fullmatch(line.rstrip())
+        if title is not None:
+            above.append((inside, title[2]))
+            return None
+        unit = _UNIT.search(line[:LONGEST_LINE])  # behind the last number, and so of all of them
+        before, behind = "".join(f"{name}_" for _, name in above), f" [{unit[1]}]" if unit else ""
+        values = {f"{before}{name}{behind}": number for name, number in cells(line).items()}
+        done = (sample, count) if values.keys() & sample.keys() else None
+        if done is not None:
+            sample, count = {}, 0
+        sample = sample | values
+        count += bool(values)
+        return done
+
+    return fed

@@ -1,0 +1,309 @@
+"""What a session file cannot say about a log is mended in a copy of it, in the session's folder: numbers of 16 bits
+that were read without their sign, times in ticks or in seconds and nanoseconds, samples that a counter shows to be
+missing, rows that are no samples, and positions that follow each other without a turn between them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from tumble.drafting.found_log import LONGEST, SAMPLE_ROWS, FoundLog, samples_in
+from tumble.drafting.hypotheses.readings import unwrapped, wrapped
+from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column, times_without_column, unwound
+from tumble.errors import InputError
+from tumble.files import OutputFolder
+from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, time_unit
+from tumble.recording.formats.message import TIME
+from tumble.recording.log_source import LogSource
+from tumble.recording.rows.gaps import JUMP
+from tumble.recording.writer import write_tables
+from tumble.units import TIME_UNITS, Array, BoolArray
+
+_TICK = 1e-4  # s, of an Xsens SampleTimeFine
+_TENTHS_OF_MICROSECONDS = (6.2e17, 6.7e17), (1.2e17, 1.7e17)  # of dates from 1965 to 2139
+_DAYS, _DAY = ((7.2e5, 7.7e5), (2.5e4, 8e4)), 86400.0  # of dates in MATLAB, and in tables of offices
+_SHORTEST, _LONGEST = 5e-5, 0.5  # s, between samples
+_NANO = re.compile("(nano|n)(?=sec)", re.IGNORECASE)
+_BLANK_SHARE = 0.02
+_READ_SHARE = 0.5
+"""Of its sensors, that a sample at least reads: a row with words and numbers of something else reads fewer."""
+_FEWEST_ROWS = 50
+_JUMP = 0.2
+_LABEL = re.compile(
+    r"part|pos(ition)?|pose|label|section|segment|step|lage|stellung|положение|позиция|位置", re.IGNORECASE
+)
+
+Step = Callable[[pl.DataFrame], pl.DataFrame]
+"""Mends the tables of a file, one after the other; what makes one begins anew with each file."""
+
+
+def mended(log: FoundLog, folder: OutputFolder, rate: float | None) -> FoundLog:
+    """A log, or the copy of one of which a session file cannot say what it needs; `rate` as given, Hz, which stands for
+    time stamps."""
+    for kind, sensors in log.columns.triads.items():
+        if kind != MAGNETOMETER and not np.isfinite(log.read(sensors.columns, rows=SAMPLE_ROWS)).any():
+            raise InputError(f"{log.files[0]}: expected numbers in {', '.join(sensors.columns)[:200]}, found none")
+    triads = log.columns.triads
+    steps, said = _rows_that_are_samples(log)
+    unsigned = [kind for kind in (ACCEL, GYRO) if kind in triads and wrapped(log.read(triads[kind].columns))]
+    time, in_seconds, steps_of_time, said_of_time = _time(log, rate)
+    positions = None
+    if not steps and not steps_of_time and rate is None and len(log.files) == 1:
+        positions, said_of_positions = _recordings(log)
+    if positions is None:
+        positions, said_of_positions = _positions_apart(log, unsigned=ACCEL in unsigned)
+    if unsigned:
+        named = " and ".join({ACCEL: "accelerometers", GYRO: "gyros"}[kind] for kind in unsigned)
+        said.append(f"{named}: numbers of 16 bits that were read without their sign: 65536 taken off where it is due")
+        columns = [c for kind in unsigned for c in triads[kind].columns]
+        steps.append(lambda: lambda t: t.with_columns(pl.Series(c, unwrapped(t[c].to_numpy())) for c in columns))
+    said += said_of_time + said_of_positions
+    if not said:
+        return log
+
+    every = (c for c in (*time, *(c for triad in triads.values() for c in triad.columns), *log.columns.temperatures))
+    used = list(dict.fromkeys(every))
+
+    def tables(source: LogSource) -> Iterator[pl.DataFrame]:
+        mending = [begin() for begin in (*steps, *steps_of_time)]
+        for table, _ in source.tables(used, log.clock):
+            for step in mending:
+                table = step(table)
+            stamp = [TIME] if in_seconds else time
+            yield table.filter(pl.all_horizontal(pl.col(stamp).is_finite())) if stamp else table
+
+    files: list[Path] = []
+    if positions is not None:
+        whole = pl.concat(tables(next(log.sources())))
+        for number, (start, stop) in enumerate(positions, 1):
+            files.append(folder.new_file(f"position-{number:02d}.parquet"))
+            write_tables(files[-1], iter([whole.slice(start, stop - start)]))
+    else:
+        for number, source in enumerate(log.sources(), 1):
+            name = "log.parquet" if len(log.files) == 1 else f"log-{number:02d}.parquet"
+            files.append(source.path if source.path in folder.written else folder.new_file(name))
+            write_tables(files[-1], tables(source))
+    columns_now = replace(log.columns, time_unit="s") if log.clock is not None else log.columns
+    if in_seconds:
+        columns_now = replace(log.columns, time=TIME, time_unit="s")
+    copied = f"so mended, the log is copied to {files[0].name}{' …' * (len(files) > 1)}"
+    return FoundLog(
+        files=tuple(files), keys={}, columns=columns_now, remarks=log.remarks, said=(*log.said, *said, copied)
+    )
+
+
+def _rows_that_are_samples(log: FoundLog) -> tuple[list[Callable[[], Step]], list[str]]:
+    """Leaves out rows that are no samples: what memory was filled with behind the last, and rows of other sensors."""
+    steps: list[Callable[[], Step]] = []
+    said: list[str] = []
+    sensors = [c for kind, triad in log.columns.triads.items() if kind != MAGNETOMETER for c in triad.columns]
+    read = log.read(sensors)
+    samples = len(read)
+    filled = len(read) > 0 and all(len(set(three)) == 1 for three in np.nan_to_num(read[-1]).reshape(-1, 3).tolist())
+    if filled and len(log.files) == 1 and len(read) < LONGEST:
+        samples = samples_in(read)
+    if samples < len(read):
+        said.append(f"rows: the last {len(read) - samples} are all alike and no samples: left out")
+
+        def first_samples() -> Step:
+            left = samples
+
+            def step(table: pl.DataFrame) -> pl.DataFrame:
+                nonlocal left
+                taken = table.head(left)
+                left -= len(taken)
+                return taken
+
+            return step
+
+        steps.append(first_samples)
+    whole = np.asarray(np.isfinite(read[:samples]).mean(axis=1) >= _READ_SHARE)
+    blank = int(np.count_nonzero(~whole))
+    one = len(log.files) == 1 and samples > 0
+    if blank > _BLANK_SHARE * samples or (one and blank and (not whole[0] or _are_between(log, whole))):
+        said.append(f"rows: {blank} of {samples} have no readings of these sensors, as rows of others: left out")
+        has_readings = pl.mean_horizontal(pl.col(sensors).is_finite()) >= _READ_SHARE
+        steps.append(lambda: lambda table: table.filter(has_readings))
+    return steps, said
+
+
+def _are_between(log: FoundLog, whole: BoolArray) -> bool:
+    """Whether most rows without readings are between samples that follow each other as usual: none is a lost sample."""
+    stamps = log.stamps()
+    time = np.empty(0) if stamps is None else stamps.values[: len(whole)]
+    if len(time) < len(whole) or not whole[1:].any() or not np.isfinite(time[~whole]).any():  # messages have no time
+        return False
+    samples = np.flatnonzero(whole)
+    steps = np.diff(time[samples])
+    between = np.diff(samples) > 1
+    return bool(between.any() and np.median(steps[between]) < JUMP * np.median(steps))
+
+
+def _time(log: FoundLog, rate: float | None) -> tuple[list[str], bool, list[Callable[[], Step]], list[str]]:
+    """The columns of the time, whether the steps make a column TIME of them, s, the steps, and what is said."""
+    column = log.columns.time
+    if rate is None and column is None and (intervals := _intervals(log)) is not None:
+        name, unit = intervals
+        said = f"time: none, but column {name!r} has the intervals between samples, in {unit}: added up"
+        return [name], True, [lambda: _added_up(name), lambda: _seconds(name, TIME_UNITS[unit])], [said]
+    if column is None:
+        counter = log.columns.counter
+        counts = np.empty(0) if counter is None else np.diff(log.read([counter])[:, 0])
+        counts = counts[np.isfinite(counts)]
+        if counter is None or not len(counts) or counts.min() < 1.0 or np.median(counts) != 1.0 or counts.max() == 1.0:
+            return [], False, [], []
+        said = f"time: none, but column {counter!r} counts the samples and shows some to be missing"
+        per_second = rate or times_without_column(None, log.remarks).rate
+        return [counter], True, [lambda: _seconds(counter, 1.0 / per_second)], [said]
+    if rate is not None:
+        return [column], False, [], []
+    nanoseconds = nanoseconds_of(log)
+    if nanoseconds is not None:
+        said = f"time: columns {column!r} and {nanoseconds!r}, seconds and nanoseconds, added"
+        return [column, nanoseconds], True, [lambda: _seconds(column, 1.0, nanoseconds)], [said]
+    steps: list[Callable[[], Step]] = []
+    told: list[str] = []
+    tick = _tick(log)
+    overflow = None if log.clock is not None else overflow_of(log.read([column])[:, 0])
+    if tick is not None:
+        told.append(f"time: column {column!r} in ticks of {tick:g} s, made seconds")
+    if overflow is not None:
+        told.append(f"time: column {column!r} starts anew at {overflow:.10g}: that much is added where it does")
+        steps.append(lambda: _unwound(column, overflow))
+    if tick is not None:
+        steps.append(lambda: _seconds(column, tick))
+    return [column], tick is not None, steps, told
+
+
+def _seconds(column: str, factor: float, nanoseconds: str | None = None) -> Step:
+    """Makes a column, and that of the nanoseconds beside it, TIME in s."""
+    part = pl.lit(0.0) if nanoseconds is None else 1e-9 * pl.col(nanoseconds)
+    return lambda table: table.rename({column: TIME}).with_columns(pl.col(TIME) * factor + part)
+
+
+def _added_up(column: str) -> Step:
+    """Makes the intervals in a column times."""
+    last = 0.0
+
+    def step(table: pl.DataFrame) -> pl.DataFrame:
+        nonlocal last
+        stamps = last + table[column].fill_nan(0.0).cum_sum().to_numpy()
+        last = float(stamps[-1]) if len(stamps) else last
+        return table.with_columns(pl.Series(column, stamps))
+
+    return step
+
+
+def _unwound(column: str, overflow: float) -> Step:
+    """Makes the stamps of a counter that starts anew ones that grow."""
+    last: float | None = None
+
+    def step(table: pl.DataFrame) -> pl.DataFrame:
+        nonlocal last
+        stamps = unwound(table[column].to_numpy(), overflow, last)
+        last = next((float(t) for t in stamps[::-1] if np.isfinite(t)), last)
+        return table.with_columns(pl.Series(column, stamps))
+
+    return step
+
+
+def _intervals(log: FoundLog) -> tuple[str, str] | None:
+    """The column of the intervals from sample to sample, and their unit."""
+    column = log.columns.interval
+    if column is None or len(log.files) > 1:
+        return None
+    steps = log.read([column])[:, 0]
+    steps = steps[np.isfinite(steps)]
+    times = times_of_column(Stamps(column=column, values=np.cumsum(steps), unit=time_unit(column)))
+    return None if times is None or (steps < 0.0).any() else (column, times.keys.get("time_unit", "s"))
+
+
+def nanoseconds_of(log: FoundLog) -> str | None:
+    """The column of the nanoseconds, where that of the time has the whole seconds alone: header.stamp.nsecs beside
+    header.stamp.secs."""
+    return next((n for n in log.names if _NANO.search(n) and _NANO.sub("", n) == log.columns.time), None)
+
+
+def _tick(log: FoundLog) -> float | None:
+    """The unit, s, of times in none that a session names: of an Xsens SampleTimeFine, microseconds where steps are
+    thousands; of dates in days; and of those in tenths of microseconds since the year 1 or 1601."""
+    column = log.columns.time
+    if column is None or log.columns.time_unit is not None or log.clock is not None:
+        return None
+    stamps = log.read([column], rows=10_000)[:, 0]
+    if not np.isfinite(np.diff(stamps)).any():
+        return None
+    step, middle = float(np.nanmedian(np.diff(stamps))), float(np.nanmedian(stamps))
+    if "sampletimefine" in re.sub(r"\W|_", "", column.lower()):
+        return _TICK if step < 2000.0 else None
+    if any(first < middle < last for first, last in _TENTHS_OF_MICROSECONDS):
+        return 1e-7
+    in_days = any(first < middle < last for first, last in _DAYS)
+    return _DAY if in_days and _SHORTEST < step * _DAY < _LONGEST and step < _SHORTEST else None
+
+
+# -------------------- positions without turns between them --------------------
+
+
+def _recordings(log: FoundLog) -> tuple[list[tuple[int, int]] | None, list[str]]:
+    """First and last + 1 row of recordings of which each has a clock that was started anew."""
+    stamps = log.stamps()
+    if stamps is None or stamps.clock or len(stamps.values) >= LONGEST:
+        return None, []
+    recordings = recordings_of(stamps.values[np.isfinite(stamps.values)])
+    number = 0 if recordings is None else len(recordings)
+    return recordings, [f"time: the clock starts anew, so that there are {number} recordings: a file each"]
+
+
+def _positions_apart(log: FoundLog, *, unsigned: bool) -> tuple[list[tuple[int, int]] | None, list[str]]:
+    """First and last + 1 row of positions that follow each other without a turn: by a column that names them, or where
+    gravity jumps from one row to the next while nothing moves before and after; None where there are none. With
+    `unsigned`, 16 bits of the accelerometers were read without their sign. Raises InputError for positions of too few
+    rows."""
+    if len(log.files) > 1:
+        return None, []
+    accel = log.read(log.columns.triads[ACCEL].columns)
+    accel = unwrapped(accel) if unsigned else accel
+    if np.isnan(accel).all(axis=0).any() or not 2 * _FEWEST_ROWS <= len(accel) < LONGEST:
+        return None, []
+    label = next((n for n in log.cells if _LABEL.fullmatch(n.strip()) and n != log.columns.time), None)
+    if label is None:
+        starts = _jumps(accel)
+    else:
+        labels = pl.concat([table[label].cast(pl.String) for table in next(log.sources()).whole(())])
+        starts = np.flatnonzero((labels != labels.shift(1)).fill_null(False).to_numpy()).tolist()
+    if len(starts) < 3:
+        return None, []
+    edges = list(pairwise([0, *starts, len(accel)]))
+    shortest = min(stop - start for start, stop in edges)
+    if shortest < _FEWEST_ROWS:
+        raise InputError(
+            f"{log.files[0]}: expected at least {_FEWEST_ROWS} rows a position, found {shortest}; take the mean of "
+            "each position and give the table to `tumble ellipsoid`"
+        )
+    return edges, [f"{len(edges)} positions one below the other without turns: a file each"]
+
+
+def _jumps(accel: Array) -> list[int]:
+    """Rows at which the specific force is another than in the row before, while ten rows before and behind are steady;
+    none where it is not steady at one."""
+    about = accel - np.nanmedian(accel, axis=0)
+    size = float(np.nanmedian(np.linalg.norm(about, axis=1)))
+    steps = np.linalg.norm(np.diff(accel, axis=0), axis=1)
+    jumps = (np.flatnonzero(steps > _JUMP * size) + 1).tolist()
+    if not 3 <= len(jumps) <= len(accel) // _FEWEST_ROWS + 1:
+        return []
+    for row in jumps:
+        before, behind = accel[max(row - 10, 0) : row], accel[row : row + 10]
+        scatter = max(np.ptp(before, axis=0).max(), np.ptp(behind, axis=0).max())
+        jump = float(np.linalg.norm(behind.mean(axis=0) - before.mean(axis=0)))
+        if not (scatter < 0.5 * jump and scatter < _JUMP * size):
+            return []
+    return jumps

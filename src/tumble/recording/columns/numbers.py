@@ -1,0 +1,365 @@
+"""What columns without telling names are, by their numbers: of all hypotheses, which three columns side by side are
+accelerometers and which are gyros, the one of the least cost over the whole recording, and the next one beside it.
+
+The cost is −2 times the logarithm of a likelihood, up to what all hypotheses have in common. Accelerometers read one
+length at rest about a zero that is near none, in a unit or in counts of data sheets, and scatter little; as the body
+turns their mean vectors spread over a sphere. Gyros read one and the same vector at rest, and turn the vector of the
+accelerometers: da = −ω × a. The three sensors of a kind have the same noise. A time, a counter and a vector of a
+filter are none of them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.recording.columns.names import ACCEL, GYRO, Columns, in_order
+from tumble.recording.columns.scales import CANDIDATES, NEAR
+from tumble.recording.formats.message import Sensors
+from tumble.units import Array, BoolArray
+
+_ELEMENT = re.compile(r"(.*)\[\d+\]")
+_BLOCK = 25
+_QUIET_SHARE = 0.4
+_FEWEST_ROWS = 200
+_ANEW = 1e-3
+_CHANGES, _SECONDS = 0.02, 1e-4  # of the steps of a time; of one in whole seconds
+_CENTURY = 1.1e9, 2.2e9  # s since 1970: 2004 to 2039
+_SAME_NORM = 1e-5
+_ROUNDED_NORM, _UNIT_NORM, _TURNED = 3e-3, 5e-3, 0.05
+"""Of quaternions that are rounded: the spread of their length, how far its mean is from 1, and the least spread of
+each of the four."""
+
+# Standard deviations of what the cost weighs, as small sensors have it
+_LENGTH = 0.05  # of gravity, from rest to rest: biases of 50 mg, scale errors of some percent
+_ZERO = 0.25  # of gravity
+_SCATTER = 0.02  # of gravity, of a sample at rest
+_NOISE = 0.5  # logarithm of the noise of one axis over that of another
+_STEADY = 0.25  # what gyros differ by at rest, over what they do in all
+_COUNTED = 2.0  # −2 ln of the chance that a unit is a count of data sheets; with powers of two a sixth fit by chance
+_NO_SCALE = 16.0  # in no unit, and in no counts
+_CARRIED = 18.0  # gyros that turn the accelerometers' vector wholly, against some that do not at all
+_AMID = 1.5  # three columns that are some of two threes
+_BIAS = 0.5  # of gyros, a factor of e of their mean vector over what they do in all
+_MOST = 9.0  # of a single deviation: three standard ones
+_LIMIT = 4.0  # of accelerometers, and of gyros beside those
+_APART = 6.0
+"""A hypothesis that costs so much more than another is 20 times less likely."""
+_MOVES, _JUMPS, _FEWEST_MOVES = 0.05, 0.3, 20
+"""Of gravity: changes of it from block to block that show gyros, those from which a position was skipped, and how
+many of them tell."""
+
+_ONE_WAY = 0.05
+"""Of the steps of a sensor half fall, whatever it is of: 1 of 20 and less by chance once in 50,000 times."""
+
+MIDDLES = (128.0, 512.0, 2048.0, 8192.0, 32768.0, 2.0**23, 2.0**31)
+"""Where a converter that knows no sign, and so writes nothing negative, has its zero."""
+
+Run = tuple[int, int, int]
+"""Three columns side by side."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ToldColumns:
+    """Columns by their numbers, and the next hypotheses in words; none where nothing was told."""
+
+    columns: Columns
+    rivals: str = ""
+
+    def said(self, named: Collection[str] = ()) -> list[str]:
+        """What was told, but for kinds of sensors that are `named`, and what else it may be, in sentences."""
+        told = {kind: s for kind, s in self.columns.triads.items() if kind not in named}
+        guesses = [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in told.items()]
+        return [*guesses, self.rivals] if guesses else []
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Hypothesis:
+    """Which columns are accelerometers and which gyros, None where none are, what that costs, and what of it the
+    accelerometers do, less what the gyros' turning of their vector is worth."""
+
+    cost: float
+    of_accel: float
+    accel: Run
+    gyro: Run | None
+
+    def said(self, names: Sequence[str]) -> str:
+        """In words."""
+        named = [", ".join(in_order([names[j] for j in run])) for run in (self.accel, self.gyro) if run]
+        return f"accelerometers {named[0]}, {f'gyros {named[1]}' if self.gyro else 'no gyros'}"
+
+
+def columns_by_data(names: Sequence[str], read: Array) -> ToldColumns:
+    """What the columns (m, n) of a table with these names are; no triads where nothing looks like accelerometers.
+    Columns of no numbers are NaN."""
+    if not len(read):
+        return ToldColumns(columns=Columns(time=None, time_unit=None, triads={}, temperatures=(), others=()))
+    growing = [j for j in range(len(names)) if grows(read[:, j])]
+    read_at_all = [j for j in range(len(names)) if j not in growing and np.isfinite(read[:, j]).mean() > 0.5]
+    attitudes = _attitudes(read, read_at_all)
+    numbers = [j for j in read_at_all if j not in attitudes and _is_sensor(read[:, j])]
+    runs = [(j, j + 1, j + 2) for j in numbers if j + 1 in numbers and j + 2 in numbers]
+    runs = [run for run in runs if _are_one_sensor([names[j] for j in run])]
+    ranked: list[_Hypothesis] = []
+    if runs and len(read) >= _FEWEST_ROWS:
+        ranked = _hypotheses(read, runs, numbers, fused=bool(attitudes))
+    found: dict[str, Run] = {}
+    if ranked:
+        best = ranked[0]
+        found = {ACCEL: best.accel} | ({} if best.gyro is None else {GYRO: best.gyro})
+    return ToldColumns(
+        columns=Columns(
+            time=_time([names[j] for j in growing], read[:, growing]),
+            time_unit=None,
+            triads={kind: Sensors(columns=in_order([names[j] for j in run]), unit=None) for kind, run in found.items()},
+            temperatures=(),
+            others=(),
+        ),
+        rivals=_weighed(names, ranked) if ranked else "",
+    )
+
+
+def _weighed(names: Sequence[str], ranked: Sequence[_Hypothesis]) -> str:
+    """The next hypotheses after the best, of the same accelerometers, of others and of none, in words."""
+    best = ranked[0]
+    rivals = (next((h for h in ranked[1:] if (h.accel == best.accel) == same), None) for same in (True, False))
+    further = [(rival.cost - best.cost, rival.said(names)) for rival in rivals if rival is not None]
+    further.append((_LIMIT - best.of_accel, "no accelerometers at all"))
+    listed = ", ".join(f"{said} (cost +{cost:.1f})" for cost, said in sorted(further))
+    doubt = "; too near to be sure: state --accel, --gyro" if min(further)[0] < _APART else ""
+    return f"columns: next would be {listed}; +{_APART:g} is 20 times less likely{doubt}"
+
+
+def _hypotheses(read: Array, runs: Sequence[Run], numbers: Sequence[int], *, fused: bool) -> list[_Hypothesis]:
+    """All hypotheses, the cheapest first. Beside what a filter has `fused`, accelerometers are in a unit or counts of
+    data sheets."""
+    quiet = _quiet(read[:, numbers])
+    if not quiet.any():
+        return []
+    noise = {run: _unlike_noise(read[:, run], quiet) for run in runs}
+    amid = {run: _AMID * _is_amid(run, numbers) for run in runs}
+    accels = {run: _cost_of_accelerometers(read[:, run], quiet, fused=fused) + noise[run] + amid[run] for run in runs}
+    found = [_Hypothesis(cost=cost, of_accel=cost, accel=run, gyro=None) for run, cost in accels.items()]
+    for accel, cost in accels.items():
+        if cost > _CARRIED + _LIMIT:
+            continue
+        for gyro in runs:
+            if not set(gyro) & set(accel):
+                carried = _cost_of_turns(read[:, gyro], read[:, accel], quiet)
+                place = 0.1 * abs(gyro[0] - accel[0]) + 0.5 * (gyro[0] < accel[0])
+                beside = carried + _unsteady(read[:, gyro], quiet) + noise[gyro] + amid[gyro] + place - _LIMIT
+                of_accel = cost + min(carried, 0.0)
+                found.append(_Hypothesis(cost=cost + beside, of_accel=of_accel, accel=accel, gyro=gyro))
+    found = [h for h in found if h.of_accel <= _LIMIT]
+    return sorted(found, key=lambda h: h.cost)
+
+
+def _cost_of_accelerometers(columns: Array, quiet: BoolArray, *, fused: bool) -> float:
+    """What it costs to take three columns for accelerometers, by themselves."""
+    means, scatter = _rests(columns, quiet)
+    read = columns[np.isfinite(columns)]
+    whole = bool((read == np.floor(read)).all())
+    centres = [(middle * np.ones(3), 0.0) for middle in (0.0, *(MIDDLES if whole and (means > 0.0).all() else ()))]
+    spread = float(np.linalg.norm(means.std(axis=0)))
+    if len(means) > len("xyz") and spread > 0.0:
+        centres.append((_centre(means), 1.0))
+    costs = []
+    for centre, free in centres:
+        lengths = np.linalg.norm(means - centre, axis=1)
+        length = float(lengths.mean())
+        if not length > 0.0 or not np.isfinite(length):
+            continue
+        uneven = float(lengths.std()) / length
+        ranked = sorted((abs(np.log(length / c.value)), c.unit is None) for c in CANDIDATES[ACCEL] if c.unit or whole)
+        off, counted = ranked[0]
+        scale = (off / NEAR) ** 2 + _COUNTED * counted
+        scale = scale if scale < _MOST + _COUNTED else np.inf if fused else _NO_SCALE
+        sphere = 2.0 * np.log(min(1.0, max(uneven, _LENGTH / 5.0) * length / max(spread, 1e-300)))
+        zero = free * float(np.abs(centre).max()) / (_ZERO * length)
+        shaken = float(np.linalg.norm(scatter)) / (_SCATTER * length)
+        costs.append((uneven / _LENGTH) ** 2 + scale + sphere + zero**2 + min(shaken**2, _MOST))
+    return float(min(costs, default=np.inf))
+
+
+def _unsteady(columns: Array, quiet: BoolArray) -> float:
+    """What it costs that three columns differ from rest to rest, as gyros do not, and read much beside what they vary
+    by."""
+    means, _ = _rests(columns, quiet)
+    everything = float(np.linalg.norm(columns[np.isfinite(columns).all(axis=1)].std(axis=0)))
+    of_rests = float(np.linalg.norm(means.std(axis=0))) / max(_STEADY * everything, 1e-300)
+    bias = float(np.linalg.norm(np.median(means, axis=0))) / max(everything, 1e-300)
+    return min(of_rests**2, _MOST) + _BIAS * float(np.log1p(bias))
+
+
+def _cost_of_turns(columns: Array, accel: Array, quiet: BoolArray) -> float:
+    """What it costs to say that three columns turn the vector of the accelerometers (m, 3), which is worth something
+    where they do; nothing where too little turns."""
+    share = _share_carried(columns - np.median(_rests(columns, quiet)[0], axis=0), accel)
+    return 0.0 if share is None else _CARRIED * (0.5 - share)
+
+
+def _share_carried(rates: Array, accel: Array) -> float | None:
+    """The share of the changes of the accelerometers' vector (m, 3) that rates (m, 3), whatever their scales and axes,
+    explain as a turn, da = −(M ω) × a; None where too little turns."""
+    known = np.isfinite(rates).all(axis=1) & np.isfinite(accel).all(axis=1)
+    rates, accel = rates[known], accel[known]
+    if len(accel) < 4 * _FEWEST_MOVES:
+        return None
+    length = float(np.median(np.linalg.norm(accel, axis=1))) or 1.0
+    width = 1
+    while True:
+        blocks = len(accel) // width
+        if blocks < 4 * _FEWEST_MOVES:
+            return None
+        a = accel[: blocks * width].reshape(blocks, width, 3).mean(axis=1) / length
+        w = rates[: blocks * width].reshape(blocks, width, 3).mean(axis=1)
+        change = np.diff(a, axis=0)
+        size = np.linalg.norm(change, axis=1)
+        rank = max(_FEWEST_MOVES, blocks // 200)
+        if np.partition(size, -rank)[-rank] >= 2.0 * _MOVES:
+            break
+        width *= 2
+    moves = (size > max(_MOVES, 5.0 * float(np.median(size)))) & (size < _JUMPS)
+    if np.count_nonzero(moves) < _FEWEST_MOVES:
+        return None
+    middle, rate = 0.5 * (a[1:] + a[:-1])[moves], 0.5 * (w[1:] + w[:-1])[moves]
+    axes = np.eye(3)
+    rows = np.stack([np.cross(middle, axes[i]) * rate[:, [j]] for i in range(3) for j in range(3)], axis=2)
+    wanted = change[moves].reshape(-1)
+    matrix = rows.reshape(len(wanted), 9)
+    matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
+    left = wanted - matrix @ np.linalg.lstsq(matrix, wanted, rcond=None)[0]
+    return 1.0 - float(left @ left) / float(wanted @ wanted)
+
+
+def _unlike_noise(columns: Array, quiet: BoolArray) -> float:
+    """What it costs that the noises of three columns at rest differ; of a column that reads one number, half of the
+    least of its steps."""
+    _, scatter = _rests(columns, quiet)
+    steps = [np.diff(np.unique(column[np.isfinite(column)])) for column in columns.T]
+    noise = [max(float(s), 0.5 * float(step.min())) for s, step in zip(scatter, steps, strict=True)]
+    return min(float(np.std(np.log(noise))) ** 2 / _NOISE**2, _MOST)
+
+
+def _are_one_sensor(names: Sequence[str]) -> bool:
+    """Whether three names differ in one word or letter alone, as those of the axes of a sensor do: TRSS, TQly and TSNR
+    do not."""
+    if len({_array(name) for name in names}) > 1:
+        return False
+    parts = [re.findall(r"[^\W\d_]+|\d+", name.lower()) for name in names]
+    if len(set(map(len, parts))) != 1:
+        return False
+    apart = [three for three in zip(*parts, strict=True) if len(set(three)) > 1]
+    if len(apart) != 1 or all(word.isdecimal() for word in apart[0]):
+        return len(apart) <= 1
+    return len(set(map(len, apart[0]))) == 1 and sum(len(set(of)) > 1 for of in zip(*apart[0], strict=True)) == 1
+
+
+def _array(name: str) -> str:
+    """The array that a column is of, `imu/fb` of `imu/fb[2]`; nothing for others."""
+    found = _ELEMENT.fullmatch(name)
+    return found[1] if found else ""
+
+
+def _is_amid(run: Run, numbers: Sequence[int]) -> bool:
+    """Whether three columns are some of two threes, where columns side by side are counted in threes."""
+    first = run[0]
+    while first - 1 in numbers:
+        first -= 1
+    return (run[0] - first) % len(run) != 0
+
+
+def _attitudes(read: Array, numbers: Sequence[int]) -> set[int]:
+    """Columns of quaternions, rounded ones too, and of vectors of unit length or of gravity that a filter has made:
+    three or four whose length is one and the same in motion too, which no sensor reads."""
+    found: set[int] = set()
+    for width in (4, 3):
+        for first in numbers:
+            run = [first + k for k in range(width)]
+            if not found & set(run) and set(run) <= set(numbers) and _turns_alone(read[:, run]):
+                found |= set(run)
+    return found
+
+
+def _turns_alone(columns: Array) -> bool:
+    """Whether vectors change their direction, and never their length."""
+    columns = columns[np.isfinite(columns).all(axis=1)]
+    if not len(columns):
+        return False
+    length, spread = np.linalg.norm(columns, axis=1), columns.std(axis=0)
+    four = columns.shape[1] == len("wxyz") and abs(length.mean() - 1.0) < _UNIT_NORM and spread.min() > _TURNED
+    alike = _ROUNDED_NORM if four else _SAME_NORM
+    return bool(length.std() < min(alike * length.mean(), 0.1 * spread.max()))
+
+
+def time_by_data(names: Sequence[str], read: Array) -> str | None:
+    """The column of a table (m, n) that is a time; None where none grows as one, or only a counter of samples."""
+    growing = [j for j in range(len(names)) if grows(read[:, j]) and not _counts(read[:, j])]
+    return names[growing[0]] if growing else None
+
+
+def _time(names: Sequence[str], read: Array) -> str | None:
+    """The time among columns that grow: the first that is no counter of samples, else the first."""
+    return time_by_data(names, read) or (names[0] if names else None)
+
+
+def _is_sensor(column: Array) -> bool:
+    """Whether the readings of a column are not all the same, and rise and fall: clocks, counters and the numbers of
+    positions rise, or fall, nearly always when they change."""
+    steps = np.diff(column[np.isfinite(column)])
+    rises, falls = np.count_nonzero(steps > 0.0), np.count_nonzero(steps < 0.0)
+    return bool(min(rises, falls) > _ONE_WAY * max(rises, falls) and rises + falls > 0)
+
+
+def _counts(column: Array) -> bool:
+    """Whether a column grows by one from row to row, but for lost rows."""
+    steps = np.diff(column[np.isfinite(column)])
+    return bool((steps == np.floor(steps)).all() and np.median(steps) == 1.0)
+
+
+def grows(column: Array) -> bool:
+    """Whether a column is a time: it grows at an even pace, and never falls but where a counter starts anew."""
+    read = column[np.isfinite(column)]
+    steps = np.diff(read)
+    anew = steps < -0.5 * np.ptp(read) if len(read) else np.zeros(0, dtype=bool)
+    if 0 < np.count_nonzero(anew) <= max(1.0, _ANEW * len(steps)):
+        steps[anew] = np.median(steps)
+    dated = len(read) > 0 and _CENTURY[0] < read[0] < _CENTURY[1]
+    if len(steps) < 10 or (steps < 0.0).any() or np.mean(steps > 0.0) < (_SECONDS if dated else _CHANGES):
+        return False
+    r = np.corrcoef(np.arange(len(steps) + 1), np.concatenate([[0.0], np.cumsum(steps)]))[0, 1]
+    return bool(r > 0.95)
+
+
+def _means(columns: Array) -> tuple[Array, Array]:
+    """Means and scatters of blocks of rows."""
+    blocks = columns[: len(columns) // _BLOCK * _BLOCK].reshape(-1, _BLOCK, columns.shape[1])
+    with np.errstate(invalid="ignore"):
+        return blocks.mean(axis=1), blocks.std(axis=1)
+
+
+def _quiet(columns: Array) -> BoolArray:
+    """The blocks of rows in which all columns scatter least."""
+    _, scatter = _means(columns)
+    read = np.asarray(np.isfinite(scatter).all(axis=1))
+    if not read.any():
+        return read
+    size = np.median(scatter[read], axis=0)
+    largest = np.max(scatter / np.where(size > 0.0, size, 1.0), axis=1)
+    return np.asarray(read & (largest <= np.quantile(largest[read], _QUIET_SHARE)))
+
+
+def _rests(columns: Array, quiet: BoolArray) -> tuple[Array, Array]:
+    """Means of the quiet blocks, and the median scatter (3,) in them."""
+    means, scatter = _means(columns)
+    known = quiet & np.isfinite(means).all(axis=1)
+    return means[known], np.median(scatter[known], axis=0)
+
+
+def _centre(means: Array) -> Array:
+    """Centre (3,) of the sphere through points (m, 3)."""
+    rows = np.column_stack([2.0 * means, np.ones(len(means))])
+    return np.asarray(np.linalg.lstsq(rows, (means**2).sum(axis=1), rcond=None)[0][:3])

@@ -1,0 +1,1 @@
+"""Rows of logs: their times, and the samples that are lost between them."""

@@ -1,0 +1,272 @@
+"""What a session is: its device, its site, its log and the sensors in it, its programme, what it leaves out.
+
+A session is one power-on of one IMU: a folder with session.toml and the log it names, or such a description with arrays
+or frames in place of the log. Both give a `Session` (`session_file`), SI and radians inside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from tumble.brief import Brief
+from tumble.errors import InputError
+from tumble.recording.autopilot import AutopilotSensor
+from tumble.recording.circumstances import UNKNOWN, Circumstances
+from tumble.recording.text.dialect import Dialect
+from tumble.sensors.model import Block
+from tumble.units import Array, Unit
+
+if TYPE_CHECKING:
+    from tumble.recording.readers import KeptLog
+    from tumble.recording.samples import Samples
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Device:
+    """The IMU. `systematic` is the path of the calibration file with its nominal values, if it has one."""
+
+    serial: str
+    model: str | None
+    systematic: Path | None
+    grade: str | None = None
+    """The class of instrument, where the session says it."""
+    prior: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviations, SI, of groups of parameters, where the data sheet gives them."""
+    imu: Mapping[str, AutopilotSensor] = field(default_factory=dict)
+    """Which "accel" and "gyro" of an autopilot it is, where it is one."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Site:
+    """Where the session was recorded: geodetic latitude, rad; height, m; gravity and its standard
+    uncertainty, m/s²; modulus of the magnetic field in the unit of the magnetometer, None where it is not known."""
+
+    latitude: float | None
+    height: float
+    gravity: float
+    gravity_u: float
+    field: float | None = None
+    gravity_confirmed: bool = False
+    """That gravity is meant, however far it is from normal gravity."""
+    gravity_is_unit: bool = False
+    """That gravity at the place, whatever it is, is the unit, and `gravity` stands for it."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Channels:
+    """The n sensors of one kind, and what their columns are worth.
+
+    SI = (raw − offset) / scale · unit.factor, divided by the sample's interval if unit.kind is "increment".
+    `unit_name` is the unit as the file has it. For raw units (count, V) `unit` is that of `scale_per`;
+    for the others scale is 1 and offset 0. `axes` (n, 3): nominal sensing directions in the body frame,
+    unit vectors. `range`: full scale in m/s² or rad/s, the smallest of the sensors'."""
+
+    columns: tuple[str, ...]
+    unit: Unit
+    unit_name: str
+    scale: Array
+    offset: Array
+    axes: Array
+    range: float | None
+
+    @property
+    def raw(self) -> bool:
+        """Whether the log has counts or volts, which need a scale and an offset."""
+        return self.unit_name in ("count", "V")
+
+    def to_si(self, raw: Array, dt: Array) -> Array:
+        """Rates (m, n), m/s² or rad/s, of a log's numbers (m, n) and the samples' intervals (m,), s."""
+        gain = self.unit.factor / self.scale
+        out = raw - self.offset if self.offset.any() else raw
+        if (gain != 1.0).any():
+            out = out * gain
+        if self.unit.kind == "increment":
+            out = out / dt[:, None]
+        return out
+
+    def from_si(self, rates: Array) -> Array:
+        """The log's numbers (m, n) of rates or, for increments, of increments in SI."""
+        gain = self.scale / self.unit.factor
+        out = rates * gain if (gain != 1.0).any() else rates
+        return out + self.offset if self.offset.any() else out
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Magnetometer:
+    """The three channels of a magnetometer and their unit, which is that of the site's field too."""
+
+    columns: tuple[str, ...]
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TemperatureChannels:
+    """The columns of the thermometers, and what their numbers are in °C: gain · number + shift, both (T,). `unit_name`
+    is the unit in session.toml; `accel` and `gyro` are the number of the thermometer that each channel has."""
+
+    columns: tuple[str, ...]
+    accel: tuple[int, ...]
+    gyro: tuple[int, ...]
+    unit_name: str
+    gain: Array
+    shift: Array
+
+    def to_celsius(self, numbers: Array) -> Array:
+        """Temperatures (m, T), °C, of a log's numbers (m, T)."""
+        return np.asarray(self.gain * numbers + self.shift)
+
+    def names(self, kind: str) -> tuple[str, ...]:
+        """The column of the thermometer of each channel of a kind of sensors."""
+        return tuple(self.columns[t] for t in (self.accel if kind == "accel" else self.gyro))
+
+
+USUAL_CLOCK_U = 30e-6
+"""Relative standard uncertainty of a time base of which nothing is said: crystals are off by some 20 to 50 ppm, over
+temperature and with age."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LogSpec:
+    """The log's files, or tables in memory, and columns. Either `time`, a column in units of `time_factor` s, or
+    `rate`, Hz. `clock`: the times are those of a clock or a calendar; `regular`: rows are equally spaced, whatever
+    their times are; `dialect`: how text files are written, None for CSV files with their names in the first line;
+    `clock_u`: the relative standard uncertainty of the time base, None where it is not stated."""
+
+    files: tuple[Path | Samples | KeptLog, ...]
+    time: str | None
+    time_factor: float
+    rate: float | None
+    accel: Channels
+    gyro: Channels | None
+    temperature: TemperatureChannels | None
+    magnetometer: Magnetometer | None = None
+    clock: bool = False
+    regular: bool = False
+    dialect: Dialect | None = None
+    clock_u: float | None = None
+
+    @property
+    def unstamped(self) -> bool:
+        """Whether no time says that rows are missing."""
+        return self.rate is not None or self.regular
+
+    @property
+    def time_base_u(self) -> float:
+        """The relative standard uncertainty of the time base: the usual one where none is stated."""
+        return USUAL_CLOCK_U if self.clock_u is None else self.clock_u
+
+    @property
+    def increments(self) -> dict[str, bool]:
+        """Whether the readings of each kind of sensor there is are increments."""
+        kinds = {"accel": self.accel, "gyro": self.gyro}
+        return {kind: channels.unit.kind == "increment" for kind, channels in kinds.items() if channels is not None}
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Every column that is read: time, accelerometers, gyros, magnetometer, thermometers."""
+        gyro = self.gyro.columns if self.gyro else ()
+        magnetometer = self.magnetometer.columns if self.magnetometer else ()
+        thermometers = () if self.temperature is None else self.temperature.columns
+        columns = (self.time, *self.accel.columns, *gyro, *magnetometer, *thermometers)
+        return tuple(column for column in columns if column is not None)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ListedPosition:
+    """A position of the programme: its attitude code, and the rest's start and stop, s, where given."""
+
+    attitude: str
+    start: float | None
+    stop: float | None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ProgrammeSpec:
+    """Either the name of a built-in programme, or positions in order."""
+
+    name: str | None
+    positions: tuple[ListedPosition, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Exclusion:
+    """What a session leaves out: the rest or the turn of this number, from 1 as results count them, or what lies
+    between `start` and `stop`, s, of a file (its index). The others are None. `by` is who says so."""
+
+    rest: int | None = None
+    turn: int | None = None
+    start: float | None = None
+    stop: float | None = None
+    file: int = 0
+    reason: str = ""
+    by: Literal["session.toml", "request"] = "session.toml"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
+class Session(Brief):
+    """What session.toml, or the description of samples in memory, says. `programme` is None for a free session:
+    orientations are not assumed. `folder` is None in memory.
+
+    >>> import numpy as np, tumble
+    >>> description = {
+    ...     "format": 1,
+    ...     "device": {"serial": "A-0007"},
+    ...     "log": {"rate_hz": 100.0, "accel": {"columns": ["ax", "ay", "az"], "unit": "g"}},
+    ... }
+    >>> still = {"ax": np.zeros(300), "ay": np.zeros(300), "az": np.ones(300)}
+    >>> session = tumble.session_of(description, still)
+    >>> session.name, session.log.accel.unit_name
+    ('session of A-0007 in memory', 'g')
+    """
+
+    folder: Path | None
+    device: Device
+    site: Site
+    log: LogSpec
+    programme: ProgrammeSpec | None
+    excluded: tuple[Exclusion, ...] = ()
+    circumstances: Circumstances = UNKNOWN
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return f"session of {self.device.serial} in memory" if self.folder is None else str(self.folder)
+
+    @property
+    def accel_block(self) -> Block:
+        """The accelerometers and their parameters."""
+        known = self.log.temperature
+        return Block(kind="accel", axes=self.log.accel.axes, thermometers=() if known is None else known.accel)
+
+    @property
+    def gyro_block(self) -> Block | None:
+        """The gyros and their parameters; None without gyros."""
+        known = self.log.temperature
+        if self.log.gyro is None:
+            return None
+        return Block(kind="gyro", axes=self.log.gyro.axes, thermometers=() if known is None else known.gyro)
+
+    def check_new(self, out: Path, *, force: bool) -> None:
+        """Raises InputError where a file that is to be written exists, unless by `force`, and where it is one that the
+        session is read from."""
+        if not out.exists():
+            return
+        if any(isinstance(file, Path) and file.exists() and out.samefile(file) for file in self.log.files):
+            raise InputError(f"{out}: expected another file, found the recording of the session; choose another name")
+        if not force:
+            raise InputError(f"{out}: expected a new file, found one that exists; give --force to replace it")
+
+    def without(self, rests: Iterable[int]) -> Session:
+        """The session without the rests of these numbers, from 1 as results count them, beside what it leaves out
+        itself. Raises InputError for what is no such number."""
+        more = []
+        for number in rests:
+            if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:
+                raise InputError(f"without: expected numbers of rests, from 1 as results count them, found {number!r}")
+            more.append(Exclusion(rest=int(number), by="request"))
+        return replace(self, excluded=(*self.excluded, *more))

@@ -1,0 +1,315 @@
+"""session.toml as one description: its tables and keys, what is expected of each, and what they are in SI.
+
+Each key's `description` says what is expected of it, and every message is made from it: "session.toml:
+site.latitude_deg: expected a number from -90 to 90, found 145.5". What concerns several keys at once is checked by the
+validators of the tables. `si` gives what a table says in SI and radians; `description_of` is the way back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import date as date_type
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, get_args
+
+from pydantic import AfterValidator, Field, ValidationError, model_validator
+
+from tumble.documents import dotted
+from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
+from tumble.errors import ProgrammeError, did_you_mean
+from tumble.programme import positions as programme
+from tumble.recording.autopilot import sensors_from
+from tumble.recording.circumstances import circumstances_from
+from tumble.recording.session import (
+    Device,
+    Exclusion,
+    ListedPosition,
+    ProgrammeSpec,
+    Session,
+    Site,
+)
+from tumble.recording.session.log_tables import LogTable
+from tumble.recording.session.table import SessionTable, as_written, check_span, name_of, one_of, visible
+from tumble.sensors.typed_quantities import prior_of
+from tumble.units import (
+    DEGREE,
+    G_STANDARD,
+)
+
+LEAST_GRAVITY_U = 1e-15
+"""m/s²: a smaller uncertainty than no gravimeter reaches is zero, or a mistake."""
+UNKNOWN_SITE_GRAVITY_U = 0.03
+"""Standard uncertainty of standard gravity as a value of local gravity at an unknown place on Earth, m/s²."""
+
+_TESLA = {"nT": 1e-9, "uT": 1e-6, "gauss": 1e-4, "mgauss": 1e-7, "T": 1.0}
+_FIELD_ON_EARTH = (1.5e-5, 8e-5)  # T, at the ground: 22 to 67 µT, and magnetic rock
+
+
+class SiteTable(SessionTable):
+    """[site]"""
+
+    latitude_deg: float | None = Field(default=None, ge=-90, le=90, description="a number from -90 to 90")
+    height_m: float = Field(default=0.0, ge=-1000, le=10000, description="a number from -1000 to 10000 (m)")
+    gravity: float | None = Field(
+        default=None, ge=9.7, le=9.9, description="a number from 9.7 to 9.9 (m/s^2, on Earth)"
+    )
+    gravity_u: float | None = Field(default=None, ge=0, le=0.1, description="a number from 0 to 0.1 (m/s^2)")
+    gravity_confirmed: bool = Field(default=False, description="true or false")
+    field: float | None = Field(default=None, gt=0, description="a positive number, in the unit of [log.magnetometer]")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.gravity_u is not None and 0.0 < self.gravity_u < LEAST_GRAVITY_U:
+            raise ValueError(f"gravity_u: expected 0 or at least {LEAST_GRAVITY_U:g} m/s^2, found {self.gravity_u:g}")
+        if self.gravity_u is not None and self.gravity is None and self.latitude_deg is None:
+            raise ValueError("gravity_u: expected site.gravity or site.latitude_deg with it, found neither")
+        return self
+
+    def check_field(self, unit: str | None) -> None:
+        """Raises ValueError where the field is not one on Earth in the unit of the magnetometer; None is none."""
+        if self.field is None:
+            return
+        if unit is None:
+            raise ValueError("site.field: expected only with [log.magnetometer], found no magnetometer")
+        low, high = (limit / _TESLA[unit] for limit in _FIELD_ON_EARTH)
+        if not low <= self.field <= high:
+            raise ValueError(
+                f"site.field: expected the field on Earth, from {low:g} to {high:g} {unit}, the unit of "
+                f"[log.magnetometer], found {self.field:g}"
+            )
+
+    def si(self) -> Site:
+        """Where gravity is not stated, it is normal gravity, or of an unknown place the standard one."""
+        latitude = None if self.latitude_deg is None else self.latitude_deg * DEGREE
+        gravity, u = G_STANDARD, UNKNOWN_SITE_GRAVITY_U
+        if self.gravity is not None:
+            gravity, u = self.gravity, 0.0
+        elif latitude is not None:
+            gravity, u = normal_gravity(latitude, self.height_m), NORMAL_GRAVITY_U
+        return Site(
+            latitude=latitude,
+            height=self.height_m,
+            gravity=gravity,
+            gravity_u=u if self.gravity_u is None else self.gravity_u,
+            field=self.field,
+            gravity_confirmed=self.gravity_confirmed,
+        )
+
+
+class ImuTable(SessionTable):
+    """[device.imu]"""
+
+    accel_number: int | None = Field(default=None, ge=1, le=9, description="a number from 1 to 9")
+    accel_id: int | None = Field(default=None, ge=1, lt=2**32, description="a device id, a whole number")
+    gyro_number: int | None = Field(default=None, ge=1, le=9, description="a number from 1 to 9")
+    gyro_id: int | None = Field(default=None, ge=1, lt=2**32, description="a device id, a whole number")
+
+
+class DeviceTable(SessionTable):
+    """[device]"""
+
+    serial: Annotated[str, AfterValidator(name_of)] = Field(
+        min_length=1, description="the serial number, a string that is not empty"
+    )
+    model: Annotated[str, AfterValidator(name_of)] | None = Field(default=None, description="a string")
+    systematic: str | None = Field(default=None, min_length=1, description="the path of a calibration file")
+    grade: Literal["navigation", "tactical", "mems", "consumer"] | None = Field(
+        default=None, description="one of navigation, tactical, mems, consumer"
+    )
+    imu: ImuTable = Field(default_factory=ImuTable, description="a table of sensors of an autopilot")
+    prior: dict[str, str | dict[str, str]] = Field(
+        default_factory=dict, description='standard deviations such as accel_quadratic = "20 ug/g^2"'
+    )
+
+    def priors(self) -> dict[str, float]:
+        """Standard deviations, SI, by group. Raises ValueError for a group or a unit that is not known."""
+        flat = {
+            f"{key}.{of}" if of else key: text
+            for key, value in self.prior.items()
+            for of, text in ({"": value} if isinstance(value, str) else value).items()
+        }
+        return dict(prior_of(key, text) for key, text in flat.items())
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        self.priors()
+        return self
+
+    def si(self, folder: Path) -> Device:
+        return Device(
+            serial=self.serial,
+            model=self.model,
+            systematic=None if self.systematic is None else folder / self.systematic,
+            grade=self.grade,
+            prior=self.priors(),
+            imu=sensors_from(self.imu.model_dump()),
+        )
+
+
+class ConditionsTable(SessionTable):
+    """session.conditions"""
+
+    temperature_degC: float | None = Field(  # noqa: N815
+        default=None, ge=-90, le=200, description="a number from -90 to 200 (°C)"
+    )
+    temperature_u: float | None = Field(default=None, ge=0, description="a number, not negative (K)")
+    humidity_percent: float | None = Field(default=None, ge=0, le=100, description="a number from 0 to 100 (%)")
+    pressure_hPa: float | None = Field(  # noqa: N815
+        default=None, gt=0, le=1200, description="a number from 0 to 1200 (hPa)"
+    )
+
+
+class CircumstancesTable(SessionTable):
+    """[session]"""
+
+    date: datetime | date_type | None = Field(default=None, description="a date, or a date with a time, without quotes")
+    operator: Annotated[str, AfterValidator(visible)] | None = Field(
+        default=None, min_length=1, description="a name, a string"
+    )
+    conditions: ConditionsTable = Field(default_factory=ConditionsTable, description="a table of conditions")
+    equipment: list[Annotated[str, AfterValidator(visible)]] = Field(
+        default_factory=list, description="a list of strings"
+    )
+
+
+class ExcludeTable(SessionTable):
+    """[[exclude]]"""
+
+    rest: int | None = Field(default=None, ge=1, description="the number of a rest, from 1")
+    turn: int | None = Field(default=None, ge=1, description="the number of a turn, from 1")
+    start: float | None = Field(default=None, description="a number (s)")
+    stop: float | None = Field(default=None, description="a number (s)")
+    file: int | None = Field(default=None, ge=1, description="the number of a file of the log, from 1")
+    reason: str = Field(default="", description="a string")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        stated = [key for key in ("rest", "turn", "start", "stop") if getattr(self, key) is not None]
+        if stated not in (["rest"], ["turn"], ["start", "stop"]):
+            raise ValueError(
+                f"rest: expected either rest, or turn, or start and stop together, found {', '.join(stated) or 'none'}"
+            )
+        check_span(self.start, self.stop)
+        if self.file is not None and self.start is None:
+            raise ValueError("file: expected only with start and stop, found it without")
+        return self
+
+    def si(self) -> Exclusion:
+        return Exclusion(**{**self.model_dump(), "file": (self.file or 1) - 1})
+
+
+class PositionTable(SessionTable):
+    """[[programme.position]]"""
+
+    attitude: str = Field(description="an attitude code, a string")
+    start: float | None = Field(default=None, description="a number (s)")
+    stop: float | None = Field(default=None, description="a number (s)")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        try:
+            programme.attitude(self.attitude)
+        except ProgrammeError as error:
+            raise ValueError(str(error)) from None
+        if (self.start is None) != (self.stop is None):
+            given = "start" if self.stop is None else "stop"
+            raise ValueError(f"{given}: expected start and stop together, found {given} alone")
+        check_span(self.start, self.stop)
+        return self
+
+
+class ProgrammeTable(SessionTable):
+    """[programme]"""
+
+    name: Annotated[str, one_of(programme.BUILT_IN)] | None = Field(
+        default=None, description="the name of a built-in programme"
+    )
+    position: list[PositionTable] | None = Field(
+        default=None, min_length=1, description="one or more tables [[programme.position]]"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.name is None) == (self.position is None):
+            given = "neither" if self.name is None else "both"
+            raise ValueError(f"name: expected either programme.name or [[programme.position]], found {given}")
+        return self
+
+    def si(self) -> ProgrammeSpec:
+        positions = tuple(ListedPosition(**position.model_dump()) for position in self.position or [])
+        return ProgrammeSpec(name=self.name, positions=positions)
+
+
+class SessionDocument(SessionTable):
+    """The whole file."""
+
+    format: int = Field(ge=1, le=1, description="1, the format of this file")
+    device: DeviceTable = Field(description="the table [device]")
+    site: SiteTable = Field(default_factory=SiteTable, description="the table [site]")
+    log: LogTable = Field(description="the table [log]")
+    programme: ProgrammeTable | None = Field(default=None, description="the table [programme]")
+    session: CircumstancesTable = Field(default_factory=CircumstancesTable, description="the table [session]")
+    exclude: list[ExcludeTable] = Field(default_factory=list, description="tables [[exclude]]")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        self.site.check_field(None if self.log.magnetometer is None else self.log.magnetometer.unit)
+        return self
+
+    def si(self, folder: Path | None) -> Session:
+        """The session, its files in a folder; None where samples are in memory."""
+        place = folder or Path()
+        return Session(
+            folder=folder,
+            device=self.device.si(place),
+            site=self.site.si(),
+            log=self.log.si(place),
+            programme=None if self.programme is None else self.programme.si(),
+            excluded=tuple(table.si() for table in self.exclude),
+            circumstances=circumstances_from(self.session.model_dump()),
+        )
+
+
+# -------------------- what is said of a file that is not as it should be --------------------
+
+
+def table_behind(annotation: Any) -> type[SessionTable] | None:
+    """The table that the values of a key are, or are lists of; None where they are none."""
+    if isinstance(annotation, type) and issubclass(annotation, SessionTable):
+        return annotation
+    return next((table for part in get_args(annotation) if (table := table_behind(part)) is not None), None)
+
+
+def faults_of(error: ValidationError, content: Mapping[str, Any]) -> list[str]:
+    """Every fault once, as "key: expected …, found …"."""
+    faults: dict[tuple[int | str, ...], str] = {}
+    for fault in error.errors(include_url=False):
+        key: tuple[int | str, ...] = ()
+        table: type[SessionTable] = SessionDocument
+        inner: type[SessionTable] | None = SessionDocument  # the table of the last part, if it is one
+        expected = ""
+        for part in fault["loc"]:
+            if isinstance(part, int) and inner is not None and key:
+                key += (part,)
+                continue
+            if inner is None or part not in inner.model_fields:
+                break
+            table, field = inner, inner.model_fields[str(part)]
+            key, expected, inner = (*key, part), field.description or "", table_behind(field.annotation)
+        table = inner or table
+        if fault["type"] == "extra_forbidden":
+            unknown = str(fault["loc"][-1])
+            where = f"in [{dotted(key)}]" if key else "at the top level"
+            faults[(*key, unknown)] = f"unknown key '{unknown}' {where}{did_you_mean(unknown, table.model_fields)}"
+        elif fault["type"] == "value_error":
+            separator = "" if not key else ": " if inner is None else "."
+            faults[key] = f"{dotted(key)}{separator}{fault['ctx']['error']}"
+        else:
+            value: Any = content
+            if fault["type"] != "missing":
+                for part in key:
+                    value = value[part]
+            found = "none" if fault["type"] == "missing" else as_written(value)
+            faults.setdefault(key, f"{dotted(key)}: expected {expected}, found {found}")
+    return list(faults.values())

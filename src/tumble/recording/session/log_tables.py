@@ -1,0 +1,311 @@
+"""The tables [log], [log.accel], [log.gyro], [log.magnetometer] and [log.temperature] of session.toml."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, ClassVar, Self
+
+import numpy as np
+from pydantic import AfterValidator, Field, model_validator
+
+from tumble.recording.session import (
+    Channels,
+    LogSpec,
+    Magnetometer,
+    TemperatureChannels,
+)
+from tumble.recording.session.table import (
+    SessionTable,
+    as_written,
+    check_known,
+    check_one_per_column,
+    different,
+    encoding_of_text,
+    one_of,
+)
+from tumble.recording.text.dialect import DELIMITERS, Dialect
+from tumble.sensors.model import thermometers_of
+from tumble.units import (
+    ACCEL_UNITS,
+    GYRO_UNITS,
+    MAGNETIC_UNITS,
+    TEMPERATURE_UNITS,
+    TIME_UNITS,
+    Array,
+    Unit,
+)
+
+CLOCK = "iso8601"
+"""The time unit of dates with times and times of day."""
+RAW = "raw"
+"""The unit of numbers of thermometers that need a scale."""
+
+_UNIT_NORM_TOLERANCE = 1e-6
+_LEAST_SINGULAR_VALUE = 1e-3
+_LEAST_SINE = 1e-3
+
+Numbers = float | list[float] | None
+"""One for all columns, or one a column."""
+
+
+class SensorsTable(SessionTable):
+    """The common keys of [log.accel] and [log.gyro]."""
+
+    UNITS: ClassVar[Mapping[str, Unit]]
+    SCALE_PER: ClassVar[tuple[str, ...]]  # the first is the default
+
+    columns: list[str] = Field(min_length=3, description="a list of at least three column names")
+    unit: str = Field(description="the name of a unit, a string")
+    scale: Numbers = Field(default=None, description="a number or a list of numbers")
+    scale_per: str | None = Field(default=None, description="the name of a unit, a string")
+    offset: Numbers = Field(default=None, description="a number or a list of numbers")
+    axes: list[list[float]] | None = Field(default=None, description="a list of unit vectors [x, y, z]")
+    range: float | None = Field(default=None, gt=0, description="a positive number")
+
+    @property
+    def worth(self) -> Unit:
+        """The unit of (raw − offset) / scale."""
+        raw = self.UNITS[self.unit].kind == "raw"
+        return self.UNITS[(self.scale_per or self.SCALE_PER[0]) if raw else self.unit]
+
+    def per_sensor(self, value: Numbers, default: float) -> Array:
+        """A number or a list as an array (n,)."""
+        return np.broadcast_to(np.asarray(default if value is None else value, float), len(self.columns)).copy()
+
+    def directions(self) -> Array:
+        """The axes (n, 3), exactly of unit length."""
+        axes = np.eye(3) if self.axes is None else np.array(self.axes, dtype=float)
+        return np.asarray(axes / np.linalg.norm(axes, axis=1, keepdims=True))
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        check_known(self.unit, self.UNITS, "unit")
+        if self.UNITS[self.unit].kind != "raw":
+            for key in ("scale", "scale_per", "offset"):
+                if getattr(self, key) is not None:
+                    raise ValueError(f'{key}: expected only with unit "count" or "V", found unit "{self.unit}"')
+        elif self.scale is None:
+            raise ValueError(f'scale: expected the nominal output per unit for unit "{self.unit}", found none')
+        else:
+            check_known(self.scale_per or self.SCALE_PER[0], self.SCALE_PER, "scale_per")
+            check_one_per_column(len(self.columns), scale=self.scale, offset=self.offset)
+            if not np.all(self.scale):
+                raise ValueError(f"scale: expected numbers other than zero, found {as_written(self.scale)}")
+        self._check_axes()
+        return self
+
+    def _check_axes(self) -> None:
+        if self.axes is None:
+            if len(self.columns) > 3:
+                raise ValueError(f"axes: expected {len(self.columns)} unit vectors for a redundant block, found none")
+            return
+        if len(self.axes) != len(self.columns):
+            raise ValueError(f"axes: expected {len(self.columns)} vectors, one per column, found {len(self.axes)}")
+        for number, axis in enumerate(self.axes, 1):
+            if len(axis) != 3:
+                raise ValueError(f"axes: expected vectors [x, y, z], found {len(axis)} numbers in vector {number}")
+            if abs(math.hypot(*axis) - 1.0) > _UNIT_NORM_TOLERANCE:
+                raise ValueError(
+                    f"axes: expected unit vectors within {_UNIT_NORM_TOLERANCE:g}, "
+                    f"found norm {math.hypot(*axis):.7g} of vector {number}, {as_written(axis)}"
+                )
+        if np.linalg.svd(self.directions(), compute_uv=False)[2] < _LEAST_SINGULAR_VALUE:
+            raise ValueError("axes: expected directions that span three dimensions, found them in one plane")
+
+    def si(self, rate: float | None) -> Channels:
+        scale = self.per_sensor(self.scale, 1.0)
+        full_scale = None
+        if self.range is not None:
+            full_scale = float(self.range * self.worth.per_second(rate or 1.0) / np.abs(scale).max())
+        return Channels(
+            columns=tuple(self.columns),
+            unit=self.worth,
+            unit_name=self.unit,
+            scale=scale,
+            offset=self.per_sensor(self.offset, 0.0),
+            axes=self.directions(),
+            range=full_scale,
+        )
+
+
+class AccelTable(SensorsTable):
+    """[log.accel]"""
+
+    UNITS = ACCEL_UNITS
+    SCALE_PER = ("m/s^2", "g", "m/s")
+
+    def _check_axes(self) -> None:
+        super()._check_axes()
+        first, second = self.directions()[:2]
+        if np.linalg.norm(np.cross(first, second)) < _LEAST_SINE:
+            raise ValueError(
+                "axes: expected the first two accelerometers, which fix the body frame, in different "
+                "directions, found them parallel; list the sensors in another order"
+            )
+
+
+class GyroTable(SensorsTable):
+    """[log.gyro]"""
+
+    UNITS = GYRO_UNITS
+    SCALE_PER = ("rad/s", "deg/s", "rad", "deg", "arcsec")
+
+
+class MagnetometerTable(SessionTable):
+    """[log.magnetometer]"""
+
+    columns: list[str] = Field(min_length=3, max_length=3, description="a list of three column names")
+    unit: Annotated[str, one_of(MAGNETIC_UNITS)] = Field(description="the name of a unit, a string")
+
+    def si(self) -> Magnetometer:
+        return Magnetometer(columns=tuple(self.columns), unit=self.unit)
+
+
+class TemperatureTable(SessionTable):
+    """[log.temperature]: one column for all sensors, two for the accelerometers and the gyros, or one a sensor, the
+    accelerometers first; then a thermometer may come several times."""
+
+    columns: list[str] = Field(min_length=1, description="a list of column names")
+    unit: Annotated[str, one_of([*TEMPERATURE_UNITS, RAW])] = Field(
+        default="degC", description="the name of a unit, a string"
+    )
+    scale: Numbers = Field(default=None, description="a number or a list of numbers: raw numbers per degC")
+    offset: Numbers = Field(default=None, description="a number or a list of numbers: the raw number at 0 degC")
+
+    def celsius(self) -> tuple[Array, Array]:
+        """Gain and shift (T,) of each column: °C are gain · number + shift."""
+        ones = np.ones(len(self.columns))
+        if self.unit != RAW:
+            gain, shift = TEMPERATURE_UNITS[self.unit]
+            return gain * ones, shift * ones
+        scale, offset = ones * np.asarray(self.scale, float), ones * np.asarray(self.offset or 0.0, float)
+        return 1.0 / scale, -offset / scale
+
+    def of_sensors(self, accel: int, gyro: int) -> tuple[int, ...]:
+        """The place of the column of each of so many accelerometers and gyros. Raises ValueError where there is another
+        number of columns."""
+        places = thermometers_of(len(self.columns), accel, gyro)
+        if places is None:
+            two = "two for the accelerometers and the gyros, " if gyro else ""
+            raise ValueError(
+                f"temperature.columns: expected one column for all sensors, {two}or {accel + gyro}, one a sensor, "
+                f"accelerometers first, found {len(self.columns)}"
+            )
+        return places
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.unit == RAW and (self.scale is None or not np.all(self.scale)):
+            raise ValueError(
+                f'scale: expected the raw numbers per degC for unit "raw", found {"none" if self.scale is None else 0}'
+            )
+        if self.unit != RAW and (self.scale is not None or self.offset is not None):
+            key = "offset" if self.scale is None else "scale"
+            raise ValueError(f'{key}: expected only with unit "raw", found unit "{self.unit}"')
+        check_one_per_column(len(self.columns), scale=self.scale, offset=self.offset)
+        if len(set(zip(self.columns, *self.celsius(), strict=True))) > len(set(self.columns)):
+            raise ValueError("scale: expected one scale and offset for a column that is named again, found others")
+        return self
+
+    def si(self, accel: int, gyro: int) -> TemperatureChannels:
+        gain, shift = self.celsius()
+        columns = tuple(dict.fromkeys(self.columns))
+        first = [self.columns.index(column) for column in columns]
+        number = tuple(columns.index(self.columns[place]) for place in self.of_sensors(accel, gyro))
+        return TemperatureChannels(
+            columns=columns,
+            accel=number[:accel],
+            gyro=number[accel:],
+            unit_name=self.unit,
+            gain=gain[first],
+            shift=shift[first],
+        )
+
+
+class LogTable(SessionTable):
+    """[log]"""
+
+    file: Annotated[str | list[str], AfterValidator(different)] = Field(
+        min_length=1, description="a file name or a list of file names"
+    )
+    time: str | None = Field(default=None, min_length=1, description="a column name")
+    time_unit: Annotated[str, one_of([*TIME_UNITS, CLOCK])] | None = Field(
+        default=None, description=f"one of {', '.join([*TIME_UNITS, CLOCK])}"
+    )
+    rate_hz: float | None = Field(default=None, gt=0, description="a positive number")
+    regular: bool | None = Field(default=None, description="true or false")
+    clock_ppm_u: float | None = Field(default=None, ge=0, description="a number that is not negative")
+    delimiter: Annotated[str, one_of(DELIMITERS)] | None = Field(
+        default=None, description="a character, or a blank for one or more blanks"
+    )
+    decimal: Annotated[str, one_of(".,")] | None = Field(default=None, description='"." or ","')
+    comment: str | None = Field(
+        default=None, min_length=1, max_length=8, description="the mark that comments begin with"
+    )
+    header: bool | None = Field(default=None, description="true or false")
+    encoding: Annotated[str, AfterValidator(encoding_of_text)] | None = Field(
+        default=None, description="the name of an encoding"
+    )
+    accel: AccelTable = Field(description="the table [log.accel]")
+    gyro: GyroTable | None = Field(default=None, description="the table [log.gyro]")
+    magnetometer: MagnetometerTable | None = Field(default=None, description="the table [log.magnetometer]")
+    temperature: TemperatureTable | None = Field(default=None, description="the table [log.temperature]")
+
+    @property
+    def sensors(self) -> tuple[int, int]:
+        """How many accelerometers and gyros there are."""
+        return len(self.accel.columns), 0 if self.gyro is None else len(self.gyro.columns)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.time is None) == (self.rate_hz is None):
+            given = "neither" if self.time is None else "both"
+            raise ValueError(f"time: expected either log.time, a column, or log.rate_hz, found {given}")
+        if self.time_unit is not None and self.time is None:
+            raise ValueError("time_unit: expected only with log.time, found log.rate_hz")
+        if self.regular and self.time is None:
+            raise ValueError("regular: expected only with log.time, found log.rate_hz, which makes rows regular")
+        self._check_columns()
+        for key, table in (("accel", self.accel), ("gyro", self.gyro)):
+            ranged = table is not None and table.range is not None and table.worth.kind == "increment"
+            if ranged and self.rate_hz is None:
+                raise ValueError(
+                    f"{key}.range: expected log.rate_hz with the full scale of an increment per sample, "
+                    "found log.time; leave range out"
+                )
+        return self
+
+    def _check_columns(self) -> None:
+        """Every column is one thing; a thermometer may be that of several sensors where each has one."""
+        keys = {"time": [self.time] if self.time is not None else []}
+        for kind, table in (("accel", self.accel), ("gyro", self.gyro), ("magnetometer", self.magnetometer)):
+            keys[f"{kind}.columns"] = table.columns if table is not None else []
+        if self.temperature is not None:
+            columns = self.temperature.columns
+            one_each = len(columns) == len(self.temperature.of_sensors(*self.sensors))
+            keys["temperature.columns"] = list(dict.fromkeys(columns)) if one_each else columns
+        for column, count in Counter(c for columns in keys.values() for c in columns).items():
+            if count > 1:
+                using = [key for key, columns in keys.items() for c in columns if c == column]
+                also = "twice" if using[0] == using[1] else f"in log.{using[0]} too"
+                raise ValueError(f'{using[1]}: expected every column once, found "{column}" {also}')
+
+    def si(self, folder: Path) -> LogSpec:
+        dialect = self.model_dump(include={"delimiter", "decimal", "comment", "header", "encoding"}, exclude_none=True)
+        return LogSpec(
+            files=tuple(folder / file for file in ([self.file] if isinstance(self.file, str) else self.file)),
+            time=self.time,
+            time_factor=TIME_UNITS.get(self.time_unit or "s", 1.0),
+            rate=self.rate_hz,
+            accel=self.accel.si(self.rate_hz),
+            gyro=None if self.gyro is None else self.gyro.si(self.rate_hz),
+            temperature=None if self.temperature is None else self.temperature.si(*self.sensors),
+            magnetometer=None if self.magnetometer is None else self.magnetometer.si(),
+            clock=self.time_unit == CLOCK,
+            regular=bool(self.regular),
+            dialect=Dialect(**dialect) if dialect else None,
+            clock_u=None if self.clock_ppm_u is None else 1e-6 * self.clock_ppm_u,
+        )

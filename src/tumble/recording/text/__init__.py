@@ -1,0 +1,1 @@
+"""Text files of logs: their encoding, dialect, pieces and values."""

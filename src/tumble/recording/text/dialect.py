@@ -1,0 +1,334 @@
+"""Text logs as instruments, phones and laboratories write them: what stands between the numbers, and where they begin.
+
+`Dialect` is what session.toml says of a text log (`delimiter`, `decimal`, `comment`, `header`, `encoding`);
+`dialect_of` finds it in the first lines of a file. `Top` is what stands above the first row of numbers: the names of
+the columns are in the last line there that has as many of them as the rows have numbers; a line of units below it
+belongs to the names.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import io
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+LINE_BYTES = 1 << 20
+FIRST_ROWS = 5
+"""By which it is found out whether a name is missing."""
+BLANKS = " "
+"""The delimiter that stands for one or more blanks or tabs."""
+
+DELIMITERS = (",", ";", "\t", "|", BLANKS)
+COMMENTS = ("#", "//", "%", "!", ";", "*")
+
+_TOP_LINES = 2000
+_SEEN_BYTES = 1 << 18
+_LEAST_NUMBERS = 3
+_LONGEST_CHARACTER = 4  # bytes, in UTF-8
+_GUESSED_ENCODINGS = ("cp1251", "gb18030")
+_BOMS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+
+_POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf", re.IGNORECASE)
+_COMMA = re.compile(r"[+-]?(\d+|\d*,\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf", re.IGNORECASE)
+_CLOCK = re.compile(
+    r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ]?)?\s*"
+    r"(\d{1,2}:\d{2}(:\d{2}([.,:]\d+)?)?\s*([AaPp]\.?[Mm]\.?)?\s*(Z|[+-]\d\d:?\d\d)?)?"
+)
+JOINED = r"(\d{4})[_-](\d{1,2})[_-](\d{1,2})[_-](\d{1,2})[_-](\d{2})[_-](\d{2})([.]\d+)?"
+"""A date with a time of day of which all parts are joined alike: 2026_06_15_18_21_44.62."""
+_JOINED = re.compile(JOINED)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Dialect:
+    """How a text log is written; the default is a CSV file with its names in the first line."""
+
+    delimiter: str = ","
+    decimal: str = "."
+    comment: str | None = None
+    header: bool = True
+    encoding: str = "utf-8"
+
+    def keys(self) -> dict[str, Any]:
+        """The keys of [log] that say so: what differs from a plain CSV file, and the delimiter."""
+        given = asdict(self)
+        return {k: v for k, v in given.items() if k == "delimiter" or v != getattr(Dialect(), k)}
+
+    def cells(self, line: str) -> list[str]:
+        """What stands in a line, without blanks about it. A line that is no CSV is one cell."""
+        if self.delimiter == BLANKS:
+            return line.split()
+        try:
+            return [cell.strip() for cell in next(csv.reader([line], delimiter=self.delimiter), [])]
+        except csv.Error:
+            return [line]
+
+    def is_number(self, cell: str) -> bool:
+        """Whether a cell is a number with the decimal mark of the dialect."""
+        return bool((_POINT if self.decimal == "." else _COMMA).fullmatch(cell))
+
+    def is_comment(self, line: str) -> bool:
+        """Whether a line begins with the mark of comments."""
+        return self.comment is not None and line.lstrip().startswith(self.comment)
+
+    def is_row(self, cells: Sequence[str]) -> bool:
+        """Whether cells are a row of numbers: at least three, and as many as everything else."""
+        if len(cells) < _LEAST_NUMBERS:
+            return False
+        numbers = sum(map(self.is_number, cells))
+        return numbers >= _LEAST_NUMBERS and 2 * (numbers + sum(map(is_clock, cells))) >= sum(map(bool, cells))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Top:
+    """The names of the columns, how many lines stand above the first row of numbers, and those of them that are
+    neither names nor units."""
+
+    names: tuple[str, ...]
+    lines: int
+    remarks: tuple[str, ...] = ()
+
+
+def is_clock(cell: str) -> bool:
+    """Whether a cell is a time of day or a date with one."""
+    return bool(_CLOCK.fullmatch(cell) if ":" in cell else _JOINED.fullmatch(cell))
+
+
+class Recoded(io.BufferedIOBase):
+    """A stream of another encoding as one of UTF-8."""
+
+    def __init__(self, stream: io.BufferedIOBase, encoding: str) -> None:
+        self._text = io.TextIOWrapper(stream, encoding=encoding, errors="replace", newline="\n")  # type: ignore[type-var]  # reads, as it must
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        return self._text.read(size).encode("utf-8", errors="replace")
+
+    def readinto(self, buffer: Any, /) -> int:
+        text = self.read(len(buffer) // _LONGEST_CHARACTER)
+        buffer[: len(text)] = text
+        return len(text)
+
+    def readline(self, size: int | None = -1, /) -> bytes:
+        return self._text.readline(-1 if size is None else size).encode("utf-8", errors="replace")
+
+    def close(self) -> None:
+        self._text.close()
+        super().close()
+
+
+# -------------------- what stands above the numbers --------------------
+
+
+@lru_cache(maxsize=4)
+def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
+    """What stands above the first row of numbers in the first lines of a file; None where no such row is. Remembered,
+    because a file is opened several times on the way to a calibration."""
+    rows = {i: len(cells) for i, line in enumerate(lines) if dialect.is_row(cells := dialect.cells(line))}
+    if 0 in rows and _are_numbers_of_columns(dialect.cells(lines[0])):
+        del rows[0]
+    first = _first_row({i: width for i, width in rows.items() if not dialect.is_comment(lines[i])})
+    if first is None:
+        return None
+    width = Counter(width for i, width in rows.items() if i >= first).most_common(1)[0][0]
+    if not dialect.header:
+        return Top(names=tuple(str(i + 1) for i in range(width)), lines=first, remarks=_said(lines[:first], dialect))
+    above = [(i, _uncommented(line, dialect)) for i, line in enumerate(lines[:first])]
+    rows_below = [dialect.cells(lines[i]) for i, each in rows.items() if i >= first and each == width][:FIRST_ROWS]
+    named = [
+        (i, n) for i, line in reversed(above) if (n := _names(dialect.cells(line), rows_below, dialect)) is not None
+    ]
+    if not named:
+        return Top(names=tuple(str(i + 1) for i in range(width)), lines=first, remarks=_said(lines[:first], dialect))
+    plain = [(i, n) for i, n in named if sum(map(dialect.is_number, n)) < _LEAST_NUMBERS]
+    at, names = (plain or named)[0]  # else a row with much text in it stands below the names
+    used = {at}
+    above_it = dict(named).get(at - 1)
+    if above_it is not None and _are_units(names):
+        at, names = at - 1, tuple(f"{name} [{_bare(unit)}]" for name, unit in zip(above_it, names, strict=True))
+        names = tuple(name.removesuffix(" []") for name in names)
+        used.add(at)
+    grouped = _grouped(names, dialect.cells(above[at - 1][1])) if at else None
+    if grouped is not None:
+        names = grouped
+        used.add(at - 1)
+    rest = [line for i, line in enumerate(lines[:first]) if i not in used]
+    return Top(names=names, lines=first, remarks=_said(rest, dialect))
+
+
+def _are_numbers_of_columns(cells: Sequence[str]) -> bool:
+    """Whether a first line has the numbers of the columns, above those of the rows: `,0,1,2,…`, as pandas writes it."""
+    return not cells[0] and cells[1:] == [str(k) for k in range(len(cells) - 1)]
+
+
+def _grouped(names: tuple[str, ...], above: Sequence[str]) -> tuple[str, ...] | None:
+    """Names of which some come again, x, y, z, x, y, z, with what stands above them, over the first of each group; None
+    where that does not tell them apart."""
+    plain = [_plain(name) for name in names]
+    again = [bool(name) and plain.count(name) > 1 for name in plain]
+    if not any(again) or len(above) != len(names):
+        return None
+    group, found = "", []
+    for name, own, shared in zip(names, above, again, strict=True):
+        group = own or group
+        if shared:
+            found.append(f"{group} {name}".strip())
+        else:
+            found.append(f"{own} [{_bare(name)}]" if own and name and _are_units([name]) else name or own)
+    every = [_plain(name) for name in found if name]
+    return tuple(found) if len(set(every)) == len(every) else None
+
+
+def _plain(name: str) -> str:
+    """A name without its unit."""
+    return re.sub(r"\s*[\[(].*", "", name).lower()
+
+
+def _first_row(rows: Mapping[int, int]) -> int | None:
+    """The first of the rows of numbers, given with their widths, that the next is as wide as, or that nothing
+    follows."""
+    if not rows:
+        return None
+    for (i, width), following in zip(rows.items(), [*list(rows.values())[1:], None], strict=True):
+        if following is None or width == following:
+            return i
+    return None
+
+
+def _uncommented(line: str, dialect: Dialect) -> str:
+    if dialect.comment is None or not dialect.is_comment(line):
+        return line
+    return line.lstrip().lstrip(dialect.comment)
+
+
+def _names(cells: Sequence[str], rows: Sequence[Sequence[str]], dialect: Dialect) -> tuple[str, ...] | None:
+    """The names in a line, as many as the rows below have columns; None where it has none."""
+    names = names_of_rows([cell.strip().strip('"') for cell in cells], rows)
+    if len(names) != len(rows[0]) or not names[1] or sum(map(bool, names)) < _LEAST_NUMBERS:
+        return None
+    return None if sum(map(dialect.is_number, names)) > len(names) // 2 else names
+
+
+def names_of_rows(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """Names of as many columns as most rows have. Empty ones at the end go where rows have no such columns; where one
+    is missing it is that of the first column if this numbers the rows, as R writes them, else of the last, as where
+    rows end with a comma."""
+    width = Counter(map(len, rows)).most_common(1)[0][0] if rows else len(names)
+    while len(names) > width and not names[-1]:
+        names = names[:-1]
+    if len(names) < width - 1 and not any("".join(cells[len(names) :]) for cells in rows):
+        return (*names, *[""] * (width - len(names)))
+    if len(names) != width - 1:
+        return tuple(names)
+    wider = [cells for cells in rows if len(cells) == width]
+    numbers = [cells[0].strip('"') for cells in wider]
+    numbered = any(numbers == [str(first + i) for i in range(len(numbers))] for first in (0, 1))
+    if numbered and all(cells[-1] for cells in wider) and not _COUNTS.fullmatch(names[0]):
+        return ("", *names)
+    return (*names, "")
+
+
+_COUNTS = re.compile(
+    r"\W*(sample|packet|frame|row|seq|record)?[ _]?(count(er)?|index|idx|id|n|nr|no|number|sample|seq|row)\W*", re.I
+)
+"""Names of columns that number rows."""
+
+UNIT_WORDS = re.compile(
+    r"s|sec|seconds?|ms|us|µs|μs|ns|g|mg|m/s/s|m/s\W?[2²]?|m\W?s\W{0,3}[2²]|rad|rad/s(ec)?|rad\W?s\W{0,3}1|deg|"
+    r"deg/s(ec)?|dps|mdps|°/s|°/h|°|"
+    r"deg/h|lsb|counts?|raw|°?c|degc|ut|µt|μt|nt|gauss|-|1|#|hz|v|м/с\W?[2²]?|рад/с|град/с|°/с|с|мс|мкс|hpa|pa|k|%|n/?a",
+    re.IGNORECASE,
+)
+
+
+def _are_units(names: Sequence[str]) -> bool:
+    """Whether all that stands in a line are units."""
+    return all(not name or UNIT_WORDS.fullmatch(_bare(name)) for name in names)
+
+
+def _bare(unit: str) -> str:
+    """A unit without its brackets, about it or within it."""
+    return re.sub(r"[\[\]()]", "", unit).strip()
+
+
+def _said(lines: Sequence[str], dialect: Dialect) -> tuple[str, ...]:
+    return tuple(text for line in lines if (text := " ".join(_uncommented(line, dialect).split())))
+
+
+def head_lines(stream: io.BufferedIOBase) -> tuple[str, ...]:
+    """The first lines of a stream, whole and without their ends."""
+    seen = stream.read(_SEEN_BYTES)
+    text = seen.decode("utf-8", errors="replace").removeprefix("\ufeff")
+    lines = text.split("\n")
+    if len(seen) == _SEEN_BYTES and len(lines) > 1:
+        lines = lines[:-1]
+    return tuple(line.rstrip("\r") for line in lines[:_TOP_LINES])
+
+
+# -------------------- which dialect --------------------
+
+
+def encoding_of(seen: bytes) -> str:
+    """The encoding of text by its first bytes."""
+    for bom, name in _BOMS.items():
+        if seen.startswith(bom):
+            return name
+    zeros = [seen[k:4096:2].count(0) for k in (0, 1)]
+    if max(zeros) > len(seen[:4096]) // 4:
+        return "utf-16-le" if zeros[1] > zeros[0] else "utf-16-be"
+    if _decodes(seen, "utf-8"):
+        return "utf-8"
+    return next((name for name in _GUESSED_ENCODINGS if _decodes(seen, name) and _in_words(seen, name)), "latin-1")
+
+
+def _decodes(seen: bytes, encoding: str) -> bool:
+    try:
+        codecs.getincrementaldecoder(encoding)().decode(seen)
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
+def _in_words(seen: bytes, encoding: str) -> bool:
+    """Whether text has words of the letters that an encoding is for: a degree sign alone is Latin."""
+    text = seen.decode(encoding, errors="replace")
+    return bool(re.search("[а-яё]{3}" if encoding == "cp1251" else "[\u4e00-\u9fff]{2}", text))
+
+
+def dialect_of(seen: bytes) -> tuple[Dialect, Top] | None:
+    """How a text log is written, by its first bytes, and what stands above its numbers; None where it has no rows of
+    numbers."""
+    encoding = encoding_of(seen)
+    text = seen.decode(encoding, errors="replace").removeprefix("\ufeff")
+    lines = [line.rstrip("\r") for line in text.split("\n")]
+    lines = (lines[:-1] if len(lines) > 1 else lines)[:_TOP_LINES]
+    comment = _comment(lines)
+    best: tuple[int, Dialect] | None = None
+    for delimiter in DELIMITERS:
+        for decimal in (".", ","):
+            mark = comment if comment != delimiter else None
+            trial = Dialect(delimiter=delimiter, decimal=decimal, comment=mark, encoding=encoding)
+            rows = Counter(len(c) for line in lines if trial.is_row(c := trial.cells(line)))
+            count = max(rows.values(), default=0)
+            if count and (best is None or count > best[0]):
+                best = count, trial
+    if best is None:
+        return None
+    dialect = best[1]
+    top = top_of(tuple(lines), dialect)
+    if top is None:
+        return None
+    named = any(not name.isdecimal() for name in top.names)
+    return replace(dialect, header=named), top
+
+
+def _comment(lines: Sequence[str]) -> str | None:
+    """The mark with which lines begin that are no rows; None where there are none, or nothing else."""
+    counted = Counter(mark for line in lines for mark in COMMENTS if line.lstrip().startswith(mark))
+    mark, count = counted.most_common(1)[0] if counted else ("", 0)
+    return mark if 0 < count < sum(bool(line.strip()) for line in lines) else None
