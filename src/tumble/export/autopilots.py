@@ -38,9 +38,8 @@ import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.errors import InputError
-from tumble.export.diagonal import Diagonal, diagonal, single
+from tumble.export.diagonal import Diagonal, Thermal, diagonal, said, single, thermal
 from tumble.export.exported import Exported, commented, origin
-from tumble.export.thermal import Thermal, said, thermal
 from tumble.recording.autopilot import AutopilotSensor
 from tumble.sensors.model import SensorKind
 from tumble.units import Array
@@ -164,7 +163,9 @@ def _at_reference(pilot: Autopilot, target: str, calibration: Calibration, imu: 
     plural = "ids of these sensors" if len(unknown) > 1 else "id of this sensor"
     told = [f"{' and '.join(unknown)} have to be the {plural} already"] if unknown else []
     rows = _parameters(pilot, held, sensors)
-    rows += [(name, _device(pilot, device), True) for kind, name in ids.items() if (device := sensors[kind].id) is not None]
+    rows += [
+        (name, _device(pilot, device), True) for kind, name in ids.items() if (device := sensors[kind].id) is not None
+    ]
     losses = (*held.losses, *pilot.caveats(held), *_whose(calibration, imu))
     return _written(pilot, [*origin(calibration), *told, *held.examples()], rows, losses)
 

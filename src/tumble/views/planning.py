@@ -9,11 +9,10 @@ import numpy as np
 
 from tumble.estimation.estimate import GroupFinding
 from tumble.estimation.observability import in_words, sum_in_words
-from tumble.planning.best_positions import Aim, Compared, Next
+from tumble.planning.best_positions import Aim, Compared, Next, PlanResult
 from tumble.planning.bounds import Bound
 from tumble.planning.budget import Budget
 from tumble.planning.over_temperature import PlannedSession, ThermalPlan
-from tumble.planning.plan import PlanResult
 from tumble.planning.requirements import Requirements
 from tumble.planning.setup import Setup, time_of
 from tumble.programme.positions import Programme
