@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from registry_files import content, limits_records, record, write
 
 from tumble.acceptance.conformity import judge, judge_value
-from tumble.acceptance.limits import Limits, months_later, parse_limits, read_limits
+from tumble.acceptance.limits import Limits, parse_limits, read_limits
+from tumble.acceptance.schedule import months_later
 from tumble.calibration.results import Parameter
 from tumble.errors import InputError
 from tumble.registry import adding

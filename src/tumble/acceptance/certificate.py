@@ -24,7 +24,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
-from tumble.acceptance.limits import Limits, Occasion, limits_of
+from tumble.acceptance.limits import Limits, limits_of
+from tumble.acceptance.schedule import Occasion
 from tumble.documents import is_plain, shown, text_of_document, toml_of
 from tumble.errors import InputError, did_you_mean
 

@@ -24,7 +24,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from tumble.acceptance.limits import OCCASIONS, Limits, Occasion
+from tumble.acceptance.limits import Limits
+from tumble.acceptance.schedule import OCCASIONS, Occasion
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import expanded, expanded_of
 from tumble.calibration.half import accepted_kinds, accepted_part

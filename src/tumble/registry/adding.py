@@ -16,7 +16,8 @@ from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
 
 from tumble.acceptance.conformity import verdict_at
-from tumble.acceptance.limits import Occasion, parse_limits
+from tumble.acceptance.limits import parse_limits
+from tumble.acceptance.schedule import Occasion
 from tumble.calibration.calibration_file import Calibration, calibration_of, text_and_name
 from tumble.calibration.half import accepted_part
 from tumble.errors import InputError

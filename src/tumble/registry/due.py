@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from datetime import date
 from itertools import islice
 
-from tumble.acceptance.limits import content_of, schedule_of
+from tumble.acceptance.schedule import content_of, schedule_of
 from tumble.registry.store import rows
 from tumble.registry.store.connect import Registry
 from tumble.registry.types import Forecast, LimitsRecord, Record
