@@ -38,13 +38,13 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import Variable, group_name, named_group, usual_sizes
-from tumble.simulation.climate import Climate
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import OnTable, Scenario, itinerary, scenario_of
 from tumble.simulation.session import session_in_memory
 from tumble.simulation.temperature_profile import (
     LAG_NAME,
     REFERENCE_NAME,
+    Climate,
     TemperatureProfile,
     draw_lag,
     draw_thermal,

@@ -30,10 +30,9 @@ from typing import Any, cast
 import numpy as np
 from sqlalchemy import func, select, text
 
-from tumble.registry.adding import add
+from tumble.registry.adding import Particulars, Submission, add, content_sha256
 from tumble.registry.store.connect import open_registry
 from tumble.registry.store.tables import CALIBRATION, CONTENT, LOG
-from tumble.registry.submission import Particulars, Submission, content_sha256
 
 PARAMETERS = 21
 LONGEST = 0.3  # s from the start of a writer, or from its first record, to the kill

@@ -78,12 +78,12 @@ if TYPE_CHECKING:
     from tumble.inference.estimate import Outcome as Outcome
     from tumble.methods.ellipsoid_fit import EllipsoidFit as EllipsoidFit
     from tumble.methods.ellipsoid_fit import fit_ellipsoid as fit_ellipsoid
+    from tumble.planning.best_positions import PlanResult as PlanResult
+    from tumble.planning.best_positions import plan as plan
     from tumble.planning.bounds import Bound as Bound
     from tumble.planning.bounds import bound as bound
     from tumble.planning.budget import Budget as Budget
     from tumble.planning.budget import budget as budget
-    from tumble.planning.plan import PlanResult as PlanResult
-    from tumble.planning.plan import plan as plan
     from tumble.planning.requirements import Requirements as Requirements
     from tumble.planning.requirements import require as require
     from tumble.planning.setup import Setup as Setup
@@ -106,10 +106,10 @@ if TYPE_CHECKING:
     from tumble.registry.monitor import Monitored as Monitored
     from tumble.registry.monitor import monitored as monitored
     from tumble.registry.records import records as records
+    from tumble.registry.series import device_launches as device_launches
+    from tumble.registry.series import type_spread as type_spread
     from tumble.registry.store.connect import Registry as Registry
     from tumble.registry.store.connect import open_registry as open_registry
-    from tumble.registry.type_launches import device_launches as device_launches
-    from tumble.registry.type_launches import type_spread as type_spread
     from tumble.registry.types import Record as Record
     from tumble.selftest import run_selftest as run_selftest
     from tumble.sensors.model import Block as Block
@@ -182,8 +182,8 @@ _PUBLIC = {
     "Record": "registry.types",
     "KnownLaunches": "calibration.type_spread",
     "TypeSpread": "calibration.type_spread",
-    "device_launches": "registry.type_launches",
-    "type_spread": "registry.type_launches",
+    "device_launches": "registry.series",
+    "type_spread": "registry.series",
     "simulate_session": "simulation.session",
     "Setup": "planning.setup",
     "Budget": "planning.budget",
@@ -192,8 +192,8 @@ _PUBLIC = {
     "bound": "planning.bounds",
     "Requirements": "planning.requirements",
     "require": "planning.requirements",
-    "PlanResult": "planning.plan",
-    "plan": "planning.plan",
+    "PlanResult": "planning.best_positions",
+    "plan": "planning.best_positions",
     "Programme": "programme.positions",
     "programme_of": "programme.positions",
     "write_sheet": "views.sheet",

@@ -16,10 +16,9 @@ from tumble.acceptance.limits import Limits, parse_limits
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.temperature_curves import curve
 from tumble.errors import InputError
-from tumble.registry.adding import add, set_limits
+from tumble.registry.adding import Particulars, add, set_limits, submission
 from tumble.registry.series import verdict_of
 from tumble.registry.store.connect import open_registry
-from tumble.registry.submission import Particulars, submission
 from tumble.units import G_STANDARD
 from tumble.views.report.limits import section
 

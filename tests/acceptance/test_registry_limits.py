@@ -20,14 +20,13 @@ from tumble.acceptance.schedule import months_later
 from tumble.calibration.results import Parameter
 from tumble.errors import InputError
 from tumble.registry import adding
-from tumble.registry.adding import add, set_limits
+from tumble.registry.adding import Particulars, add, set_limits, submission, utc
 from tumble.registry.due import Due, due
 from tumble.registry.exchange import export_lines, import_file
 from tumble.registry.monitor import monitored
 from tumble.registry.series import verdict_of
 from tumble.registry.store import rows
 from tumble.registry.store.connect import Registry, open_registry
-from tumble.registry.submission import Particulars, submission, utc
 from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD
 from tumble.views.registry_lists import due_table
 

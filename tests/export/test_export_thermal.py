@@ -18,8 +18,8 @@ from tumble.calibration.temperature_curves import curve
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import export_calibration
+from tumble.export.diagonal import range_of
 from tumble.export.tables import temperatures
-from tumble.export.thermal import range_of
 from tumble.recording.autopilot import AutopilotSensor
 from tumble.units import DEGREE, G_STANDARD, Array
 

@@ -28,10 +28,9 @@ from tumble.reduction.together import joined
 from tumble.reduction.turns import VELOCITY_FLOOR
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_name, usual_sizes
-from tumble.simulation.chamber import chamber_sessions
-from tumble.simulation.climate import Climate
 from tumble.simulation.scenario import OnTable, Scenario, itinerary, scenario_of
 from tumble.simulation.session import session_in_memory
+from tumble.simulation.temperature_profile import Climate, chamber_sessions
 from tumble.units import ZERO_CELSIUS
 
 NINE = from_attitudes(

@@ -14,9 +14,9 @@ from tumble.reduction.coloured_noise import fit_coloured_noise
 from tumble.reduction.thermometer import STEP, Thermometers, Warmth, followed
 from tumble.reduction.warming import without_warming
 from tumble.sensors.parameters import usual_sizes
-from tumble.simulation.climate import Climate
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import scenario_of
+from tumble.simulation.temperature_profile import Climate
 from tumble.units import ZERO_CELSIUS, Array
 
 

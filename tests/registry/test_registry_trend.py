@@ -22,13 +22,11 @@ from scipy import optimize, stats
 from tests.support.registry_files import content
 from tumble.acceptance.limits import read_limits
 from tumble.errors import InputError, MissingExtraError
-from tumble.registry.adding import add, set_limits
-from tumble.registry.forecast import forecast
+from tumble.registry.adding import Particulars, add, set_limits, submission, utc
 from tumble.registry.monitor import Monitored, monitored
 from tumble.registry.series import Series, SeriesPoint
 from tumble.registry.store.connect import open_registry
-from tumble.registry.submission import Particulars, submission, utc
-from tumble.registry.trend import YEAR, Trend, trend_of
+from tumble.registry.trend import YEAR, Trend, forecast, trend_of
 from tumble.registry.types import State
 from tumble.units import Array
 from tumble.views.chart_panel import draw_panel

@@ -21,7 +21,7 @@ from tumble.calibration.half import accepted_part
 from tumble.errors import CalibrationError, InputError
 from tumble.export import FORMATS, export_calibration
 from tumble.inference.estimate import Outcome
-from tumble.registry.submission import Particulars, read_submission
+from tumble.registry.adding import Particulars, read_submission
 from tumble.sensors.parameters import sensor_kind
 
 __all__ = ["gcc"]

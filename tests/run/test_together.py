@@ -37,11 +37,10 @@ from tumble.reduction.together import joined
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import usual_sizes
 from tumble.sensors.typed_quantities import prior_of
-from tumble.simulation.climate import Climate
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.recording import record
 from tumble.simulation.scenario import Scenario, scenario_of
-from tumble.simulation.temperature_profile import REFERENCE_NAME, truth_at
+from tumble.simulation.temperature_profile import REFERENCE_NAME, Climate, truth_at
 from tumble.units import DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS, Array
 
 LONG = 4000.0

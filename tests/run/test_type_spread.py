@@ -14,10 +14,9 @@ from tumble.calibration.coverage import degrees_of_mean
 from tumble.calibration.results import coverage_factor
 from tumble.calibration.type_spread import KnownLaunches, TypeSpread, pooled
 from tumble.errors import InputError
-from tumble.registry.adding import add
+from tumble.registry.adding import Particulars, add, submission, utc
+from tumble.registry.series import type_spread
 from tumble.registry.store.connect import open_registry
-from tumble.registry.submission import Particulars, submission, utc
-from tumble.registry.type_launches import type_spread
 
 NAME = "accel.bias.x"
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tumble.registry.adding import add
+from tumble.registry.adding import Submission, add
 from tumble.registry.store.connect import open_registry
-from tumble.registry.submission import Submission
 
 
 def write_all(place: str, submissions: Sequence[Submission]) -> None:

@@ -31,10 +31,9 @@ from tumble.planning.setup import Setup
 from tumble.recording.circumstances import Circumstances
 from tumble.recording.session_file import read_session
 from tumble.reduction.observations import Observations
-from tumble.registry.adding import add
+from tumble.registry.adding import Particulars, add, submission
+from tumble.registry.series import device_launches
 from tumble.registry.store.connect import open_registry
-from tumble.registry.submission import Particulars, submission
-from tumble.registry.type_launches import device_launches
 from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import HandHeld, Scenario, scenario_of

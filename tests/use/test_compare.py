@@ -22,10 +22,9 @@ from tumble.cli import main
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session import Site
-from tumble.registry.adding import add
+from tumble.registry.adding import Particulars, add, read_submission
 from tumble.registry.monitor import monitored
 from tumble.registry.store.connect import open_registry
-from tumble.registry.submission import Particulars, read_submission
 from tumble.sensors.frames import Frame
 from tumble.sensors.model import Block
 from tumble.simulation.session import simulate_session

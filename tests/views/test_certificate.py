@@ -33,7 +33,7 @@ from tumble.inference.estimate import Outcome
 from tumble.planning.setup import Setup
 from tumble.recording.circumstances import AirConditions, Circumstances
 from tumble.recording.session_file import session_of
-from tumble.registry.submission import Particulars, read_submission
+from tumble.registry.adding import Particulars, read_submission
 from tumble.simulation.session import simulate_session
 from tumble.views.report.certified import letterhead
 from tumble.views.report.write import write_report

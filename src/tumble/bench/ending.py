@@ -131,9 +131,8 @@ def registered(folder: Path, place: str | None) -> str:
     from tumble.registry.store.connect import extra_named
 
     with extra_named():
-        from tumble.registry.adding import add
+        from tumble.registry.adding import Particulars, add, read_submission
         from tumble.registry.store.connect import open_registry
-        from tumble.registry.submission import Particulars, read_submission
 
         submission = read_submission(folder / CALIBRATION_FILE, Particulars())
         with open_registry(place, create=True) as opened:

@@ -219,8 +219,8 @@ def _of_type(place: str, model: str | None, frame: Frame) -> TypeSpread:
     if model is None:
         raise InputError("--registry: expected the type of the device, `model` under [device], found none")
     with extra_named():
+        from tumble.registry.series import type_spread
         from tumble.registry.store.connect import open_registry
-        from tumble.registry.type_launches import type_spread
 
         with open_registry(place) as opened:
             return type_spread(opened, model, frame)

@@ -63,8 +63,8 @@ def _launches(place: str, serial: str) -> tuple[KnownLaunches, ...]:
     from tumble.registry.store.connect import extra_named
 
     with extra_named():
+        from tumble.registry.series import device_launches
         from tumble.registry.store.connect import open_registry
-        from tumble.registry.type_launches import device_launches
 
         with open_registry(place) as opened:
             return device_launches(opened, serial)

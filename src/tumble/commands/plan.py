@@ -45,7 +45,7 @@ def plan(
     """The least uncertainty a programme allows, the best next position, and better programmes; over temperature with
     the time in a chamber."""
     from tumble.planning.best_positions import Aim
-    from tumble.planning.plan import plan as best
+    from tumble.planning.best_positions import plan as best
     from tumble.planning.reachable_attitudes import TurnTable
     from tumble.planning.requirements import wanted_of
     from tumble.programme.positions import from_attitudes
@@ -81,7 +81,7 @@ def _over_temperature(
 ) -> NoReturn:
     """Print the plan of recordings over temperature, and exit."""
     from tumble.planning.over_temperature import Chamber, plan_over_temperature, wanted_over_temperature
-    from tumble.simulation.chamber import chamber_sessions
+    from tumble.simulation.temperature_profile import chamber_sessions
     from tumble.views.planning import short_over_temperature, thermal_plan_blocks
     from tumble.views.render.data import print_data, thermal_plan_data
     from tumble.views.render.terminal import print_blocks

@@ -88,9 +88,9 @@ def add(
     place: str | None,
 ) -> None:
     """Add a CALIBRATION file, judge it by the limits in force, and say so. Exit status 1 if it does not pass."""
+    from tumble.registry.adding import Particulars, read_submission
     from tumble.registry.adding import add as add_to
     from tumble.registry.store.connect import open_registry
-    from tumble.registry.submission import Particulars, read_submission
 
     particulars = Particulars(
         performed=None if day is None else day.replace(tzinfo=UTC),
@@ -317,6 +317,7 @@ def import_(file: Path, place: str | None) -> None:
     from tumble.registry.exchange import import_export, read_export
     from tumble.registry.store.connect import open_registry
 
-    with read_export(file) as export, open_registry(place, create=True) as opened:
+    export = read_export(file)
+    with open_registry(place, create=True) as opened:
         done = import_export(opened, export)
         say(f"{done.added} calibrations added to {opened.name}, {done.known} were there already")

@@ -14,7 +14,7 @@ from tumble.diagnosis.observability import rough_directions
 from tumble.earth import EARTH_RATE
 from tumble.programme.positions import from_attitudes, programme
 from tumble.recording.session import Channels, LogSpec, Session
-from tumble.recording.session.document import GyroTable
+from tumble.recording.session.log_tables import GyroTable
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
 from tumble.sensors.model import SensorModel

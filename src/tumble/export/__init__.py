@@ -35,7 +35,7 @@ class Target:
 
 FORMATS: Mapping[str, Target] = {
     "kalibr": Target(module="kalibr", function="kalibr", takes=("noise",)),
-    "ros-imu-calib": Target(module="ros_imu_calib", function="ros_imu_calib"),
+    "ros-imu-calib": Target(module="kalibr", function="ros_imu_calib"),
     "px4": Target(module="autopilots", function="px4", takes=("imu",), ending=".params"),
     "px4-thermal": Target(module="autopilots", function="px4_thermal", takes=("imu", "sensor-ids"), ending=".params"),
     "ardupilot": Target(module="autopilots", function="ardupilot", takes=("imu",), ending=".parm"),

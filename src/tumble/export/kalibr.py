@@ -1,4 +1,13 @@
-"""Kalibr / OpenVINS: the file kalibr_imu_chain.yaml of OpenVINS, whose IMU model "kalibr" is that of Kalibr.
+"""The ROS package imu_calib: the file of accelerometer parameters that its node apply_calib reads.
+
+    corrected = SM · raw − bias        SM: nine numbers, row by row
+
+so SM = M⁻¹ and bias = M⁻¹ b. Gyros are not calibrated: the node takes the mean of its first 100 samples for their
+bias.
+
+Source: package imu_calib (D. Koch), README and class AccelCalib.
+
+Kalibr / OpenVINS: the file kalibr_imu_chain.yaml of OpenVINS, whose IMU model "kalibr" is that of Kalibr.
 
     a_m = Ta R_IMUtoACC a + b_a
     w_m = Tw R_IMUtoGYRO w + Tg a + b_g        Ta, Tw lower triangular
@@ -25,11 +34,13 @@ from tumble.calibration.half import WORDS
 from tumble.calibration.quiet_samples import longest_rest, noise_panels
 from tumble.calibration.results import SensorsAtRest
 from tumble.errors import InputError
+from tumble.export.diagonal import gyro_matrix_lost
 from tumble.export.exported import (
     NO_UNCERTAINTY,
     Exported,
     commented,
     example,
+    examples,
     origin,
     shown,
     triads,
@@ -40,6 +51,22 @@ from tumble.export.larger_model import g_sensitivity, not_held, still
 from tumble.recording.session import Session
 from tumble.reduction.allan_deviation import Panel
 from tumble.units import Array
+
+
+def ros_imu_calib(calibration: Calibration) -> Exported:
+    """imu_calib.yaml of a calibration."""
+    known = triads(calibration, "ros-imu-calib", needed=("accel",))
+    model, inverse = known["accel"], known["accel"].inverse()
+    gyros = "everything of the gyros: the node takes their bias at start; "
+    losses = [gyros + gyro_matrix_lost(known["gyro"])] if "gyro" in known else []
+    losses += [*not_held(calibration), NO_UNCERTAINTY]
+    comments = [
+        *origin(calibration),
+        "corrected = SM * raw - bias, m/s^2",
+        *examples({"accel": model}, "example: raw {reading} is {true}"),
+        *losses,
+    ]
+    return commented(comments, [f"SM: {yaml_list(inverse)}", f"bias: {yaml_list(inverse @ model.bias)}"], losses)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

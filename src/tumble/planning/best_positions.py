@@ -27,12 +27,13 @@ from typing import Literal
 
 import numpy as np
 
+from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.inference.elimination import eliminate
 from tumble.inference.estimate import DETERMINED
-from tumble.planning.bounds import Bound, begun, bound, course_of, instrument_of, view
-from tumble.planning.reachable_attitudes import ANY, Places, TurnTable, Ways, ways_through
-from tumble.planning.setup import Setup
+from tumble.planning.bounds import Bound, begun, bound, course_of, instrument_of, stated, view
+from tumble.planning.reachable_attitudes import ANY, Places, TurnTable, Ways
+from tumble.planning.setup import Setup, check_setup, with_all_groups
 from tumble.programme.positions import ANY_MOVE, Move, Position, Programme
 from tumble.programme.positions import programme as built_in
 from tumble.sensors.parameters import group_name, limits_of
@@ -167,7 +168,7 @@ class _Search:
         places, rest, stop = way.places[0], self.places.rest, start + k
         before = int(places[start - 1]) if start > 0 else None
         after = int(places[stop]) if stop < len(places) else None
-        ways = ways_through(self.places, before, after, k)
+        ways = self.places.ways(before, after, k)
         q, triangle, chain = len(ways.places), self.criterion.known, [rest[ways.places]]
         if q == 0:
             return way, np.inf
@@ -189,7 +190,7 @@ class _Search:
     def grown(self, start: int, positions: int) -> Ways:
         """So many positions from a place on, each the best to add; where not every place can be reached from every
         other, two at a time."""
-        way, k = Ways.at(start, self.places), 1 if self.places.table.by_hand else 2
+        way, k = self.places.at(start), 1 if self.places.table.by_hand else 2
         while (n := way.places.shape[1]) < positions:
             way, _ = self.exchanged(way, n, min(k, positions - n))
         return way
@@ -324,7 +325,7 @@ def candidates(setup: Setup, aim: Aim, places: Places) -> tuple[float, Array, Wa
     ends."""
     criterion = Criterion.of(aim, setup)
     last, triangle = _shown(setup, aim, criterion)
-    legs = Ways.of(places.onward(places.index(setup.programme.positions[-1].matrix)))
+    legs = places.legs(places.index(setup.programme.positions[-1].matrix), 1)
     rest = np.concatenate([_repeated(last, len(legs.places)), places.rest[legs.places]], axis=1)
     before = criterion.of_triangles(_closed(last, triangle)[None])[0]
     return float(before), criterion.of_triangles(_triangles(rest, legs.rows, triangle)), legs
@@ -379,3 +380,53 @@ def compared(setup: Setup, programmes: Sequence[Programme], aim: Aim = Aim()) ->
 def of_the_literature() -> tuple[Programme, ...]:
     """The programmes that others are compared with."""
     return tuple(built_in(name) for name in COMPARED)
+
+
+# The plan of a set-up
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
+class PlanResult(Brief):
+    """What a set-up's programme can show at best, of the linear model, and what `calibrate` will state of the `whole`
+    instrument. `following`
+    are the positions it would gain most by, where it was given; `programmes` the programme that was found and those of
+    the literature, where one was to be found."""
+
+    setup: Setup
+    bound: Bound
+    whole: Bound
+    following: tuple[Next, ...]
+    programmes: tuple[Compared, ...]
+
+
+def plan(
+    setup: Setup,
+    *,
+    positions: int | None = None,
+    aim: Aim = Aim(),
+    table: TurnTable = ANY,
+    progress: Progress = untold,
+) -> PlanResult:
+    """The least uncertainty that the programme of a set-up allows, and the best next positions on a table; with
+    `positions` the best programme of so many that is found, beside those of the literature, its search told to
+    `progress`. Raises InputError for values that make no sense, and where there is no noise.
+
+    >>> import tumble
+    >>> setup = tumble.Setup.of(rest=120.0)
+    >>> found = tumble.plan(setup)
+    >>> len(found.following), found.bound.groups[0]
+    (5, 'accel.bias')
+    """
+    check_setup(setup, 1)
+    if positions is None:
+        return PlanResult(
+            setup=setup,
+            bound=bound(setup, gyros=aim.gyros),
+            whole=stated(with_all_groups(setup), gyros=aim.gyros),
+            following=next_positions(setup, aim, table),
+            programmes=(),
+        )
+    setup = replace(setup, programme=optimised(setup, positions, aim, table, progress))
+    rows = compared(setup, (setup.programme, *of_the_literature()), aim)
+    whole = stated(with_all_groups(setup), gyros=aim.gyros)
+    return PlanResult(setup=setup, bound=rows[0].bound, whole=whole, following=(), programmes=rows)

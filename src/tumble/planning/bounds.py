@@ -42,9 +42,8 @@ from tumble.inference.step import Told, tell, whitened_rows
 from tumble.inference.turns_about import TurnsAbout, own_axes, warms
 from tumble.methods.least_squares import Solution, least_squares
 from tumble.planning.expected_sizes import expected
-from tumble.planning.inertial_turns import inertial_turns
 from tumble.planning.setup import Setup, check_setup
-from tumble.planning.steady_turns import steady_moments
+from tumble.planning.steady_turns import inertial_turns, steady_moments
 from tumble.recording.session import Site
 from tumble.reduction.coloured_noise import WHITE
 from tumble.reduction.moments import Moments

@@ -26,9 +26,8 @@ T₀, D and q are those of `tumble.planning.error_propagation`, the symbols thos
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -64,34 +63,15 @@ GROUPS = ("accel.bias", "accel.scale", "accel.axis", "gyro.bias", "gyro.scale", 
 MAXIMUM_LIKELIHOOD = "maximum likelihood, the bound"
 """How the method joint finds every group of parameters."""
 
-ESTIMATORS: Mapping[BudgetedMethod, Mapping[str, str]] = MappingProxyType(
-    {
-        "sequential": {
-            "accel.bias": "up and down, levelled, Eq. (4)",
-            "accel.scale": "up and down, levelled, Eq. (4)",
-            "accel.axis": "axes 45° up and down, Eq. (10)",
-            "gyro.bias": "vertical axes, Eq. (18)",
-            "gyro.scale": "indirect, programme matrix",
-            "gyro.axis": "indirect, programme matrix",
-        },
-        "scalar": {
-            "accel.bias": "scalar, estimated orientation, Eq. (13)",
-            "accel.scale": "scalar, estimated orientation, Eq. (13)",
-            "accel.axis": "scalar, estimated orientation, Eq. (13)",
-            "gyro.bias": "scalar, estimated orientation",
-            "gyro.scale": "indirect, programme matrix",
-            "gyro.axis": "indirect, programme matrix",
-        },
-        "staged": {
-            "accel.bias": "scalar, estimated orientation, Eq. (13)",
-            "accel.scale": "scalar, estimated orientation, Eq. (13)",
-            "accel.axis": "scalar, estimated orientation, Eq. (13)",
-            "gyro.bias": "dot product",
-            "gyro.scale": "indirect, logged Jacobian",
-            "gyro.axis": "indirect, logged Jacobian",
-        },
-    }
-)
+_INDIRECT = ("indirect, programme matrix",) * 2
+_BY_METHOD: Mapping[BudgetedMethod, tuple[str, ...]] = {
+    "sequential": (*("up and down, levelled, Eq. (4)",) * 2, "axes 45° up and down, Eq. (10)",
+                   "vertical axes, Eq. (18)", *_INDIRECT),
+    "scalar": (*("scalar, estimated orientation, Eq. (13)",) * 3, "scalar, estimated orientation", *_INDIRECT),
+    "staged": (*("scalar, estimated orientation, Eq. (13)",) * 3, "dot product",
+               *("indirect, logged Jacobian",) * 2),
+}  # fmt: skip
+ESTIMATORS = {method: dict(zip(GROUPS, words, strict=True)) for method, words in _BY_METHOD.items()}
 """How each method finds each group of parameters."""
 
 
@@ -178,33 +158,51 @@ def expect_linear(setup: Setup, method: BudgetedMethod) -> None:
         )
 
 
-def _joint_rows(setup: Setup) -> list[BudgetRow]:
+def _joint_rows(setup: Setup) -> Iterator[BudgetRow]:
     """The rows of the method joint: the bound, and what the groups beyond the linear model have of it."""
     least, alone = bound(setup), bound(replace(setup, further={}))
-    out = []
     for group in least.groups:
-        members = positions_by_group(least.names)[group]
         error, noise = least.rms(group), alone.rms(group)
         if not math.isfinite(error):
             continue
-        terms = [Term(name="noise", error=noise)]
+        terms = {"noise": noise}
         if setup.further:
-            more = math.sqrt(max(error**2 - noise**2, 0.0))
-            terms.append(Term(name="groups beyond the linear model", error=more))
-        out.append(
-            BudgetRow(
-                group=group,
-                method="joint",
-                estimator=MAXIMUM_LIKELIHOOD,
-                iteration=1,
-                unit=UNITS[group],
-                error=error,
-                relative=error / spread_of(setup, group),
-                errors={least.names[p]: float(least.u[p]) for p in members},
-                terms=tuple(sorted(terms, key=lambda term: -term.error)),
-            )
-        )
-    return out
+            terms["groups beyond the linear model"] = math.sqrt(max(error**2 - noise**2, 0.0))
+        errors = {least.names[p]: float(least.u[p]) for p in positions_by_group(least.names)[group]}
+        yield _row(setup, group, "joint", 1, errors, terms)
+
+
+def _rows(setup: Setup, pipeline: Pipeline, iteration: int) -> Iterator[BudgetRow]:
+    """The rows of another method after so many passes."""
+    variances = pipeline.variances(iteration)
+    for group in pipeline.groups:
+        members, size = members_of(group), size_of(setup, group)
+        total = sum((v[members] for v in variances.values()), np.zeros(len(members)))
+        errors = {NAMES[p]: size * math.sqrt(v) for p, v in zip(members, total, strict=True)}
+        terms = {name: size * _rms(v[members]) for name, v in variances.items() if v[members].any()}
+        yield _row(setup, group, pipeline.method, iteration, errors, terms)
+
+
+def _row(
+    setup: Setup,
+    group: str,
+    method: PlannedMethod,
+    iteration: int,
+    errors: Mapping[str, float],
+    terms: Mapping[str, float],
+) -> BudgetRow:
+    error = _rms(np.array(list(errors.values())) ** 2)
+    return BudgetRow(
+        group=group,
+        method=method,
+        estimator=MAXIMUM_LIKELIHOOD if method == "joint" else ESTIMATORS[method][group],
+        iteration=iteration,
+        unit=UNITS[group],
+        error=error,
+        relative=error / spread_of(setup, group),
+        errors=errors,
+        terms=tuple(Term(name=n, error=e) for n, e in sorted(terms.items(), key=lambda term: -term[1])),
+    )
 
 
 def _remarks(setup: Setup, methods: Sequence[PlannedMethod]) -> tuple[str, ...]:
@@ -233,38 +231,14 @@ LARGEST_AZIMUTH = 0.1
 """Largest azimuth error of TRIAD, rad, likewise; the paper, too, wants biases an order below the Earth's rate."""
 
 
-def _rows(setup: Setup, pipeline: Pipeline, iteration: int) -> list[BudgetRow]:
-    """The rows of one method after so many passes."""
-    variances = pipeline.variances(iteration)
-    out = []
-    for group in pipeline.groups:
-        members, size, unit = members_of(group), size_of(setup, group), UNITS[group]
-        total = sum((v[members] for v in variances.values()), np.zeros(len(members)))
-        terms = [Term(name=n, error=size * _rms(v[members])) for n, v in variances.items() if v[members].any()]
-        error = size * math.sqrt(total.mean())
-        out.append(
-            BudgetRow(
-                group=group,
-                method=pipeline.method,
-                estimator=ESTIMATORS[pipeline.method][group],
-                iteration=iteration,
-                unit=unit,
-                error=error,
-                relative=error / spread_of(setup, group),
-                errors={NAMES[p]: size * math.sqrt(v) for p, v in zip(members, total, strict=True)},
-                terms=tuple(sorted(terms, key=lambda term: -term.error)),
-            )
-        )
-    return out
-
-
 UNITS = {group_name(name): unit for name, unit in zip(NAMES, NAME_UNITS, strict=True)}
 """The SI unit of each group of parameters."""
+_MEMBERS = {group: np.array(members) for group, members in positions_by_group(NAMES).items()}
 
 
 def members_of(group: str) -> IntArray:
     """Indices of a group's parameters."""
-    return np.array([i for i, name in enumerate(NAMES) if group_name(name) == group])
+    return _MEMBERS[group]
 
 
 def size_of(setup: Setup, group: str) -> float:
@@ -411,12 +385,16 @@ def _mean_square(form: Callable[[Array], Array], spread: Array) -> Array:
 def _noise(setup: Setup, plan: Plan, method: BudgetedMethod) -> dict[str, Array]:
     """Variances (21,) of the parameters from noise, by cause, on an exact programme: each noise as if alone."""
     N, K = len(plan.nominal), len(plan.duration)
-    accel = np.eye(3 * N).reshape(3 * N, N, 3)
-    turn = np.eye(3 * K).reshape(3 * K, K, 3)
-    by_accel = _gains(plan, method, Seen(accel=accel, gyro=0.0 * accel, turn=np.zeros((3 * N, K, 3))))
-    by_gyro = _gains(plan, method, Seen(accel=0.0 * accel, gyro=accel, turn=np.zeros((3 * N, K, 3))))
-    by_turn = _gains(plan, method, Seen(accel=np.zeros((3 * K, N, 3)), gyro=np.zeros((3 * K, N, 3)), turn=turn))
-    by_change = _gains(plan, method, Seen(accel=0.0 * accel, gyro=accel, turn=_in_turns(plan, accel)))
+    rest, turn = np.eye(3 * N).reshape(3 * N, N, 3), np.eye(3 * K).reshape(3 * K, K, 3)
+
+    def gains(m: int, accel: float | Array = 0.0, gyro: float | Array = 0.0, turn: float | Array = 0.0) -> Array:
+        """Estimates (m, 21) that m unit errors of what is seen lead to."""
+        at_rest, in_turn = np.zeros((m, N, 3)), np.zeros((m, K, 3))
+        seen = Seen(accel=at_rest + accel, gyro=at_rest + gyro, turn=in_turn + turn)
+        return estimates(plan, method, plan.nominal, seen)
+
+    by_accel, by_gyro, by_turn = gains(3 * N, accel=rest), gains(3 * N, gyro=rest), gains(3 * K, turn=turn)
+    by_change = gains(3 * N, gyro=rest, turn=_in_turns(plan, rest))
     alike = np.exp(-np.abs(np.subtract.outer(*[begins(course_of(setup), setup)] * 2)) / CORRELATION_TIME)
     seconds = np.repeat(plan.duration, 3)
     return {
@@ -433,11 +411,6 @@ def _noise(setup: Setup, plan: Plan, method: BudgetedMethod) -> dict[str, Array]
 
 REST_NOISE = ("accelerometer noise at rest", "gyro noise at rest")
 """The causes that longer rests reduce."""
-
-
-def _gains(plan: Plan, method: BudgetedMethod, seen: Seen) -> Array:
-    """Estimates (m, 21) that m unit errors of what is seen lead to."""
-    return estimates(plan, method, plan.nominal, seen)
 
 
 def _wandered(gains: Array, bias: str, alike: Array) -> Array:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Literal
 
 from tumble.brief import Brief
@@ -56,13 +55,21 @@ class Requirement:
     estimator: str
     wanted: float
     unit: str
-    feasible: bool
-    limited: bool
-    table_error: float
-    mounting_error: float
-    tilt: float
-    rest: float
-    reason: str
+    limited: bool = True
+    table_error: float = 0.0
+    mounting_error: float = 0.0
+    rest: float = math.inf
+    reason: str = ""
+
+    @property
+    def feasible(self) -> bool:
+        """Whether some table meets it."""
+        return not self.reason
+
+    @property
+    def tilt(self) -> float:
+        """Errors of table and mounting together, rms per axis, rad."""
+        return math.sqrt((self.table_error**2 + self.mounting_error**2) / 3.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
@@ -82,17 +89,22 @@ class Requirements(Brief):
     @property
     def table_error(self) -> float:
         """Largest error of the table, rad, that meets every requirement that can be met."""
-        return min((row.table_error for row in self.rows if row.feasible), default=0.0)
+        return min((row.table_error for row in self.met), default=0.0)
 
     @property
     def mounting_error(self) -> float:
         """Largest error of the mounting, rad, that meets every requirement that can be met."""
-        return min((row.mounting_error for row in self.rows if row.feasible), default=0.0)
+        return min((row.mounting_error for row in self.met), default=0.0)
 
     @property
     def rest(self) -> float:
         """Shortest rest, s, that meets every requirement that can be met."""
-        return max((row.rest for row in self.rows if row.feasible), default=0.0)
+        return max((row.rest for row in self.met), default=0.0)
+
+    @property
+    def met(self) -> tuple[Requirement, ...]:
+        """Those that some set-up meets."""
+        return tuple(row for row in self.rows if row.feasible)
 
 
 def require(
@@ -170,25 +182,21 @@ def _rows_of_joint(wanted: Mapping[str, float], setup: Setup) -> tuple[Requireme
         least = [each.rms(group) for each in bounds]
         best = min(range(len(rests)), key=lambda i: least[i])
         enough = next((i for i, error in enumerate(least) if error <= value), None)
-        if enough is None:
-            size, unit = engineering(UNITS[group], least[best])
-            reached = (
-                "which this programme does not determine"
-                if math.isinf(least[best])
-                else f"expected an accuracy of at least {least[best] / size:.3g} {unit}, which the method joint has "
-                f"with rests of {rests[best]:.0f} s, found {value / size:.3g} {unit}"
-            )
-            reason = f"{group}: {reached}; take another programme (tumble plan), average launches, or a better grade"
-        else:
-            reason = ""
-        rest = math.inf if enough is None else _shortest(setup, group, value, rests[max(enough - 1, 0)], rests[enough])
-        table = 0.0 if enough is None else LARGEST_DEVIATION
-        row = Requirement(
-            group=group, estimator=MAXIMUM_LIKELIHOOD, wanted=value, unit=UNITS[group], feasible=enough is not None,
-            limited=enough is None, table_error=table, mounting_error=table, tilt=table * math.sqrt(2.0 / 3.0),
-            rest=rest, reason=reason,
-        )  # fmt: skip
-        rows.append(row)
+        row = Requirement(group=group, estimator=MAXIMUM_LIKELIHOOD, wanted=value, unit=UNITS[group])
+        if enough is not None:
+            rest = _shortest(setup, group, value, rests[max(enough - 1, 0)], rests[enough])
+            table = LARGEST_DEVIATION
+            rows.append(replace(row, limited=False, table_error=table, mounting_error=table, rest=rest))
+            continue
+        size, unit = engineering(UNITS[group], least[best])
+        reached = (
+            "which this programme does not determine"
+            if math.isinf(least[best])
+            else f"expected an accuracy of at least {least[best] / size:.3g} {unit}, which the method joint has "
+            f"with rests of {rests[best]:.0f} s, found {value / size:.3g} {unit}"
+        )
+        remedy = "take another programme (tumble plan), average launches, or a better grade"
+        rows.append(replace(row, reason=f"{group}: {reached}; {remedy}"))
     return tuple(rows)
 
 
@@ -268,43 +276,38 @@ _FLOOR = {
 
 def _requirement(unit: Setup, group: str, wanted: float, demand: _Demand) -> Requirement:
     """The inverse: what of wanted² is left over what no table can help goes to deviations and to the noise of rests."""
-    free = wanted**2 - sum(demand.fixed.values())
-    estimator, gives = demand.estimator, UNITS[group]
+    fixed = sum(demand.fixed.values())
+    free = wanted**2 - fixed
+    row = Requirement(group=group, estimator=demand.estimator, wanted=wanted, unit=UNITS[group])
     if free <= 0.0:
         cause = max(demand.fixed, key=lambda name: demand.fixed[name])
-        floor = math.sqrt(sum(demand.fixed.values()))
-        size, name = engineering(gives, floor)
+        size, name = engineering(UNITS[group], math.sqrt(fixed))
         reason = (
-            f"{group}: expected an accuracy of at least {floor / size:.3g} {name}, which an exact table and endless "
-            f"rests leave (mostly {cause}), found {wanted / size:.3g} {name}; "
+            f"{group}: expected an accuracy of at least {math.sqrt(fixed) / size:.3g} {name}, which an exact table and "
+            f"endless rests leave (mostly {cause}), found {wanted / size:.3g} {name}; "
             f"{_REMEDY.get(cause, 'take another pass or method')}"
         )
-        return Requirement(
-            group=group, estimator=estimator, wanted=wanted, unit=gives, feasible=False, limited=True,
-            table_error=0.0, mounting_error=0.0, tilt=0.0, rest=math.inf, reason=reason,
-        )  # fmt: skip
+        return replace(row, reason=reason)
     noisy = demand.rest_noise > 0.0
-    rest = demand.rest_noise / (REST_SHARE * free) if noisy else 0.0
     largest = LARGEST_DEVIATION / max(unit.table_error, unit.mounting_error)
     scale = _largest(demand.deviations, (1.0 - REST_SHARE) * free if noisy else free, largest)
-    table, mounting = scale * unit.table_error, scale * unit.mounting_error
-    tilt = math.sqrt((table**2 + mounting**2) / 3.0)
-    return Requirement(
-        group=group, estimator=estimator, wanted=wanted, unit=gives, feasible=True, limited=scale < largest,
-        table_error=table, mounting_error=mounting, tilt=tilt, rest=rest, reason="",
-    )  # fmt: skip
+    return replace(
+        row,
+        limited=scale < largest,
+        table_error=scale * unit.table_error,
+        mounting_error=scale * unit.mounting_error,
+        rest=demand.rest_noise / (REST_SHARE * free) if noisy else 0.0,
+    )
 
 
-_REMEDY: Mapping[str, str] = MappingProxyType(
-    {
-        "gyro noise in turns": "turn faster, or average launches",
-        "accelerometer instability": "average launches",
-        "gyro instability": "average launches",
-        "uncertainty of gravity": "measure gravity",
-        "second order in the parameters": "take another pass",
-        "azimuth error of TRIAD, δω²/2Ω": "take vertical axes, Eq. (18), or another pass",
-    }
-)
+_REMEDY: Mapping[str, str] = {
+    "gyro noise in turns": "turn faster, or average launches",
+    "accelerometer instability": "average launches",
+    "gyro instability": "average launches",
+    "uncertainty of gravity": "measure gravity",
+    "second order in the parameters": "take another pass",
+    "azimuth error of TRIAD, δω²/2Ω": "take vertical axes, Eq. (18), or another pass",
+}
 
 
 def _largest(function: Callable[[float], float], limit: float, most: float) -> float:

@@ -8,26 +8,22 @@ belong to one registry. Importing adds what is not there yet.
 from __future__ import annotations
 
 import json
-import pickle
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import islice
 from pathlib import Path
-from tempfile import TemporaryFile
-from typing import IO, Any
+from typing import Any
 
 from tumble.acceptance.limits import parse_limits
 from tumble.acceptance.schedule import OCCASIONS
 from tumble.documents import check_regular, json_of, shown
 from tumble.errors import InputError
 from tumble.files import FilePath
-from tumble.registry.adding import add_within
+from tumble.registry.adding import Particulars, Submission, add_within, is_past, submission, utc
 from tumble.registry.due import keep_forecasts
 from tumble.registry.store import rows
 from tumble.registry.store.connect import Registry
-from tumble.registry.submission import Particulars, Submission, is_past, submission, utc
 from tumble.registry.types import STATES, LimitsRecord
 
 FORMAT = 1
@@ -57,14 +53,8 @@ def export_lines(registry: Registry) -> Iterator[str]:
         limits, records = rows.every_limits(connection), rows.every_record(connection)
         yield _line(kind=KIND, format=FORMAT, limits=len(limits), calibrations=len(records))
         for each in limits:
-            yield _line(
-                kind="limits",
-                sha256=each.sha256,
-                model=each.model,
-                added=each.added.isoformat(),
-                file=each.file,
-                systematic=each.systematic,
-            )
+            stated = {key: getattr(each, key) for key in ("file", "systematic")}
+            yield _line(kind="limits", sha256=each.sha256, model=each.model, added=each.added.isoformat(), **stated)
         limits_sha = {each.number: each.sha256 for each in limits}
         record_sha = {record.number: record.sha256 for record in records}
         for record in records:
@@ -72,8 +62,7 @@ def export_lines(registry: Registry) -> Iterator[str]:
                 kind="calibration",
                 sha256=record.sha256,
                 performed=record.performed.isoformat(),
-                occasion=record.occasion,
-                state=record.state,
+                **{key: getattr(record, key) for key in ("occasion", "state")},
                 limits=None if record.limits is None else limits_sha[record.limits],
                 supersedes=None if record.supersedes is None else record_sha[record.supersedes],
                 reason=record.reason,
@@ -87,18 +76,7 @@ def _line(**content: Any) -> str:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _StagedLimits:
-    """Limits of an export, checked; `sha256` is how its calibrations refer to them."""
-
-    sha256: str
-    model: str
-    file: str
-    systematic: str | None
-    added: datetime
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _StagedCalibration:
+class _Exported:
     """A calibration of an export, checked, with the SHA-256 of its limits and of the record that it corrects."""
 
     submission: Submission
@@ -111,24 +89,19 @@ class _StagedCalibration:
 class Export:
     """An export that was looked at as a whole; `corrected`: records that it corrects and does not hold, and where."""
 
-    staged: IO[bytes]
+    path: Path
     corrected: Mapping[str, str]
 
 
-@contextmanager
-def read_export(file: FilePath) -> Iterator[Export]:
+def read_export(file: FilePath) -> Export:
     """An export, every line of which is looked at. Raises InputError, one line, where the file is no whole one."""
-    path = Path(file)
-    with TemporaryFile(prefix="tumble-") as staged:
-        try:
-            check_regular(path)
-            with path.open(encoding="utf-8") as opened:
-                corrected = _stage(opened, str(path), staged)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-        except UnicodeDecodeError as error:
-            raise InputError(f"{path}: expected UTF-8 text, found {error.reason}") from error
-        yield Export(staged=staged, corrected=corrected)
+    path, known, corrected = Path(file), set[str](), dict[str, str]()
+    for where, each in _entries(path):
+        if isinstance(each, _Exported):
+            if each.supersedes is not None and each.supersedes not in known:
+                corrected.setdefault(each.supersedes, where)
+            known.add(each.submission.sha256)
+    return Export(path=path, corrected=corrected)
 
 
 def import_file(registry: Registry, file: FilePath) -> Imported:
@@ -137,8 +110,7 @@ def import_file(registry: Registry, file: FilePath) -> Imported:
 
     Raises InputError, one line, and adds nothing, where the file is no whole export; where what a record says is at
     odds with the registry, those before it have been added, and another import goes on from there."""
-    with read_export(file) as export:
-        return import_export(registry, export)
+    return import_export(registry, read_export(file))
 
 
 def import_export(registry: Registry, export: Export) -> Imported:
@@ -149,13 +121,12 @@ def import_export(registry: Registry, export: Export) -> Imported:
         for sha256, where in export.corrected.items():
             if sha256 not in known:
                 raise _not_there("supersedes", sha256, where)
-    export.staged.seek(0)
-    limits: dict[str, LimitsRecord] = {}
+    entries, limits = _entries(export.path), dict[str, LimitsRecord]()
     seen = added = 0
-    while batch := list(islice(_unpickled(export.staged), BATCH)):
+    while batch := list(islice(entries, BATCH)):
         with registry.writing() as connection:
-            for each in batch:
-                if isinstance(each, _StagedLimits):
+            for _, each in batch:
+                if isinstance(each, LimitsRecord):
                     limits[each.sha256] = rows.add_limits(
                         connection, each.model, each.file, each.systematic, each.added
                     )
@@ -170,23 +141,25 @@ def import_export(registry: Registry, export: Export) -> Imported:
     return Imported(added=added, known=seen - added)
 
 
-def _unpickled(staged: IO[bytes]) -> Iterator[_StagedLimits | _StagedCalibration]:
-    """What this program wrote into a file of its own."""
-    with suppress(EOFError):
-        while True:
-            yield pickle.load(staged)
+def _entries(path: Path) -> Iterator[tuple[str, LimitsRecord | _Exported]]:
+    """What is in every line of an export, checked, and where it stands."""
+    try:
+        check_regular(path)
+        with path.open(encoding="utf-8") as opened:
+            yield from _checked(opened, str(path))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected UTF-8 text, found {error.reason}") from error
 
 
-def _stage(lines: Iterator[str], path: str, staged: IO[bytes]) -> dict[str, str]:
-    """Check every line of an export, and keep what is in it. Gives the records that it corrects and does not hold."""
+def _checked(lines: Iterator[str], path: str) -> Iterator[tuple[str, LimitsRecord | _Exported]]:
     header = _parsed(next(lines, ""), f"{path}: line 1")
     if header.get("kind") != KIND or header.get("format") != FORMAT:
         raise InputError(
             f"{path}: line 1: expected an export of a tumble registry of format {FORMAT}, found another file"
         )
     limits: set[str] = set()
-    known: set[str] = set()
-    corrected: dict[str, str] = {}
     counts = dict.fromkeys(_KEYS, 0)
     for number, line in enumerate(lines, 2):
         where = f"{path}: line {number}"
@@ -205,9 +178,9 @@ def _stage(lines: Iterator[str], path: str, staged: IO[bytes]) -> dict[str, str]
         counts[kind] += 1
         if kind == "limits":
             parse_limits(content["file"], content["systematic"], where)
-            given = {key: content[key] for key in ("sha256", "model", "file", "systematic")}
-            pickle.dump(_StagedLimits(**given, added=added), staged)
             limits.add(content["sha256"])
+            given = {key: content[key] for key in ("sha256", "model", "file", "systematic")}
+            yield where, LimitsRecord(number=0, **given, added=added)
             continue
         for key, allowed in (("occasion", OCCASIONS), ("state", STATES)):
             if content[key] not in tuple(allowed):
@@ -217,18 +190,14 @@ def _stage(lines: Iterator[str], path: str, staged: IO[bytes]) -> dict[str, str]
         calibration = submission(content["file"], where, Particulars(performed=performed, **stated))
         if content["limits"] is not None and content["limits"] not in limits:
             raise _not_there("limits", content["limits"], where)
-        if content["supersedes"] is not None and content["supersedes"] not in known:
-            corrected.setdefault(content["supersedes"], where)
-        known.add(calibration.sha256)
         refers = {key: content[key] for key in ("limits", "supersedes")}
-        pickle.dump(_StagedCalibration(submission=calibration, added=added, **refers), staged)
-    said = {"limits": header.get("limits", 0), "calibration": header.get("calibrations", 0)}
-    if counts != said:
+        yield where, _Exported(submission=calibration, added=added, **refers)
+    stated_counts = {"limits": header.get("limits", 0), "calibration": header.get("calibrations", 0)}
+    if counts != stated_counts:
         raise InputError(
-            f"{path}: expected the numbers of records that line 1 says, {_counts(said)}, found {_counts(counts)}; "
-            "export it again"
+            f"{path}: expected the numbers of records that line 1 says, {_counts(stated_counts)}, found "
+            f"{_counts(counts)}; export it again"
         )
-    return corrected
 
 
 def _not_there(key: str, sha256: str, where: str) -> InputError:

@@ -25,6 +25,17 @@ A change has the expanded uncertainty U = t(ν) u with ν by Welch and Satterthw
 Whether the last one is beyond chance says the comparison of the two calibrations (`tumble.calibration.compare`).
 
 Source: Mandel & Paule, Anal. Chem. 42 (1970) 1194, for τ; JCGM 100 (GUM) G.4 for t; ISO 13528, 9.7 for E_n.
+
+When the drift of a parameter carries it to a limit, and how well that is known.
+
+On the line of a trend (`tumble.registry.trend`) the parameter is at the time t, with Δ = t − t̄,
+
+    y(t) = a + b Δ,   u(y)² = u_a² + 2 c Δ + u_b² Δ² + τ²                                                        (1)
+
+c the covariance of a and b, τ the instability from run to run, so that it is the value of a single power-on. The limit
+is expected to be met where y(t) is the limit; it may be met, with 95.45 %, between the two times at which
+|limit − y(t)| = t(ν) u(y), the roots of a quadratic (Fieller). These are finite where the drift is beyond its U; a
+drift that is not gives no forecast.
 """
 
 from __future__ import annotations
@@ -32,7 +43,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from datetime import timedelta
+from datetime import datetime, timedelta
 from itertools import pairwise
 
 import numpy as np
@@ -42,6 +53,7 @@ from tumble.calibration.coverage import apart, expanded_of, shared_gravity, welc
 from tumble.calibration.shared_errors import shared_time_base
 from tumble.methods.least_squares import scatter_of
 from tumble.registry.series import Series, SeriesPoint
+from tumble.registry.types import Forecast
 from tumble.units import Array
 
 YEAR = timedelta(days=365.25)
@@ -233,3 +245,45 @@ def _instability_and_drift(points: Sequence[SeriesPoint]) -> tuple[float | None,
         level_with_drift=float(covariance[last, -1]),
         since=float(t.mean()),
     )
+
+
+HORIZON = 50.0
+"""Years after the latest calibration, further than which nothing is forecast."""
+
+
+def forecast(trend: Trend, limits: tuple[float, float]) -> Forecast | None:
+    """When the last stretch of a trend meets the limit (SI) towards which it drifts; None without a drift beyond its U,
+    without a limit on that side, where the limit is met already, and beyond HORIZON."""
+    drift, points = trend.drift, trend.series.points
+    if drift is None or not drift.beyond_u:
+        return None
+    limit = limits[1] if drift.per_year > 0.0 else limits[0]
+    now = (points[-1].performed - points[0].performed) / YEAR
+    expected = drift.since + (limit - drift.level) / drift.per_year
+    if not math.isfinite(limit) or not now < expected <= now + HORIZON:
+        return None
+    earliest, latest = _between(drift, limit, trend.instability or 0.0)
+
+    def at(years: float) -> datetime:
+        moment: timedelta = years * YEAR
+        return points[0].performed + moment
+
+    return Forecast(
+        name=trend.series.name,
+        unit=trend.series.unit,
+        limit=limit,
+        expected=at(expected),
+        earliest=at(max(earliest, now)),
+        latest=at(latest) if latest <= now + HORIZON else None,
+    )
+
+
+def _between(drift: Drift, limit: float, instability: float) -> tuple[float, float]:
+    """The roots of |limit − y(t)| = t(ν) u(y), Eq. (1), years since the first calibration."""
+    k = (drift.expanded or 0.0) / drift.u
+    off, b = limit - drift.level, drift.per_year
+    A = b**2 - (k * drift.u) ** 2
+    half = off * b + k**2 * drift.level_with_drift
+    C = off**2 - k**2 * (drift.level_u**2 + instability**2)
+    root = math.sqrt(max(half**2 - A * C, 0.0))
+    return drift.since + (half - root) / A, drift.since + (half + root) / A

@@ -29,7 +29,7 @@ import numpy.typing as npt
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError
-from tumble.planning.inertial_turns import inertial_turns
+from tumble.planning.steady_turns import inertial_turns
 from tumble.reduction.coloured_noise import WHITE
 from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.observations import Observations

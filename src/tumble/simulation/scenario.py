@@ -23,7 +23,7 @@ from tumble.sensors.grades import Grade, NoiseModel, spread_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import Variable, group_name
-from tumble.simulation.climate import Climate
+from tumble.simulation.temperature_profile import Climate
 from tumble.units import DEGREE, Array
 
 _MAX_CYCLES_PER_SAMPLE = 10.0

@@ -19,8 +19,8 @@ import numpy as np
 from tumble.sensors.instrument import readings
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import Variable
-from tumble.simulation.climate import Climate
 from tumble.simulation.scenario import Scenario
+from tumble.simulation.temperature_profile import Climate
 from tumble.units import Array
 
 

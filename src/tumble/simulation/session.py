@@ -18,12 +18,12 @@ from tumble.programme.positions import BUILT_IN, Programme
 from tumble.recording.session import Session
 from tumble.recording.session_file import SESSION_FILE, session_of, write_session
 from tumble.sensors.model import Block
-from tumble.simulation.climate import Climate
 from tumble.simulation.recording import Recording, record
 from tumble.simulation.scenario import NO_VIBRATION, OnTable, Scenario, Vibration, itinerary, scenario_of
 from tumble.simulation.temperature_profile import (
     LAG_NAME,
     REFERENCE_NAME,
+    Climate,
     TemperatureProfile,
     draw_lag,
     draw_thermal,

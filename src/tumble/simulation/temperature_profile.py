@@ -1,4 +1,5 @@
-"""Temperatures of a simulated session as they are asked for: a level, a ramp, a ramp up and down, self-heating.
+"""Temperatures of simulated sessions and of recordings that are planned, as they are asked for: a level, a ramp, a ramp
+up and down, self-heating; what the thermometers read, and what the sensors have.
 
     "25"            a chamber at 25 °C
     "-10:60"        from −10 to 60 °C over the session, and "-10:60:-10" up in the first half and down in the second
@@ -15,16 +16,78 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.reduction.thermometer import MOVED
+from tumble.planning.chamber_recordings import ChamberSession, CourseOfTemperature, rests_of
+from tumble.planning.setup import Setup
+from tumble.reduction.thermometer import MOVED, Thermometers, followed
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block, thermometers_of
-from tumble.sensors.parameters import FURTHER, ParameterGroup, to_temperature
-from tumble.simulation.climate import Climate
-from tumble.units import ZERO_CELSIUS, Array
+from tumble.sensors.parameters import FURTHER, ParameterGroup, Variable, to_temperature
+from tumble.units import ZERO_CELSIUS, Array, IntArray
+
+FINE = 0.1  # s, of the temperatures of the sensors
+NODES = 128
+"""Temperatures of which the mean over a rest is taken."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Climate:
+    """Temperatures (·, T), K, of the thermometers at times (·,), s, from the start of the session, straight between
+    them; the temperature, K, at which the true parameters have their values; and the `lag` of the sensors behind their
+    thermometers, s. `span`, the middle and half the range, K, (T,) or of all, are those of a hysteresis."""
+
+    time: Array
+    kelvin: Array
+    reference: float
+    lag: float = 0.0
+    span: tuple[float | Array, float | Array] = (0.0, 1.0)
+
+    def variables(self, time: Array, thermometer: IntArray) -> dict[Variable, Array]:
+        """What parameters of sensors with these thermometers (n,) change with at times (N,), s: (N, n)."""
+        sensors = self.sensors(time)
+        x = (sensors - self.span[0]) / self.span[1]
+        warmer = sensors - self.reference
+        came = self.record.direction(_first(time), time)
+        hysteresis = came * np.maximum(1.0 - x**2, 0.0)
+        every: dict[Variable, Array] = {"temperature": warmer, "temperature²": warmer**2, "hysteresis": hysteresis}
+        return {variable: values[:, thermometer] for variable, values in every.items()}
+
+    def means(self, start: Array, stop: Array, thermometer: IntArray) -> dict[Variable, Array]:
+        """The means of the same from start to stop (N,), s."""
+        nodes = start[:, None] + (stop - start)[:, None] * (np.arange(NODES) + 0.5) / NODES
+        every = self.variables(nodes.ravel(), thermometer)
+        return {variable: values.reshape(*nodes.shape, -1).mean(axis=1) for variable, values in every.items()}
+
+    def thermometers(self, time: Array) -> Array:
+        """Temperatures (N, T), K, that the thermometers read at times (N,), s."""
+        return np.column_stack([np.interp(time, self.time, kelvin) for kelvin in self.kelvin.T])
+
+    def sensors(self, time: Array) -> Array:
+        """Temperatures (N, T), K, of the sensors with each thermometer at times (N,), s."""
+        fine, kelvin = self._sensors
+        return np.column_stack([np.interp(time, fine, each) for each in kelvin])
+
+    @cached_property
+    def _sensors(self) -> tuple[Array, Array]:
+        """Times, s, and temperatures (T, ·), K, of the sensors throughout."""
+        fine = np.arange(self.time[0], self.time[-1] + FINE, FINE)
+        return fine, np.array([followed(kelvin, FINE, self.lag) for kelvin in self.thermometers(fine).T])
+
+    @cached_property
+    def record(self) -> Thermometers:
+        """What the thermometers recorded."""
+        records: Mapping[int, tuple[Array, Array]] = {0: (self.time, self.kelvin)}
+        return Thermometers.of(records)
+
+
+def _first(time: Array) -> IntArray:
+    """The number of the file of every time: the first."""
+    return np.zeros(len(time), dtype=np.int64)
+
 
 REFERENCE = 25.0
 """°C, at which the true parameters of simulated devices have their values."""
@@ -144,3 +207,40 @@ def thermometer_columns(climate: Climate, time: Array) -> dict[str, Array]:
     celsius = climate.thermometers(time).T - ZERO_CELSIUS
     names = {1: ["T"], 2: ["T_accel", "T_gyro"]}.get(len(celsius), [f"T{t}" for t in range(len(celsius))])
     return dict(zip(names, celsius, strict=True))
+
+
+MOST_RESTS = 200
+"""Of one recording."""
+
+
+def chamber_sessions(text: str, setup: Setup) -> tuple[ChamberSession, ...]:
+    """The recordings of a text: between commas the temperature of each, °C, as `simulate --temperature` takes it, and
+    after a slash how many rests of the set-up's programme it has, which begins anew after its last. Raises InputError,
+    one line.
+
+    >>> [len(one.programme.positions) for one in chamber_sessions("-20/4,20,-20:60:-20/30", Setup.of())]
+    [4, 15, 30]
+    """
+    return tuple(_session(part.strip(), setup) for part in text.split(","))
+
+
+def _session(text: str, setup: Setup) -> ChamberSession:
+    profile, slash, count = text.partition("/")
+    course, programme = temperature_profile(profile), setup.programme
+    if slash:
+        if not re.fullmatch(r"\d{1,3}", count) or not 1 <= int(count) <= MOST_RESTS:
+            raise InputError(
+                f"temperature: {text!r}: expected how many rests, 1 to {MOST_RESTS}, after the slash, found {count!r}"
+            )
+        programme = rests_of(programme, int(count))
+    return ChamberSession(name=text, programme=programme, course=_course(course))
+
+
+def _course(profile: TemperatureProfile) -> CourseOfTemperature:
+    """The mean of its thermometers."""
+
+    def course(duration: float) -> tuple[Array, Array]:
+        climate = profile.climate(duration)
+        return climate.time, climate.kelvin.mean(axis=1)
+
+    return course

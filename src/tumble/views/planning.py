@@ -8,12 +8,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tumble.diagnosis.observability import in_words, sum_in_words
+from tumble.estimation.observability import in_words, sum_in_words
 from tumble.inference.estimate import GroupFinding
-from tumble.planning.best_positions import Aim, Compared, Next
-from tumble.planning.bounds import Bound
+from tumble.planning.best_positions import Aim, Compared, Next, PlanResult
 from tumble.planning.budget import Budget
 from tumble.planning.over_temperature import PlannedSession, ThermalPlan
-from tumble.planning.plan import PlanResult
 from tumble.planning.requirements import Requirements
 from tumble.planning.setup import Setup, time_of
 from tumble.programme.positions import Programme

@@ -12,9 +12,9 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.compare import Comparison
 from tumble.calibration.coverage import expanded_of as expanded_uncertainty
 from tumble.calibration.results import Parameter
+from tumble.registry.adding import logs_of
 from tumble.registry.monitor import Monitored
 from tumble.registry.series import SeriesPoint
-from tumble.registry.submission import logs_of
 from tumble.registry.trend import Change, Trend
 from tumble.registry.types import Forecast, LimitsRecord, Record
 from tumble.sensors.parameters import beyond_linear, group_name

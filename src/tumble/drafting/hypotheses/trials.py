@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from tumble.calibration.observed import Observed, Progress, inspect_session
+from tumble.diagnosis.carried_vertical import fitting_gyro_unit, fitting_time_unit, misses_by_unit
 from tumble.drafting.draft import Draft
 from tumble.drafting.hypotheses.rests_and_turns import (
     accel_scale,
@@ -26,7 +27,6 @@ from tumble.drafting.hypotheses.rests_and_turns import (
 )
 from tumble.drafting.times import ASSUMED_RATE, RATES_OF_LOGS
 from tumble.errors import TumbleError
-from tumble.diagnosis.carried_vertical import fitting_gyro_unit, fitting_time_unit, misses_by_unit
 from tumble.recording.columns.names import ACCEL, GYRO
 from tumble.recording.columns.scales import ScaleMatch, matched
 from tumble.reduction.observations import Observations

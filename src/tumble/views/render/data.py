@@ -35,11 +35,10 @@ if TYPE_CHECKING:
     from tumble.calibration.verify import Verification
     from tumble.campaigns.fleet import Tally
     from tumble.inference.estimate import GroupFinding
-    from tumble.planning.best_positions import Compared, Next
+    from tumble.planning.best_positions import Compared, Next, PlanResult
     from tumble.planning.bounds import Bound
     from tumble.planning.budget import Budget
     from tumble.planning.over_temperature import ThermalPlan
-    from tumble.planning.plan import PlanResult
     from tumble.planning.requirements import Requirements
     from tumble.planning.setup import Setup
     from tumble.programme.positions import Move, Position
@@ -290,7 +289,10 @@ def budget_data(budget: Budget, bound: Bound | None) -> Content:
 
 def requirements_data(requirements: Requirements) -> Content:
     """What each wanted accuracy needs, and what meets all of them."""
-    return _of(requirements, "feasible table_error mounting_error rest rows")
+    row = "group estimator wanted unit feasible limited table_error mounting_error tilt rest reason"
+    return _of(requirements, "feasible table_error mounting_error rest") | {
+        "rows": [_of(each, row) for each in requirements.rows]
+    }
 
 
 def fleet_data(sessions: int, tally: Tally, rows: Path) -> Content:
@@ -320,7 +322,7 @@ def records_data(records: Sequence[Record]) -> Content:
 
 def record_data(record: Record, calibration: Calibration, verdict: Verdict | None) -> Content:
     """A record with its launches, its parameters (of the result: launch 0), and the verdict."""
-    from tumble.registry.submission import logs_of
+    from tumble.registry.adding import logs_of
 
     numbered = [(0, calibration.parameters), *((i, x.parameters) for i, x in enumerate(calibration.launches, 1))]
     parameters = [{"launch": launch} | _of(p, "name value u unit dof") for launch, several in numbered for p in several]
