@@ -71,7 +71,7 @@ def bench(
     them.
     """
     from tumble.bench.opening import stations_of
-    from tumble.bench.serve import serve
+    from tumble.bench.web.serve import serve
 
     given = {"latitude_deg": latitude, "gravity": gravity}
     stations = partial(
