@@ -5,7 +5,6 @@ hatch_build.py, which makes it, reads this file too; so it imports nothing of tu
 
 from __future__ import annotations
 
-import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -27,6 +26,8 @@ RECORD = FOLDER / "compiled.json"
 
 def source_hash(loops: str) -> str:
     """SHA-256 of what a module of LOOPS is compiled from."""
+    import hashlib
+
     digest = hashlib.sha256()
     for ending in (".py", ".pxd"):
         digest.update((FOLDER / (loops + ending)).read_bytes().replace(b"\r\n", b"\n"))

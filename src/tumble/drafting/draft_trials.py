@@ -158,7 +158,7 @@ def _doubts(draft: Draft, scale: ScaleMatch) -> list[str]:
     column = draft.content["log"]["time"]
     return [
         f"time: the unit of column {column!r} is a guess, and no data sheet has the gyros' {scale.value:g} counts "
-        "per deg/s: if it counts samples or ticks, give the rate (--rate)"
+        "per deg/s: if it counts samples or ticks, give the rate (--sample-rate)"
     ]
 
 
@@ -226,7 +226,7 @@ def _with_rate(draft: Draft, faults: list[str], turned: bool, progress: Progress
         told = (
             f"time: column {log['time']!r} is taken as it is written, though the gyros would carry the vertical at "
             f"{rate.found:.4g} samples per second: is their unit right? If it counts samples or ticks, give the rate "
-            "(--rate)"
+            "(--sample-rate)"
         )
         return replace(draft, said=(*draft.said, told)), faults
     if doubted and max(rate.found / draft.rate, draft.rate / rate.found) < _RATE_AGREES:
@@ -270,7 +270,9 @@ def _rests_by_rate(rests: Mapping[float, int]) -> list[str]:
     if len(set(rests.values())) < 2:
         return []
     counts = ", ".join(f"{count} at {rate:g} Hz" for rate, count in sorted(rests.items()))
-    return [f"time: how many rests there are depends on the rate, which no turns show: {counts}; give it (--rate)"]
+    return [
+        f"time: how many rests there are depends on the rate, which no turns show: {counts}; give it (--sample-rate)"
+    ]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -65,7 +65,7 @@ class Given:
 
     serial: str | None = None
     latitude: float | None = None
-    rate: float | None = None
+    sample_rate: float | None = None
     programme: str | None = None
     message: str | None = None
     accel: Sequence[str] = ()
@@ -119,8 +119,8 @@ def written_session(
         raise InputError(f"--programme: expected one of {', '.join(BUILT_IN)}, found {given.programme!r}")
     if given.latitude is not None and not -90.0 <= given.latitude <= 90.0:
         raise InputError(f"--latitude: expected a number from -90 to 90, found {given.latitude:g}")
-    if given.rate is not None and not 0.0 < given.rate < 1e9:
-        raise InputError(f"--rate: expected a positive number, found {given.rate:g}")
+    if given.sample_rate is not None and not 0.0 < given.sample_rate < 1e9:
+        raise InputError(f"--sample-rate: expected a positive number, found {given.sample_rate:g}")
     files = [found for file in files for found in (unzipped(file, folder) if is_archive(file) else [file])]
     files = [found for file in files for found in (sheets_of(file, folder) if is_workbook(file) else [file])]
     draft = _of_files(files, folder, given)
@@ -141,8 +141,8 @@ def written_session(
 def _of_files(files: list[Path], folder: OutputFolder, given: Given) -> Draft:
     recordings = [f for f in files if formats.is_recording(f) or f.is_dir()]
     if not recordings:
-        log = mended(found_log(files, folder, given.columns), folder, given.rate)
-        return _of_log(log, times_of(log, given.rate), given.rate)
+        log = mended(found_log(files, folder, given.columns), folder, given.sample_rate)
+        return _of_log(log, times_of(log, given.sample_rate), given.sample_rate)
     if given.columns:
         raise InputError(
             f"--{', --'.join(given.columns)}: expected a log of text or Parquet, found {recordings[0].name}, whose "
@@ -258,8 +258,8 @@ def _of_recording(recordings: Sequence[Path], folder: OutputFolder, given: Given
         temperatures=_temperatures(accel, gyro) or tuple(t for m in thermometers for t in m.temperatures),
         others=(),
     )
-    written = mended(FoundLog(files=(log,), keys={}, columns=columns, said=tuple(said)), folder, given.rate)
-    draft = _of_log(written, times_of(written, given.rate), given.rate)
+    written = mended(FoundLog(files=(log,), keys={}, columns=columns, said=tuple(said)), folder, given.sample_rate)
+    draft = _of_log(written, times_of(written, given.sample_rate), given.sample_rate)
     imu = {kind: sensor for m in (gyro, accel) if m is not None for kind, sensor in m.imu.items()}
     return replace(draft, content={**draft.content, "device": {"imu": sensors_content(imu)}} if imu else draft.content)
 
