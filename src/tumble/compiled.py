@@ -16,7 +16,6 @@ LOOPS = (
     "inference/elimination",
     "inference/row_loops",
     "inference/residual_loops",
-    "campaigns/triads",
     "sensors/fixed_point",
     "sensors/triad_axes",
 )

@@ -21,7 +21,7 @@ from tumble.bench.follow.rests import (
     verticals,
 )
 from tumble.bench.follow.wishes import Task, better_by
-from tumble.bench.state import Answer, EstimateShown, Position, RestNumber, Screen, State, Trace
+from tumble.bench.state import Answer, EstimateShown, PositionShown, RestNumber, Screen, State, Trace
 from tumble.programme.positions import ANY_MOVE, Move
 from tumble.programme.sheet_pictures import ghost
 from tumble.programme.sheet_words import move_text, points_of, signed_angle
@@ -116,7 +116,7 @@ def _index(task: Task, groups: list[list[Rest]], at: int) -> int | None:
     return next((k for k in range(len(programme.positions)) if k not in seen), None)
 
 
-def _position(task: Task, progress: Progress, index: int | None, at: int) -> Position | None:
+def _position(task: Task, progress: Progress, index: int | None, at: int) -> PositionShown | None:
     if task.programme is None or index is None:
         return None
     position = task.programme.positions[index]

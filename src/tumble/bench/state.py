@@ -34,7 +34,7 @@ class Recorded(Received):
     lost: int
 
 
-class Group(TypedDict):
+class GroupShown(TypedDict):
     """A group of parameters: the largest u and the wanted one in a unit; whether the data tell all of them."""
 
     group: str
@@ -50,7 +50,7 @@ class EstimateShown(TypedDict):
     (`gains`), the best of them in words (`next`), what may be the `cause` of a misfit; unknowns, s of computing."""
 
     rests: int
-    groups: list[Group]
+    groups: list[GroupShown]
     enough: bool
     residuals: list[dict[str, float]]
     gains: list[float] | None
@@ -69,7 +69,7 @@ class Answer(TypedDict):
     primary: bool
 
 
-class Position(TypedDict):
+class PositionShown(TypedDict):
     """A position of the programme: where the body axes point, the move into it, its picture, and the unit as it is now
     (`ghost`), in lines over that picture."""
 
@@ -128,7 +128,7 @@ class Screen(TypedDict, total=False):
     headline: str
     fault: FaultShown | None
     rest: RestShown
-    position: Position | None
+    position: PositionShown | None
     turn: TurnShown
     early: str
     complete: bool

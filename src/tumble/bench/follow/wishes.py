@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.bench.state import Group
+from tumble.bench.state import GroupShown
 from tumble.estimation.estimate import Estimate
 from tumble.planning.requirements import wanted_of
 from tumble.planning.setup import Setup
@@ -111,10 +111,10 @@ class Task:
         return self.programme.moves[index - 1]
 
 
-def reached(estimate: Estimate, wanted: Mapping[str, float]) -> list[Group]:
+def reached(estimate: Estimate, wanted: Mapping[str, float]) -> list[GroupShown]:
     """What of the wishes an estimate reaches, by group in the order of its parameters, other groups passed over: the
     largest u of its parameters in the unit in which `tumble calibrate` shows them, and whether the data tell all."""
-    groups: list[Group] = []
+    groups: list[GroupShown] = []
     for group, rows in positions_by_group(estimate.names).items():
         if group not in wanted:
             continue
