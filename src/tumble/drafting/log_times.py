@@ -74,8 +74,8 @@ def times_without_column(rate: float | None, remarks: Sequence[str]) -> Times:
             said = f"no time column: rate_hz = {stated:g}, from the line {line[:60]!r}"
             return Times(keys={"rate_hz": stated}, said=(said,), rate=stated)
     said = (
-        f"no time column was found: rate_hz = {ASSUMED_RATE:g} is a guess, put the log's rate there (--sample-rate); every "
-        "gyro scale factor depends on it"
+        f"no time column was found: rate_hz = {ASSUMED_RATE:g} is a guess, put the log's rate there (--sample-rate); "
+        "every gyro scale factor depends on it"
     )
     return Times(keys={"rate_hz": ASSUMED_RATE}, said=(said,), rate=ASSUMED_RATE, guessed=True)
 
