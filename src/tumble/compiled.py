@@ -5,7 +5,6 @@ hatch_build.py, which makes it, reads this file too; so it imports nothing of tu
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +34,8 @@ def source_hash(loops: str) -> str:
 
 def record() -> dict[str, Any]:
     """What was compiled; empty where nothing was."""
+    import json
+
     return json.loads(RECORD.read_text(encoding="utf-8")) if RECORD.exists() else {}
 
 
