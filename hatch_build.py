@@ -47,7 +47,7 @@ DIRECTIVES = {
 }
 FLAGS = ("-O3", "-fPIC", "-fno-math-errno", "-fno-trapping-math", "-fvisibility=hidden", "-w")
 GCC_FLAGS = ("--param=vect-max-version-for-alias-checks=1000",)
-FUSED = {"reduction/moment_kernels", "campaigns/triads"}
+FUSED = {"reduction/moment_kernels"}
 """Modules whose products and sums may be rounded once; the others give the same bits on all processors."""
 PLAIN = {"reduction/kernels", "sensors/triad_axes"}
 """Modules that newer processors do not run faster."""

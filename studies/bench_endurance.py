@@ -22,8 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tumble.bench.folder import begin
-from tumble.bench.sources import in_si
+from tumble.bench.session_folder import begin, in_si
 from tumble.bench.station import Station
 from tumble.earth import earth_rate
 from tumble.rotation import rotation_matrix, rotation_vector

@@ -25,8 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from tumble.bench.folder import begin
-from tumble.bench.sources import in_si
+from tumble.bench.session_folder import begin, in_si
 from tumble.bench.station import STEP_SECONDS, Station
 from tumble.calibration.observed import inspect_session
 from tumble.programme.positions import programme

@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from tumble.bench.folder import session_to_record
-from tumble.bench.sources import Ended
+from tumble.bench.record.sources import Ended
+from tumble.bench.session_folder import session_to_record
 from tumble.bench.station import Station
 from tumble.calibration.calibrate import calibrate
 from tumble.planning.setup import Setup

@@ -13,14 +13,13 @@ import pytest
 from click.testing import CliRunner
 
 from tumble import cli, compiled, uncompiled
-from tumble.campaigns import triads
 from tumble.inference import elimination, residual_loops, row_loops
 from tumble.reduction import kernels, moment_kernels, moments
 from tumble.reduction.moments import BlockCompensation, Compensation, OwnAxes, Pieces, moments_of
 from tumble.sensors import fixed_point, triad_axes
 from tumble.units import Array
 
-LOOPS = kernels, moment_kernels, elimination, row_loops, residual_loops, triads, fixed_point, triad_axes
+LOOPS = kernels, moment_kernels, elimination, row_loops, residual_loops, fixed_point, triad_axes
 MODULES = dict(zip(compiled.LOOPS, LOOPS, strict=True))
 pytestmark = pytest.mark.skipif(not compiled.record(), reason="the loops are not compiled here")
 
@@ -157,15 +156,6 @@ def test_sums_over_samples_are_those_of_python() -> None:
         found[-1] += [powers, further, lagging]
     for ours, theirs in zip(*found, strict=True):
         np.testing.assert_array_equal(ours, theirs)
-
-
-def test_fits_of_triads_are_those_of_python() -> None:
-    rng = np.random.default_rng(5)
-    forces = rng.standard_normal((3, 14, 3))
-    readings = 9.8 * forces / np.linalg.norm(forces, axis=2)[..., None] * 1.01 + 0.05
-    found, expected = triads.fit_statics(readings, 9.8), as_python("campaigns/triads").fit_statics(readings, 9.8)
-    for ours, theirs in zip(found[:2], expected[:2], strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-10, atol=1e-12)
 
 
 @pytest.mark.parametrize("of_force", [True, False])

@@ -26,7 +26,11 @@ def test_the_wheel_holds_the_package_its_pages_its_types_and_its_command(tmp_pat
     wheel = zipfile.ZipFile(next(builder.build(directory=str(tmp_path), versions=["standard"])))
     names = {name for name in wheel.namelist() if ".dist-info/" not in name}
     assert names == sources()
-    assert {"tumble/py.typed", "tumble/bench/page/index.html", "tumble/bench/page/vendor/uPlot.LICENSE"} <= names
+    assert {
+        "tumble/py.typed",
+        "tumble/bench/web/page/index.html",
+        "tumble/bench/web/page/vendor/uPlot.LICENSE",
+    } <= names
     metadata = (name for name in wheel.namelist() if ".dist-info/" in name)
     described = {name.partition(".dist-info/")[2]: wheel.read(name).decode() for name in metadata}
     assert "tumble = tumble.__main__:run" in described["entry_points.txt"]

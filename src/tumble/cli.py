@@ -7,29 +7,22 @@ import atexit
 import errno
 import gc
 import os
-import platform
 import signal
-import socket
 import sys
-import threading
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from importlib import import_module
-from importlib.metadata import version
-from pkgutil import iter_modules
 from typing import Any, NoReturn
 
 import click
 
-from tumble import __version__, commands
+from tumble import __version__
 from tumble.compiled import record
-from tumble.documents import one_line
 from tumble.errors import TumbleError
 from tumble.program_errors import check_address_space, ended_by
-from tumble.recording.panic import COMMAND_LINE
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: threads would only wait for each other
 atexit.register(gc.freeze)  # a process that ends needs no search for garbage, which takes a fifth of a short command
@@ -41,6 +34,8 @@ class _Refused(click.ClickException):
     exit_code = 2
 
     def show(self, file: Any = None) -> None:
+        from tumble.documents import one_line
+
         click.echo(f"tumble: {one_line(self.message)}", file=file, err=True)
 
 
@@ -103,7 +98,7 @@ EXAMPLES = {
     "fleet": ("tumble fleet 'sessions/*' -o results",),
     "inspect": ("tumble inspect imu-7",),
     "new": ("tumble new imu-7 LOG0007.TXT --latitude 56.84 --serial A-7",),
-    "noise": ("tumble noise imu-7", "tumble noise still.csv --accel ax,ay,az --gyro gx,gy,gz --rate 100"),
+    "noise": ("tumble noise imu-7", "tumble noise still.csv --accel ax,ay,az --gyro gx,gy,gz --sample-rate 100"),
     "plan": ("tumble plan --grade mems", "tumble plan --positions 12 --axes N,U"),
     "programme": ("tumble programme cube-26 -o sheet.html",),
     "registry": ("tumble registry add imu-7/calibration.json", "tumble registry due"),
@@ -113,11 +108,6 @@ EXAMPLES = {
     "simulate": ("tumble simulate launch --programme rough-table --seed 1",),
     "verify": ("tumble verify imu-7/calibration.json check-session",),
 }
-
-
-def _examples(lines: Iterable[str]) -> str:
-    """Examples as the end of a help text."""
-    return "\b\n" + "\n".join(("Examples:", *(f"  {line}" for line in lines)))
 
 
 def first_sentence(command: click.Command) -> str:
@@ -161,6 +151,8 @@ class _Commands(click.Group):
 @click.pass_context
 def main(context: click.Context, quiet: bool, verbose: bool) -> None:
     """Calibrate strapdown inertial measurement units on equipment that is not precise."""
+    from tumble.recording.panic import COMMAND_LINE
+
     if context.invoked_subcommand in (*GROUPS["From a recording to a calibration"], *GROUPS["Many at once"]):
         check_address_space()
     if not record() and not quiet:
@@ -177,6 +169,9 @@ def _ended_in_order() -> Callable[[], object]:
     """Ends the command where the system asks it to (SIGTERM) as an error does: nothing half written is left. Where the
     command does not get to it, as in a library whose threads wait for each other, it ends without that. Gives a
     function that undoes this."""
+    import socket
+    import threading
+
     ending = threading.Event()
 
     def end(number: int, _frame: object) -> NoReturn:
@@ -205,6 +200,9 @@ def _ended_in_order() -> Callable[[], object]:
 
 
 def _say_what_it_took(seconds: float) -> None:
+    import platform
+    from importlib.metadata import version
+
     versions = [f"{name} {version(name)}" for name in ("numpy", "polars")]
     said = [f"tumble {__version__}", f"Python {platform.python_version()}", *versions, f"{seconds:.2f} s"]
     with suppress(ImportError):  # not on Windows
@@ -215,10 +213,9 @@ def _say_what_it_took(seconds: float) -> None:
     click.echo(", ".join(said), err=True)
 
 
-for module in iter_modules(commands.__path__):
-    if module.name != "arguments":
-        added: click.Command = getattr(import_module(f"tumble.commands.{module.name}"), module.name)
-        added.epilog = _examples(EXAMPLES[module.name])
-        for part in getattr(added, "commands", {}).values():
-            part.short_help = first_sentence(part)
-        main.add_command(added)
+for command_name in (name for names in GROUPS.values() for name in names):
+    command: click.Command = getattr(import_module(f"tumble.commands.{command_name}"), command_name)
+    command.epilog = "\b\n" + "\n".join(("Examples:", *(f"  {line}" for line in EXAMPLES[command_name])))
+    for part in getattr(command, "commands", {}).values():
+        part.short_help = first_sentence(part)
+    main.add_command(command)

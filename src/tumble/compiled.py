@@ -5,8 +5,6 @@ hatch_build.py, which makes it, reads this file too; so it imports nothing of tu
 
 from __future__ import annotations
 
-import hashlib
-import json
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +15,6 @@ LOOPS = (
     "inference/elimination",
     "inference/row_loops",
     "inference/residual_loops",
-    "campaigns/triads",
     "sensors/fixed_point",
     "sensors/triad_axes",
 )
@@ -27,6 +24,8 @@ RECORD = FOLDER / "compiled.json"
 
 def source_hash(loops: str) -> str:
     """SHA-256 of what a module of LOOPS is compiled from."""
+    import hashlib
+
     digest = hashlib.sha256()
     for ending in (".py", ".pxd"):
         digest.update((FOLDER / (loops + ending)).read_bytes().replace(b"\r\n", b"\n"))
@@ -35,6 +34,8 @@ def source_hash(loops: str) -> str:
 
 def record() -> dict[str, Any]:
     """What was compiled; empty where nothing was."""
+    import json
+
     return json.loads(RECORD.read_text(encoding="utf-8")) if RECORD.exists() else {}
 
 

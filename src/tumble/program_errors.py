@@ -5,10 +5,7 @@ It imports nothing that takes time or memory, for it also speaks for a start tha
 
 from __future__ import annotations
 
-import platform
 import sys
-import tempfile
-import traceback
 
 PROGRAM_ERROR = 70
 """Exit status of an error of the program: a crash is no verdict."""
@@ -50,6 +47,10 @@ def check_address_space() -> None:
 
 def _kept(error: BaseException) -> str:
     """Where the traceback is kept."""
+    import platform
+    import tempfile
+    import traceback
+
     lines = [f"Python {platform.python_version()}, {platform.platform()}\n", *traceback.format_exception(error)]
     try:
         with tempfile.NamedTemporaryFile(

@@ -93,14 +93,6 @@ def digest(content: dict[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _user() -> str:
-    """The name of the user, or the number where it has no name, as in a container."""
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):
-        return f"user {os.getuid()}"
-
-
 def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lambda _name: None) -> SelftestRecord:
     """Run all cases, as the user of that name; `progress` is told the name of each before it runs.
 
@@ -109,12 +101,16 @@ def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lam
     True
     """
     cases: list[SelftestCase] = []
-    for run in (_gravity, _allan_deviation, _cube, _noiseless_table, _noiseless_hand, _noisy_table, _exchanged_columns):
-        assert run.__doc__ is not None
-        progress(run.__doc__)
+    for run in (_gravity, _allan_deviation, _cube, _noiseless, _noisy_table, _exchanged_columns):
+        progress(run.__doc__ or "")
         cases.extend(run())
+    if by is None:
+        try:
+            by = getpass.getuser()
+        except (KeyError, OSError):  # the user has no name, as in a container
+            by = f"user {os.getuid()}"
     return SelftestRecord(
-        by=by or _user(),
+        by=by,
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         software=f"tumble {__version__}",
         machine={
@@ -125,16 +121,16 @@ def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lam
             "loops": compiled.words(),
         },
         versions={name: version(name) for name in LIBRARIES},
-        source_sha256=dict(_sources()),
+        source_sha256=_sources(),
         cases=tuple(cases),
     )
 
 
-def _sources() -> Iterator[tuple[str, str]]:
-    """Every source file of the program with its SHA-256, and what is compiled of them."""
+def _sources() -> dict[str, str]:
+    """The SHA-256 of every source file of the program, and of what is compiled of them."""
     package = Path(__file__).parent
-    for path in sorted(path for path in package.rglob("*") if path.suffix in (".py", ".pxd", ".so", ".pyd")):
-        yield path.relative_to(package).as_posix(), hashlib.sha256(path.read_bytes()).hexdigest()
+    paths = sorted(path for path in package.rglob("*") if path.suffix in (".py", ".pxd", ".so", ".pyd"))
+    return {path.relative_to(package).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
 
 # -------------------- the cases --------------------
@@ -186,22 +182,16 @@ def _cube() -> Iterator[SelftestCase]:
     )
 
 
-def _noiseless_table() -> Iterator[SelftestCase]:
-    """a simulated device on a rough table, without noise"""
-    yield from _recovered("rough table", Setup.of(noise_factor=0.0, rest=4.0, rate_deg_s=30.0), 1e-9)
-
-
-def _noiseless_hand() -> Iterator[SelftestCase]:
-    """a simulated device in the hand, without noise"""
-    yield from _recovered("by hand", Setup.of(grade="mems", positions=15, rest=3.0, noise_factor=0.0), 1e-9)
-
-
-def _recovered(name: str, setup: Setup, limit: float) -> Iterator[SelftestCase]:
-    calibration, truth = _simulated(setup)
-    worst = max((abs(p.value - truth[p.name]) for p in calibration.parameters), default=np.inf)
-    yield _difference(
-        f"{name}, no noise: worst of {len(calibration.parameters)} parameters", "truth", worst, limit, "SI"
-    )
+def _noiseless() -> Iterator[SelftestCase]:
+    """a simulated device on a rough table, and one in the hand, without noise"""
+    for name, setup in (
+        ("rough table", Setup.of(noise_factor=0.0, rest=4.0, rate_deg_s=30.0)),
+        ("by hand", Setup.of(grade="mems", positions=15, rest=3.0, noise_factor=0.0)),
+    ):
+        calibration, truth = _simulated(setup)
+        worst = max((abs(p.value - truth[p.name]) for p in calibration.parameters), default=np.inf)
+        count = len(calibration.parameters)
+        yield _difference(f"{name}, no noise: worst of {count} parameters", "truth", worst, 1e-9, "SI")
 
 
 def _noisy_table() -> Iterator[SelftestCase]:
@@ -222,11 +212,6 @@ def _noisy_table() -> Iterator[SelftestCase]:
         again = read_calibration(path)
     worst = max(abs(again[p.name].value - p.value) for p in calibration.parameters)
     yield _difference("calibration file written and read: worst difference", "identity", worst, 0.0, "SI")
-    yield from _applied(calibration)
-
-
-def _applied(calibration: Calibration) -> Iterator[SelftestCase]:
-    """A reading of the model corrected again."""
     assert calibration.accel is not None
     true = G_STANDARD * np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.6, 0.0, 0.8]])
     readings = true @ calibration.accel.matrix.T + calibration.accel.bias
@@ -266,6 +251,3 @@ def _drawn(setup: Setup) -> tuple[Session, Scenario]:
 
 def _difference(name: str, source: str, difference: float, limit: float, unit: str) -> SelftestCase:
     return SelftestCase(name=name, source=source, figure=abs(difference), low=0.0, high=limit, unit=unit)
-
-
-# -------------------- on paper --------------------

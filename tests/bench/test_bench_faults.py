@@ -23,10 +23,11 @@ import pytest
 from tests.support import ROOT
 from tests.support.bench_driver import SITE, TOKEN, Bench, served
 from tests.support.browser import eventually
-from tumble.bench import connections, ending, serve, server
-from tumble.bench.access import Access, lasting_token
+from tumble.bench import results
 from tumble.bench.opening import station_of
 from tumble.bench.station import Station
+from tumble.bench.web import connections, serve, server
+from tumble.bench.web.access import Access, lasting_token
 from tumble.errors import CalibrationError, InputError
 from tumble.recording.session_file import read_session
 
@@ -98,7 +99,7 @@ def test_a_crash_is_no_verdict_and_an_old_calibration_no_new_one(
     does(child, WRITES)
     assert station.command("calibrate") == "calibrated: accepted"
     station.step()
-    assert station.state["result"]["accepted"]
+    assert bench.state["result"]["accepted"]
     before = (station.folder / "calibration.json").read_bytes()
     does(child, code)
     assert said in station.command("calibrate")
@@ -113,14 +114,14 @@ def test_a_crash_is_no_verdict_and_an_old_calibration_no_new_one(
 
 def test_a_report_is_written_beside_its_calibration(bench: Bench) -> None:
     shutil.copyfile(EXAMPLE, bench.station.folder / "calibration.json")
-    assert ending.report_of(bench.station.folder, NOT_STOPPED) == "report.html"
+    assert results.report_of(bench.station.folder, NOT_STOPPED) == "report.html"
     assert "<html" in (bench.station.folder / "report.html").read_text()
 
 
 def test_an_error_of_this_program_does_not_leave_the_page_calibrating(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ending, "calibrated", lambda *_: [][1])
+    monkeypatch.setattr(results, "calibrated", lambda *_: [][1])
     said = bench.station.command("calibrate")
     assert said == "calibrate: not done (IndexError: list index out of range)"
     assert bench.station.command("go_on") == "going on"
@@ -133,8 +134,8 @@ def test_what_is_left_out_makes_a_result_an_old_one(child: Path, bench: Bench) -
     bench.station.command("calibrate")
     bench.station.command("leave_out", "1")
     bench.run(0.2)
-    assert bench.station.state["excluded"] == 1
-    assert bench.station.state["result"] is None
+    assert bench.state["excluded"] == 1
+    assert bench.state["result"] is None
 
 
 def test_no_module_of_the_working_folder_is_run(bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -144,7 +145,7 @@ def test_no_module_of_the_working_folder_is_run(bench: Bench, tmp_path: Path, mo
         (hostile / f"{name}.py").write_text(f"open({str(tmp_path / 'run')!r}, 'w').close()\nraise SystemExit(0)\n")
     monkeypatch.chdir(hostile)
     with pytest.raises(CalibrationError, match=r"log\.csv"):
-        ending.calibrated(bench.station.folder, NOT_STOPPED)
+        results.calibrated(bench.station.folder, NOT_STOPPED)
     assert not (tmp_path / "run").exists()
 
 
@@ -153,7 +154,7 @@ def test_a_calibration_ends_with_the_bench(child: Path, bench: Bench) -> None:
     stopped = threading.Event()
     threading.Timer(0.3, stopped.set).start()
     with pytest.raises(CalibrationError, match="ended with the status -15"):
-        ending.calibrated(bench.station.folder, stopped)
+        results.calibrated(bench.station.folder, stopped)
 
 
 # -------------------- estimates, buttons, units --------------------
@@ -162,17 +163,17 @@ def test_a_calibration_ends_with_the_bench(child: Path, bench: Bench) -> None:
 def test_an_estimate_that_fails_is_said_and_the_next_is_made(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     def estimated() -> Any:
         bench.run(0.2)
-        return bench.station.state["estimate"]
+        return bench.state["estimate"]
 
     with monkeypatch.context() as patched:
-        patched.setattr("tumble.bench.estimates.estimate_so_far", lambda *_: [][1])
+        patched.setattr("tumble.bench.follow.estimates.estimate_so_far", lambda *_: [][1])
         bench.take(1)
         bench.take(2)
         eventually(lambda: estimated() is not None)
-        assert "the estimate has failed (IndexError" in bench.station.state["estimate"]["cause"]
+        assert "the estimate has failed (IndexError" in bench.state["estimate"]["cause"]
     bench.take(3)
     eventually(lambda: estimated()["rests"] == 3, 100.0)
-    assert bench.station.state["estimate"]["groups"]
+    assert bench.state["estimate"]["groups"]
 
 
 def test_a_source_that_stutters_leaves_few_faults(bench: Bench) -> None:
@@ -181,14 +182,14 @@ def test_a_source_that_stutters_leaves_few_faults(bench: Bench) -> None:
     bench.file.writelines(f"{at:.2f},{rows[k % 100]}" for k, at in enumerate(times))
     bench.file.flush()
     bench.station.step()
-    assert bench.station.state["received"]["lost"] == 299 * 39
+    assert bench.state["received"]["lost"] == 299 * 39
     assert len(bench.station._live.faults) == 64
 
 
 def test_a_state_that_cannot_be_made_is_said(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench.station, "step", lambda: [][1])
     bench.station.start()
-    eventually(lambda: "the page stands still" in bench.station.state["message"])
+    eventually(lambda: "the page stands still" in bench.state["message"])
 
 
 def test_a_recording_goes_on_after_it_was_stopped(recording: Station) -> None:
@@ -207,7 +208,7 @@ def test_a_next_unit_that_is_refused_does_not_stop_the_recording(
 ) -> None:
     folder = recording.folder
     with monkeypatch.context() as patched:
-        patched.setattr("tumble.bench.folder.begin_next", lambda *_: Path("no/such/folder").mkdir())
+        patched.setattr("tumble.bench.session_folder.begin_next", lambda *_: Path("no/such/folder").mkdir())
         assert "No such file" in recording.command("next_unit", "B-2")
     assert recording.folder == folder
     grows(recording)
@@ -283,7 +284,7 @@ def test_buttons_answer_while_others_calibrate(bench: Bench, tmp_path: Path, mon
         ends.wait(60.0)
         raise CalibrationError("ended")
 
-    monkeypatch.setattr(ending, "calibrated", calibrated)
+    monkeypatch.setattr(results, "calibrated", calibrated)
     try:
         stations = bench.station, *(other.station for other in others)
         with served(*stations) as link, ThreadPoolExecutor(20) as asking, ExitStack() as open_streams:

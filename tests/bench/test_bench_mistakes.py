@@ -11,7 +11,7 @@ import pytest
 
 from tests.support.bench_driver import Bench, served
 from tests.support.browser import Browser, chromium, eventually, inaccessible
-from tumble.bench.virtual_table import VirtualTable
+from tumble.bench.record.virtual_table import VirtualTable
 from tumble.recording.session_file import read_session
 
 needs_browser = pytest.mark.skipif(chromium() is None, reason="no Chromium is installed")

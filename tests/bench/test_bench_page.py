@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.browser import Browser, chromium, eventually, inaccessible
-from tumble.bench.access import Access, lasting_token
+from tumble.bench.web.access import Access, lasting_token
 from tumble.planning.setup import Setup
 from tumble.simulation.session import simulate_session
 

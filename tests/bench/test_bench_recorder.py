@@ -19,15 +19,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tumble.bench.folder import begin, begin_next, leave_out, session_to_record, take_back
-from tumble.bench.follow import Clock
-from tumble.bench.intake import Intake
-from tumble.bench.lines import MOTIONCAL_COLUMNS, Lines, Row, numbers_in
-from tumble.bench.mavlink import Mavlink, line_of
-from tumble.bench.order import Order
-from tumble.bench.recorder import Recorder
-from tumble.bench.sources import MOTIONCAL_LOG, GrowingFile, Replay, Serial, StandardInput, Tcp, Udp, in_si, source_of
-from tumble.bench.virtual_table import VirtualTable
+from tumble.bench.follow.samples import Clock
+from tumble.bench.record.intake import Intake
+from tumble.bench.record.lines import MOTIONCAL_COLUMNS, Lines, Row, numbers_in
+from tumble.bench.record.mavlink import Mavlink, line_of
+from tumble.bench.record.order import Order
+from tumble.bench.record.recorder import Recorder
+from tumble.bench.record.sources import GrowingFile, Replay, Serial, StandardInput, Tcp, Udp, source_of
+from tumble.bench.record.virtual_table import VirtualTable
+from tumble.bench.session_folder import (
+    MOTIONCAL_LOG,
+    begin,
+    begin_next,
+    in_si,
+    leave_out,
+    session_to_record,
+    take_back,
+)
 from tumble.errors import InputError
 from tumble.recording.session import Exclusion
 from tumble.recording.session_file import read_session
@@ -271,7 +279,7 @@ class FullDisk:
 
 def test_lines_that_neither_disk_nor_memory_takes_are_lost_whole(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [f"0.{k:02},1,2,3,4,5,6" for k in range(1, 13)]
-    monkeypatch.setattr("tumble.bench.recorder.KEPT_BYTES", 4 * len(rows[0]) + 10)
+    monkeypatch.setattr("tumble.bench.record.recorder.KEPT_BYTES", 4 * len(rows[0]) + 10)
     recorder = Recorder(folder / "log.csv", HEADER)
     disk = FullDisk(monkeypatch, len(rows[0]) + 10)
     for line in rows[:-1]:
@@ -328,7 +336,7 @@ class Faulty:
 def test_an_error_in_receiving_is_said_and_the_recording_goes_on(folder: Path) -> None:
     intake = _recorded(folder, Faulty(), lambda: None, 8)
     assert log_of(folder)[1:] == [row(k) for k in (1, 2, 3, 4, 7, 8, 9, 10)]
-    assert "an error of the program while receiving (ZeroDivisionError: a driver)" in intake.received.trouble
+    assert "an error of the program while receiving (ZeroDivisionError: a driver)" in intake.received["trouble"]
 
 
 def test_a_folder_that_is_gone_is_said_and_the_recording_goes_on(folder: Path) -> None:
@@ -373,7 +381,7 @@ def test_udp_with_loss_repetition_and_exchange(folder: Path) -> None:
 
     intake = _recorded(folder, source, send, len(numbers))
     assert log_of(folder) == [HEADER, *(row(k) for k in numbers)]
-    assert intake.received.repeated == len(sent) - len(numbers)
+    assert intake.received["repeated"] == len(sent) - len(numbers)
 
 
 def test_tcp_connections_one_after_the_other(folder: Path) -> None:
@@ -388,11 +396,11 @@ def test_tcp_connections_one_after_the_other(folder: Path) -> None:
 
     intake = _recorded(folder, source, send, 100)
     assert log_of(folder)[1:] == [row(k) for k in range(1, 101)]
-    assert intake.received.refused == 2
+    assert intake.received["refused"] == 2
 
 
 def test_a_tcp_sender_that_lost_its_power_gives_way_to_the_next(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tumble.bench.sources._SILENT_SECONDS", 0.05)
+    monkeypatch.setattr("tumble.bench.record.sources._SILENT_SECONDS", 0.05)
     source = Tcp("127.0.0.1", 0)
     intake = Intake(source, session_to_record(folder))
     intake.start()
@@ -438,7 +446,7 @@ def test_serial_line_with_garbage_half_lines_and_a_pulled_cable(folder: Path, tm
         os.close(slave)
         os.close(master)
         eventually(lambda: intake.source.trouble is not None)
-        assert "is gone" in " ".join(intake.received.trouble)
+        assert "is gone" in " ".join(intake.received["trouble"])
         master, slave = pty.openpty()
         link.unlink()
         link.symlink_to(os.ttyname(slave))
@@ -450,7 +458,7 @@ def test_serial_line_with_garbage_half_lines_and_a_pulled_cable(folder: Path, tm
         os.close(slave)
         os.close(master)
     assert log_of(folder)[1:] == [row(k) for k in (2, 3, 4, 6, 7)]
-    assert intake.received.refused == 3
+    assert intake.received["refused"] == 3
 
 
 def _sent(descriptor: int, data: bytes) -> None:
@@ -586,9 +594,9 @@ def test_the_next_unit_has_a_folder_of_its_own_whatever_its_number(folder: Path)
 RECORDS = """
 import sys
 from pathlib import Path
-from tumble.bench.folder import session_to_record
-from tumble.bench.intake import Intake
-from tumble.bench.sources import GrowingFile
+from tumble.bench.session_folder import session_to_record
+from tumble.bench.record.intake import Intake
+from tumble.bench.record.sources import GrowingFile
 intake = Intake(GrowingFile(Path(sys.argv[2])), session_to_record(Path(sys.argv[1])))
 intake.start()
 intake._thread.join()

@@ -14,11 +14,10 @@ import pytest
 from tests.support.bench_driver import SITE, Bench, served
 from tests.support.browser import Browser, chromium, eventually, inaccessible
 from tumble.bench import screens
-from tumble.bench.estimates import Estimates
-from tumble.bench.folder import begin
-from tumble.bench.sources import in_si
+from tumble.bench.follow.estimates import Estimates
+from tumble.bench.record.virtual_table import VirtualTable
+from tumble.bench.session_folder import begin, in_si
 from tumble.bench.station import Station
-from tumble.bench.virtual_table import VirtualTable
 from tumble.calibration.calibration_file import read_calibration
 from tumble.programme.sheet_pictures import ghost
 
@@ -43,7 +42,7 @@ def running(bench: Bench, what: Callable[[], Any], seconds: float = 60.0) -> Non
 
 
 def answers(bench: Bench) -> dict[str, dict[str, Any]]:
-    return {each["do"]: each for each in bench.station.state["answers"]}
+    return {each["do"]: each for each in bench.state["answers"]}
 
 
 def primary(bench: Bench) -> list[str]:
@@ -61,8 +60,8 @@ def test_what_is_wrong_and_the_picture_are_of_one_position(bench: Bench) -> None
     bench.until(lambda: "wanted 3" in bench.said)
     for _ in range(2):
         assert "wanted 3" in bench.said
-        assert bench.station.state["position"]["number"] == 3
-        assert bench.station.state["rest"]["number"] == 3
+        assert bench.state["position"]["number"] == 3
+        assert bench.state["rest"]["number"] == 3
         bench.table.turn("N", 60.0)  # and on, without an answer: the next position is none of what is wrong
         bench.until(lambda: not bench.table.moving)
         bench.run(3.0)
@@ -77,7 +76,7 @@ def test_the_ghost_is_where_the_unit_is(bench: Bench) -> None:
     target = ghost(bench.table.programme.positions[1].matrix)
 
     def off() -> float:
-        seen = bench.station.state["position"]["ghost"]
+        seen = bench.state["position"]["ghost"]
         return float(max(np.abs(np.array(seen[axis]) - target[axis]).max() for axis in "XYZ"))
 
     begun = off()
@@ -93,13 +92,13 @@ def test_the_time_to_go_is_steady(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(Estimates, "ask", lambda *_: None)
     bench = Bench(tmp_path / "launch", "nine")
     bench.until(lambda: bench.screen == "turn")
-    begun = bench.station.state["to_go"]
+    begun = bench.state["to_go"]
     bench.run(40.0)
-    assert bench.station.state["to_go"] <= begun
+    assert bench.state["to_go"] <= begun
     seen = []
     for position in range(2, 8):
         bench.take(position)
-        seen.append(bench.station.state["to_go"])
+        seen.append(bench.state["to_go"])
     bench.close()
     assert np.all(np.diff(seen) < 0.0)
     assert np.ptp(np.diff(seen[2:])) < 0.3 * seen[2]
@@ -109,7 +108,7 @@ def test_no_time_is_told_that_is_not_known(bench: Bench) -> None:
     """Of a rest that has lasted for seconds, none of hours."""
     while bench.screen != "turn":
         bench.run(0.2)
-        rest = bench.station.state.get("rest") or {}
+        rest = bench.state.get("rest") or {}
         if bench.screen == "rest" and rest["left"] is not None:
             assert rest["left"] <= screens.FORESEEN * rest["seconds"]
 
@@ -192,7 +191,7 @@ def test_every_state_of_a_session_as_an_operator_sees_it(tmp_path: Path, recordi
             shown.look("rest")
             for position in range(1, 4):
                 bench.take(position) if position > 1 else bench.until(lambda: bench.screen == "turn")
-            running(bench, lambda: bench.station.state["estimate"], 60.0)
+            running(bench, lambda: bench.state["estimate"], 60.0)
             bench.table.go_to(3)
             bench.run(2.0)
             shown.until("h1", "Turn now to position 4")
@@ -210,12 +209,12 @@ def test_every_state_of_a_session_as_an_operator_sees_it(tmp_path: Path, recordi
             running(bench, lambda: bench.screen != "fault")
             for position in range(5, 10):
                 bench.take(position)
-            running(bench, lambda: bench.station.state.get("missed") is not None, 120.0)
-            shown.until("h1", "positions taken" if bench.station.state["missed"] else "All wanted u reached")
+            running(bench, lambda: bench.state.get("missed") is not None, 120.0)
+            shown.until("h1", "positions taken" if bench.state["missed"] else "All wanted u reached")
             shown.look("done")
             assert shown.primary().startswith("Stop and calibrate C")
             browser.press("c")
-            running(bench, lambda: bench.station.state["result"], 120.0)
+            running(bench, lambda: bench.state["result"], 120.0)
             shown.until("h1", "Calibrated")
             rows = browser.js("[...document.querySelectorAll('#finish tbody tr')].map(r => r.innerText)")
             assert len(rows) == len(read_calibration(tmp_path / "launch" / "calibration.json").parameters)

@@ -12,11 +12,11 @@ import pytest
 
 from tests.support.bench_driver import SITE, Bench
 from tests.support.browser import eventually
+from tumble.bench.follow.faults import Watch
+from tumble.bench.follow.wishes import wishes
 from tumble.bench.opening import station_of
-from tumble.bench.sources import source_of
+from tumble.bench.record.sources import source_of
 from tumble.bench.station import Station
-from tumble.bench.watch import Watch
-from tumble.bench.wishes import wishes
 from tumble.calibration.calibrate import calibrate
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
@@ -35,7 +35,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 def test_every_screen_of_a_programme_comes_in_its_turn(bench: Bench) -> None:
     assert bench.screen == "waiting"
     bench.until(lambda: bench.screen == "rest")
-    rest = bench.station.state["rest"]
+    rest = bench.state["rest"]
     assert (rest["number"], rest["of"]) == (1, 9)
     bench.until(lambda: rest["left"] is not None or bench.screen == "turn")
     for position in range(2, 10):
@@ -46,10 +46,10 @@ def test_every_screen_of_a_programme_comes_in_its_turn(bench: Bench) -> None:
 
     def estimated() -> bool:
         bench.run(0.2)
-        return (bench.station.state["estimate"] or {}).get("rests") == 9
+        return (bench.state["estimate"] or {}).get("rests") == 9
 
     eventually(estimated, 200.0)
-    groups = {group["group"]: group for group in bench.station.state["estimate"]["groups"]}
+    groups = {group["group"]: group for group in bench.state["estimate"]["groups"]}
     assert groups["accel.bias"]["determined"]
     assert groups["gyro.bias"]["u"] < 100.0
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support import naive
-from tumble.campaigns.triads import LANES, STEPS, fit_statics
+from tumble.campaigns.triads import STEPS, TOGETHER, fit_statics
 from tumble.inference.hyperparameters import Components
 from tumble.inference.likelihood import Point, Problem, weights
 from tumble.inference.linearisation import linearise
@@ -39,7 +39,7 @@ def triads(n: int, rests: int, noise: float) -> tuple[Array, Array, Array]:
     return truth, L, readings + noise * rng.standard_normal(readings.shape)
 
 
-@pytest.mark.parametrize("n", [1, LANES - 1, LANES, 2 * LANES + 3])
+@pytest.mark.parametrize("n", [1, TOGETHER, TOGETHER + 3])
 def test_noiseless_parameters_are_recovered(n: int) -> None:
     truth, _, readings = triads(n, 24, 0.0)
     values, _, step = fit_statics(readings, GRAVITY)
@@ -48,7 +48,7 @@ def test_noiseless_parameters_are_recovered(n: int) -> None:
 
 
 @pytest.mark.parametrize("rests", [10, 24, 25])
-def test_the_compiled_fit_is_that_of_the_plain_twin(rests: int) -> None:
+def test_the_fit_of_many_is_that_of_the_plain_twin(rests: int) -> None:
     _, _, readings = triads(20, rests, 1e-3)
     values, variance, _ = fit_statics(readings, GRAVITY)
     plain = [naive.fit_statics(y, GRAVITY, STEPS) for y in readings]

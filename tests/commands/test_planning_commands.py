@@ -140,7 +140,7 @@ def test_plans_and_requirements_are_data_too() -> None:
 
 
 def test_plans_over_temperature_are_data_too() -> None:
-    words = "plan --grade mems --programme rough-table --temperature -20/4,20,60 --want accel.bias=1ug --json"
+    words = "plan --grade mems --programme rough-table --over-temperature -20/4,20,60 --want accel.bias=1ug --json"
     result = run(*words.split())
     plan = json.loads(result.stdout)
     assert result.exit_code == 1

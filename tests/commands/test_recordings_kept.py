@@ -89,7 +89,7 @@ def test_no_command_changes_a_file_that_was_there(kind: str, rows: pl.DataFrame,
     logs = WRITTEN[kind](rows, tmp_path)
     before = hashes(tmp_path)
     for words in (
-        ["new", tmp_path, *logs, "--latitude", "50", "--rate", "50"],
+        ["new", tmp_path, *logs, "--latitude", "50", "--sample-rate", "50"],
         ["inspect", tmp_path],
         ["noise", tmp_path],
         ["calibrate", tmp_path, "--terms", "linear"],

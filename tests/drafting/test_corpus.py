@@ -151,7 +151,9 @@ CASES: dict[str, Case] = {
         worth=(G, DEG),
     ),
     "VectorNav": Case(write=d.named(VECTORNAV, time=1e9), said=("in ns (by its name)",)),
-    "VectorNav, sentences": Case(write=d.vectornav_sentences, words=("--rate", "50"), said=("sentences $VNYMR",)),
+    "VectorNav, sentences": Case(
+        write=d.vectornav_sentences, words=("--sample-rate", "50"), said=("sentences $VNYMR",)
+    ),
     "sentences of a board": Case(
         write=d.board_sentences, said=("sentences $IMU", "column '2' in ms"), worth=(1.0, DEG)
     ),
@@ -298,7 +300,7 @@ CASES: dict[str, Case] = {
     ),
     "a counter, pressure, volts and degrees, no names": Case(
         write=q.housekeeping,
-        words=("--rate", "50"),
+        words=("--sample-rate", "50"),
         said=("accel: columns 8, 9, 10, by", "gyro: columns 5, 6, 7, by", "no accelerometers at all (cost +"),
         worth=(1.0, DEG),
     ),
@@ -312,7 +314,9 @@ CASES: dict[str, Case] = {
     "German dates": Case(write=d.clock(d.german_date, "Datum Zeit", ";"), said=("times of day",)),
     "a clock past midnight": Case(write=d.clock(d.of_day), said=("times of day",)),
     "micros": Case(write=d.named(["micros", *d.NAMES[1:]], time=1e6), said=("in us (by its name)",)),
-    "no time, rate given": Case(write=d.blemished(list, time=False), words=("--rate", "50"), said=("50 as given",)),
+    "no time, rate given": Case(
+        write=d.blemished(list, time=False), words=("--sample-rate", "50"), said=("50 as given",)
+    ),
     "no time, rate above": Case(write=d.rate_above, said=("rate_hz = 50, from the line",)),
     "micros() that start anew": Case(write=d.counter_of(32, 1e-6, "micros"), said=("starts anew at 4294967296",)),
     "millis() of 16 bits": Case(write=d.counter_of(16, 1e-3, "ms"), said=("starts anew at 65536",)),
@@ -349,7 +353,7 @@ CASES: dict[str, Case] = {
     "a file a position": Case(write=d.a_file_a_position, said=("14 files",), within=3.0, gyro=False),
     "positions one below the other": Case(
         write=d.positions_below,
-        words=("--rate", "50"),
+        words=("--sample-rate", "50"),
         said=("14 positions",),
         within=3.0,
         gyro=False,
@@ -358,7 +362,7 @@ CASES: dict[str, Case] = {
     "bad values": Case(write=d.blemished(d.bad_values), noted=("'###'",)),
     "messages between": Case(write=d.blemished(d.messages_between), noted=("MPU6050",)),
     "messages between, no time": Case(
-        write=d.blemished(d.messages_between, time=False), words=("--rate", "50"), within=3.0, noted=("MPU6050",)
+        write=d.blemished(d.messages_between, time=False), words=("--sample-rate", "50"), within=3.0, noted=("MPU6050",)
     ),
     "several at once": Case(
         write=d.several_at_once,

@@ -268,7 +268,7 @@ def test_the_rate_of_a_log_without_times_is_found_from_its_turns_and_said_to_be_
 
 
 def test_what_the_user_knows_is_written_down(handheld: pl.DataFrame, tmp_path: Path) -> None:
-    known = "--serial", "A-7", "--latitude", "56.84", "--rate", "100"
+    known = "--serial", "A-7", "--latitude", "56.84", "--sample-rate", "100"
     session, said = drafted(handheld, tmp_path, *known)
     assert (session.device.serial, session.log.rate, session.log.time) == ("A-7", 100.0, None)
     assert session.site.latitude == pytest.approx(56.84 * DEGREE)
@@ -360,7 +360,7 @@ def test_what_cannot_be_drafted_is_refused_in_one_line(handheld: pl.DataFrame, t
         ((tmp_path / "n", tmp_path / "cr.csv"), "expected"),
         ((tmp_path / "n", tmp_path / "none*.csv"), "expected files that fit this pattern, found none"),
         ((tmp_path / "n", log, "--latitude", "95"), "--latitude: expected a number from -90 to 90, found 95"),
-        ((tmp_path / "n", log, "--rate", "-1"), "--rate: expected a positive number, found -1"),
+        ((tmp_path / "n", log, "--sample-rate", "-1"), "--sample-rate: expected a positive number, found -1"),
         ((tmp_path / "n", "--log", tmp_path / "rowless.csv"), "expected rows of readings below the names"),
         ((tmp_path / "n", "--log", tmp_path / "damaged.ulg"), "damaged or incomplete"),
     ]:

@@ -304,7 +304,7 @@ def test_magnetometers_without_readings_are_left_out(read: Array, tmp_path: Path
     names = [f"{kind}_{a}" for kind in ("acc", "gyr", "mag") for a in "xyz"]
     table = pl.DataFrame(np.column_stack([read[:300], np.ones((300, 3))]), schema=names)
     table.with_columns(pl.lit("").alias("mag_y")).write_csv(tmp_path / "log.csv")
-    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv", Given(rate=100.0))
+    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv", Given(sample_rate=100.0))
     assert draft.magnetometer is None
     assert "magnetometers: mag_x, mag_y, mag_z are left out; they have no readings" in draft.said
 
@@ -375,14 +375,14 @@ def test_gyros_are_told_by_their_steps_and_by_what_none_reads(
     gyro = (scale * step * (counts + (0.11 if (step, decimals) == (30.0, 1) else 0.0))).round(decimals)
     table = pl.DataFrame(np.column_stack([read[:, :3], gyro]), schema=["ax", "ay", "az", "gx", "gy", "gz"])
     table.write_csv(tmp_path / "log.csv")
-    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv", Given(rate=100.0))
+    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv", Given(sample_rate=100.0))
     assert draft.content["log"]["gyro"]["unit"] == unit
 
 
 def test_accelerations_that_read_no_gravity_are_doubted(tmp_path: Path) -> None:
     table = np.random.default_rng(3).normal(scale=2.0, size=(600, 3)).round(2)
     pl.DataFrame(table, schema=["acc_x", "acc_y", "acc_z"]).write_csv(tmp_path / "log.csv")
-    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv", Given(rate=100.0))
+    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv", Given(sample_rate=100.0))
     assert any("left without gravity?" in said for said in draft.said)
 
 

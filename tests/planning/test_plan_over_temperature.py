@@ -162,7 +162,7 @@ def run(*arguments: str) -> Result:
 
 
 def test_the_command_prints_what_the_recordings_give_and_what_is_wanted_in_vain() -> None:
-    done = run("--temperature", "-20/4,20,60", "--want", "accel.bias.t1=1.5ug/K", "--want", "gyro.scale=1ppm")
+    done = run("--over-temperature", "-20/4,20,60", "--want", "accel.bias.t1=1.5ug/K", "--want", "gyro.scale=1ppm")
     assert done.exit_code == 1
     assert "−20.0 to 60.0 °C, in the chamber" in done.output
     assert "gyro.scale: expected 1 ppm (rms) from −20.0 to 60.0 °C, found at best" in done.output
@@ -172,11 +172,14 @@ def test_the_command_prints_what_the_recordings_give_and_what_is_wanted_in_vain(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--temperature", "20/0"), "expected how many rests, 1 to 200, after the slash, found '0'"),
-        (("--temperature", "warm"), "temperature: expected -100 to 200 degC"),
-        (("--temperature", "20", "--positions", "9"), "--positions: expected none with --temperature"),
-        (("--temperature", "20", "--chamber-rate", "0"), "chamber rate: expected more than 0, in K a minute, found 0"),
-        (("--temperature", "20", "--want", "mass=1kg"), "--want mass=1kg: expected a group such as accel.bias"),
+        (("--over-temperature", "20/0"), "expected how many rests, 1 to 200, after the slash, found '0'"),
+        (("--over-temperature", "warm"), "temperature: expected -100 to 200 degC"),
+        (("--over-temperature", "20", "--positions", "9"), "--positions: expected none with --over-temperature"),
+        (
+            ("--over-temperature", "20", "--chamber-rate", "0"),
+            "chamber rate: expected more than 0, in K a minute, found 0",
+        ),
+        (("--over-temperature", "20", "--want", "mass=1kg"), "--want mass=1kg: expected a group such as accel.bias"),
     ],
 )
 def test_what_is_no_plan_is_refused_in_one_line(arguments: tuple[str, ...], said: str) -> None:

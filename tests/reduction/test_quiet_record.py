@@ -71,8 +71,8 @@ def test_a_log_of_which_nothing_is_known_is_refused_with_what_to_state(tmp_path:
     result = CliRunner().invoke(main, ["noise", file, "--accel", "a,b,c"])
     assert result.exit_code == 2
     last = result.stderr.strip().splitlines()[-1]
-    assert last == f"tumble: {file}: expected a time column (--time) or the rate (--rate), found neither"
-    result = CliRunner().invoke(main, ["noise", file, "--accel", "a,b,c", "--rate", "50", "--accel-unit", "mg"])
+    assert last == f"tumble: {file}: expected a time column (--time) or the rate (--sample-rate), found neither"
+    result = CliRunner().invoke(main, ["noise", file, "--accel", "a,b,c", "--sample-rate", "50", "--accel-unit", "mg"])
     assert result.exit_code == 0, result.stderr
 
 

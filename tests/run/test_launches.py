@@ -171,9 +171,9 @@ def test_launches_of_the_type_make_two_launches_better_known(runs: list[Run]) ->
 
 def test_launches_of_the_type_are_for_several_launches(folders: list[Path]) -> None:
     for words in ([folders[0]], [folders[0], folders[1], "--together", "-o", "out.json"]):
-        result = CliRunner().invoke(main, ["calibrate", *map(str, words), "--registry", "r.sqlite"])
+        result = CliRunner().invoke(main, ["calibrate", *map(str, words), "--known-launches", "r.sqlite"])
         assert result.exit_code == 2
-        assert "--registry: expected several launches" in result.stderr
+        assert "--known-launches: expected several launches" in result.stderr
 
 
 def test_what_launches_do_not_share_is_not_that_of_the_first(runs: list[Run]) -> None:

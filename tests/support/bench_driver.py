@@ -8,16 +8,16 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import uvicorn
 
-from tumble.bench.access import Access
-from tumble.bench.connections import Connection
-from tumble.bench.folder import begin
-from tumble.bench.server import app_of
-from tumble.bench.sources import in_si
+from tumble.bench.record.virtual_table import FULL_SCALE, VirtualTable
+from tumble.bench.session_folder import begin, in_si
 from tumble.bench.station import Station
-from tumble.bench.virtual_table import FULL_SCALE, VirtualTable
+from tumble.bench.web.access import Access
+from tumble.bench.web.connections import Connection
+from tumble.bench.web.server import app_of
 
 SITE = {"latitude_deg": 56.84}
 TOKEN = "0123456789abcdef"
@@ -63,13 +63,17 @@ class Bench:
         self.file.close()
 
     @property
+    def state(self) -> dict[str, Any]:
+        return {**self.station.state}
+
+    @property
     def screen(self) -> str:
-        return str(self.station.state["screen"])
+        return str(self.state["screen"])
 
     @property
     def said(self) -> str:
-        fault = self.station.state["fault"]
-        return str(fault["said"]) if fault else str(self.station.state["headline"])
+        fault = self.state["fault"]
+        return str(fault["said"]) if fault else str(self.state["headline"])
 
     def take(self, position: int) -> None:
         """Go into a position and stay until the page wants the next."""

@@ -403,7 +403,7 @@ def test_what_the_registry_knows_of_the_device_makes_a_smaller_change_a_change(f
     words = ["check", str(folder / "slightly.json"), str(folder / "again")]
     alone = CliRunner().invoke(main, words)
     assert alone.exit_code == 0, alone.stderr
-    done = CliRunner().invoke(main, [*words, "--registry", str(folder / "r.sqlite")])
+    done = CliRunner().invoke(main, [*words, "--known-launches", str(folder / "r.sqlite")])
     assert done.exit_code == 1
     assert "or as from launch to launch of 12 launches of the device" in done.stderr
     assert "changed: accel.bias.x has changed by -" in done.stderr

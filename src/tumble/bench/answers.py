@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from tumble.bench import folder as folders
-from tumble.bench.faults import Fault
+from tumble.bench import session_folder
+from tumble.bench.follow.faults import Fault
 from tumble.documents import whole_number
 from tumble.recording.session import Exclusion
 
@@ -24,13 +24,14 @@ class Answers:
         self.answered: set[tuple[str, int]] = set()
         self.go_on = False
         self._folder, self._before = folder, before
-        self._own: list[Exclusion] = []
+        self._added: list[Exclusion] = []
         self._open: Exclusion | None = None
+        """The one that lasts until the unit is moved."""
 
     @property
     def excluded(self) -> tuple[Exclusion, ...]:
         """What is left out, last what has no end yet."""
-        ended = tuple(one for one in (*self._before, *self._own) if one != self._open)
+        ended = tuple(one for one in (*self._before, *self._added) if one != self._open)
         return ended if self._open is None else (*ended, replace(self._open, stop=math.inf))
 
     def first_of(self, faults: Iterable[Fault]) -> Fault | None:
@@ -42,8 +43,8 @@ class Answers:
         if self._open is None:
             return
         ended = replace(self._open, stop=now)
-        folders.leave_out(self._folder, ended, instead_of=self._open)
-        self._own = [ended if one == self._open else one for one in self._own]
+        session_folder.leave_out(self._folder, ended, instead_of=self._open)
+        self._added = [ended if one == self._open else one for one in self._added]
         self._open = None
 
     def again(self, fault: Fault | None, now: float) -> str:
@@ -81,10 +82,10 @@ class Answers:
 
     def take_back(self) -> str:
         """Take in again what was left out last."""
-        if not self._own:
+        if not self._added:
             return "nothing was left out here"
-        one = self._own.pop()
-        folders.take_back(self._folder, one)
+        one = self._added.pop()
+        session_folder.take_back(self._folder, one)
         self._open = None if self._open == one else self._open
         return "taken back"
 
@@ -95,5 +96,5 @@ class Answers:
             self._open = one
 
     def _add(self, one: Exclusion) -> None:
-        folders.leave_out(self._folder, one)
-        self._own.append(one)
+        session_folder.leave_out(self._folder, one)
+        self._added.append(one)

@@ -1,17 +1,16 @@
 """The screens of the page: what is shown, as a function of the task, the progress, what is wrong, and the estimate
-(`tumble.bench.estimates`), None before the first."""
+(`tumble.bench.follow.estimates`), None before the first."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
-from tumble.bench.chain import Blocks
-from tumble.bench.course import (
+from tumble.bench.follow.faults import Fault
+from tumble.bench.follow.rests import (
     SHORTEST_REST,
+    Blocks,
     Judged,
     Progress,
     Rest,
@@ -21,10 +20,8 @@ from tumble.bench.course import (
     turned_between,
     verticals,
 )
-from tumble.bench.faults import Fault
-from tumble.bench.intake import Received
-from tumble.bench.task import Task
-from tumble.bench.wishes import better_by
+from tumble.bench.follow.wishes import Task, better_by
+from tumble.bench.state import Answer, EstimateShown, PositionShown, RestNumber, Screen, State, Trace
 from tumble.programme.positions import ANY_MOVE, Move
 from tumble.programme.sheet_pictures import ghost
 from tumble.programme.sheet_words import move_text, points_of, signed_angle
@@ -42,61 +39,37 @@ FORESEEN = 9.0
 """Times as long as a rest has lasted: u is known to some 20 % from its beginning, and its square, which is what it will
 take, to half of that time; further ahead no time is told."""
 
-WAITING: dict[str, Any] = {"screen": "waiting", "headline": "Waiting for data", "fault": None}
-"""The screen while there is too little to see rests in."""
-
-
-def received_shown(received: Received | None) -> dict[str, Any]:
-    """What was wrong with what has come, None where nothing is recorded."""
-    if received is None:
-        return {"refused": 0, "why": "", "late": 0, "repeated": 0, "ended": False, "trouble": []}
-    return {
-        "refused": received.refused,
-        "why": received.last_refused,
-        "late": received.late,
-        "repeated": received.repeated,
-        "ended": received.ended,
-        "trouble": list(received.trouble),
-    }
-
 
 def screen(
-    task: Task, progress: Progress, fault: Fault | None, estimate: Mapping[str, Any] | None, *, go_on: bool
-) -> dict[str, Any]:
+    task: Task, progress: Progress, fault: Fault | None, estimate: EstimateShown | None, *, go_on: bool
+) -> Screen:
     """The screen, and what every screen shows. `go_on`: although all that is wanted is reached."""
-    blocks = progress.blocks
-    shown: dict[str, Any] = {
+    blocks, taken, current = progress.blocks, len(progress.groups), progress.current
+    complete = task.positions is not None and taken >= task.positions
+    shown: Screen
+    if fault is not None:
+        shown = {"screen": "fault", "headline": "Not good", **_where(task, progress, fault.place)}
+        shown["fault"] = {"kind": fault.kind, "said": fault.said, "at": fault.start, "choices": list(fault.choices)}
+    elif not taken:
+        shown = {"screen": "waiting", "headline": "Waiting for rest", **_where(task, progress)}
+    elif current is not None and not progress.judged[-1].enough:
+        shown = _at_rest(task, progress, current, progress.judged[-1])
+    elif complete or (current is not None and estimate is not None and estimate["enough"] and not go_on):
+        shown = _done(task, taken, estimate, complete=complete)
+    else:
+        shown = _turn(task, progress)
+    always: Screen = {
         "seconds": progress.now,
         "scatter": {"now": scatter_now(blocks), "limit": progress.limits.scatter},
-        "sphere": _sphere(progress, estimate),
+        "sphere": {
+            "taken": [group[-1].vertical.tolist() for group in progress.groups],
+            "gains": None if estimate is None else estimate["gains"],
+        },
         "temperature": None if blocks.temperature is None else float(blocks.temperature[-10:].mean() - ZERO_CELSIUS),
         "to_go": _to_go(task, progress),
         "fault": None,
     }
-    if fault is None:
-        return shown | _screen(task, progress, estimate, go_on=go_on)
-    said = {"kind": fault.kind, "said": fault.said, "at": fault.start, "choices": list(fault.choices)}
-    return shown | {"screen": "fault", "headline": "Not good", "fault": said, **_where(task, progress, fault.place)}
-
-
-def _screen(task: Task, progress: Progress, estimate: Mapping[str, Any] | None, *, go_on: bool) -> dict[str, Any]:
-    """The screen where nothing is wrong."""
-    taken = len(progress.groups)
-    if not taken:
-        return {"screen": "waiting", "headline": "Waiting for rest", **_where(task, progress)}
-    current, judged = progress.current, progress.judged[-1]
-    if current is not None and not judged.enough:
-        return _at_rest(task, progress, current, judged)
-    all_taken = task.positions is not None and taken >= task.positions
-    if all_taken or (current is not None and estimate is not None and estimate["enough"] and not go_on):
-        return _done(task, taken, estimate, complete=all_taken)
-    return _turn(task, progress)
-
-
-def _sphere(progress: Progress, estimate: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Directions of the vertical that were taken, and what each of DIRECTIONS would leave of u."""
-    taken = [group[-1].vertical.tolist() for group in progress.groups]
-    return {"taken": taken, "gains": None if estimate is None else estimate["gains"]}
+    return always | shown
 
 
 def _to_go(task: Task, progress: Progress) -> float | None:
@@ -120,15 +93,11 @@ def _to_go(task: Task, progress: Progress) -> float | None:
 # -------------------- the position --------------------
 
 
-def _where(task: Task, progress: Progress, place: int | None = None) -> dict[str, Any]:
+def _where(task: Task, progress: Progress, place: int | None = None) -> Screen:
     """Which position the unit is in, or is to be in: that of this place in the course, from 0, or the present one."""
     at = len(progress.groups) - (1 if progress.lasts else 0) if place is None else place
     index = _index(task, progress.groups, at)
-    return {"rest": _number(task, at + 1), "position": _position(task, progress, index, at)}
-
-
-def _number(task: Task, number: int) -> dict[str, Any]:
-    return {"number": number, "of": task.positions}
+    return {"rest": {"number": at + 1, "of": task.positions}, "position": _position(task, progress, index, at)}
 
 
 def _index(task: Task, groups: list[list[Rest]], at: int) -> int | None:
@@ -147,7 +116,7 @@ def _index(task: Task, groups: list[list[Rest]], at: int) -> int | None:
     return next((k for k in range(len(programme.positions)) if k not in seen), None)
 
 
-def _position(task: Task, progress: Progress, index: int | None, at: int) -> dict[str, Any] | None:
+def _position(task: Task, progress: Progress, index: int | None, at: int) -> PositionShown | None:
     if task.programme is None or index is None:
         return None
     position = task.programme.positions[index]
@@ -168,49 +137,46 @@ def _position(task: Task, progress: Progress, index: int | None, at: int) -> dic
 # -------------------- at rest --------------------
 
 
-def _at_rest(task: Task, progress: Progress, current: Rest, judged: Judged) -> dict[str, Any]:
-    where = _where(task, progress)
-    number, of = where["rest"]["number"], f" of {task.positions}" if task.positions else ""
-    known, wanted = judged.known, task.wanted
-    foreseen = judged.left is not None and judged.left <= FORESEEN * (current.stop - current.start)
+def _at_rest(task: Task, progress: Progress, current: Rest, judged: Judged) -> Screen:
+    where, wanted, seconds = _where(task, progress), task.wanted, current.stop - current.start
+    of = f" of {task.positions}" if task.positions else ""
     drifted = float(np.abs(drift([progress.blocks.force[current.first : current.last]])).max())
-    return {
-        "screen": "rest",
-        "headline": f"At rest {number}{of}: hold still",
-        "position": where["position"],
-        "rest": where["rest"]
-        | {
-            "seconds": current.stop - current.start,
-            "left": judged.left if foreseen else None,
-            "u": None if known is None else known.accel / G_STANDARD * 1e6,
-            "wanted": wanted.accel / G_STANDARD * 1e6,
-            "gyro_u": None if known is None or known.gyro is None else known.gyro / DEGREE * 3600.0,
-            "gyro_wanted": wanted.gyro / DEGREE * 3600.0,
-            "drift": drifted / G_STANDARD * 1e6,
-            "settling": known is not None and drifted > _SETTLING * known.accel,
-            "nothing_more": judged.nothing_more,
-        },
+    foreseen = judged.left is not None and judged.left <= FORESEEN * seconds
+    where["rest"] |= {
+        "seconds": seconds,
+        "left": judged.left if foreseen else None,
+        "u": None if judged.accel is None else judged.accel / G_STANDARD * 1e6,
+        "wanted": wanted.accel / G_STANDARD * 1e6,
+        "gyro_u": None if judged.gyro is None else judged.gyro / DEGREE * 3600.0,
+        "gyro_wanted": wanted.gyro / DEGREE * 3600.0,
+        "drift": drifted / G_STANDARD * 1e6,
+        "settling": judged.accel is not None and drifted > _SETTLING * judged.accel,
+        "nothing_more": judged.nothing_more,
     }
+    return {"screen": "rest", "headline": f"At rest {where['rest']['number']}{of}: hold still", **where}
 
 
 # -------------------- under way --------------------
 
 
-def _turn(task: Task, progress: Progress) -> dict[str, Any]:
+def _turn(task: Task, progress: Progress) -> Screen:
     blocks, last, at = progress.blocks, progress.groups[-1][-1], len(progress.groups)
     index = _index(task, progress.groups, at)
     move = ANY_MOVE if index is None else task.move(index)
     turned = turned_between(blocks, last.last, len(blocks), last.rate)
-    rate = _rate_now(blocks, last)
+    rate = None
+    if blocks.rate is not None and last.rate is not None:
+        rate = float(np.linalg.norm(blocks.rate[-3:].mean(axis=0) - last.rate))
     done = None if turned is None else _done_of(task, move, index, turned)
     full = None if task.session.log.gyro is None else task.session.log.gyro.range
-    slowly = rate is not None and rate < STILL_TURNING and progress.calm_from is None
-    arrived = slowly and done is not None and _arrived(move, done)
+    arrived = False
+    if done is not None and rate is not None and rate < STILL_TURNING and progress.calm_from is None:
+        arrived = abs(done - move.angle) < NEARLY if move.angle is not None else done > 2.0 * NEARLY
     label = "to any new position" if index is None else f"to position {index + 1}"
     return {
         "screen": "turn",
         "headline": "Hold still: the unit is not yet at rest" if arrived else f"Turn now {label}",
-        "rest": _number(task, at + 1),
+        "rest": {"number": at + 1, "of": task.positions},
         "position": _position(task, progress, index, at),
         "early": "" if progress.judged[-1].enough else f"rest {at} was left before the wanted u",
         "turn": {
@@ -222,13 +188,6 @@ def _turn(task: Task, progress: Progress) -> dict[str, Any]:
     }
 
 
-def _rate_now(blocks: Blocks, last: Rest) -> float | None:
-    """Size of the angular rate now, rad/s, less that of the last rest; None without gyros."""
-    if blocks.rate is None or last.rate is None:
-        return None
-    return float(np.linalg.norm(blocks.rate[-3:].mean(axis=0) - last.rate))
-
-
 def _done_of(task: Task, move: Move, index: int | None, turned: Array) -> float:
     """How far, rad, a turn has gone: about the axis of the programme's turn where there is one."""
     if task.programme is None or not index or move.axis is None:
@@ -236,15 +195,10 @@ def _done_of(task: Task, move: Move, index: int | None, turned: Array) -> float:
     return float(turned @ (task.programme.positions[index - 1].matrix.T @ move.axis))
 
 
-def _arrived(move: Move, done: float) -> bool:
-    """Whether a turn has gone so far that it may be over."""
-    return abs(done - move.angle) < NEARLY if move.angle is not None else done > 2.0 * NEARLY
-
-
 # -------------------- done --------------------
 
 
-def _done(task: Task, taken: int, estimate: Mapping[str, Any] | None, *, complete: bool) -> dict[str, Any]:
+def _done(task: Task, taken: int, estimate: EstimateShown | None, *, complete: bool) -> Screen:
     """`complete`: all positions of the programme are taken. `missed` are the groups whose wanted u is not reached, None
     where no estimate has all the rests."""
     known = estimate is not None and estimate["rests"] >= taken
@@ -258,7 +212,7 @@ def _done(task: Task, taken: int, estimate: Mapping[str, Any] | None, *, complet
     return {
         "screen": "done",
         "headline": said,
-        "rest": _number(task, taken),
+        "rest": {"number": taken, "of": task.positions},
         "position": None,
         "complete": complete,
         "missed": missed,
@@ -287,43 +241,43 @@ _FIRST = {"gap": "go_on", "temperature": "go_on", "turning wrong": ""}
 """Of the answers to a fault the one that is usual, where that is not its first."""
 
 
-def answers(state: Mapping[str, Any]) -> list[dict[str, Any]]:
+def answers(state: State) -> list[Answer]:
     """The buttons of a state: what each does, and what comes of it; one at most is what is usual now, the `primary`."""
     if state["calibrating"]:
         return []
-    named: list[tuple[str, str, str]] = []
-    ended = state["received"]["ended"]
+    named: dict[str, tuple[str, str]] = {}
+    ended, usual = state["received"]["ended"], ""
     stopped = state["can_record"] and not state["listening"] and not ended
-    primary = ""
     if state["result"] is not None:
         if state["can_record"] and not ended:
-            named.append(("resume", "Record on", "in the same folder; this result is dropped"))
+            named["resume"] = "Record on", "in the same folder; this result is dropped"
     elif stopped:
-        named.append(("resume", "Record on", "in the same folder, where it stopped"))
-        named.append(("calibrate", "Calibrate", "what is recorded so far"))
-        primary = "resume"
+        named["resume"] = "Record on", "in the same folder, where it stopped"
+        named["calibrate"] = "Calibrate", "what is recorded so far"
+        usual = "resume"
     elif state["fault"] is not None:
-        named, primary = _answers_to(state)
+        named, usual = _answers_to(state)
     elif state["screen"] == "done":
-        primary = "calibrate"
-        named.append(("calibrate", "Stop and calibrate", "recording ends"))
+        named["calibrate"] = "Stop and calibrate", "recording ends"
         if not state["complete"]:
-            named.append(("go_on", "Go on", "for more positions"))
+            named["go_on"] = "Go on", "for more positions"
+        usual = "calibrate"
     elif ended:
-        primary = "calibrate"
-        named.append(("calibrate", "Calibrate", "the source has ended"))
-    if state["result"] is None and state["estimate"] and "calibrate" not in [name for name, _, _ in named]:
-        rest = state.get("rest") or {}
-        of, number = rest.get("of"), rest.get("number", 0)
+        named["calibrate"] = "Calibrate", "the source has ended"
+        usual = "calibrate"
+    if state["result"] is None and state["estimate"] and "calibrate" not in named:
+        rest: RestNumber = state.get("rest") or {"number": 0, "of": None}
+        of, number = rest["of"], rest["number"]
         short = f"; {of - number + 1} of {of} positions are not taken" if of and number <= of else ""
-        named.append(("calibrate", "Stop and calibrate", f"recording ends{short}"))
-    return [{"do": name, "label": label, "says": says, "primary": name == primary} for name, label, says in named]
+        named["calibrate"] = "Stop and calibrate", f"recording ends{short}"
+    return [{"do": do, "label": label, "says": says, "primary": do == usual} for do, (label, says) in named.items()]
 
 
-def _answers_to(state: Mapping[str, Any]) -> tuple[list[tuple[str, str, str]], str]:
+def _answers_to(state: State) -> tuple[dict[str, tuple[str, str]], str]:
     """The buttons for what is wrong, and the usual one."""
-    kind, choices = state["fault"]["kind"], state["fault"]["choices"]
-    position = state.get("position")
+    fault, position = state["fault"], state.get("position")
+    assert fault is not None
+    kind, choices = fault["kind"], fault["choices"]
     wanted = f"position {position['number']}" if position else "a new position"
     label, says = _LEFT_OUT.get(kind, ("Leave this out", ""))
     each = {
@@ -332,13 +286,13 @@ def _answers_to(state: Mapping[str, Any]) -> tuple[list[tuple[str, str, str]], s
         "anew": ("Record this unit anew", "in a folder of its own beside this one"),
         "go_on": ("Go on", _GOING_ON.get(kind, "nothing is left out: where the page is wrong")),
     }
-    return [(name, *each[name]) for name in choices], _FIRST.get(kind, choices[0])
+    return {name: each[name] for name in choices}, _FIRST.get(kind, choices[0])
 
 
 # -------------------- beside the state --------------------
 
 
-def trace(blocks: Blocks | None, since: int) -> dict[str, Any]:
+def trace(blocks: Blocks | None, since: int) -> Trace:
     """Block means from number `since` on, at most the last minute: s, m/s² and °/s."""
     if blocks is None:
         return {"next": 0, "anew": True, "t": [], "a": [], "g": []}

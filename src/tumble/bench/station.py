@@ -1,10 +1,9 @@
 """One bench: a unit that is recorded, what the page shows of it, and what the operator answers.
 
 The state follows from the log on disk and from session.toml, so that the page and this process may each be started
-again at any time: `live` follows the log and knows the progress, `faults` what is wrong, `answers` what was said to it,
-`estimates` has the estimates made, and `screens` makes of all these what is shown. Here is only the order of things:
-the threads, the lock and the buttons. `state` is replaced as a whole, several times a second, by one thread; another
-makes the estimates.
+again at any time: `follow` follows the log and knows the progress, what is wrong and the estimate, `answers` what was
+said to it, and `screens` makes of all these what is shown. Here is only the order of things: the threads, the lock and
+the buttons. `state` is replaced as a whole, several times a second, by one thread; another makes the estimates.
 """
 
 from __future__ import annotations
@@ -13,22 +12,21 @@ import logging
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from tumble.bench import ending, screens
-from tumble.bench import folder as folders
+from tumble.bench import results, screens, session_folder
 from tumble.bench.answers import Answers
-from tumble.bench.course import Progress
-from tumble.bench.ending import Results
-from tumble.bench.estimates import Estimates
-from tumble.bench.faults import Fault, faults_of_rests
-from tumble.bench.intake import Intake
-from tumble.bench.live import Live
-from tumble.bench.sources import LineSource
-from tumble.bench.task import Task
-from tumble.bench.virtual_table import VirtualTable
-from tumble.bench.wishes import Wanted
+from tumble.bench.follow.estimates import Estimates
+from tumble.bench.follow.faults import Fault, faults_of_rests
+from tumble.bench.follow.live import Live
+from tumble.bench.follow.rests import Progress
+from tumble.bench.follow.wishes import Task, Wanted
+from tumble.bench.record.intake import Intake
+from tumble.bench.record.sources import LineSource
+from tumble.bench.record.virtual_table import VirtualTable
+from tumble.bench.results import Results
+from tumble.bench.state import NOTHING_RECEIVED, WAITING, State, Trace
 from tumble.errors import TumbleError
 
 log = logging.getLogger(__name__)
@@ -66,15 +64,17 @@ class Station:
             "again": lambda _: self._answers.again(*self._present_fault()),
             "keep_first": lambda _: self._answers.keep_first(*self._present_fault()),
             "go_on": lambda _: self._answers.going_on(self._present_fault()[0]),
-            "leave_out": lambda number: self._answers.leave_out_rest(number, self._rests()),
+            "leave_out": lambda number: self._answers.leave_out_rest(
+                number, 0 if self._live.now is None else len(self._live.now.spans)
+            ),
             "take_back": lambda _: self._answers.take_back(),
             "stop": lambda _: self._stop_recording(),
             "resume": lambda _: self._resume(),
             "calibrate": lambda _: self._calibrate(),
-            "report": lambda _: self._written(ending.report_of(self.folder, self._stop)),
-            "export": lambda to: self._written(ending.exported(self.folder, to)),
+            "report": lambda _: self._written(results.report_of(self.folder, self._stop)),
+            "export": lambda to: self._written(results.exported(self.folder, to)),
             "register": lambda _: self._register(),
-            "next_unit": lambda serial: self._next_unit(serial),
+            "next_unit": self._next_unit,
             "table": self._turn_table,
         }
         self.intake: Intake | None = None
@@ -84,13 +84,12 @@ class Station:
     def _begin(self, folder: Path) -> None:
         """Open the session of a folder, from its beginning."""
         self.folder = folder
-        self.task = Task.of(folders.session_to_record(folder), self._wanted, self._grade)
+        self.task = Task.of(session_folder.session_to_record(folder), self._wanted, self._grade)
         self._live = Live(self.task)
         self._answers = Answers(folder, self.task.session.excluded)
         self._estimates = Estimates(self.task, self._worker)
         self._results: Results | None = None
-        self._busy = ""
-        self._message = ""
+        self._busy = self._message = ""
         self._wrong: tuple[str, int] | None = None
         self._taken = 0
 
@@ -115,14 +114,12 @@ class Station:
         while not self._stop.wait(STEP_SECONDS):
             try:
                 self.step()
-            except OSError as error:
-                self._say(f"{self.folder}: cannot be read: {error.strerror}")
             except Exception as error:
-                self._say(_said_of(error, "the page stands still; what is received is recorded"))
-
-    def _say(self, message: str) -> None:
-        """Show the state as it was, with a message."""
-        self.state = {**self.state, "message": message}
+                if isinstance(error, OSError):
+                    message = f"{self.folder}: cannot be read: {error.strerror}"
+                else:
+                    message = _said_of(error, "the page stands still; what is received is recorded")
+                self.state = {**self.state, "message": message}
 
     def stop(self) -> None:
         """End following and recording."""
@@ -142,44 +139,43 @@ class Station:
 
     # -------------------- the state --------------------
 
-    def _state(self) -> dict[str, Any]:
-        state = self._header()
+    def _state(self) -> State:
+        header = self._header()
         progress = self._live.progress(self._answers.excluded)
         if progress is None or self._live.now is None:
-            state |= screens.WAITING
-            return state | {"answers": screens.answers(state)}
-        if progress.calm_from is None:
-            self._answers.moved(progress.now)
-        fault = self._fault(progress)
-        self._estimates.ask(self._live.now, progress, self._answers.excluded)
-        state |= screens.screen(self.task, progress, fault, self._estimates.shown, go_on=self._answers.go_on)
-        return state | {"answers": screens.answers(state), "message": self._still_said(fault, len(progress.groups))}
+            shown = WAITING
+        else:
+            if progress.calm_from is None:
+                self._answers.moved(progress.now)
+            fault = self._fault(progress)
+            self._estimates.ask(self._live.now, progress, self._answers.excluded)
+            shown = screens.screen(self.task, progress, fault, self._estimates.shown, go_on=self._answers.go_on)
+            wrong, taken = None if fault is None else fault.key, len(progress.groups)
+            if wrong not in (None, self._wrong) or taken > self._taken:
+                self._message = ""  # which was of what was wrong before, or of the position before
+            self._wrong, self._taken = wrong, taken
+        state: State = {**header, **shown, "message": self._message}
+        state["answers"] = screens.answers(state)
+        return state
 
     def _fault(self, progress: Progress) -> Fault | None:
         """The first fault that is not answered."""
         return self._answers.first_of([*self._live.faults, *faults_of_rests(self.task, progress)])
 
-    def _still_said(self, fault: Fault | None, taken: int) -> str:
-        """What was answered last, until something else is wrong or another position is taken."""
-        if (fault is not None and fault.key != self._wrong) or taken > self._taken:
-            self._message = ""
-        self._wrong, self._taken = None if fault is None else fault.key, taken
-        return self._message
-
-    def _header(self) -> dict[str, Any]:
-        received = self.intake.received if self.intake is not None else None
-        live, device, programme = self._live, self.task.session.device, self.task.programme
+    def _header(self) -> State:
+        intake, live, device, programme = self.intake, self._live, self.task.session.device, self.task.programme
+        source = "recording has stopped" if self._listen is not None else "the log of another program"
         return {
             "unit": {"serial": device.serial, "model": device.model},
             "session": self.folder.name,
-            "listening": received is not None and not received.ended,
+            "listening": intake is not None and not intake.ended,
             "can_record": self._listen is not None,
             "received": {
-                "source": self._source_name(),
+                "source": source if intake is None else intake.source.name,
                 "samples": live.samples,
                 "rate": None if live.interval is None else 1.0 / live.interval,
                 "lost": live.lost,
-                **screens.received_shown(received),
+                **(NOTHING_RECEIVED if intake is None else intake.received),
             },
             "programme": None if programme is None else programme.name,
             "positions": self.task.positions,
@@ -188,15 +184,9 @@ class Station:
             "estimating": self._estimates.under_way,
             "result": None if self._results is None else self._results.shown(),
             "calibrating": self._busy == _LONG["calibrate"],
-            "message": self._message,
             "excluded": len(self._answers.excluded),
-            "table": self.intake is not None and isinstance(self.intake.source, VirtualTable),
+            "table": intake is not None and isinstance(intake.source, VirtualTable),
         }
-
-    def _source_name(self) -> str:
-        if self.intake is not None:
-            return self.intake.source.name
-        return "the log of another program" if self._listen is None else "recording has stopped"
 
     # -------------------- the buttons --------------------
 
@@ -208,9 +198,9 @@ class Station:
             if self._busy:
                 return f"{self._busy}: wait until it is done"
             if name not in _LONG:
-                left_out = self._answers.excluded
+                excluded = self._answers.excluded
                 self._message = self._answered(name, value)
-                if self._answers.excluded != left_out:
+                if self._answers.excluded != excluded:
                     self._results = None  # which was of what was left out before
                 return self._message
             if name != "calibrate" and self._results is None:
@@ -236,9 +226,6 @@ class Station:
         progress = self._live.progress(self._answers.excluded)
         return (None, 0.0) if progress is None else (self._fault(progress), progress.now)
 
-    def _rests(self) -> int:
-        return 0 if self._live.now is None else len(self._live.now.spans)
-
     def _stop_recording(self) -> str:
         """Stop recording; that it is so, and what of it the disk has not taken."""
         trouble = None
@@ -259,7 +246,7 @@ class Station:
         serial = " ".join("".join(c if c.isprintable() else " " for c in given).split())
         if not serial:
             return "expected the serial number of the next unit"
-        folder = folders.begin_next(self.folder, serial)
+        folder = session_folder.begin_next(self.folder, serial)
         self._stop_recording()
         self._begin(folder)
         self._record()
@@ -275,15 +262,14 @@ class Station:
         """Stop recording and calibrate. Whatever comes of it, an earlier result is none of this."""
         with self._guard:
             stopped, self._results = self._stop_recording(), None
-        results = Results.of(ending.calibrated(self.folder, self._stop))
-        self._results = results
-        said = "calibrated: accepted" if results.accepted else "calibrated: not accepted"
+        self._results = Results.of(results.calibrated(self.folder, self._stop))
+        said = "calibrated: accepted" if self._results.accepted else "calibrated: not accepted"
         return f"{said}; {stopped}" if ":" in stopped else said
 
     def _register(self) -> str:
-        said = ending.registered(self.folder, self._registry)
+        said = results.registered(self.folder, self._registry)
         if self._results is not None:
-            self._results = self._results.registered_as(said)
+            self._results = replace(self._results, registered=said)
         return said
 
     def _written(self, name: str) -> str:
@@ -298,8 +284,8 @@ class Station:
         """Bytes of the log that are in the state."""
         return self._live.at
 
-    def trace(self, since: int) -> dict[str, Any]:
-        """Block means from number `since` on, at most the last minute: s, m/s² and °/s."""
+    def trace(self, since: int) -> Trace:
+        """Block means from number `since` on, at most the last minute."""
         now = self._live.now
         return screens.trace(None if now is None else now.blocks, since)
 

@@ -39,30 +39,9 @@ from tumble.sensors.grades import GRADES
 from tumble.usual_setup import GRADE, INSTABILITY_TIME, LATITUDE_DEG, MOUNTING_ERROR_DEG, PROGRAMME, TABLE_ERROR_DEG
 
 ESTIMATORS = (*METHODS, *ITERATED_METHODS)
-AXES = (
-    "grade",
-    "programme",
-    "positions",
-    "table_error_deg",
-    "mounting_error_deg",
-    "rest",
-    "rate_deg_s",
-    "sample_rate",
-    "latitude_deg",
-    "noise_factor",
-    "instability_time",
-    "terms",
-)
-"""The axes of the grid apart from the method, outermost first."""
-
 TERMS: tuple[Terms, ...] = ("linear", "full")
-
 MOST_TASKS = 10_000_000
 _FAULTS_SHOWN = 3
-
-
-def _one_of(known: Iterable[str]) -> str:
-    return f"one of {', '.join(known)}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -153,14 +132,11 @@ def campaign_of(content: Mapping[str, Any]) -> Campaign:
         seed=document.seed,
         trials=document.trials,
         methods=tuple(cast("list[Method]", grid.method)),
-        cells=_cells(grid),
+        cells=tuple(
+            Cell.of(dict(zip(AXES, values, strict=True))) for values in product(*(getattr(grid, a) for a in AXES))
+        ),
         definition={"campaign": document.model_dump()},
     )
-
-
-def _cells(grid: _GridKeys) -> tuple[Cell, ...]:
-    points = [dict(zip(AXES, values, strict=True)) for values in product(*(getattr(grid, name) for name in AXES))]
-    return tuple(Cell.of(point) for point in points)
 
 
 def _fault(fault: Any, content: Mapping[str, Any]) -> str:
@@ -189,6 +165,13 @@ class _CampaignTable(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
+def _axis(usual: Any, expected: str | Iterable[str]) -> Any:
+    """An axis of the grid: its usual value, and what its values are, in words or by their names."""
+    words = expected if isinstance(expected, str) else f"one of {', '.join(expected)}"
+    names: list[Any] | None = None if isinstance(expected, str) else list(expected)
+    return Field(default=[usual], min_length=1, description=words, json_schema_extra={"names": names})
+
+
 _Degrees = Annotated[float, Field(ge=0.0, le=10.0)]
 _Seconds = Annotated[float, Field(ge=0.1, le=86_400.0)]
 _Positive = Annotated[float, Field(gt=0.0, le=10_000.0)]
@@ -196,35 +179,23 @@ _Positive = Annotated[float, Field(gt=0.0, le=10_000.0)]
 
 class _GridKeys(_CampaignTable):
     """Every axis is a list; a single value stands for a list of one. None, as with `tumble simulate`, for what is usual
-    on a table or by hand."""
+    on a table or by hand. The axes are in the order in which they vary, the outermost first."""
 
-    method: list[str] = Field(default=[DEFAULT_METHOD], min_length=1, description=_one_of(ESTIMATORS))
-    grade: list[str] = Field(default=[GRADE], min_length=1, description=_one_of(GRADES))
-    programme: list[str] = Field(default=[PROGRAMME], min_length=1, description=_one_of(BUILT_IN))
-    positions: list[Annotated[int, Field(ge=1, le=1000)] | None] = Field(
-        default=[None], min_length=1, description="whole numbers from 1 to 1000"
+    method: list[str] = _axis(DEFAULT_METHOD, ESTIMATORS)
+    grade: list[str] = _axis(GRADE, GRADES)
+    programme: list[str] = _axis(PROGRAMME, BUILT_IN)
+    positions: list[Annotated[int, Field(ge=1, le=1000)] | None] = _axis(None, "whole numbers from 1 to 1000")
+    table_error_deg: list[_Degrees] = _axis(TABLE_ERROR_DEG, "numbers from 0 to 10 (degrees)")
+    mounting_error_deg: list[_Degrees] = _axis(MOUNTING_ERROR_DEG, "numbers from 0 to 10 (degrees)")
+    rest: list[_Seconds | None] = _axis(None, "numbers from 0.1 to 86400 (s)")
+    rate_deg_s: list[_Positive | None] = _axis(None, "numbers above 0 (degrees a second)")
+    sample_rate: list[_Positive | None] = _axis(None, "numbers above 0 (Hz)")
+    latitude_deg: list[Annotated[float, Field(ge=-90.0, le=90.0)]] = _axis(LATITUDE_DEG, "numbers from -90 to 90")
+    noise_factor: list[Annotated[float, Field(ge=0.0, le=1000.0)]] = _axis(1.0, "numbers from 0 to 1000")
+    instability_time: list[Annotated[float, Field(ge=0.0, le=86_400.0)]] = _axis(
+        INSTABILITY_TIME, "numbers from 0 to 86400 (s)"
     )
-    table_error_deg: list[_Degrees] = Field(
-        default=[TABLE_ERROR_DEG], min_length=1, description="numbers from 0 to 10 (degrees)"
-    )
-    mounting_error_deg: list[_Degrees] = Field(
-        default=[MOUNTING_ERROR_DEG], min_length=1, description="numbers from 0 to 10 (degrees)"
-    )
-    rest: list[_Seconds | None] = Field(default=[None], min_length=1, description="numbers from 0.1 to 86400 (s)")
-    rate_deg_s: list[_Positive | None] = Field(
-        default=[None], min_length=1, description="numbers above 0 (degrees a second)"
-    )
-    sample_rate: list[_Positive | None] = Field(default=[None], min_length=1, description="numbers above 0 (Hz)")
-    latitude_deg: list[Annotated[float, Field(ge=-90.0, le=90.0)]] = Field(
-        default=[LATITUDE_DEG], min_length=1, description="numbers from -90 to 90"
-    )
-    noise_factor: list[Annotated[float, Field(ge=0.0, le=1000.0)]] = Field(
-        default=[1.0], min_length=1, description="numbers from 0 to 1000"
-    )
-    instability_time: list[Annotated[float, Field(ge=0.0, le=86_400.0)]] = Field(
-        default=[INSTABILITY_TIME], min_length=1, description="numbers from 0 to 86400 (s)"
-    )
-    terms: list[str] = Field(default=["linear"], min_length=1, description=_one_of(TERMS))
+    terms: list[str] = _axis("linear", TERMS)
 
     @field_validator("*", mode="before")
     @classmethod
@@ -233,18 +204,18 @@ class _GridKeys(_CampaignTable):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        for key, known in (
-            ("method", ESTIMATORS),
-            ("grade", GRADES),
-            ("programme", BUILT_IN),
-            ("terms", TERMS),
-        ):
+        for key, axis in type(self).model_fields.items():
+            names = cast("dict[str, Any]", axis.json_schema_extra)["names"]
             for name in getattr(self, key):
-                if name not in known:
-                    raise ValueError(f"grid.{key}: expected {_one_of(known)}, found {json.dumps(name)}")
+                if names is not None and name not in names:
+                    raise ValueError(f"grid.{key}: expected {axis.description}, found {json.dumps(name)}")
         if {"programme", "positions"} <= self.model_fields_set:
             raise ValueError("grid.positions: expected no grid.programme with it, found both; leave one out")
         return self
+
+
+AXES = tuple(axis for axis in _GridKeys.model_fields if axis != "method")
+"""The axes of the grid apart from the method, outermost first."""
 
 
 class _CampaignKeys(_CampaignTable):

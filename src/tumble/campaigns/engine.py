@@ -96,26 +96,22 @@ def run(
     if _begun(job, folder) and table.exists():
         return table
     try:
-        _complete(job, folder, executor or serially, progress)
-    except FileNotFoundError:
+        (folder / "parts").mkdir(exist_ok=True)
+        done = _tasks_of_parts(folder)
+        pending = [number for number in range(len(job.items)) if number not in done]
+        count = len(job.items) - len(pending)
+        progress(count, len(job.items))
+        for numbers, part in (executor or serially)(job, pending):
+            name = f"{numbers[0]:09d}-{numbers[-1]:09d}-{len(numbers)}.parquet"
+            with whole_file(folder / "parts" / name) as temporary:
+                temporary.write_bytes(part)
+            count += len(numbers)
+            progress(count, len(job.items))
+        _join_parts(job, folder)
+    except FileNotFoundError:  # another run in the same folder has made the table meanwhile
         if not table.exists():
             raise
     return table
-
-
-def _complete(job: Job, folder: Path, executor: Executor, progress: Progress) -> None:
-    """Compute what is missing, and make the table. Raises FileNotFoundError where another run in the same folder has
-    made it meanwhile."""
-    (folder / "parts").mkdir(exist_ok=True)
-    done = _tasks_of_parts(folder)
-    pending = [number for number in range(len(job.items)) if number not in done]
-    count = len(job.items) - len(pending)
-    progress(count, len(job.items))
-    for numbers, part in executor(job, pending):
-        _write_part(folder, numbers, part)
-        count += len(numbers)
-        progress(count, len(job.items))
-    _join_parts(job, folder)
 
 
 # Tasks and chunks
@@ -194,7 +190,17 @@ def _begun(job: Job, folder: Path) -> bool:
     """Whether the folder was begun by this job; if it is new, it is begun."""
     manifest = folder / MANIFEST
     if manifest.exists():
-        _check_same(job, manifest)
+        try:
+            content = json_of(text_of_document(manifest))
+            same = content["sha256"] == job.sha256
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InputError(f"{manifest}: expected the manifest of a job of tumble, found another file") from error
+        if not same:
+            where, there, here = _difference("", content, job._identity())
+            raise InputError(
+                f"{folder}: was begun by another job: {where} is {_short(there)} there and {_short(here)} here; "
+                "give another folder"
+            )
         return True
     if folder.exists() and not (folder.is_dir() and all(path.name.startswith(".") for path in folder.iterdir())):
         raise InputError(f"{folder}: expected a new folder, or one that was begun by the same command, found another")
@@ -203,20 +209,6 @@ def _begun(job: Job, folder: Path) -> bool:
     with whole_file(manifest) as temporary:
         temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     return False
-
-
-def _check_same(job: Job, manifest: Path) -> None:
-    try:
-        content = json_of(text_of_document(manifest))
-        same = content["sha256"] == job.sha256
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{manifest}: expected the manifest of a job of tumble, found another file") from error
-    if not same:
-        where, there, here = _difference("", content, job._identity())
-        raise InputError(
-            f"{manifest.parent}: was begun by another job: {where} is {_short(there)} there and {_short(here)} here; "
-            "give another folder"
-        )
 
 
 def _difference(where: str, there: Any, here: Any) -> tuple[str, Any, Any]:
@@ -249,12 +241,6 @@ def _tasks_of_parts(folder: Path) -> set[int]:
 
     parts = _parts(folder)
     return set(pl.scan_parquet(parts).select("task").collect().to_series().to_list()) if parts else set()
-
-
-def _write_part(folder: Path, numbers: Chunk, part: bytes) -> None:
-    """Write the rows of a chunk. Every part has a name of its own: first and last task, and how many."""
-    with whole_file(folder / "parts" / f"{numbers[0]:09d}-{numbers[-1]:09d}-{len(numbers)}.parquet") as temporary:
-        temporary.write_bytes(part)
 
 
 def _join_parts(job: Job, folder: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +9,7 @@ from tumble.brief import Brief
 from tumble.calibration.calibrate import Method
 from tumble.campaigns.campaign import Campaign, read_campaign, run_campaign
 from tumble.campaigns.cluster import executor_for
-from tumble.campaigns.engine import Executor, Progress
+from tumble.campaigns.engine import Progress
 from tumble.campaigns.fleet import Tally, run_fleet, sessions_of, tally
 from tumble.campaigns.summary import SummaryLine, summary, write_summary
 from tumble.files import FilePath
@@ -55,7 +54,7 @@ def campaign(
     'rows.parquet'
     """
     known, folder = planned if isinstance(planned, Campaign) else read_campaign(Path(planned)), Path(out)
-    with _place(serial, cluster, workers) as executor:
+    with executor_for(serial=serial, cluster=cluster, workers=workers) as executor:
         rows = run_campaign(known, folder, executor=executor, progress=progress)
     lines = summary(rows)
     write_summary(lines, folder / SUMMARY_FILE)
@@ -83,10 +82,6 @@ def fleet(
     2
     """
     found = sessions_of(str(sessions))
-    with _place(serial, cluster, workers) as executor:
+    with executor_for(serial=serial, cluster=cluster, workers=workers) as executor:
         rows = run_fleet(found, Path(out), method=method, executor=executor, progress=progress)
     return FleetResult(rows=rows, sessions=tuple(found), tally=tally(rows))
-
-
-def _place(serial: bool, cluster: str | None, workers: int | None) -> AbstractContextManager[Executor]:
-    return executor_for(serial=serial, cluster=cluster, workers=workers)

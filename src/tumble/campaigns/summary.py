@@ -102,32 +102,26 @@ def _names(part: pl.DataFrame) -> tuple[str, ...]:
     return tuple(column.removeprefix("error.") for column in part.columns if column.startswith("error."))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Moments:
-    """Of one parameter: means of the error, its square, the variance of the bound (None without), and the coverage
-    (None where there is no u)."""
-
-    mean: float
-    square: float
-    bound: float | None
-    covered: float | None
+_Moments = dict[str, float | None]
+"""Of one parameter: `mean` of the error, of its `square` and of the variance of the `bound` (None without), and the
+part `covered` (None where there is no u)."""
 
 
 def _session_moments(part: pl.DataFrame) -> dict[str, _Moments]:
     """Moments by parameter over trials that have a value."""
-    out = {}
+    out: dict[str, _Moments] = {}
     for name in _names(part):
         error, u, bound = (_column(part, f"{what}.{name}") for what in ("error", "u", "bound"))
         seen = np.isfinite(error)
         if not seen.any():
             continue
         error, u, bound = error[seen], u[seen], bound[seen]
-        out[name] = _Moments(
-            mean=float(error.mean()),
-            square=float((error**2).mean()),
-            bound=float((bound**2).mean()) if np.isfinite(bound).all() else None,
-            covered=float((np.abs(error) <= COVERED_WITHIN * u).mean()) if np.isfinite(u).all() else None,
-        )
+        out[name] = {
+            "mean": float(error.mean()),
+            "square": float((error**2).mean()),
+            "bound": float((bound**2).mean()) if np.isfinite(bound).all() else None,
+            "covered": float((np.abs(error) <= COVERED_WITHIN * u).mean()) if np.isfinite(u).all() else None,
+        }
     return out
 
 
@@ -137,17 +131,9 @@ def _statics_moments(part: pl.DataFrame) -> dict[str, _Moments]:
     if part.is_empty():
         return {}
     weight = (part["triads"] - part["failed"]).to_numpy()
-
-    def mean(what: str, name: str) -> float:
-        return float(np.average(_column(part, f"{what}.{name}"), weights=weight))
-
+    whats = ("mean", "square", "bound", "covered")
     return {
-        name: _Moments(
-            mean=mean("mean", name),
-            square=mean("square", name),
-            bound=mean("bound", name),
-            covered=mean("covered", name),
-        )
+        name: {what: float(np.average(_column(part, f"{what}.{name}"), weights=weight)) for what in whats}
         for name in NAMES[:9]
     }
 
@@ -160,17 +146,16 @@ def _of_group(members: Sequence[_Moments]) -> dict[str, float | None]:
     """The figures of a group from the moments of its parameters."""
     if not members:
         return dict.fromkeys(("bias", "scatter", "rms", "to_bound", "coverage"))
-    bias2 = float(np.mean([m.mean**2 for m in members]))
-    square = float(np.mean([m.square for m in members]))
-    bounds = [m.bound for m in members if m.bound is not None]
-    covered = [m.covered for m in members if m.covered is not None]
-    bounded = len(bounds) == len(members) and sum(bounds) > 0.0
+    mean, square, bound, covered = (
+        np.array([member[what] for member in members], dtype=float) for what in ("mean", "square", "bound", "covered")
+    )
+    bias2, rms2, least = float((mean**2).mean()), float(square.mean()), float(bound.mean())
     return {
         "bias": math.sqrt(bias2),
-        "scatter": math.sqrt(max(square - bias2, 0.0)),
-        "rms": math.sqrt(square),
-        "to_bound": math.sqrt(square / float(np.mean(bounds))) if bounded else None,
-        "coverage": float(np.mean(covered)) if len(covered) == len(members) else None,
+        "scatter": math.sqrt(max(rms2 - bias2, 0.0)),
+        "rms": math.sqrt(rms2),
+        "to_bound": math.sqrt(rms2 / least) if least > 0.0 else None,
+        "coverage": float(covered.mean()) if np.isfinite(covered).all() else None,
     }
 
 
@@ -193,6 +178,3 @@ def write_summary(lines: Sequence[SummaryLine], path: Path) -> None:
 def said(value: Any) -> str:
     """The value of an axis in words, nothing for none."""
     return "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
-
-
-# The picture

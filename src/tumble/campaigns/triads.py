@@ -8,10 +8,7 @@ attitude is how far y is from the ellipsoid |S⁻¹(y − b)| = g. With a = S⁻
 
 to first order, so that Gauss–Newton on r for all nine parameters is the maximum-likelihood estimate from rests with
 free attitudes and equal noise in all readings. (Σ hᵀh)⁻¹ σ² is its covariance, at the true values the Cramér–Rao bound.
-
-LANES triads go through every loop side by side, a loop that the compiler turns into vector instructions; the plain twin
-is in tests/naive.py. Eqs. (12) and (13) of the turntable paper, converged, with the weights of
-the readings' noise.
+Eqs. (12) and (13) of the turntable paper, converged, with the weights of the readings' noise.
 """
 
 from __future__ import annotations
@@ -20,23 +17,11 @@ import numpy as np
 
 from tumble.units import Array
 
-try:
-    import cython
-except ImportError:
-    from tumble import uncompiled as cython
-
 STEPS = 5
 """Gauss–Newton steps: from zero, sensors that are off by 5 % are known to rounding after five."""
-
-if not cython.compiled:  # where it is, these are numbers of triads.pxd
-    from numpy import cos, sin, sqrt
-
-    PARAMETERS = 9
-    LANES = 16
-    _ROWS = 10
-    _MODEL = 14
-    _TOGETHER = 4
-    _SUMS = _ROWS * (_ROWS + 1) // 2
+TOGETHER = 256
+"""Triads that go through a step side by side: what they need of memory stays in the cache."""
+PARAMETERS = 9
 
 
 def fit_statics(readings: Array, gravity: float, start: Array | None = None) -> tuple[Array, Array, Array]:
@@ -45,172 +30,60 @@ def fit_statics(readings: Array, gravity: float, start: Array | None = None) -> 
 
     Parameters in the order of the calibration file: biases, m/s², scale-factor errors, axis angles yx, zx, zy, rad.
     They start from `start` (n, 9) or zero. Rests that do not determine them leave what is not finite."""
-    readings = np.ascontiguousarray(readings, dtype=np.float64)
     n = len(readings)
-    values = np.zeros((n, PARAMETERS)) if start is None else np.array(start, dtype=np.float64)
+    values = np.zeros((n, PARAMETERS)) if start is None else np.array(start, dtype=float)
     variance, step = np.empty((n, PARAMETERS)), np.empty((n, PARAMETERS))
-    tile = np.empty((readings.shape[1] * 3, LANES))
-    rows = (PARAMETERS, _MODEL, _SUMS, PARAMETERS, PARAMETERS, _TOGETHER * _ROWS)
-    theta, model, sums, spread, column, h = (np.zeros((count, LANES)) for count in rows)
-    _fit(readings, float(gravity), STEPS, values, variance, step, tile, theta, model, sums, spread, column, h)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        for first in range(0, n, TOGETHER):
+            part = slice(first, first + TOGETHER)
+            theta = values[part]
+            for _ in range(STEPS):
+                h, r = _distances(readings[part], gravity, theta)
+                rows = np.swapaxes(h, 1, 2)
+                factor = _inverse_cholesky(rows @ h)
+                step[part] = (np.swapaxes(factor, 1, 2) @ (factor @ (rows @ r[..., None])))[..., 0]
+                theta = theta + step[part]
+            values[part], variance[part] = theta, (factor**2).sum(axis=1)
     return values, variance, step
 
 
-def _fit(
-    readings: Array,
-    gravity: float,
-    steps: int,
-    values: Array,
-    variance: Array,
-    step: Array,
-    tile: Array,
-    theta: Array,
-    model: Array,
-    sums: Array,
-    spread: Array,
-    column: Array,
-    h: Array,
-) -> None:
-    """LANES triads at a time; the last group is filled up with copies of the last triad."""
-    n, rests = readings.shape[0], readings.shape[1]
-    with cython.nogil:
-        for group in range((n + LANES - 1) // LANES):
-            first = group * LANES
-            for lane in range(LANES):
-                triad = min(first + lane, n - 1)
-                for j in range(rests):
-                    for p in range(3):
-                        tile[3 * j + p, lane] = readings[triad, j, p]
-                for m in range(PARAMETERS):
-                    theta[m, lane] = values[triad, m]
-            for _ in range(steps):
-                _model(theta, model)
-                _accumulate(tile, gravity, theta, model, h, sums)
-                _factorise(sums)
-                _solve(sums, theta)
-            _variances(sums, column, spread)
-            for lane in range(min(LANES, n - first)):
-                for m in range(PARAMETERS):
-                    values[first + lane, m] = theta[m, lane]
-                    step[first + lane, m] = sums[_at(PARAMETERS, m), lane]
-                    variance[first + lane, m] = spread[m, lane]
+def _distances(readings: Array, gravity: float, theta: Array) -> tuple[Array, Array]:
+    """h = −dr/dθ (n, N, 9) and r (n, N), m/s², of rests at parameters (n, 9): S⁻¹ and S⁻ᵀ by substitution."""
+    y = readings - theta[:, None, :3]
+    fx, fy, fz = (1.0 + theta[:, i, None] for i in (3, 4, 5))
+    (s_yx, c_yx), (s_zx, c_zx), (s_zy, c_zy) = ((np.sin(g), np.cos(g)) for g in theta[:, 6:, None].swapaxes(0, 1))
+    ax, along_y, along_z = y[..., 0] / fx, y[..., 1] / fy, y[..., 2] / fz
+    ay = (along_y - s_yx * ax) / c_yx
+    az = (along_z - s_zx * ax - c_zx * s_zy * ay) / (c_zx * c_zy)
+    size = np.sqrt(ax**2 + ay**2 + az**2)
+    vz = az / (c_zx * c_zy)
+    vy = (ay - c_zx * s_zy * vz) / c_yx
+    v = np.stack([(ax - s_yx * vy - s_zx * vz) / fx, vy / fy, vz / fz])
+    length = np.sqrt((v**2).sum(axis=0))
+    nx, ny, nz = v / length
+    h = np.stack(
+        [
+            nx,
+            ny,
+            nz,
+            nx * ax,
+            ny * along_y,
+            nz * along_z,
+            ny * fy * (c_yx * ax - s_yx * ay),
+            nz * fz * (c_zx * ax - s_zx * (s_zy * ay + c_zy * az)),
+            nz * fz * c_zx * (c_zy * ay - s_zy * az),
+        ],
+        axis=-1,
+    )
+    return h, (size - gravity) * size / length
 
 
-def _at(row: int, column: int) -> int:
-    """Where an element of a lower triangle is."""
-    return row * (row + 1) // 2 + column
-
-
-def _model(theta: Array, model: Array) -> None:
-    """What the parameters (9, lanes) mean: per lane sin and cos of γ_yx, γ_zx, γ_zy; 1 + k and its inverse; the
-    inverses of the diagonal of A in rows y and z."""
-    for lane in range(LANES):
-        for i in range(3):
-            model[2 * i, lane] = sin(theta[6 + i, lane])
-            model[2 * i + 1, lane] = cos(theta[6 + i, lane])
-            model[6 + i, lane] = 1.0 + theta[3 + i, lane]
-            model[9 + i, lane] = 1.0 / model[6 + i, lane]
-        model[12, lane] = 1.0 / model[1, lane]
-        model[13, lane] = 1.0 / (model[3, lane] * model[5, lane])
-
-
-def _accumulate(tile: Array, gravity: float, theta: Array, model: Array, h: Array, sums: Array) -> None:
-    """Lower triangle of Σ (h, r)ᵀ(h, r) over the rests, h = −dr/dθ; _TOGETHER rests at a time, of which h has a row
-    for each number."""
-    rests = tile.shape[0] // 3
-    sums[:, :] = 0.0
-    for group in range((rests + _TOGETHER - 1) // _TOGETHER):
-        first = group * _TOGETHER
-        for j in range(_TOGETHER):
-            if first + j < rests:
-                _row(tile, 3 * (first + j), gravity, theta, model, h, j * _ROWS)
-            else:
-                for row in range(_ROWS):
-                    for lane in range(LANES):
-                        h[j * _ROWS + row, lane] = 0.0
-        for row in range(_ROWS):
-            for column in range(row + 1):
-                at = row * (row + 1) // 2 + column
-                for lane in range(LANES):
-                    sums[at, lane] += (
-                        h[row, lane] * h[column, lane]
-                        + h[_ROWS + row, lane] * h[_ROWS + column, lane]
-                        + h[2 * _ROWS + row, lane] * h[2 * _ROWS + column, lane]
-                        + h[3 * _ROWS + row, lane] * h[3 * _ROWS + column, lane]
-                    )
-
-
-def _row(tile: Array, at: int, gravity: float, theta: Array, model: Array, h: Array, to: int) -> None:
-    """h and r (10, lanes) of a rest whose readings are three rows of `tile`, to the rows of `h` from `to`."""
-    for lane in range(LANES):
-        s_yx, c_yx, s_zx, c_zx = model[0, lane], model[1, lane], model[2, lane], model[3, lane]
-        s_zy, c_zy, fy, fz = model[4, lane], model[5, lane], model[7, lane], model[8, lane]
-        along_y = (tile[at + 1, lane] - theta[1, lane]) * model[10, lane]
-        along_z = (tile[at + 2, lane] - theta[2, lane]) * model[11, lane]
-        ax = (tile[at, lane] - theta[0, lane]) * model[9, lane]
-        ay = (along_y - s_yx * ax) * model[12, lane]
-        az = (along_z - s_zx * ax - c_zx * s_zy * ay) * model[13, lane]
-        size = sqrt(ax * ax + ay * ay + az * az)
-        vz = az * model[13, lane]
-        vy = (ay - c_zx * s_zy * vz) * model[12, lane]
-        vx = (ax - s_yx * vy - s_zx * vz) * model[9, lane]
-        vy, vz = vy * model[10, lane], vz * model[11, lane]
-        shrink = 1.0 / sqrt(vx * vx + vy * vy + vz * vz)
-        nx, ny, nz = vx * shrink, vy * shrink, vz * shrink
-        h[to, lane], h[to + 1, lane], h[to + 2, lane] = nx, ny, nz
-        h[to + 3, lane], h[to + 4, lane], h[to + 5, lane] = nx * ax, ny * along_y, nz * along_z
-        h[to + 6, lane] = ny * fy * (c_yx * ax - s_yx * ay)
-        h[to + 7, lane] = nz * fz * (c_zx * ax - s_zx * (s_zy * ay + c_zy * az))
-        h[to + 8, lane] = nz * fz * c_zx * (c_zy * ay - s_zy * az)
-        h[to + 9, lane] = (size - gravity) * size * shrink
-
-
-def _factorise(sums: Array) -> None:
-    """Cholesky factor L of the first nine rows in place; the tenth becomes L⁻¹ Σ hᵀ r."""
-    for row in range(_ROWS):
-        for column in range(min(row + 1, PARAMETERS)):
-            at = row * (row + 1) // 2 + column
-            for i in range(column):
-                left, right = row * (row + 1) // 2 + i, column * (column + 1) // 2 + i
-                for lane in range(LANES):
-                    sums[at, lane] -= sums[left, lane] * sums[right, lane]
-            if row == column:
-                for lane in range(LANES):
-                    sums[at, lane] = sqrt(sums[at, lane])
-            else:
-                diagonal = column * (column + 1) // 2 + column
-                for lane in range(LANES):
-                    sums[at, lane] /= sums[diagonal, lane]
-
-
-def _solve(sums: Array, theta: Array) -> None:
-    """The step L⁻ᵀ (L⁻¹ Σ hᵀ r), in the tenth row, added to the parameters."""
-    for back in range(PARAMETERS):
-        row = PARAMETERS - 1 - back
-        at = _at(PARAMETERS, row)
-        for i in range(row + 1, PARAMETERS):
-            for lane in range(LANES):
-                sums[at, lane] -= sums[_at(i, row), lane] * sums[_at(PARAMETERS, i), lane]
-        for lane in range(LANES):
-            sums[at, lane] /= sums[_at(row, row), lane]
-            theta[row, lane] += sums[at, lane]
-
-
-def _variances(sums: Array, column: Array, spread: Array) -> None:
-    """Diagonal (9, lanes) of (L Lᵀ)⁻¹: squares of the columns of L⁻¹."""
-    for m in range(PARAMETERS):
-        for row in range(m, PARAMETERS):
-            for lane in range(LANES):
-                column[row, lane] = 1.0 if row == m else 0.0
-            for i in range(m, row):
-                at = row * (row + 1) // 2 + i
-                for lane in range(LANES):
-                    column[row, lane] -= sums[at, lane] * column[i, lane]
-            at = row * (row + 1) // 2 + row
-            for lane in range(LANES):
-                column[row, lane] /= sums[at, lane]
-        for lane in range(LANES):
-            spread[m, lane] = column[m, lane] * column[m, lane]
-        for row in range(m + 1, PARAMETERS):
-            for lane in range(LANES):
-                spread[m, lane] += column[row, lane] * column[row, lane]
+def _inverse_cholesky(matrix: Array) -> Array:
+    """L⁻¹ (n, m, m) of symmetric matrices L Lᵀ (n, m, m), row by row; not finite where one is not positive."""
+    inverse = np.zeros_like(matrix)
+    for i in range(matrix.shape[-1]):
+        projected = np.einsum("nab,nb->na", inverse[:, :i, :i], matrix[:, :i, i])  # row i of L, left of its diagonal
+        diagonal = np.sqrt(matrix[:, i, i] - (projected**2).sum(axis=1))
+        inverse[:, i, :i] = -np.einsum("na,nab->nb", projected, inverse[:, :i, :i]) / diagonal[:, None]
+        inverse[:, i, i] = 1.0 / diagonal
+    return inverse

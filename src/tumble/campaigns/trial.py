@@ -23,7 +23,7 @@ from tumble.campaigns.engine import Row
 from tumble.campaigns.triads import fit_statics
 from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
-from tumble.inference.estimate import DETERMINED, Estimate
+from tumble.inference.estimate import DETERMINED
 from tumble.inference.likelihood import Point, Problem, weights
 from tumble.inference.linearisation import linearise
 from tumble.inference.step import joined, tell
@@ -81,7 +81,8 @@ def session_rows(seed: int, source: Source, methods: Sequence[Method], number: i
     rng = stream(seed, number)
     scenario = scenario_of(cell.setup, rng)
     if source == "log":
-        return _through_a_log(scenario, methods, rng)
+        session = session_in_memory(scenario, rng)
+        return [_from_session(scenario, session, method) for method in methods]
     way = itinerary(scenario, stream(seed, number).spawn(1)[0])  # that of simulate_observations
     observations = simulate_observations(scenario, rng)
     bounds = {f"bound.{name}": u for name, u in bound(scenario, way.attitudes, observations).items()}
@@ -110,19 +111,13 @@ def _from_observations(scenario: Scenario, observations: Observations, method: s
     except (InputError, np.linalg.LinAlgError) as error:
         return {"method": method, "error": f"{type(error).__name__}: {error}"}
     outcome = verdict(estimate, observations)
-    seen = [i for i in range(len(estimate.names)) if estimate.observable[i] or _has_prior(estimate, i)]
-    values = {estimate.names[i]: (float(estimate.values[i]), float(estimate.u[i])) for i in seen}
+    linear = len(estimate.names) if estimate.instrument is None else estimate.instrument.linear_count
+    values = {
+        name: (float(estimate.values[i]), float(estimate.u[i]))
+        for i, name in enumerate(estimate.names)
+        if estimate.observable[i] or i >= linear  # those beyond the linear model have a value in any case
+    }
     return _row(method, outcome.reasons, values, scenario)
-
-
-def _has_prior(estimate: Estimate, i: int) -> bool:
-    """Whether a parameter is beyond the linear model, so that it has a value in any case."""
-    return estimate.instrument is not None and i >= estimate.instrument.linear_count
-
-
-def _through_a_log(scenario: Scenario, methods: Sequence[Method], rng: np.random.Generator) -> list[Row]:
-    session = session_in_memory(scenario, rng)
-    return [_from_session(scenario, session, method) for method in methods]
 
 
 def _from_session(scenario: Scenario, session: Session, method: Method) -> Row:

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, FILE, say
+from tumble.commands.arguments import EXISTING_FOLDER, FILE, force_option, out_option, say
 
 
 @click.command()
 @click.argument("calibration", type=FILE)
 @click.argument("session", type=EXISTING_FOLDER)
-@click.option("-o", "--out", type=FILE, required=True, help="File to write: .csv or .parquet.")
-@click.option("--force", is_flag=True, help="Replace an existing file.")
+@out_option("File to write: .csv or .parquet.", required=True)
+@force_option()
 @click.option("--verify", is_flag=True, help="Print the residuals |f| − g of the rests before and after.")
 def apply(calibration: Path, session: Path, out: Path, force: bool, verify: bool) -> None:
     """Correct the recording of SESSION with CALIBRATION, a calibration file of the same device.

@@ -2,36 +2,39 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands.arguments import BUDGETED_METHODS, JSON, say, setup_of, setup_options, working
+from tumble.commands.arguments import (
+    BUDGETED_METHODS,
+    JSON,
+    method_option,
+    option,
+    say,
+    setup_of,
+    setup_options,
+    show,
+    working,
+)
 
 if TYPE_CHECKING:
     from tumble.planning.budget import PlannedMethod
 
 
 @click.command()
-@partial(setup_options, terms=None)
-@click.option(
-    "--method",
-    "methods",
-    type=click.Choice(["joint", *BUDGETED_METHODS]),
-    multiple=True,
-    help="Repeat; default: joint, of the linear model all.",
-)
-@click.option("--iterations", type=click.IntRange(1, 5), default=2, show_default=True, help="Passes.")
+@setup_options(terms=None)
+@method_option(["joint", *BUDGETED_METHODS], None, "Repeat; default: joint, of the linear model all.", multiple=True)
+@option("--iterations", "Passes of the methods.", 2, type=click.IntRange(1, 5))
 @JSON
-def budget(methods: tuple[PlannedMethod, ...], iterations: int, as_json: bool, **options: Any) -> None:
+def budget(method: tuple[PlannedMethod, ...], iterations: int, as_json: bool, **options: Any) -> None:
     """Expected errors of a calibration before it is made, from the accuracy formulas, and the least possible."""
     from tumble.planning.bounds import bound
     from tumble.planning.budget import budget
     from tumble.views.planning import budget_table
-    from tumble.views.render.data import budget_data, print_data
-    from tumble.views.render.terminal import print_blocks
+    from tumble.views.render.data import budget_data
 
+    methods = method
     if not methods:
         linear = options["noiseless"] or options["terms"] == "linear"
         methods = tuple(BUDGETED_METHODS) if linear else ()
@@ -41,9 +44,6 @@ def budget(methods: tuple[PlannedMethod, ...], iterations: int, as_json: bool, *
     with working("planning"):
         expected = budget(setup, methods=methods, iterations=iterations)
         least = None if options["noiseless"] else bound(setup)
-    if as_json:
-        print_data(budget_data(expected, least))
-    else:
-        print_blocks(budget_table(expected, least))
+    show(as_json, lambda: budget_data(expected, least), lambda: [budget_table(expected, least)])
     for remark in expected.remarks:
         say(f"note: {remark}")

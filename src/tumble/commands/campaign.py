@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
-from tumble.commands.arguments import FILE, SHOWN, cluster_options, say, task_progress, warn
+from tumble.commands.arguments import CLUSTER, FILE, SHOWN, end, say, task_progress, warn
 from tumble.errors import TumbleError
 
 
 @click.command()
 @click.argument("file", metavar="FILE.toml", type=FILE)
-@cluster_options
-def campaign(file: Path, serial: bool, cluster: str | None, workers: int | None, out: Path) -> None:
+@CLUSTER
+def campaign(file: Path, out: Path, **place: Any) -> None:
     """Simulate and calibrate many times over the grid of FILE.toml.
 
     It shows errors against the truth, their ratio to the Cramér–Rao bound, coverage and failures. A campaign that
@@ -26,7 +26,7 @@ def campaign(file: Path, serial: bool, cluster: str | None, workers: int | None,
     from tumble.views.render.terminal import print_blocks
 
     with task_progress("trials", out) as progress:
-        result = campaign(file, out, serial=serial, cluster=cluster, workers=workers, progress=progress)
+        result = campaign(file, out, progress=progress, **place)
     print_blocks(*summary_blocks(result.lines))
     short = {(*line.point.values(), line.method): line for line in result.lines if line.why}
     for line in list(short.values())[:SHOWN]:
@@ -39,6 +39,4 @@ def campaign(file: Path, serial: bool, cluster: str | None, workers: int | None,
     except TumbleError as error:
         say(f"not drawn: {error}")
     say(f"written to {out}: {', '.join(written)}")
-    if not any(line.accepted for line in result.lines):
-        warn("not accepted: none of the trials")
-        sys.exit(1)
+    end([] if any(line.accepted for line in result.lines) else ["not accepted: none of the trials"])

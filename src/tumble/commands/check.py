@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, FILE, JSON, say, warn
+from tumble.commands.arguments import (
+    EXISTING_FOLDER,
+    FILE,
+    JSON,
+    end,
+    force_option,
+    known_launches_option,
+    out_option,
+    say,
+    show,
+)
 
 if TYPE_CHECKING:
     from tumble.calibration.type_spread import KnownLaunches
@@ -17,16 +26,13 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("calibration", type=FILE)
 @click.argument("session", type=EXISTING_FOLDER)
-@click.option("-o", "--out", type=FILE, help="Write the calibration, updated by the check, into this file.")
-@click.option("--force", is_flag=True, help="Replace an existing file whatever it is.")
-@click.option(
-    "--registry",
-    "place",
-    metavar="FILE|URL",
-    help="Judge by how much the device changes from launch to launch in all its calibrations in this registry.",
-)
+@out_option("Write the calibration, updated by the check, into this file.")
+@force_option("Replace an existing file whatever it is.")
+@known_launches_option("Judge by how much the device changes from launch to launch, by its calibrations in a registry.")
 @JSON
-def check(calibration: Path, session: Path, out: Path | None, force: bool, place: str | None, as_json: bool) -> None:
+def check(
+    calibration: Path, session: Path, out: Path | None, force: bool, known_launches: str | None, as_json: bool
+) -> None:
     """Test from a few rests of its device what has changed since CALIBRATION, and by how much.
 
     SESSION has three to five rests in any attitude, and the turns between them.
@@ -35,36 +41,26 @@ def check(calibration: Path, session: Path, out: Path | None, force: bool, place
     """
     from tumble.calibration.check import check_calibration
     from tumble.recording.session_file import read_session
+    from tumble.registry.store.connect import extra_named
     from tumble.views.checks import field_check_blocks
-    from tumble.views.render.data import field_check_data, print_data
-    from tumble.views.render.terminal import print_blocks
+    from tumble.views.render.data import field_check_data
 
     described = read_session(session)
-    launches = () if place is None else _launches(place, described.device.serial)
+    launches: tuple[KnownLaunches, ...] = ()
+    if known_launches is not None:
+        with extra_named():
+            from tumble.registry.series import device_launches
+            from tumble.registry.store.connect import open_registry
+
+            with open_registry(known_launches) as opened:
+                launches = device_launches(opened, described.device.serial)
     found = check_calibration(calibration, described, launches=launches)
     written = out is not None and found.result.explained
     if out is not None and written:
         found.updated().write(out, force=force)
-    if as_json:
-        print_data(field_check_data(found))
-    else:
-        print_blocks(*field_check_blocks(found))
+    show(as_json, lambda: field_check_data(found), lambda: field_check_blocks(found))
     for note in found.notes:
         say(f"note: {note}")
-    for reason in found.reasons:
-        warn(f"changed: {reason}")
     if written:
         say(f"written to {out}")
-    sys.exit(0 if found.valid else 1)
-
-
-def _launches(place: str, serial: str) -> tuple[KnownLaunches, ...]:
-    """The launches of a device in a registry."""
-    from tumble.registry.store.connect import extra_named
-
-    with extra_named():
-        from tumble.registry.series import device_launches
-        from tumble.registry.store.connect import open_registry
-
-        with open_registry(place) as opened:
-            return device_launches(opened, serial)
+    end(found.reasons, "changed: ")

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import FILE, JSON, say, warn
+from tumble.commands.arguments import FILE, JSON, end, option, say, show
 
 
 @click.command()
 @click.argument("first", type=FILE)
 @click.argument("second", type=FILE)
-@click.option("--gyro", type=FILE, help="SECOND is the file of the accelerometers of imu_tk: that of its gyros.")
+@option("--gyro-file", "SECOND is the file of the accelerometers of imu_tk: that of its gyros.", type=FILE)
 @JSON
-def compare(first: Path, second: Path, gyro: Path | None, as_json: bool) -> None:
+def compare(first: Path, second: Path, gyro_file: Path | None, as_json: bool) -> None:
     """Differences of two calibration files in units of their combined uncertainty, and E_n numbers.
 
     SECOND may also be a result of Kalibr (YAML, with scale and misalignment) or of imu_tk, for the same readings.
@@ -24,18 +23,12 @@ def compare(first: Path, second: Path, gyro: Path | None, as_json: bool) -> None
     """
     from tumble.calibration.compare import compare_calibrations
     from tumble.views.checks import comparison_blocks
-    from tumble.views.render.data import comparison_data, print_data
-    from tumble.views.render.terminal import print_blocks
+    from tumble.views.render.data import comparison_data
 
-    found = compare_calibrations(first, second, gyro=gyro)
-    if as_json:
-        print_data(comparison_data(found))
-    else:
-        print_blocks(*comparison_blocks(found))
+    found = compare_calibrations(first, second, gyro=gyro_file)
+    show(as_json, lambda: comparison_data(found), lambda: comparison_blocks(found))
     for remark in found.remarks:
         say(f"note: {remark}")
     if found.missing:
         say(f"note: only one of them has {', '.join(found.missing)}")
-    if not found.agree:
-        warn("different: by more than chance and their uncertainties make")
-    sys.exit(0 if found.agree else 1)
+    end([] if found.agree else ["different: by more than chance and their uncertainties make"])

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands.arguments import JSON, METHOD_NAMES, SHOWN, cluster_options, say, task_progress, warn
+from tumble.commands.arguments import CLUSTER, JSON, METHOD_NAMES, SHOWN, method_option, say, task_progress, warn
 
 if TYPE_CHECKING:
     from tumble.calibration.calibrate import Method
@@ -16,14 +16,10 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("sessions", metavar="GLOB|MANIFEST")
-@click.option(
-    "--method", type=click.Choice(METHOD_NAMES), default=METHOD_NAMES[0], show_default=True, help="How to estimate."
-)
+@method_option(METHOD_NAMES, METHOD_NAMES[0], "How to estimate.")
 @JSON
-@cluster_options
-def fleet(
-    sessions: str, method: Method, as_json: bool, serial: bool, cluster: str | None, workers: int | None, out: Path
-) -> None:
+@CLUSTER
+def fleet(sessions: str, method: Method, as_json: bool, out: Path, **place: Any) -> None:
     """Calibrate all sessions that GLOB matches or MANIFEST lists, with a row for each.
 
     A session that cannot be calibrated does not stop the others: its row says why. A run that was interrupted goes on
@@ -33,18 +29,17 @@ def fleet(
     from tumble.views.render.data import fleet_data, print_data
 
     with task_progress("sessions", out) as progress:
-        result = fleet(sessions, out, method=method, serial=serial, cluster=cluster, workers=workers, progress=progress)
+        result = fleet(sessions, out, method=method, progress=progress, **place)
     ended = result.tally
-    refused, failed = len(ended.refused), len(ended.failed)
+    outcomes = {"not accepted": ended.refused, "failed": ended.failed}
     if as_json:
         print_data(fleet_data(len(result.sessions), ended, result.rows))
     else:
-        click.echo(
-            f"{len(result.sessions)} sessions: {ended.accepted} accepted, {refused} not accepted, {failed} failed"
-        )
+        counts = [f"{len(sessions_why)} {how}" for how, sessions_why in outcomes.items()]
+        click.echo(f"{len(result.sessions)} sessions: {ended.accepted} accepted, {', '.join(counts)}")
     said = [
         f"{how}: {session}: {why.replace(f'{session}/', '')}"
-        for how, sessions_why in (("not accepted", ended.refused), ("failed", ended.failed))
+        for how, sessions_why in outcomes.items()
         for session, why in sessions_why.items()
     ]
     for line in said[:SHOWN]:

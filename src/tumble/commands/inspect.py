@@ -7,28 +7,24 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, FILE, JSON, say, warn, with_progress
+from tumble.commands.arguments import EXISTING_FOLDER, FILE, JSON, option, say, show, warn, with_progress
 
 
 @click.command()
 @click.argument("session", type=EXISTING_FOLDER)
-@click.option("--plot", "picture", type=FILE, help="Draw the recording with its rests into .svg, .png or .pdf.")
+@option("--plot/picture", "Draw the recording with its rests into .svg, .png or .pdf.", type=FILE)
 @JSON
 def inspect(session: Path, picture: Path | None, as_json: bool) -> None:
     """Show the rests and turns found in SESSION, and what was rejected and why."""
     from tumble.calibration.observed import inspect_session
     from tumble.views.inspection import inspection_blocks, plot
-    from tumble.views.render.data import inspection_data, print_data
-    from tumble.views.render.terminal import print_blocks
+    from tumble.views.render.data import inspection_data
 
     observed = inspect_session(session, progress=with_progress)
     if picture is not None:
         plot(observed, picture)
         say(f"written to {picture}")
-    if as_json:
-        print_data(inspection_data(observed))
-    else:
-        print_blocks(*inspection_blocks(observed))
+    show(as_json, lambda: inspection_data(observed), lambda: inspection_blocks(observed))
     for fault in (*observed.faults, *observed.gyro_faults):
         warn(f"fault: {fault}")
     sys.exit(1 if observed.faults else 0)

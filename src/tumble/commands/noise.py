@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from typing import Any
 
 import click
 
@@ -11,9 +11,11 @@ from tumble.commands.arguments import (
     EXISTING_FOLDER,
     FILE,
     JSON,
-    column_options,
-    columns_stated,
+    LOG_OPTIONS,
+    given_of,
+    option,
     say,
+    show,
     with_progress,
 )
 from tumble.errors import InputError
@@ -21,43 +23,41 @@ from tumble.errors import InputError
 
 @click.command()
 @click.argument("recording", metavar="SESSION|LOG", type=EXISTING_FOLDER)
-@click.option("--plot", type=FILE, help="Draw the Allan deviations into this .svg, .png or .pdf.")
-@column_options
-@click.option("--accel-unit", help="Of a LOG: unit of the accelerometers, as in session.toml.")
-@click.option("--gyro-unit", help="Of a LOG: unit of the gyros.")
-@click.option("--rate", type=float, metavar="HZ", help="Of a LOG: samples per second, instead of the times in it.")
+@option("--plot/picture", "Draw the Allan deviations into this .svg, .png or .pdf.", type=FILE)
+@LOG_OPTIONS
+@option("--accel-unit", "Of a LOG: unit of the accelerometers, as in session.toml.")
+@option("--gyro-unit", "Of a LOG: unit of the gyros.")
 @JSON
 def noise(
     recording: Path,
-    plot: Path | None,
-    accel: str | None,
-    gyro: str | None,
-    time: str | None,
+    picture: Path | None,
     accel_unit: str | None,
     gyro_unit: str | None,
-    rate: float | None,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Allan deviation: the noise of every sensor, from the longest rest of SESSION or from all of a LOG at rest.
 
     LOG is a log in any dialect: its columns, units and times are found as `tumble new` finds them, where no option says
     them.
     """
+    from tempfile import TemporaryDirectory
+
     from tumble.calibration.quiet_samples import is_session, noise
-    from tumble.drafting.new_session import Given, new_session
-    from tumble.views.noise import noise_blocks
-    from tumble.views.noise import plot as draw
-    from tumble.views.render.data import noise_data, print_data
-    from tumble.views.render.terminal import print_blocks
+    from tumble.drafting.new_session import new_session
+    from tumble.views.noise import noise_blocks, plot
+    from tumble.views.render.data import noise_data
 
     if is_session(recording):
         found = noise(recording)
     else:
         with TemporaryDirectory() as folder:
-            given = Given(rate=rate, **columns_stated(accel, gyro, time))
+            given = given_of(options)
             draft, _ = new_session(Path(folder) / "session", recording, given, progress=with_progress)
             if draft.rate_guessed:
-                raise InputError(f"{recording}: expected a time column (--time) or the rate (--rate), found neither")
+                raise InputError(
+                    f"{recording}: expected a time column (--time) or the rate (--sample-rate), found neither"
+                )
             layout = dict(draft.content["log"])
             for kind, unit in (("accel", accel_unit), ("gyro", gyro_unit)):
                 if unit is not None:
@@ -65,10 +65,7 @@ def noise(
             found = noise(recording, layout)
         for sentence in draft.said:
             say(sentence)
-    if plot is not None:
-        draw(found.panels, plot)
-        say(f"written to {plot}")
-    if as_json:
-        print_data(noise_data(found))
-    else:
-        print_blocks(*noise_blocks(found.source, found.panels))
+    if picture is not None:
+        plot(found.panels, picture)
+        say(f"written to {picture}")
+    show(as_json, lambda: noise_data(found), lambda: noise_blocks(found.source, found.panels))

@@ -5,22 +5,23 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable
-from datetime import UTC, date, datetime
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands.arguments import FILE, JSON, say, warn
+from tumble.commands.arguments import EVERY, FILE, JSON, REGISTRY, end, option, out_option, say, show, warn
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
+    from datetime import datetime
+
     from tumble.registry.store.connect import Registry
     from tumble.registry.types import Record
 
 
-_DAY = click.DateTime(["%Y-%m-%d"])
+_DAY: dict[str, Any] = {"type": click.DateTime(["%Y-%m-%d"]), "metavar": "YYYY-MM-DD"}
 
 
 def _number(ctx: click.Context, parameter: click.Parameter, text: str | None) -> int | None:
@@ -31,51 +32,47 @@ def _number(ctx: click.Context, parameter: click.Parameter, text: str | None) ->
     return None if text is None else int(text)
 
 
-def _place(command: Callable[..., None]) -> Callable[..., None]:
-    """Gives a command the option of where the registry is, and a line for the extra where it is missing."""
-
-    @wraps(command)
-    def with_extra(*args: Any, **options: Any) -> None:
-        from tumble.registry.store.connect import extra_named
-
-        with extra_named():
-            command(*args, **options)
-
-    return click.option(
-        "--registry",
-        "place",
-        metavar="FILE|URL",
-        envvar="TUMBLE_REGISTRY",
-        help="An SQLite file or postgresql://USER@HOST/NAME; default: TUMBLE_REGISTRY, else a file of the user's.",
-    )(with_extra)
-
-
 @click.group()
 def registry() -> None:
     """Devices, launches, calibrations and acceptance limits over years. Records are added, never changed."""
 
 
-_EVERY = click.option("--all", "every", is_flag=True, help="Show every parameter, not those of a linear model alone.")
+def _command(name: str) -> Callable[[Callable[..., None]], click.Command]:
+    """A command of the registry, with the option of where that is, and a line for the extra where it is missing."""
+
+    def made(function: Callable[..., None]) -> click.Command:
+        @wraps(function)
+        def with_extra(*args: Any, **options: Any) -> None:
+            from tumble.registry.store.connect import extra_named
+
+            with extra_named():
+                function(*args, **options)
+
+        return registry.command(name)(REGISTRY(with_extra))
+
+    return made
 
 
-@registry.command()
+def _whole_new_file(out: Path, what: str, lines: Callable[[], Any]) -> None:
+    """Write lines into a new file."""
+    from tumble.files import whole_file
+
+    if out.exists():
+        raise InputError(f"{out}: expected a new file for the {what}, found one that exists")
+    with whole_file(out) as temporary, temporary.open("w", encoding="utf-8") as file:
+        file.writelines(lines())
+    say(f"written to {out}")
+
+
+@_command("add")
 @click.argument("calibration", type=FILE)
-@click.option("--check", type=click.Choice(["incoming", "periodic"]), help="Default: incoming the first time.")
-@click.option(
-    "--state", type=click.Choice(["as-found", "as-left"]), help="Before or after an adjustment, if there is one."
-)
-@click.option(
-    "--date",
-    "day",
-    metavar="YYYY-MM-DD",
-    type=_DAY,
-    help="When it was performed; default: when recorded, or the file made.",
-)
-@click.option("--supersedes", metavar="NUMBER", callback=_number, help="The record that this one corrects.")
-@click.option("--reason", help="Why it is corrected.")
+@option("--check", "Default: incoming the first time.", type=click.Choice(["incoming", "periodic"]))
+@option("--state", "Before or after an adjustment, if there is one.", type=click.Choice(["as-found", "as-left"]))
+@option("--date/day", "When it was performed; default: when recorded, or the file made.", **_DAY)
+@option("--supersedes", "The record that this one corrects.", metavar="NUMBER", callback=_number)
+@option("--reason", "Why it is corrected.")
 @JSON
-@_EVERY
-@_place
+@EVERY
 def add(
     calibration: Path,
     check: Any,
@@ -88,6 +85,8 @@ def add(
     place: str | None,
 ) -> None:
     """Add a CALIBRATION file, judge it by the limits in force, and say so. Exit status 1 if it does not pass."""
+    from datetime import UTC
+
     from tumble.registry.adding import Particulars, read_submission
     from tumble.registry.adding import add as add_to
     from tumble.registry.store.connect import open_registry
@@ -112,14 +111,14 @@ def _print_record(opened: Registry, record: Record, as_json: bool, every: bool) 
     """Print a record with the verdict on it, and whether it passes."""
     from tumble.registry.series import calibration_in, verdict_of
     from tumble.views.registry import record_blocks
-    from tumble.views.render.data import print_data, record_data
-    from tumble.views.render.terminal import print_blocks
+    from tumble.views.render.data import record_data
 
     verdict, calibration = verdict_of(opened, record), calibration_in(opened, record, record.frame)
-    if as_json:
-        print_data(record_data(record, calibration, verdict))
-    else:
-        print_blocks(*record_blocks(record, calibration, verdict, every=every))
+    show(
+        as_json,
+        lambda: record_data(record, calibration, verdict),
+        lambda: record_blocks(record, calibration, verdict, every=every),
+    )
     if verdict is None or verdict.result == "pass":
         return True
     for reason in verdict.reasons():
@@ -127,70 +126,51 @@ def _print_record(opened: Registry, record: Record, as_json: bool, every: bool) 
     return False
 
 
-@registry.command("list")
+@_command("list")
 @click.argument("serial", required=False)
 @JSON
-@_place
 def list_(serial: str | None, as_json: bool, place: str | None) -> None:
     """All devices with their latest record, or the records of the device SERIAL."""
     from tumble.registry.due import due as due_of
     from tumble.registry.records import records
     from tumble.registry.store.connect import open_registry
     from tumble.views.registry_lists import device_table, record_table
-    from tumble.views.render.terminal import print_blocks
+    from tumble.views.render.data import devices_data, records_data
 
     with open_registry(place) as opened:
         if serial is not None:
             found = records(opened, serial)
-            if as_json:
-                from tumble.views.render.data import print_data, records_data
-
-                print_data(records_data(found))
-            else:
-                print_blocks(record_table(found))
+            show(as_json, lambda: records_data(found), lambda: [record_table(found)])
             return
         latest = sorted(due_of(opened), key=lambda item: item.record.serial)
-        if as_json:
-            from tumble.views.render.data import devices_data, print_data
-
-            print_data(devices_data(latest))
-        else:
-            print_blocks(device_table(latest))
+        show(as_json, lambda: devices_data(latest), lambda: [device_table(latest)])
 
 
-@registry.command()
+@_command("show")
 @click.argument("number", callback=_number)
-@click.option("-o", "--out", type=FILE, help="Write the calibration file of the record, as it was added.")
+@out_option("Write the calibration file of the record, as it was added.")
 @JSON
-@_EVERY
-@_place
-def show(number: int, out: Path | None, as_json: bool, every: bool, place: str | None) -> None:
+@EVERY
+def show_(number: int, out: Path | None, as_json: bool, every: bool, place: str | None) -> None:
     """The record NUMBER with the verdict on each parameter. Exit status 1 if it does not pass."""
-    from tumble.files import whole_file
     from tumble.registry.store.connect import open_registry
     from tumble.registry.store.rows import file_of, record_of
 
     with open_registry(place) as opened:
         with opened.reading() as connection:
-            record = record_of(connection, number)
-            text = file_of(connection, number)
+            record, text = record_of(connection, number), file_of(connection, number)
         if out is not None:
-            if out.exists():
-                raise InputError(f"{out}: expected a new file for the calibration, found one that exists")
-            with whole_file(out) as temporary:
-                temporary.write_text(text, encoding="utf-8")
-            say(f"written to {out}")
+            _whole_new_file(out, "calibration", lambda: [text])
         passed = _print_record(opened, record, as_json, every)
     sys.exit(0 if passed else 1)
 
 
-@registry.command()
+@_command("trend")
 @click.argument("serial")
 @click.argument("parameter", required=False)
-@click.option("-o", "--out", type=FILE, help="Draw control charts into this .html or .svg; needs matplotlib.")
+@out_option("Draw control charts into this .html or .svg; needs matplotlib.")
 @JSON
-@_EVERY
-@_place
+@EVERY
 def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, every: bool, place: str | None) -> None:
     """Every parameter of the device SERIAL over its calibrations, or one PARAMETER in every calibration.
 
@@ -200,8 +180,7 @@ def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, e
     from tumble.registry.monitor import monitored
     from tumble.registry.store.connect import open_registry
     from tumble.views.registry import history_blocks, trend_blocks
-    from tumble.views.render.data import print_data, trend_data
-    from tumble.views.render.terminal import print_blocks
+    from tumble.views.render.data import trend_data
 
     with open_registry(place) as opened:
         found = monitored(opened, serial, parameter)
@@ -210,21 +189,21 @@ def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, e
 
         write_chart(out, found)
         say(f"written to {out}")
-    if as_json:
-        print_data(trend_data(found))
-    else:
-        print_blocks(*(trend_blocks(found, every=every) if parameter is None else history_blocks(found)))
+    show(
+        as_json,
+        lambda: trend_data(found),
+        lambda: trend_blocks(found, every=every) if parameter is None else history_blocks(found),
+    )
     changed = found.changed()
     if changed:
         say(f"changed: {', '.join(changed)}")
     sys.exit(1 if changed else 0)
 
 
-@registry.command()
+@_command("limits")
 @click.argument("model", required=False)
 @click.argument("file", type=FILE, required=False)
 @JSON
-@_place
 def limits(model: str | None, file: Path | None, as_json: bool, place: str | None) -> None:
     """Put the acceptance limits of FILE (TOML) in force for the device type MODEL.
 
@@ -236,82 +215,67 @@ def limits(model: str | None, file: Path | None, as_json: bool, place: str | Non
     from tumble.registry.store.rows import every_limits
     from tumble.views.registry import limits_blocks
     from tumble.views.registry_lists import limits_table
-    from tumble.views.render.data import limits_data, print_data
-    from tumble.views.render.terminal import print_blocks
+    from tumble.views.render.data import limits_data
 
     given = None if file is None else read_limits(file)
     with open_registry(place, create=given is not None) as opened:
         if model is not None and given is not None:
-            own, new = set_limits(opened, model, *given)
+            record, new = set_limits(opened, model, *given)
             said = "in force for" if new else "were in force already for"
-            say(f"limits {own.number} {said} {own.model} in {opened.name}")
+            say(f"limits {record.number} {said} {record.model} in {opened.name}")
             return
         with opened.reading() as connection:
             every = every_limits(connection)
     in_force = {each.model: each for each in every}
     if model is not None and model not in in_force:
         raise InputError(f"type {model!r}: expected a device type with limits, found none for it")
-    if as_json:
-        print_data(limits_data(every if model is None else [in_force[model]], in_force))
-    elif model is None:
-        print_blocks(limits_table(every, in_force))
-    else:
-        print_blocks(*limits_blocks(in_force[model]))
+    show(
+        as_json,
+        lambda: limits_data(every if model is None else [in_force[model]], in_force),
+        lambda: [limits_table(every, in_force)] if model is None else limits_blocks(in_force[model]),
+    )
 
 
-@registry.command()
-@click.option("--on", "day", metavar="YYYY-MM-DD", type=_DAY, help="As on this day; default: today.")
+@_command("due")
+@option("--on/day", "As on this day; default: today.", **_DAY)
 @JSON
-@_place
 def due(day: datetime | None, as_json: bool, place: str | None) -> None:
     """What is to be calibrated again, and when: by the calendar, or before where a drift may meet a limit.
 
     The most urgent first. Exit status 1 if anything is overdue.
     """
+    from datetime import UTC, date, datetime
+
     from tumble.registry.due import due as due_of
     from tumble.registry.store.connect import open_registry
     from tumble.views.registry_lists import due_table
-    from tumble.views.render.terminal import print_blocks
+    from tumble.views.render.data import due_data
 
     today = datetime.now(UTC).date() if day is None else day.date()
     with open_registry(place) as opened:
         found = due_of(opened)
-    if as_json:
-        from tumble.views.render.data import due_data, print_data
-
-        print_data(due_data(found, today))
-    else:
-        print_blocks(due_table(found, today))
+    show(as_json, lambda: due_data(found, today), lambda: [due_table(found, today)])
     overdue = [item.record.serial for item in found if (item.day or date.max) < today]
-    if overdue:
-        warn(f"overdue: {', '.join(overdue)}")
-    sys.exit(1 if overdue else 0)
+    end([f"overdue: {', '.join(overdue)}"] if overdue else [])
 
 
-@registry.command()
-@click.option("-o", "--out", type=FILE, help="File to write; default: standard output.")
-@_place
+@_command("export")
+@out_option("File to write; default: standard output.")
 def export(out: Path | None, place: str | None) -> None:
     """Everything in the registry as JSON lines."""
-    from tumble.files import whole_file
     from tumble.registry.exchange import export_lines
     from tumble.registry.store.connect import open_registry
 
-    if out is not None and out.exists():
-        raise InputError(f"{out}: expected a new file for the export, found one that exists")
     with open_registry(place) as opened:
-        if out is None:
-            for line in export_lines(opened):
-                click.echo(line)
+        if out is not None:
+            _whole_new_file(out, "export", lambda: (f"{line}\n" for line in export_lines(opened)))
             return
-        with whole_file(out) as temporary, temporary.open("w", encoding="utf-8") as file:
-            file.writelines(f"{line}\n" for line in export_lines(opened))
-    say(f"written to {out}")
+        for line in export_lines(opened):
+            click.echo(line)
 
 
-@registry.command("import")
+@_command("import")
 @click.argument("file", type=FILE)
-@_place
 def import_(file: Path, place: str | None) -> None:
     """Add what FILE, an export, holds and the registry does not; nothing of a file that is no whole export."""
     from tumble.registry.exchange import import_export, read_export

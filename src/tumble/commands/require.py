@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-import sys
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands.arguments import BUDGETED_METHODS, JSON, setup_of, setup_options, warn, working
+from tumble.commands.arguments import (
+    BUDGETED_METHODS,
+    JSON,
+    WANT,
+    end,
+    method_option,
+    option,
+    setup_of,
+    setup_options,
+    show,
+    working,
+)
 
 if TYPE_CHECKING:
     from tumble.planning.budget import PlannedMethod
@@ -16,23 +25,16 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@partial(setup_options, terms=None)
-@click.option("--want", "wanted", multiple=True, metavar="GROUP=VALUE", help="E.g. accel.scale=3.5ppm; repeat.")
-@click.option("--relative", type=float, metavar="PERCENT", help="Wanted of every group: part of its spread, %.")
-@click.option(
-    "--method",
-    type=click.Choice(["joint", *BUDGETED_METHODS]),
-    default="joint",
-    show_default=True,
-    help="To use; the others are of the linear model.",
-)
-@click.option("--iterations", type=click.IntRange(1, 5), default=1, show_default=True, help="After so many passes.")
-@click.option(
+@setup_options(terms=None)
+@WANT
+@option("--relative", "Wanted of every group: part of its spread, %.", type=float, metavar="PERCENT")
+@method_option(["joint", *BUDGETED_METHODS], "joint", "To use; the others are of the linear model.")
+@option("--iterations", "Passes of the method.", 1, type=click.IntRange(1, 5))
+@option(
     "--gyro-bias",
+    "From all rests, or from one with the axis vertical or along the Earth's axis.",
+    "programme",
     type=click.Choice(["programme", "vertical", "polar"]),
-    default="programme",
-    show_default=True,
-    help="From all rests, or from one with the axis vertical or along the Earth's axis.",
 )
 @JSON
 def require(
@@ -47,18 +49,12 @@ def require(
     """The table, the mounting and the rests that a wanted accuracy needs; what no table can give is named."""
     from tumble.planning.requirements import require, wanted_of
     from tumble.views.planning import requirement_blocks
-    from tumble.views.render.data import print_data, requirements_data
-    from tumble.views.render.terminal import print_blocks
+    from tumble.views.render.data import requirements_data
 
     options["terms"] = options["terms"] or ("full" if method == "joint" else "linear")
     setup = setup_of(options)
     asked = wanted_of(wanted, relative, setup)
     with working("planning"):
         needs = require(asked, setup, method=method, iteration=iterations, gyro_bias=gyro_bias)
-    if as_json:
-        print_data(requirements_data(needs))
-    else:
-        print_blocks(*requirement_blocks(needs))
-    if not needs.feasible:
-        warn("not feasible: no table gives everything that is wanted; see what is limited")
-    sys.exit(0 if needs.feasible else 1)
+    show(as_json, lambda: requirements_data(needs), lambda: requirement_blocks(needs))
+    end([] if needs.feasible else ["not feasible: no table gives everything that is wanted; see what is limited"])

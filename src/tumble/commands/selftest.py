@@ -7,12 +7,12 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import FILE, say
+from tumble.commands.arguments import option, out_option, say
 
 
 @click.command()
-@click.option("-o", "--out", type=FILE, help="Write the record, JSON, with versions, machine, figures and hashes.")
-@click.option("--by", metavar="NAME", help="Who runs it and stands for it; default: the name of the user.")
+@out_option("Write the record, JSON, with versions, machine, figures and hashes.")
+@option("--by", "Who runs it and stands for it; default: the name of the user.", metavar="NAME")
 def selftest(out: Path | None, by: str | None) -> None:
     """Run the reference cases on this machine and compare them with published values, closed forms and truth."""
     from tumble.errors import InputError

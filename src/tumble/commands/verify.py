@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, FILE, JSON, warn
+from tumble.commands.arguments import EXISTING_FOLDER, FILE, JSON, end, show
 
 
 @click.command()
@@ -22,14 +21,8 @@ def verify(calibration: Path, readings: Path, as_json: bool) -> None:
     """
     from tumble.calibration.verify import verify_calibration
     from tumble.views.checks import verification_blocks
-    from tumble.views.render.data import print_data, verification_data
-    from tumble.views.render.terminal import print_blocks
+    from tumble.views.render.data import verification_data
 
-    verification = verify_calibration(calibration, readings)
-    if as_json:
-        print_data(verification_data(verification))
-    else:
-        print_blocks(*verification_blocks(verification))
-    for reason in verification.reasons:
-        warn(f"not accepted: {reason}")
-    sys.exit(1 if verification.reasons else 0)
+    found = verify_calibration(calibration, readings)
+    show(as_json, lambda: verification_data(found), lambda: verification_blocks(found))
+    end(found.reasons, "not accepted: ")

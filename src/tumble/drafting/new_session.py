@@ -62,7 +62,7 @@ class Given:
 
     serial: str | None = None
     latitude: float | None = None
-    rate: float | None = None
+    sample_rate: float | None = None
     programme: str | None = None
     message: str | None = None
     accel: Sequence[str] = ()
@@ -116,8 +116,8 @@ def written_session(
         raise InputError(f"--programme: expected one of {', '.join(BUILT_IN)}, found {given.programme!r}")
     if given.latitude is not None and not -90.0 <= given.latitude <= 90.0:
         raise InputError(f"--latitude: expected a number from -90 to 90, found {given.latitude:g}")
-    if given.rate is not None and not 0.0 < given.rate < 1e9:
-        raise InputError(f"--rate: expected a positive number, found {given.rate:g}")
+    if given.sample_rate is not None and not 0.0 < given.sample_rate < 1e9:
+        raise InputError(f"--sample-rate: expected a positive number, found {given.sample_rate:g}")
     files = [inner for file in files for inner in unzipped(file, folder)]
     files = [sheet for file in files for sheet in sheets_of(file, folder)]
     draft = _of_files(files, folder, given)
@@ -142,8 +142,8 @@ def written_session(
 def _of_files(files: list[Path], folder: OutputFolder, given: Given) -> Draft:
     recordings = [f for f in files if formats.is_recording(f) or f.is_dir()]
     if not recordings:
-        log = mended(found_log(files, folder, given.columns), folder, given.rate)
-        return _of_log(log, given.rate)
+        log = mended(found_log(files, folder, given.columns), folder, given.sample_rate)
+        return _of_log(log, given.sample_rate)
     if given.columns:
         raise InputError(
             f"--{', --'.join(given.columns)}: expected a log of text or Parquet, found {recordings[0].name}, whose "
@@ -152,7 +152,7 @@ def _of_files(files: list[Path], folder: OutputFolder, given: Given) -> Draft:
     if len(files) > 1 and len(recordings) < len(files):
         raise InputError(f"{recordings[0]}: expected one recording, found other files too; give each its own session")
     recorded, imu = log_of_recording(recordings, folder, given.message)
-    draft = _of_log(mended(recorded, folder, given.rate), given.rate)
+    draft = _of_log(mended(recorded, folder, given.sample_rate), given.sample_rate)
     return replace(draft, content={**draft.content, "device": {"imu": sensors_content(imu)}} if imu else draft.content)
 
 

@@ -74,8 +74,8 @@ def times_without_column(rate: float | None, remarks: Sequence[str]) -> Times:
             said = f"no time column: rate_hz = {stated:g}, from the line {line[:60]!r}"
             return Times(keys={"rate_hz": stated}, said=(said,), rate=stated)
     said = (
-        f"no time column was found: rate_hz = {ASSUMED_RATE:g} is a guess, put the log's rate there (--rate); every "
-        "gyro scale factor depends on it"
+        f"no time column was found: rate_hz = {ASSUMED_RATE:g} is a guess, put the log's rate there (--sample-rate); "
+        "every gyro scale factor depends on it"
     )
     return Times(keys={"rate_hz": ASSUMED_RATE}, said=(said,), rate=ASSUMED_RATE, guessed=True)
 
@@ -205,7 +205,7 @@ def _unit(stamps: Stamps, step: float) -> tuple[str, str, tuple[str, ...]]:
     sure = (f"time: the unit is a guess, possible too is {' or '.join(others)}",) if others else ()
     if counts:
         counted = f"time: column {stamps.column!r} grows by one a row, as a counter of samples does too: if it is one, "
-        sure = (f"{counted}give the rate (--rate)",)
+        sure = (f"{counted}give the rate (--sample-rate)",)
     return taken, "by its steps", sure
 
 

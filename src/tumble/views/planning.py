@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tumble.diagnosis.observability import in_words, sum_in_words
-from tumble.estimation.observability import in_words, sum_in_words
 from tumble.inference.estimate import GroupFinding
 from tumble.planning.best_positions import Aim, Compared, Next, PlanResult
+from tumble.planning.bounds import Bound
 from tumble.planning.budget import Budget
 from tumble.planning.over_temperature import PlannedSession, ThermalPlan
 from tumble.planning.requirements import Requirements

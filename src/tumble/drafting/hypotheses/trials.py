@@ -183,7 +183,7 @@ def _doubts(draft: Draft, scale: ScaleMatch) -> list[str]:
         return []
     return [
         f"time: the unit of column {draft.log['time']!r} is a guess, and no data sheet has the gyros' {scale.value:g} "
-        "counts per deg/s: if it counts samples or ticks, give the rate (--rate)"
+        "counts per deg/s: if it counts samples or ticks, give the rate (--sample-rate)"
     ]
 
 
@@ -295,7 +295,8 @@ def _with_rate(draft: Draft, turned: bool, looks: _Looks) -> Draft:
             break
     else:
         counts = ", ".join(f"{count} at {rate:g} Hz" for rate, count in sorted(rests.items()))
-        told = f"time: how many rests there are depends on the rate, which no turns show: {counts}; give it (--rate)"
+        told = f"time: how many rests there are depends on the rate, which no turns show: {counts}"
+        told += "; give it (--sample-rate)"
         return draft.with_log([told]) if draft.rate_guessed and len(set(rests.values())) > 1 else draft
     stated = unit = log["gyro"]["unit"]
     if draft.gyro_unknown:
@@ -306,7 +307,8 @@ def _with_rate(draft: Draft, turned: bool, looks: _Looks) -> Draft:
     if doubted and usual is None:
         told = (
             f"time: column {log['time']!r} is taken as it is written, though the gyros would carry the vertical at "
-            f"{rate:.4g} samples per second: is their unit right? If it counts samples or ticks, give the rate (--rate)"
+            f"{rate:.4g} samples per second: is their unit right? If it counts samples or ticks, give the rate "
+            "(--sample-rate)"
         )
         return draft.with_log([told])
     gyro = {**log["gyro"], "unit": unit}

@@ -10,8 +10,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from tumble.bench.access import Access, lasting_token
 from tumble.bench.station import Station
+from tumble.bench.web.access import Access, lasting_token
 from tumble.errors import InputError, needs_extra
 from tumble.files import nothing_left
 from tumble.recording.session_file import SESSION_FILE
@@ -34,8 +34,8 @@ def serve(
     with needs_extra("the bench page", "bench", "fastapi", "uvicorn", "starlette"):
         import uvicorn
 
-        from tumble.bench.connections import ACCEPTED_AT_ONCE, WAITING, Connection
-        from tumble.bench.server import app_of
+        from tumble.bench.web.connections import ACCEPTED_AT_ONCE, WAITING, Connection
+        from tumble.bench.web.server import app_of
     with _listening(host, port) as bound, ExitStack() as running:
         opened = _started(stations, folders)
         for station in opened:

@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 import time
 from concurrent.futures import Executor, Future
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
-from tumble.bench.chain import estimate_so_far
-from tumble.bench.course import Progress
-from tumble.bench.live import Followed
-from tumble.bench.task import Task
-from tumble.bench.wishes import DIRECTIONS, gains, reached
+from tumble.bench.follow.live import Followed
+from tumble.bench.follow.rests import Progress
+from tumble.bench.follow.wishes import DIRECTIONS, Task, gains, reached
+from tumble.bench.state import EstimateShown
 from tumble.inference.estimate import FIT_SIGMAS, Estimate
-from tumble.recording.session import Exclusion
+from tumble.inference.joint import joint
+from tumble.recording.session import Exclusion, Session
+from tumble.reduction.blemishes import without_blemishes
 from tumble.reduction.blocks import Reduction
+from tumble.reduction.exclusion import without_rests
+from tumble.reduction.matching import Match
+from tumble.reduction.observations import observe
 from tumble.reduction.segmentation import RestSpan
-from tumble.units import G_STANDARD, Array
+from tumble.sensors.parameters import usual_sizes
+from tumble.units import G_STANDARD
 
 log = logging.getLogger(__name__)
 
-_NO_ESTIMATE: dict[str, Any] = {
-    "groups": [], "enough": False, "residuals": [], "gains": None, "cause": "", "next": "", "unknowns": 0,
+_NO_ESTIMATE: EstimateShown = {
+    "rests": 0, "groups": [], "enough": False, "residuals": [], "gains": None, "cause": "", "next": "", "unknowns": 0,
     "seconds": 0.0,
 }  # fmt: skip
 
@@ -34,10 +40,10 @@ class Estimates:
     first."""
 
     def __init__(self, task: Task, worker: Executor) -> None:
-        self.shown: dict[str, Any] | None = None
+        self.shown: EstimateShown | None = None
         self._task, self._worker = task, worker
         self._made_of: tuple[tuple[int, ...], int] = (), 0
-        self._future: Future[dict[str, Any]] | None = None
+        self._future: Future[EstimateShown] | None = None
 
     @property
     def under_way(self) -> bool:
@@ -55,7 +61,7 @@ class Estimates:
             return
         log.error("an estimate has failed", exc_info=error)
         cause = f"the estimate has failed ({type(error).__name__}: {error}); the recording goes on"
-        self.shown = _NO_ESTIMATE | {"rests": len(self._made_of[0]), "cause": " ".join(cause.split())}
+        self.shown = {**_NO_ESTIMATE, "rests": len(self._made_of[0]), "cause": " ".join(cause.split())}
 
     def ask(self, now: Followed, progress: Progress, excluded: tuple[Exclusion, ...]) -> None:
         """Have one made when there is another rest to make it from."""
@@ -71,37 +77,50 @@ class Estimates:
         self._future = self._worker.submit(_shown, self._task, now.reduction, spans, excluded)
 
 
+def estimate_so_far(
+    session: Session, grade: str, reduction: Reduction, spans: tuple[RestSpan, ...], excluded: tuple[Exclusion, ...]
+) -> Estimate | None:
+    """The joint estimate from these rests and the turns between them; None where they are too few."""
+    numbered = tuple(one for one in excluded if one.rest is not None and one.rest <= len(spans))
+    match = without_rests(Match(rests=spans, programme=None, position=None), numbered)
+    if len(match.rests) < 2:
+        return None
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        found = observe(without_blemishes(reduction), match, session.accel_block, session.gyro_block, session.site)
+        for usual in (usual_sizes(grade, session.device.prior), {}):  # few rests bear the linear model alone
+            with contextlib.suppress(np.linalg.LinAlgError):
+                return joint(replace(found, usual=usual), quick=True)
+    return None
+
+
 def _shown(
     task: Task, reduction: Reduction, spans: tuple[RestSpan, ...], excluded: tuple[Exclusion, ...]
-) -> dict[str, Any]:
+) -> EstimateShown:
     """What the page shows of the estimate from these rests."""
     began = time.thread_time()
     session, wanted = task.session, task.wanted
     estimate = estimate_so_far(session, task.grade, reduction, spans, excluded)
     if estimate is None:
-        return _NO_ESTIMATE | {"rests": len(spans)}
-    found = reached(estimate, wanted.group)
-    left = gains(estimate, wanted.group, session.accel_block, wanted.accel, session.site.gravity)
-    best = int(np.argmin(left))
+        return {**_NO_ESTIMATE, "rests": len(spans)}
+    groups = reached(estimate, wanted.group)
+    remaining = gains(estimate, wanted.group, session.accel_block, wanted.accel, session.site.gravity)
+    best = int(np.argmin(remaining))
+    upwards = [f"{name} {'up' if v > 0 else 'down'}" for name, v in zip("XYZ", DIRECTIONS[best], strict=True) if v]
     return {
         "rests": len(spans),
-        "groups": [group.shown() for group in found],
-        "enough": all(group.enough for group in found),
-        "residuals": _residuals(estimate),
-        "gains": left.tolist(),
-        "next": f"{_upwards(DIRECTIONS[best])}: accelerometers to {100.0 * left[best]:.0f} % of u",
+        "groups": groups,
+        "enough": all(group["enough"] for group in groups),
+        "residuals": [
+            {"sigmas": float(s), "residual": float(r) / G_STANDARD * 1e6}
+            for s, r in zip(estimate.rest_sigmas, estimate.rest_residual, strict=True)
+            if math.isfinite(s)
+        ],
+        "gains": remaining.tolist(),
+        "next": f"{', '.join(upwards)}: accelerometers to {100.0 * remaining[best]:.0f} % of u",
         "cause": _cause(estimate, spans),
         "unknowns": len(estimate.names),
         "seconds": time.thread_time() - began,
     }
-
-
-def _residuals(estimate: Estimate) -> list[dict[str, float]]:
-    return [
-        {"sigmas": float(s), "residual": float(r) / G_STANDARD * 1e6}
-        for s, r in zip(estimate.rest_sigmas, estimate.rest_residual, strict=True)
-        if math.isfinite(s)
-    ]
 
 
 def _cause(estimate: Estimate, spans: tuple[RestSpan, ...]) -> str:
@@ -116,8 +135,3 @@ def _cause(estimate: Estimate, spans: tuple[RestSpan, ...]) -> str:
         k = int(np.argmax(turn))
         return f"turn {k + 1} does not fit by {turn[k]:.0f}σ: clipped, samples lost, or a knock in it"
     return ""
-
-
-def _upwards(d: Array) -> str:
-    """A direction of the vertical in the body, in words: "X up, Z down"."""
-    return ", ".join(f"{name} {'up' if v > 0 else 'down'}" for name, v in zip("XYZ", d, strict=True) if abs(v) > 0.1)

@@ -12,11 +12,10 @@ import heapq
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 
-from tumble.bench.lines import Row
+from tumble.bench.record.lines import Row
 from tumble.units import Array
 
 WAIT_SECONDS = 0.1
@@ -34,7 +33,6 @@ RESTARTED = 5.0
 """s: a clock that goes back by more has been started anew."""
 
 
-@dataclass(kw_only=True, slots=True)
 class Order:
     """Lets rows pass in the order of their times. From an `unordered` source a row after a missing one waits for it,
     a tenth of a second at most. `seconds` is one unit of the log's time in s. `late` counts rows that came too late,
@@ -42,21 +40,25 @@ class Order:
     seen to start anew. Rows up to the `last` one of an earlier recording, which a source may send again, are passed
     over, and counted as repeated, until a new one comes."""
 
-    unordered: bool
-    seconds: float
-    refuse: Callable[[bytes], None]
-    now: Callable[[], float] = time.monotonic
-    last: float | None = None
-    late: int = 0
-    leapt: int = 0
-    repeated: int = 0
-    restarted: bool = False
-    _interval: float | None = None
-    _waiting: list[tuple[float, str, float]] = field(default_factory=list)
-    """Times, rows, and when they came."""
-    _apart: list[tuple[float, str]] = field(default_factory=list)
-    """Times and rows that do not follow the last one, fewer than AGREE."""
-    _passed: deque[float] = field(default_factory=lambda: deque(maxlen=MOST_WAITING))
+    def __init__(
+        self,
+        *,
+        unordered: bool,
+        seconds: float,
+        refuse: Callable[[bytes], None],
+        now: Callable[[], float] = time.monotonic,
+        last: float | None = None,
+    ) -> None:
+        self.unordered, self.seconds, self.last = unordered, seconds, last
+        self.late = self.leapt = self.repeated = 0
+        self.restarted = False
+        self._refuse, self._now = refuse, now
+        self._interval: float | None = None
+        self._waiting: list[tuple[float, str, float]] = []
+        """Times, rows, and when they came: a heap."""
+        self._apart: list[tuple[float, str]] = []
+        """Times and rows that do not follow the last one, fewer than AGREE."""
+        self._passed: deque[float] = deque(maxlen=MOST_WAITING)
 
     def feed(self, rows: list[Row]) -> list[str]:
         """The rows that pass now, as text."""
@@ -64,9 +66,13 @@ class Order:
         for row in rows:
             if row.time is None:
                 out.append(row.text)
-            elif self._is_new(row):
+            elif self._is_repeated(row.time):
+                self.repeated += 1
+            else:
                 self._take(row.time, row.text, out)
-        self._release(out)
+        while self._waiting and (self._now() - self._waiting[0][2] > WAIT_SECONDS or len(self._waiting) > MOST_WAITING):
+            self._pass_waiting(out)
+            self._contiguous(out)
         return out
 
     def passes(self, times: Array) -> bool:
@@ -78,7 +84,7 @@ class Order:
         if not np.all((steps > 0.0) & (steps <= self._longest(self._interval))):
             return False
         for at in times[-MOST_WAITING:].tolist():
-            self._note(at)
+            self._remember(at)
         return True
 
     @property
@@ -93,43 +99,41 @@ class Order:
         out, self._waiting, self._apart = self.waiting, [], []
         return out
 
-    def _is_new(self, row: Row) -> bool:
-        assert row.time is not None
-        if any(row.time == apart for apart, _ in self._apart):
-            self.repeated += 1
-            return False
-        if self.last is None or (row.time > self.last and not self._waiting):
+    def _is_repeated(self, at: float) -> bool:
+        if any(at == apart for apart, _ in self._apart):
             return True
-        again = self._interval is None and row.time <= self.last
-        if again or row.time in self._passed or any(row.time == waiting for waiting, _, _ in self._waiting):
-            self.repeated += 1
+        if self.last is None or (at > self.last and not self._waiting):
             return False
-        return True
+        before_any_new = self._interval is None and at <= self.last
+        return before_any_new or at in self._passed or any(at == waiting for waiting, _, _ in self._waiting)
 
     def _take(self, at: float, text: str, out: list[str]) -> None:
-        if self.last is None or not self.last < at <= self._newest(self.last) + self._longest(self._interval or 0.0):
+        newest = -np.inf if self.last is None else max([self.last, *(waiting for waiting, _, _ in self._waiting)])
+        if self.last is None or not self.last < at <= newest + self._longest(self._interval or 0.0):
             self._set_apart(at, text, out)
             return
         self._refuse_apart()
-        if not self.unordered or not self._leaves_room(at):
+        if self.unordered and self._leaves_room(at):
+            heapq.heappush(self._waiting, (at, text, self._now()))
+        else:
             self._pass(at, text, out)
-            self._contiguous(out)
-            return
-        heapq.heappush(self._waiting, (at, text, self.now()))
         self._contiguous(out)
-
-    def _newest(self, last: float) -> float:
-        """The latest time of the rows that follow each other, also of those that wait."""
-        return max([last, *(at for at, _, _ in self._waiting)])
 
     def _longest(self, interval: float) -> float:
         """The longest step between rows that follow each other, in units of the log."""
         return max(LEAP_SECONDS / self.seconds, LEAP_INTERVALS * interval)
 
+    def _leaves_room(self, at: float) -> bool:
+        """Whether a row may be missing before this time."""
+        return self.last is not None and self._interval is not None and at - self.last > JUMP * self._interval
+
     def _set_apart(self, at: float, text: str, out: list[str]) -> None:
         """Keep a row that does not follow the last one until it is known what to think of it."""
-        if len(self._apart) == AGREE - 1 and not self._agree([*(apart for apart, _ in self._apart), at]):
-            self._refuse_apart(1)
+        if len(self._apart) == AGREE - 1:
+            steps = np.diff([*(apart for apart, _ in self._apart), at])
+            interval = float(steps.min()) if self._interval is None else self._interval
+            if not np.all((steps > 0.0) & (steps <= self._longest(interval))):
+                self._refuse_apart(1)
         self._apart.append((at, text))
         if len(self._apart) < AGREE:
             return
@@ -138,7 +142,7 @@ class Order:
         if self.last is None or first > self.last or (behind < AGREE and any(p < first for p in self._passed)):
             agreed, self._apart = self._apart, []
             while self._waiting and self._waiting[0][0] < first:
-                self._pass(*heapq.heappop(self._waiting)[:2], out)
+                self._pass_waiting(out)
             if self._interval is None:
                 self._interval = float(np.diff([when for when, _ in agreed]).min())
             for when, row in agreed:
@@ -147,47 +151,36 @@ class Order:
         self.restarted = self.restarted or (self.last - first) * self.seconds > RESTARTED
         self._refuse_apart()
 
-    def _agree(self, times: list[float]) -> bool:
-        """Whether rows with these times follow each other."""
-        steps = np.diff(times)
-        interval = float(steps.min()) if self._interval is None else self._interval
-        return bool(np.all((steps > 0.0) & (steps <= self._longest(interval))))
-
     def _refuse_apart(self, count: int = AGREE) -> None:
         """Refuse the first rows that are set apart: their times are wrong, or they are late."""
         refused, self._apart = self._apart[:count], self._apart[count:]
         for at, text in refused:
             ahead = self.last is None or at > self.last
             self.leapt, self.late = self.leapt + ahead, self.late + (not ahead)
-            self.refuse(text.encode())
+            self._refuse(text.encode())
 
     def _contiguous(self, out: list[str]) -> None:
+        """Let pass what waits and follows the last row."""
         while self._waiting and not self._leaves_room(self._waiting[0][0]):
-            self._pass(*heapq.heappop(self._waiting)[:2], out)
+            self._pass_waiting(out)
 
-    def _leaves_room(self, at: float) -> bool:
-        """Whether a row may be missing before this time."""
-        return self.last is not None and self._interval is not None and at - self.last > JUMP * self._interval
+    def _pass_waiting(self, out: list[str]) -> None:
+        at, text, _ = heapq.heappop(self._waiting)
+        self._pass(at, text, out)
 
     def _pass(self, at: float, text: str, out: list[str]) -> None:
-        self._note(at)
+        self._remember(at)
         out.append(text)
 
-    def _note(self, at: float) -> None:
-        """Remember a row that passes."""
+    def _remember(self, at: float) -> None:
+        """Remember a row that passes: its time, and the interval, which follows the steps, of each at most by half of
+        itself."""
         if self.last is not None:
             step = at - self.last
-            self._interval = step if self._interval is None else self._interval + 0.05 * _clipped(step, self._interval)
+            if self._interval is None:
+                self._interval = step
+            else:
+                half = 0.5 * self._interval
+                self._interval += 0.05 * max(-half, min(half, step - self._interval))
         self.last = at
         self._passed.append(at)
-
-    def _release(self, out: list[str]) -> None:
-        """Let pass what has waited long enough."""
-        while self._waiting and (self.now() - self._waiting[0][2] > WAIT_SECONDS or len(self._waiting) > MOST_WAITING):
-            self._pass(*heapq.heappop(self._waiting)[:2], out)
-            self._contiguous(out)
-
-
-def _clipped(step: float, interval: float) -> float:
-    """How much a step differs from the interval, at most by half of it."""
-    return max(-0.5 * interval, min(0.5 * interval, step - interval))

@@ -1,4 +1,4 @@
-"""The log of a session as it grows: followed to its blocks, the rests in them, and the faults of its samples."""
+"""The log of a session as it grows: its blocks, the rests in them, and the faults of its samples."""
 
 from __future__ import annotations
 
@@ -8,18 +8,31 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.bench.chain import Blocks, Chain, known
-from tumble.bench.course import Judged, Progress, Rest, StillLimits, calm_since, grouped, judged, rest_of
-from tumble.bench.faults import Fault, channel_fault, gap_fault
-from tumble.bench.follow import BRIDGED, Clock, Follower, SoundSamples
-from tumble.bench.task import Task
-from tumble.bench.watch import Watch
-from tumble.recording.log import HEAD_ROWS
+from tumble.bench.follow.faults import Fault, Watch, gap_fault
+from tumble.bench.follow.rests import (
+    Blocks,
+    Judged,
+    Progress,
+    Rest,
+    StillLimits,
+    calm_since,
+    grouped,
+    judged,
+    rest_of,
+)
+from tumble.bench.follow.samples import BRIDGED, Clock, Follower, SoundSamples
+from tumble.bench.follow.wishes import Task
+from tumble.recording.log import HEAD_ROWS, Chunk
+from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Exclusion
-from tumble.reduction.blocks import Reduction
-from tumble.reduction.segmentation import RestSpan, Segmentation
+from tumble.reduction.blemishes import without_blemishes
+from tumble.reduction.blocks import Reducer, Reduction
+from tumble.reduction.exclusion import without_times
+from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests
+from tumble.units import ZERO_CELSIUS, Array
 
 _PIECES = 32
+_LEAST_BLOCKS = 30
 _GROWN = 0.01
 """Of the length of a log: by so much it grows between searches where nothing else asks for one, so that all of them
 together cost as much as a hundred of its whole length."""
@@ -43,8 +56,8 @@ class Followed:
 
 
 class Live:
-    """Follows the log of a task. `now` is what it says, None while there are no blocks; `faults` are those seen in its
-    samples, of which `samples` were read and `lost` are missing."""
+    """Follows the log of a task through the chain of a calibration. `now` is what it says, None while there are no
+    blocks; `faults` are those seen in its samples, of which `samples` were read and `lost` are missing."""
 
     def __init__(self, task: Task) -> None:
         self._task = task
@@ -58,9 +71,10 @@ class Live:
         self.now: Followed | None = None
         self.faults: deque[Fault] = deque(maxlen=_MOST_FAULTS)
         self.samples = self.lost = 0
-        self._follower = Follower.of(self._task.session.log)
+        self._follower = Follower(self._task.session.log)
         self._clock = clock
-        self._chain: Chain | None = None
+        self._reducer: Reducer | None = None
+        self._gaps: list[Gap] = []
         self._watches: list[Watch] = []
         self._searched: tuple[object, ...] = ()
         self._searched_blocks = 0
@@ -90,41 +104,70 @@ class Live:
                 self._take(samples, self._clock.interval)
             if self._clock.head < HEAD_ROWS <= self.samples:
                 self._begin(Clock(spec=self._task.session.log, head=HEAD_ROWS))
-        reduction = None if self._chain is None else self._chain.now()
-        if self._chain is not None and reduction is not None and reduction.files:
-            self.now = self._followed(self._chain, reduction, excluded)
+        if self._reducer is not None:
+            reduction = replace(self._reducer.now(), gaps=tuple(self._gaps))
+            if reduction.files:
+                self.now = self._followed(reduction, excluded)
 
     def _take(self, samples: SoundSamples, interval: float) -> None:
-        """Feed samples to the chain and look at each of them."""
-        if self._chain is None:
-            self._chain = Chain(self._task.session, interval)
-            kinds = [each for each in (self._task.session.log.accel, self._task.session.log.gyro) if each is not None]
+        """Look at samples in SI, and feed them to the reduction."""
+        session, log, time = self._task.session, self._task.session.log, samples.time
+        kinds = [log.accel] if log.gyro is None else [log.accel, log.gyro]
+        if self._reducer is None:
+            self._reducer = Reducer(
+                rate=1.0 / interval,
+                accel=session.accel_block,
+                gyro=session.gyro_block,
+                increments=(log.increments["accel"], log.increments.get("gyro", False)),
+            )
             self._watches = [Watch(channels.columns, channels.range, interval) for channels in kinds]
-        readings = self._chain.feed(samples)
-        self.samples += len(samples.time)
+        readings: list[Array | None] = []
+        first = 0
+        for watch, channels in zip(self._watches, kinds, strict=True):
+            last = first + len(channels.columns)
+            values = channels.to_si(samples.values[:, first:last], samples.dt)
+            self.faults += watch.look(time, values)
+            readings.append(values)
+            first = last
+        accel, gyro = (*readings, None)[:2]
+        temperature = None
+        if log.temperature is not None:
+            warmth = samples.values[:, -len(log.temperature.columns) :]
+            temperature = log.temperature.to_celsius(warmth) + ZERO_CELSIUS
+        if len(time) and accel is not None:
+            chunk = Chunk(file=0, time=time, dt=samples.dt, accel=accel, gyro=gyro, temperature=temperature)
+            self._reducer.feed(chunk)
+        self.samples += len(time)
         self.lost += int(samples.lost.sum())
-        for watch, values in zip(self._watches, readings, strict=False):
-            if values is not None:
-                self.faults += map(channel_fault, watch.look(samples.time, values))
         for i in np.flatnonzero(samples.lost > BRIDGED):
-            self.faults.append(gap_fault(float(samples.time[i]), int(samples.lost[i]), float(samples.dt[i])))
+            lost, stop = int(samples.lost[i]), float(time[i])
+            start = stop - (lost + 1) * float(samples.dt[i])
+            self.faults.append(gap_fault(start, stop, lost))
+            self._gaps.append(
+                Gap(file=0, row=0, time=start, samples=lost, what="missing samples", stop=stop, integrable=False)
+            )
 
-    def _followed(self, chain: Chain, reduction: Reduction, excluded: tuple[Exclusion, ...]) -> Followed:
+    def _followed(self, reduction: Reduction, excluded: tuple[Exclusion, ...]) -> Followed:
         """What the log says now. Rests are looked for in the whole of it, as the calibration looks for them, whenever
         others may be found: when movement begins or ends, a rest becomes long enough, something is left out, the log
         has grown by a hundredth, or has ended."""
-        now = Followed(reduction=reduction, blocks=chain.blocks(reduction))
+        now = Followed(reduction=reduction, blocks=Blocks.of(reduction, self._task.session))
         before, length = self.now, len(now.blocks)
         if before is not None:
-            calm_from = _calm_from(now.blocks, before)
+            calm_from = None
+            if before.limits is not None:
+                known = () if before.calm_from is None else (before.calm_from, len(before.blocks))
+                calm_from = calm_since(now.blocks, before.limits, *known)
             now = replace(now, spans=before.spans, limits=before.limits, calm_from=calm_from)
         longer = length - self._searched_blocks
         ended = before is not None and length == len(before.blocks) and longer > 0
         if self._seen(now, excluded) == self._searched and not ended and longer <= _GROWN * length:
             return now
-        found = chain.rests(reduction, excluded)
-        if found is None:
+        if length < _LEAST_BLOCKS:
             return now
+        sound = without_blemishes(reduction)
+        found = find_rests(sound, self._task.session.accel_block, self._task.session.gyro_block)
+        found = without_times(sound, found, excluded)
         limits = _limits_of(found, now.blocks)
         now = replace(now, spans=found.rests, limits=limits, calm_from=calm_since(now.blocks, limits))
         self._searched, self._searched_blocks = self._seen(now, excluded), length
@@ -163,22 +206,13 @@ class Live:
         found in the end is shorter by its margins."""
         last, found = self._judged.get(rest.first, (0, None))
         if found is None or not 0 <= rest.last - last < max(5.0, _GROWN * (rest.last - rest.first)):
-            found = judged(known(reduction, rest.first, rest.last), rest.stop - rest.start, self._task.wanted)
+            found = judged(reduction, rest, self._task.wanted)
             if found.enough:
                 self._enough.append((rest.first, rest.last))
             elif any(first < rest.last and rest.first < last for first, last in self._enough):
                 found = replace(found, enough=True)
             self._judged[rest.first] = rest.last, found
         return found
-
-
-def _calm_from(blocks: Blocks, before: Followed) -> int | None:
-    """The block from which on nothing moves, where it is known of fewer blocks."""
-    if before.limits is None:
-        return None
-    if before.calm_from is None:
-        return calm_since(blocks, before.limits)
-    return calm_since(blocks, before.limits, before.calm_from, len(before.blocks))
 
 
 def _limits_of(found: Segmentation, blocks: Blocks) -> StillLimits:

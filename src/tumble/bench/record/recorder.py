@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from tumble.errors import InputError
+from tumble.recording.session import LogSpec
 
 SYNC_SECONDS = 0.9
 KEPT_BYTES = 1 << 26
@@ -22,11 +23,12 @@ KEPT_BYTES = 1 << 26
 REFUSED_BYTES = 1 << 22
 """What is kept of what was no row, at most."""
 _WRITE_BYTES = 1 << 20
+_LINE_BYTES = 1 << 16
 
 
 class Recorder:
     """A log file that grows by whole lines. `refused` is the file beside it for what was received and is no row;
-    `held` that for rows which wait for late ones before them."""
+    `held` that for rows which wait for late ones before them; `trouble` is what the disk does not do, in words."""
 
     def __init__(self, path: Path, header: str) -> None:
         """Go on with a log, or begin one with a header.
@@ -35,54 +37,58 @@ class Recorder:
         self.path = path
         self.refused, self.held = path.with_name("refused.txt"), path.with_name("held.csv")
         self.trouble: str | None = None
-        self.bytes = self.lost = 0
+        self._lost = 0
         self._pending = bytearray()
         self._synced = time.monotonic()
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
         try:
             _lock(self._descriptor, path)
-            self._go_on(header)
+            if not self._whole_lines(keep_rest=True):
+                self.append([header])
+                return
+            first = os.pread(self._descriptor, _LINE_BYTES, 0).split(b"\n", 1)[0]
+            found = first.decode("utf-8", errors="replace").strip()
+            if found != header:
+                raise InputError(f"{path}: expected the columns {header}, found {found}; record into another folder")
         except BaseException:
             os.close(self._descriptor)
             raise
 
-    def _go_on(self, header: str) -> None:
-        """Cut the line that was not finished, and check the header or write it."""
-        size = os.fstat(self._descriptor).st_size
-        whole = _whole(self._descriptor, size)
+    def _whole_lines(self, *, keep_rest: bool) -> int:
+        """Cut a line that was not finished off the file; how many bytes are left of it."""
+        size = stop = os.fstat(self._descriptor).st_size
+        whole = 0
+        while stop > 0 and not whole:
+            start = max(0, stop - _WRITE_BYTES)
+            whole = os.pread(self._descriptor, stop - start, start).rfind(b"\n") + 1
+            whole, stop = whole and start + whole, start
         if whole < size:
-            self.refuse(os.pread(self._descriptor, min(size - whole, _WRITE_BYTES), whole))
+            if keep_rest:
+                self.refuse(os.pread(self._descriptor, min(size - whole, _WRITE_BYTES), whole))
             os.ftruncate(self._descriptor, whole)
-        self.bytes = whole
-        if whole == 0:
-            self.append([header])
-            return
-        found = os.pread(self._descriptor, 1 << 16, 0).split(b"\n", 1)[0].decode("utf-8", errors="replace").strip()
-        if found != header:
-            raise InputError(f"{self.path}: expected the columns {header}, found {found}; record into another folder")
+        return whole
 
     def append(self, lines: Iterable[str]) -> None:
         """Add lines to the log; what the disk does not take now is tried again with the next."""
-        self._pending += "".join(f"{line}\n" for line in lines).encode("utf-8")
+        self._pending += _text(lines).encode("utf-8")
         self._write()
 
     def _write(self) -> None:
         try:
             while self._pending:
                 written = os.write(self._descriptor, self._pending[:_WRITE_BYTES])
-                self.bytes += written
                 del self._pending[:written]
-            self.trouble = f"{self.lost} samples are lost, which the disk did not take" if self.lost else None
+            self.trouble = f"{self._lost} samples are lost, which the disk did not take" if self._lost else None
         except OSError as error:
             if len(self._pending) > KEPT_BYTES:
                 self._lose(self._pending.rfind(b"\n", 0, KEPT_BYTES) + 1)
             kept = f"{len(self._pending) / 1e6:.1f} MB are kept in memory"
-            lost = f", {self.lost} samples are lost" if self.lost else ""
+            lost = f", {self._lost} samples are lost" if self._lost else ""
             self.trouble = f"the disk takes nothing: {error.strerror}; {kept}{lost}"
 
     def _lose(self, kept: int) -> None:
         """Give up what waits for the disk behind so many bytes of it, the end of a line."""
-        self.lost += self._pending.count(b"\n", kept)
+        self._lost += self._pending.count(b"\n", kept)
         del self._pending[kept:]
 
     def refuse(self, raw: bytes) -> None:
@@ -93,7 +99,7 @@ class Recorder:
 
     def hold(self, lines: Iterable[str]) -> None:
         """Keep rows that wait: these, and no others."""
-        text = "".join(f"{line}\n" for line in lines)
+        text = _text(lines)
         if text or self.held.exists():
             with self._troubled():
                 self.held.write_text(text, encoding="utf-8")
@@ -115,9 +121,9 @@ class Recorder:
     def last_line(self) -> str:
         """The last row of the log, empty where there is only a header."""
         size = os.fstat(self._descriptor).st_size
-        tail = os.pread(self._descriptor, 1 << 16, max(0, size - (1 << 16)))
+        tail = os.pread(self._descriptor, _LINE_BYTES, max(0, size - _LINE_BYTES))
         lines = tail.decode("utf-8", errors="replace").rstrip("\n").split("\n")
-        return lines[-1] if len(lines) > 1 or size > 1 << 16 else ""
+        return lines[-1] if len(lines) > 1 or size > _LINE_BYTES else ""
 
     def sync_if_due(self) -> None:
         """Force the log to the disk if that was not done for a second."""
@@ -134,9 +140,9 @@ class Recorder:
         self._write()
         if self._pending:
             self._lose(0)
-            self.trouble = f"{self.lost} samples are lost, which the disk did not take"
+            self.trouble = f"{self._lost} samples are lost, which the disk did not take"
             with self._troubled():
-                os.ftruncate(self._descriptor, _whole(self._descriptor, os.fstat(self._descriptor).st_size))
+                self._whole_lines(keep_rest=False)
         with self._troubled():
             os.fsync(self._descriptor)
         os.close(self._descriptor)
@@ -144,16 +150,15 @@ class Recorder:
             self.held.unlink()
 
 
-def _whole(descriptor: int, size: int) -> int:
-    """How many bytes of a file are whole lines."""
-    stop = size
-    while stop > 0:
-        start = max(0, stop - _WRITE_BYTES)
-        end = os.pread(descriptor, stop - start, start).rfind(b"\n")
-        if end >= 0:
-            return start + end + 1
-        stop = start
-    return 0
+def growing_file(spec: LogSpec) -> Path:
+    """The last file of a log, which is the one that grows."""
+    path = spec.files[-1]
+    assert isinstance(path, Path)
+    return path
+
+
+def _text(lines: Iterable[str]) -> str:
+    return "".join(f"{line}\n" for line in lines)
 
 
 def _lock(descriptor: int, path: Path) -> None:

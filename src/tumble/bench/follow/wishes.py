@@ -1,4 +1,5 @@
-"""The uncertainties that are wanted, and what of them is reached."""
+"""What is to be recorded at a bench: the session, its programme, the uncertainties that are wanted, and what of them is
+reached."""
 
 from __future__ import annotations
 
@@ -8,9 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tumble.bench.state import GroupShown
 from tumble.inference.estimate import Estimate
 from tumble.planning.requirements import wanted_of
 from tumble.planning.setup import Setup
+from tumble.programme.positions import ANY_MOVE, Move, Programme, from_attitudes
+from tumble.programme.positions import programme as built_in
+from tumble.recording.session import Session
 from tumble.sensors.grades import Grade, grade
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import group_name, positions_by_group, shown_in, usual_sizes
@@ -64,65 +69,69 @@ class Wanted:
 
 
 def _of_grade(kind: Grade) -> dict[str, float]:
-    wanted: dict[str, float] = {}
-    levels = {"accel": (kind.noise.accel_white, kind.noise.accel_instability, 9.8)}
-    levels["gyro"] = (kind.noise.gyro_white * _REST**0.5, kind.noise.gyro_instability * _REST, math.pi)
-    for name, spread in (("accel", kind.accel), ("gyro", kind.gyro)):
-        white, instability, signal = levels[name]
-        white = white / _REST**0.5 if name == "accel" else white
-        bias = math.hypot(white, instability) / (1.0 if name == "accel" else _REST)
-        relative = math.hypot(white, instability) / signal
-        wanted[f"{name}.bias"] = max(PART_OF_SPREAD * spread.bias, bias)
-        wanted[f"{name}.scale"] = max(PART_OF_SPREAD * spread.scale, relative)
-        wanted[f"{name}.axis"] = max(PART_OF_SPREAD * spread.axis, 2.0 * relative)
+    noise, wanted = kind.noise, {}
+    for name, spread, white, instability, seconds, signal in (
+        ("accel", kind.accel, noise.accel_white / _REST**0.5, noise.accel_instability, 1.0, 9.8),
+        ("gyro", kind.gyro, noise.gyro_white * _REST**0.5, noise.gyro_instability * _REST, _REST, math.pi),
+    ):
+        level = math.hypot(white, instability)
+        wanted[f"{name}.bias"] = max(PART_OF_SPREAD * spread.bias, level / seconds)
+        wanted[f"{name}.scale"] = max(PART_OF_SPREAD * spread.scale, level / signal)
+        wanted[f"{name}.axis"] = max(PART_OF_SPREAD * spread.axis, 2.0 * level / signal)
     return wanted
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Reached:
-    """A group of parameters: the largest u of its parameters, their root mean square `size`, which decides in which
-    unit `tumble calibrate` shows them, and the wanted u, SI; `determined`: whether the data tell all of them."""
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Task:
+    """A session, its programme, None in free positions, the grade of its unit and what is `wanted` of it."""
 
-    group: str
-    unit: str
-    u: float
-    size: float
-    wanted: float
-    determined: bool
+    session: Session
+    programme: Programme | None
+    grade: str
+    wanted: Wanted
+
+    @staticmethod
+    def of(session: Session, wanted: Wanted, grade: str) -> Task:
+        """Of a session; `grade` is that of a unit whose session does not say one."""
+        spec, programme = session.programme, None
+        if spec is not None:
+            attitudes = [position.attitude for position in spec.positions]
+            programme = from_attitudes(attitudes) if spec.name is None else built_in(spec.name)
+        return Task(session=session, programme=programme, grade=session.device.grade or grade, wanted=wanted)
 
     @property
-    def enough(self) -> bool:
-        """Whether the wanted u is reached."""
-        return self.determined and self.u <= self.wanted
+    def positions(self) -> int | None:
+        """How many positions there are to take; None where they are free."""
+        return None if self.programme is None else len(self.programme.positions)
 
-    def shown(self) -> dict[str, object]:
-        """For the page: numbers in the unit that is shown."""
-        size, unit = shown_in(self.group, self.unit, self.size)
-        return {
-            "group": self.group,
-            "unit": unit,
-            "u": self.u / size,
-            "wanted": self.wanted / size,
-            "determined": self.determined,
-            "enough": self.enough,
-        }
+    def move(self, index: int) -> Move:
+        """The turn into a position, from 0, of the programme; any where its order or its positions are free."""
+        if self.programme is None or not self.programme.ordered or not 0 < index <= len(self.programme.moves):
+            return ANY_MOVE
+        return self.programme.moves[index - 1]
 
 
-def reached(estimate: Estimate, wanted: Mapping[str, float]) -> tuple[Reached, ...]:
-    """What of the wishes an estimate reaches, by group in the order of its parameters; other groups are passed over."""
-    u = estimate.u
-    return tuple(
-        Reached(
-            group=group,
-            unit=estimate.units[rows[0]],
-            u=float(u[rows].max()),
-            size=float(np.sqrt(np.mean(estimate.values[rows] ** 2))),
-            wanted=wanted[group],
-            determined=bool(estimate.observable[rows].all()),
+def reached(estimate: Estimate, wanted: Mapping[str, float]) -> list[GroupShown]:
+    """What of the wishes an estimate reaches, by group in the order of its parameters, other groups passed over: the
+    largest u of its parameters in the unit in which `tumble calibrate` shows them, and whether the data tell all."""
+    groups: list[GroupShown] = []
+    for group, rows in positions_by_group(estimate.names).items():
+        if group not in wanted:
+            continue
+        u, determined = float(estimate.u[rows].max()), bool(estimate.observable[rows].all())
+        rms = float(np.sqrt(np.mean(estimate.values[rows] ** 2)))
+        size, unit = shown_in(group, estimate.units[rows[0]], rms)
+        groups.append(
+            {
+                "group": group,
+                "unit": unit,
+                "u": u / size,
+                "wanted": wanted[group] / size,
+                "determined": determined,
+                "enough": determined and u <= wanted[group],
+            }
         )
-        for group, rows in positions_by_group(estimate.names).items()
-        if group in wanted
-    )
+    return groups
 
 
 def better_by(rests: int) -> float:

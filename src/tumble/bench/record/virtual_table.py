@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import time
-from dataclasses import dataclass
 
 import numpy as np
 
+from tumble.bench.record.sources import LineSource, speed_of
 from tumble.documents import whole_number
 from tumble.earth import earth_rate
-from tumble.errors import InputError
 from tumble.programme.positions import Programme, programme
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import grade, spread_of
@@ -36,54 +35,28 @@ _SEED = 1
 AXES = {"N": np.array([1.0, 0.0, 0.0]), "U": np.array([0.0, 1.0, 0.0]), "E": np.array([0.0, 0.0, 1.0])}
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Move:
-    """A rotation `vector` (3,) in the geographic frame, rad, from attitude `start` at sample `first` on."""
-
-    vector: Array
-    start: Array
-    first: int
-    samples: int
-
-    def attitude(self, sample: float) -> Array:
-        """Body → geographic at a time in samples."""
-        part = min(max((sample - self.first) / self.samples, 0.0), 1.0)
-        smooth = part - np.sin(2.0 * np.pi * part) / (2.0 * np.pi)
-        return rotation_matrix(smooth * self.vector) @ self.start
-
-    def rate(self, sample: float) -> Array:
-        """Angular rate, rad/s, in the geographic frame."""
-        part = (sample - self.first) / self.samples
-        inside = 0.0 <= part <= 1.0
-        return self.vector * ((1.0 - np.cos(2.0 * np.pi * part)) * SAMPLE_RATE / self.samples if inside else 0.0)
-
-
-class VirtualTable:
-    """A source: what a unit on the virtual table sends, in SI, `speed` times as fast as time passes."""
-
-    unordered = False
+class VirtualTable(LineSource):
+    """A source: what a unit on the virtual table sends, in SI, so many times as fast as time passes."""
 
     def __init__(self, programme_name: str, *, temperature: bool = False) -> None:
         name, _, speed = programme_name.partition("@")
         self.programme: Programme = programme(name or "rough-table")
         self.name = f"simulator:{self.programme.name}"
-        self.trouble: str | None = None
-        self.temperature = temperature
-        try:
-            self.speed = float(speed.removesuffix("x")) if speed else 1.0
-        except ValueError:
-            raise InputError(f"--listen simulator:{programme_name}: expected a speed such as @5x") from None
+        self._temperature = temperature
+        self._speed = speed_of(f"simulator:{programme_name}", speed or "1x")
         self._rng = np.random.default_rng(_SEED)
         kind = grade("mems")
-        blocks = Block(kind="accel", axes=np.eye(3)), Block(kind="gyro", axes=np.eye(3))
         self._models = []
-        for block in blocks:
+        for block in (Block(kind="accel", axes=np.eye(3)), Block(kind="gyro", axes=np.eye(3))):
             size = np.array([spread_of(kind, name) for name in block.names])
             self._models.append(block.model(0.5 * size * self._rng.standard_normal(len(size))))
         self._sigma = [kind.noise.accel_white * SAMPLE_RATE**0.5, kind.noise.gyro_white * SAMPLE_RATE**0.5]
         self._sample = 0
         self._begun: float | None = None
-        self._move = _Move(vector=np.zeros(3), start=self._near(self.programme.positions[0].matrix), first=0, samples=1)
+        self._turn, self._first, self._samples = np.zeros(3), 0, 1
+        """A turn by this vector (3,) in the geographic frame, rad, from this sample on, over so many."""
+        self._from = self._near(self.programme.positions[0].matrix)
+        """The attitude, body → geographic, at which it began."""
         self._knocked = self._lost = self._stuck = -1
         self._rocking: tuple[int, int] | None = None
         self._warming: tuple[int, float] | None = None
@@ -96,10 +69,22 @@ class VirtualTable:
     def _near(self, attitude: Array) -> Array:
         return rotation_matrix(OFF * self._rng.uniform(-1.0, 1.0, 3)) @ attitude
 
+    def _attitude(self, sample: float) -> Array:
+        """Body → geographic at a time in samples."""
+        part = min(max((sample - self._first) / self._samples, 0.0), 1.0)
+        smooth = part - np.sin(2.0 * np.pi * part) / (2.0 * np.pi)
+        return rotation_matrix(smooth * self._turn) @ self._from
+
+    def _rate(self, sample: float) -> Array:
+        """Angular rate, rad/s, in the geographic frame."""
+        part = (sample - self._first) / self._samples
+        inside = 0.0 <= part <= 1.0
+        return self._turn * ((1.0 - np.cos(2.0 * np.pi * part)) * SAMPLE_RATE / self._samples if inside else 0.0)
+
     @property
     def moving(self) -> bool:
         """Whether a turn is under way."""
-        return self._sample < self._move.first + self._move.samples
+        return self._sample < self._first + self._samples
 
     def turn(self, axis: str, degrees: float, *, rate: float = RATE) -> None:
         """Turn about N, U or E."""
@@ -109,10 +94,11 @@ class VirtualTable:
         """Turn into a position of the programme, the way of the programme where it has one."""
         target = self._near(self.programme.positions[position].matrix)
         move = self.programme.moves[position - 1] if position else None
-        vector = rotation_vector(target @ self._now().T)
+        now = self._attitude(self._sample)
+        vector = rotation_vector(target @ now.T)
         if move is not None and move.axis is not None and move.angle is not None and np.linalg.norm(vector) > 1.0:
             whole = move.angle * move.axis
-            rest = rotation_vector(rotation_matrix(-whole) @ target @ self._now().T)
+            rest = rotation_vector(rotation_matrix(-whole) @ target @ now.T)
             vector = whole + rest if np.linalg.norm(rest) < NEAR else vector
         self._start(vector, rate)
 
@@ -130,11 +116,9 @@ class VirtualTable:
 
     def _start(self, vector: Array, rate: float) -> None:
         angle = float(np.linalg.norm(vector))
-        samples = max(round(2.0 * angle / rate * SAMPLE_RATE), 10)
-        self._move = _Move(vector=vector, start=self._now(), first=self._sample, samples=samples)
-
-    def _now(self) -> Array:
-        return self._move.attitude(self._sample)
+        self._from = self._attitude(self._sample)
+        self._turn, self._first = vector, self._sample
+        self._samples = max(round(2.0 * angle / rate * SAMPLE_RATE), 10)
 
     def knock(self) -> None:
         """A blow against the table."""
@@ -150,7 +134,7 @@ class VirtualTable:
 
     def rock(self, seconds: float = 1.5) -> None:
         """A unit put down with movement when the turn under way ends: it comes to rest slowly."""
-        self._rocking = self._move.first + self._move.samples, round(seconds * SAMPLE_RATE)
+        self._rocking = self._first + self._samples, round(seconds * SAMPLE_RATE)
 
     def warm(self, rate: float = 1.0) -> None:
         """The temperature drifts from now on, K/s, where it is sent."""
@@ -158,8 +142,8 @@ class VirtualTable:
 
     def read(self, timeout: float) -> bytes:
         if self._begun is None:
-            self._begun = time.monotonic() - self._sample / SAMPLE_RATE / self.speed
-        due = int((time.monotonic() - self._begun) * self.speed * SAMPLE_RATE)
+            self._begun = time.monotonic() - self._sample / SAMPLE_RATE / self._speed
+        due = int((time.monotonic() - self._begun) * self._speed * SAMPLE_RATE)
         if due <= self._sample:
             time.sleep(min(timeout, 0.02))
             return b""
@@ -170,7 +154,7 @@ class VirtualTable:
         """The next sample as a line; empty where it does not arrive."""
         middle = self._sample + 0.5
         still, rocking = self._rocked(middle)
-        L, rate = still @ self._move.attitude(middle), still @ self._move.rate(middle) + rocking
+        L, rate = still @ self._attitude(middle), still @ self._rate(middle) + rocking
         force = L.T @ (GRAVITY * AXES["U"])
         if self._sample < self._knocked:
             force = force + KNOCK * self._rng.standard_normal(3)
@@ -185,7 +169,9 @@ class VirtualTable:
             row[1] = self._last_row[1]
         self._last_row, self._sample = row, self._sample + 1
         lost = self._sample < self._lost
-        row += [self._degrees()] if self.temperature else []
+        if self._temperature:
+            since, warming = self._warming or (self._sample, 0.0)
+            row.append(25.0 + warming * (self._sample - since) / SAMPLE_RATE)
         return "" if lost else ",".join(f"{value:.9g}" for value in [self._sample / SAMPLE_RATE, *row]) + "\n"
 
     def _rocked(self, sample: float) -> tuple[Array, Array]:
@@ -196,10 +182,6 @@ class VirtualTable:
         left = 1.0 - (sample - first) / samples
         rate = -ROCKING * SAMPLE_RATE / samples if 0.0 <= left <= 1.0 else 0.0
         return rotation_matrix(ROCKING * min(max(left, 0.0), 1.0) * AXES["N"]), rate * AXES["N"]
-
-    def _degrees(self) -> float:
-        since, rate = self._warming or (self._sample, 0.0)
-        return 25.0 + rate * (self._sample - since) / SAMPLE_RATE
 
     def close(self) -> None:
         """Nothing is open."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -13,25 +14,18 @@ from typing import Any
 
 from fastapi import APIRouter, FastAPI, Request, Response
 from fastapi.responses import FileResponse, StreamingResponse
+from pydantic_core import to_json
 from starlette.requests import ClientDisconnect
+from starlette.staticfiles import StaticFiles
 
-from tumble.bench.access import HEADERS, Access
-from tumble.bench.laboratory import listed
+from tumble.bench.state import Listed, State
 from tumble.bench.station import STEP_SECONDS, Station
+from tumble.bench.web.access import HEADERS, Access
 from tumble.programme.sheet_pictures import picture
 
 PAGE = Path(__file__).parent / "page"
-ASSETS = {
-    "bench.css": "text/css",
-    "bench.js": "text/javascript",
-    "benches.js": "text/javascript",
-    "parts.js": "text/javascript",
-    "vendor/uPlot.iife.min.js": "text/javascript",
-    "vendor/uPlot.min.css": "text/css",
-}
 _KEEP_ALIVE = 1.0
 _LOOK_SECONDS = 0.25 * STEP_SECONDS
-_AGAIN, _STILL_HERE = "retry: 500\n\n", "event: here\ndata: \n\n"
 _YEAR = 365 * 86400
 _WAY_IN = '<meta http-equiv="refresh" content="0; url=/">'
 """Instead of a redirection: that of a link in another page would come back without the cookie."""
@@ -40,6 +34,8 @@ _COMMAND_SECONDS = 10.0
 """How long the few bytes of a command may take to come."""
 _COMMANDS_AT_ONCE = 2
 """Of one bench: one that takes minutes, and one that is told so."""
+_WANTS = ("fault", "turn", "done")
+"""Screens that want the operator, the most urgent first."""
 
 
 def app_of(stations: Sequence[Station], access: Access) -> FastAPI:
@@ -51,8 +47,7 @@ def app_of(stations: Sequence[Station], access: Access) -> FastAPI:
     async def guarded(request: Request, call: Callable[[Request], Awaitable[Response]]) -> Response:
         refused = _refusal(request, access)
         response = refused if refused is not None else await call(request)
-        for name, value in HEADERS.items():
-            response.headers[name] = value
+        response.headers.update(HEADERS)
         return response
 
     @app.get("/favicon.ico")
@@ -60,58 +55,103 @@ def app_of(stations: Sequence[Station], access: Access) -> FastAPI:
         return Response(status_code=204)
 
     if len(stations) == 1:
-        app.include_router(_page_of(app, stations[0], access, dict))
+        _serve_bench(app, "", stations[0], access, dict)
         return app
-    app.include_router(_list_of(app, stations))
+    _serve_page(app, "", "benches.html", APIRouter())
+
+    @app.get("/events")
+    async def events(request: Request) -> Response:
+        return _stream(app, request, STEP_SECONDS, lambda: _event(listed(stations)))
+
     for number, station in enumerate(stations, 1):
-        routes = _page_of(app, station, access, partial(_others, stations, number))
-        app.include_router(routes, prefix=f"/{number}")
+        _serve_bench(app, f"/{number}", station, access, partial(_among, stations, number))
     return app
 
 
-def _others(stations: Sequence[Station], number: int) -> dict[str, Any]:
+def listed(stations: Sequence[Station]) -> dict[str, Any]:
+    """All benches by their numbers, from 1, and the number of the one to go to `next`: one that wants the operator,
+    else the one whose rest ends next."""
+    benches = [_listed(number, station.state) for number, station in enumerate(stations, 1)]
+
+    def urgency(bench: Listed) -> tuple[int, float]:
+        if bench["screen"] in _WANTS:
+            return _WANTS.index(bench["screen"]), 0.0
+        return len(_WANTS), math.inf if bench["left"] is None else bench["left"]
+
+    return {"benches": benches, "next": min(benches, key=urgency)["number"]}
+
+
+def _among(stations: Sequence[Station], number: int) -> dict[str, Any]:
     """What the page of a bench shows of all."""
     return {"bench": number, **listed(stations)}
 
 
-def _files(index: str) -> APIRouter:
-    """A page and its assets."""
-    routes = APIRouter()
+def _listed(number: int, state: State) -> Listed:
+    rest, fault = state.get("rest"), state["fault"]
+    return {
+        "number": number,
+        "unit": state["unit"],
+        "session": state["session"],
+        "screen": state["screen"],
+        "said": fault["said"] if fault else state["headline"],
+        "headline": state["headline"],
+        "at": rest["number"] if rest else 0,
+        "of": rest["of"] if rest else None,
+        "left": rest.get("left") if rest else None,
+        "to_go": state.get("to_go"),
+        "result": state["result"],
+        "source": state["received"]["source"],
+        "trouble": state["received"]["trouble"],
+    }
+
+
+def _serve_page(app: FastAPI, prefix: str, index: str, routes: APIRouter) -> None:
+    """Serve a page, its assets and its further routes."""
 
     @routes.get("/")
     async def page() -> Response:
         return FileResponse(PAGE / index, media_type="text/html; charset=utf-8")
 
-    @routes.get("/assets/{name:path}")
-    async def asset(name: str) -> Response:
-        if name not in ASSETS:
-            return _plain(404, "no such file")
-        return FileResponse(PAGE / name, media_type=ASSETS[name])
-
-    return routes
+    app.include_router(routes, prefix=prefix)
+    app.mount(f"{prefix}/assets", StaticFiles(directory=PAGE))
 
 
-def _list_of(app: FastAPI, stations: Sequence[Station]) -> APIRouter:
-    """The list of the benches."""
-    routes = _files("benches.html")
-
-    @routes.get("/events")
-    async def events(request: Request) -> Response:
-        return StreamingResponse(_lists(app, stations, request), media_type="text/event-stream")
-
-    return routes
-
-
-def _page_of(app: FastAPI, station: Station, access: Access, others: Callable[[], dict[str, Any]]) -> APIRouter:
-    """The page of a station; `others` goes with its state."""
-    routes = _files("index.html")
-    shown = _Shown(station, others)
+def _serve_bench(
+    app: FastAPI, prefix: str, station: Station, access: Access, others: Callable[[], Mapping[str, Any]]
+) -> None:
+    """Serve the page of a station; `others` goes with its state, which is written once for all pages that have got the
+    same before."""
+    routes = APIRouter()
     workers = ThreadPoolExecutor(_COMMANDS_AT_ONCE, thread_name_prefix="command")
+    written: dict[tuple[int, bool], tuple[str, int]] = {}
+    written_state: State = {}
+
+    def event(state: State, since: int, may_command: bool) -> tuple[str, int]:
+        """A state with the block means from number `since` on, and the number after the last."""
+        nonlocal written, written_state
+        if state is not written_state:
+            written, written_state = {}, state
+        if (since, may_command) not in written:
+            trace = station.trace(since)
+            whole = {**state, "trace": trace, "may_command": may_command, **others()}
+            written[since, may_command] = _event(whole), trace["next"]
+        return written[since, may_command]
 
     @routes.get("/events")
     async def events(request: Request) -> Response:
         may_command = access.knows(request.cookies.get(access.cookie))
-        return StreamingResponse(_events(app, shown, request, may_command), media_type="text/event-stream")
+        before: State = {}
+        said, since = "", 0
+
+        def now() -> str:
+            nonlocal before, said, since
+            state = station.state
+            if state is not before:
+                before = state
+                said, since = event(state, since, may_command)
+            return said
+
+        return _stream(app, request, _LOOK_SECONDS, now)
 
     @routes.get("/picture/{number}.svg")
     async def drawing(number: int) -> Response:
@@ -129,16 +169,15 @@ def _page_of(app: FastAPI, station: Station, access: Access, others: Callable[[]
 
     @routes.post("/command")
     async def command(request: Request) -> Response:
-        body = await _body(request)
         try:
-            given = json.loads(body)
+            given = json.loads(await _body(request))
             name, value = str(given["do"]), str(given.get("value", ""))
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
             return _plain(400, "expected a command")
         said = await asyncio.get_running_loop().run_in_executor(workers, station.command, name, value)
-        return Response(json.dumps({"said": said}), media_type="application/json")
+        return Response(to_json({"said": said}), media_type="application/json")
 
-    return routes
+    _serve_page(app, prefix, "index.html", routes)
 
 
 async def _body(request: Request) -> bytes:
@@ -176,69 +215,26 @@ def _plain(status: int, said: str) -> Response:
     return Response(said, status_code=status, media_type="text/plain")
 
 
-class _Shown:
-    """The states of a station as its pages get them, with what the page of a bench shows of the `others`: written once
-    for all pages that have got the same."""
+def _stream(app: FastAPI, request: Request, look_seconds: float, event: Callable[[], str]) -> Response:
+    """Events as they change, looked at so often; where none has for a second, a word that the server is here."""
 
-    def __init__(self, station: Station, others: Callable[[], dict[str, Any]]) -> None:
-        self.station, self._others = station, others
-        self._state: dict[str, Any] = {}
-        self._written: dict[tuple[int, bool], tuple[str, int]] = {}
+    async def events() -> AsyncIterator[str]:
+        yield "retry: 500\n\n"
+        before, said = "", 0.0
+        while not app.state.stopping and not await request.is_disconnected():
+            now = event()
+            if now is not before and now != before:
+                yield now
+            elif time.monotonic() - said > _KEEP_ALIVE:
+                yield "event: here\ndata: \n\n"
+            else:
+                await asyncio.sleep(look_seconds)
+                continue
+            before, said = now, time.monotonic()
 
-    def event(self, state: dict[str, Any], since: int, may_command: bool) -> tuple[str, int]:
-        """A state with the block means from number `since` on, and the number after the last."""
-        if state is not self._state:
-            self._state, self._written = state, {}
-        if (since, may_command) not in self._written:
-            trace = self.station.trace(since)
-            whole = state | {"trace": trace, "may_command": may_command} | self._others()
-            self._written[since, may_command] = _event(whole), trace["next"]
-        return self._written[since, may_command]
-
-
-async def _events(app: FastAPI, shown: _Shown, request: Request, may_command: bool) -> AsyncIterator[str]:
-    """The states as they change, each with the block means that are new since the one before."""
-    yield _AGAIN
-    before: dict[str, Any] = {}
-    since, said = 0, 0.0
-    while not app.state.stopping and not await request.is_disconnected():
-        state = shown.station.state
-        if state is not before:
-            before = state
-            event, since = shown.event(state, since, may_command)
-            yield event
-        elif time.monotonic() - said > _KEEP_ALIVE:
-            yield _STILL_HERE
-        else:
-            await asyncio.sleep(_LOOK_SECONDS)
-            continue
-        said = time.monotonic()
+    return StreamingResponse(events(), media_type="text/event-stream")
 
 
-async def _lists(app: FastAPI, stations: Sequence[Station], request: Request) -> AsyncIterator[str]:
-    """The list of the benches as it changes."""
-    yield _AGAIN
-    before, said = "", 0.0
-    while not app.state.stopping and not await request.is_disconnected():
-        now = _event(listed(stations))
-        if now != before:
-            yield now
-        elif time.monotonic() - said > _KEEP_ALIVE:
-            yield _STILL_HERE
-        else:
-            await asyncio.sleep(STEP_SECONDS)
-            continue
-        before, said = now, time.monotonic()
-
-
-def _event(value: dict[str, Any]) -> str:
-    return f"data: {json.dumps(_finite(value))}\n\n"
-
-
-def _finite(value: Any) -> Any:
-    """The same without numbers that JSON has none for."""
-    if isinstance(value, float):
-        return value if value == value and abs(value) != float("inf") else None
-    if isinstance(value, dict):
-        return {key: _finite(each) for key, each in value.items()}
-    return [_finite(each) for each in value] if isinstance(value, list | tuple) else value
+def _event(value: Mapping[str, Any]) -> str:
+    """A value as an event; numbers that JSON has none for are null."""
+    return f"data: {to_json(value, inf_nan_mode='null').decode()}\n\n"

@@ -11,12 +11,14 @@ from functools import reduce
 
 import numpy as np
 
-from tumble.bench.chain import Blocks, MeanUncertainty
-from tumble.bench.wishes import Wanted
+from tumble.bench.follow.wishes import Wanted
 from tumble.earth import EARTH_RATE
-from tumble.programme.positions import Move, Position, Programme
+from tumble.programme.positions import Programme
+from tumble.recording.session import Session
+from tumble.reduction.blocks import Reduction
+from tumble.reduction.coloured_noise import fit_coloured_noise
 from tumble.reduction.matching import POSITION_LIMIT, SAME_ATTITUDE
-from tumble.rotation import rotation_matrix, rotation_vector
+from tumble.rotation import onto_body, rotation_matrix, rotation_vector, unit_vector
 from tumble.units import Array, BoolArray
 
 CALM_BLOCKS = 5
@@ -30,6 +32,38 @@ OPPOSITE = 0.01
 """Sine of the angle between two verticals that are opposite: the way from one to the other is none in particular."""
 NOTHING_MORE = 0.93
 """Where twice the time leaves more than this of u, longer gives nothing."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Blocks:
+    """The blocks so far, in the body: their `edges` (K + 1,), s; specific force (K, 3), m/s²; angular rate (K, 3),
+    rad/s, and temperature (K,), K, where there are any."""
+
+    edges: Array
+    force: Array
+    rate: Array | None
+    temperature: Array | None
+
+    def __len__(self) -> int:
+        return len(self.force)
+
+    @staticmethod
+    def of(reduction: Reduction, session: Session) -> Blocks:
+        """The blocks of a reduction."""
+        file, gyro = reduction.files[-1], session.gyro_block
+        return Blocks(
+            edges=file.edges,
+            force=file.accel.means @ onto_body(session.accel_block.axes).T,
+            rate=None if gyro is None else file.gyro.means @ onto_body(gyro.axes).T,
+            temperature=None if file.temperature is None else file.temperature.mean(axis=1),
+        )
+
+    def turns(self, first: int, last: int, level: Array) -> Array:
+        """The rotation (3, 3) over blocks first … last − 1, body at its end → body at its start, by the gyros less
+        what they read at rest."""
+        assert self.rate is not None
+        seconds = np.diff(self.edges[first : last + 1])[:, None]
+        return np.asarray(reduce(np.matmul, rotation_matrix((self.rate[first:last] - level) * seconds), np.eye(3)))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -56,18 +90,20 @@ class Rest:
     @property
     def vertical(self) -> Array:
         """Direction of the mean specific force in the body."""
-        return np.asarray(self.force / np.linalg.norm(self.force))
+        return unit_vector(self.force)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Judged:
-    """A rest as it is now: how well it is known, s that are left to the wanted u, whether it is `enough`, and whether
-    longer would give nothing."""
+    """A rest as it is now: u of its mean by the accelerometers, m/s², and gyros, rad/s, the largest of the channels'
+    (None without, and while there is too little to tell it from); s that are left to the wanted u; whether it is
+    `enough`, and whether longer would give nothing."""
 
-    known: MeanUncertainty | None
-    left: float | None
-    enough: bool
-    nothing_more: bool
+    accel: float | None = None
+    gyro: float | None = None
+    left: float | None = None
+    enough: bool = False
+    nothing_more: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -93,16 +129,28 @@ class Progress:
         return self.groups[-1][-1] if self.lasts else None
 
 
-def judged(known: MeanUncertainty | None, seconds: float, wanted: Wanted) -> Judged:
-    """How good a rest of so many seconds is."""
-    if known is None:
-        return Judged(known=None, left=None, enough=False, nothing_more=False)
-    over = known.accel / wanted.accel
-    if known.gyro is not None:
-        over = max(over, known.gyro / wanted.gyro)
+def judged(reduction: Reduction, rest: Rest, wanted: Wanted) -> Judged:
+    """How good a rest is: u of its mean against the wanted ones, and what twice the time would leave of it."""
+    if rest.last - rest.first < 10:
+        return Judged()
+    file, seconds = reduction.files[-1], rest.stop - rest.start
+    accel, twice = _uncertain(file.accel.means[rest.first : rest.last])
+    over, gyro = accel / wanted.accel, None
+    if reduction.gyro_channels:
+        gyro, twice_gyro = _uncertain(file.gyro.means[rest.first : rest.last])
+        over, twice = max(over, gyro / wanted.gyro), max(twice, twice_gyro)
     left = max(seconds * (over**2 - 1.0), SHORTEST_REST - seconds, 0.0)
-    flat = known.twice > NOTHING_MORE and seconds > 10.0
-    return Judged(known=known, left=left, enough=left <= 0.0 or flat, nothing_more=flat)
+    flat = twice > NOTHING_MORE and seconds > 10.0
+    return Judged(accel=accel, gyro=gyro, left=left, enough=left <= 0.0 or flat, nothing_more=flat)
+
+
+def _uncertain(series: Array) -> tuple[float, float]:
+    """Standard uncertainty of the mean of block means (K, n), the largest of the channels', and what part of it twice
+    the time leaves."""
+    noise, count = fit_coloured_noise([series]), len(series)
+    now, twice = (np.sqrt(np.diag(noise.covariance_of_mean(k * count)).max()) for k in (1.0, 2.0))
+    u = max(float(now), 1e-12)
+    return u, float(twice) / u
 
 
 def rest_of(blocks: Blocks, first: int, last: int) -> Rest:
@@ -178,10 +226,7 @@ def _still(blocks: Blocks, before: Rest, after: Rest) -> bool:
         return False
     if blocks.rate is None or before.rate is None or after.rate is None:
         return True
-    between = slice(before.last, after.first)
-    seconds = np.diff(blocks.edges[before.last : after.first + 1])[:, None]
-    turns = rotation_matrix((blocks.rate[between] - 0.5 * (before.rate + after.rate)) * seconds)
-    back = reduce(np.matmul, turns, np.eye(3))
+    back = blocks.turns(before.last, after.first, 0.5 * (before.rate + after.rate))
     return float(np.linalg.norm(rotation_vector(back))) < SAME_ATTITUDE
 
 
@@ -189,10 +234,8 @@ def verticals(rests: list[Rest], programme: Programme, gravity: float) -> Array:
     """Verticals (N, 3) in the body, freed from bias by the median difference from the nearest positions."""
     forces = np.array([rest.force for rest in rests]).reshape(-1, 3)
     expected = np.array([position.vertical_b for position in programme.positions])
-    unit = forces / np.linalg.norm(forces, axis=1, keepdims=True)
-    bias = np.median(forces - gravity * expected[np.argmax(unit @ expected.T, axis=1)], axis=0)
-    free = forces - bias if len(rests) > 2 and np.linalg.norm(bias) < BIAS_LIMIT * gravity else forces
-    return np.asarray(free / np.linalg.norm(free, axis=1, keepdims=True))
+    bias = np.median(forces - gravity * expected[np.argmax(unit_vector(forces) @ expected.T, axis=1)], axis=0)
+    return unit_vector(forces - bias if len(rests) > 2 and np.linalg.norm(bias) < BIAS_LIMIT * gravity else forces)
 
 
 def attitude_now(programme: Programme, progress: Progress, index: int, at: int) -> Array | None:
@@ -201,27 +244,17 @@ def attitude_now(programme: Programme, progress: Progress, index: int, at: int) 
     nearest to that position with the vertical as it is read; None where that is none."""
     blocks, groups, wanted = progress.blocks, progress.groups, programme.positions[index].matrix
     before = groups[at - 1][-1] if 0 < at <= len(groups) else None
-    if programme.ordered and index and before is not None and before.rate is not None and blocks.rate is not None:
-        since = slice(before.last, len(blocks))
-        seconds = np.diff(blocks.edges[since.start : since.stop + 1])[:, None]
-        if seconds.sum() < KNOWN_SECONDS:
-            turns = rotation_matrix((blocks.rate[since] - before.rate) * seconds)
-            return np.asarray(reduce(np.matmul, turns, programme.positions[index - 1].matrix))
-    vertical = blocks.force[-CALM_BLOCKS:].mean(axis=0)
-    vertical = vertical / np.linalg.norm(vertical)
+    known = programme.ordered and index and before is not None and progress.now - before.stop < KNOWN_SECONDS
+    if known and before is not None and before.rate is not None and blocks.rate is not None:
+        turned = blocks.turns(before.last, len(blocks), before.rate)
+        return np.asarray(programme.positions[index - 1].matrix @ turned)
+    vertical = unit_vector(blocks.force[-CALM_BLOCKS:].mean(axis=0))
     across = np.cross(vertical, expected := programme.positions[index].vertical_b)
     sine = float(np.linalg.norm(across))
     if sine < OPPOSITE and vertical @ expected < 0.0:
         return None
     angle = float(np.arctan2(sine, vertical @ expected))
     return np.asarray(wanted @ rotation_matrix(angle * across / max(sine, OPPOSITE)))
-
-
-def against(move: Move, before: Position, turned: Array) -> float:
-    """How far, rad, a turn under way has gone against its sense; 0 where it goes the right way."""
-    if move.axis is None or move.angle is None:
-        return 0.0
-    return max(0.0, -float(turned @ (before.matrix.T @ move.axis)) * float(np.sign(move.angle)))
 
 
 def nearest_positions(programme: Programme, units: Array) -> list[int | None]:

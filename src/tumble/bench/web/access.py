@@ -89,11 +89,7 @@ class Access:
         name, port = _split(host)
         if name is None or (self.loopback and port != self.port):
             return False
-        if name in ("localhost", self.host):
-            return True
-        if is_loopback(name):
-            return True
-        return not self.loopback and _is_address(name)
+        return name == self.host or is_loopback(name) or (not self.loopback and _is_address(name))
 
     def same_origin(self, origin: str | None, host: str | None) -> bool:
         """Whether a page of this server sends the request, itself or through a proxy that encrypts."""

@@ -7,13 +7,12 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
 
-from tumble.bench.follow import growing_file
-from tumble.bench.lines import Lines, numbers_in
-from tumble.bench.order import Order
-from tumble.bench.recorder import Recorder
-from tumble.bench.sources import Ended, LineSource
+from tumble.bench.record.lines import Lines, numbers_in
+from tumble.bench.record.order import Order
+from tumble.bench.record.recorder import Recorder, growing_file
+from tumble.bench.record.sources import Ended, LineSource
+from tumble.bench.state import Received
 from tumble.recording.session import Session
 
 log = logging.getLogger(__name__)
@@ -22,62 +21,37 @@ READ_SECONDS = 0.05
 SILENT_SECONDS = 2.0
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Received:
-    """What has come so far: rows recorded, what was refused (a row whose time leaps too), late or repeated; whether the
-    source has `ended`, for how long it has been `silent`, s, and what is wrong, in words."""
-
-    source: str
-    rows: int
-    refused: int
-    last_refused: str
-    late: int
-    repeated: int
-    ended: bool
-    silent: float
-    trouble: tuple[str, ...]
-
-
 class Intake:
-    """Records a source into the log of a session until it is stopped."""
+    """Records a source into the log of a session until it is stopped; `rows` are recorded, and the source may have
+    `ended`."""
 
     def __init__(self, source: LineSource, session: Session, *, now: Callable[[], float] = time.monotonic) -> None:
         spec = session.log
-        columns = spec.columns
-        self.path = growing_file(spec)
-        self.recorder = Recorder(self.path, ",".join(columns))
         self.source = source
-        self.lines = Lines(columns=columns, clock=spec.time, refuse=self.recorder.refuse)
-        self.order = Order(
-            unordered=source.unordered,
-            seconds=spec.time_factor,
-            refuse=self.recorder.refuse,
-            last=self._last(spec.time),
-        )
+        self.recorder = Recorder(growing_file(spec), ",".join(spec.columns))
+        self.lines = Lines(columns=spec.columns, clock=spec.time, refuse=self.recorder.refuse)
         self._now, self._heard = now, now()
         self.rows, self.ended = 0, False
         self._failure = ""
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="intake", daemon=True)
         try:
-            self._resume(spec.time_factor)
+            recorded = self.lines.feed(self.recorder.last_line().encode() + b"\n") if spec.time is not None else []
+            self.order = Order(
+                unordered=source.unordered,
+                seconds=spec.time_factor,
+                refuse=self.recorder.refuse,
+                last=recorded[-1].time if recorded else None,
+            )
+            waited = [row for line in self.recorder.waiting() for row in self.lines.feed(line.encode() + b"\n")]
+            self.recorder.append(self.order.feed(waited))
+            self.recorder.hold(self.order.waiting)
+            skip_to = getattr(source, "skip_to", None)
+            if skip_to is not None and self.order.last is not None:
+                skip_to(self.order.last * spec.time_factor)
         except BaseException:
             self.recorder.close()
             raise
-
-    def _last(self, clock: str | None) -> float | None:
-        """The time of the last row that is recorded."""
-        rows = self.lines.feed(self.recorder.last_line().encode() + b"\n") if clock is not None else []
-        return rows[-1].time if rows else None
-
-    def _resume(self, seconds: float) -> None:
-        """Record what waited when the recording ended, and let the source go on from there if it can."""
-        waited = [row for line in self.recorder.waiting() for row in self.lines.feed(line.encode() + b"\n")]
-        self.recorder.append(self.order.feed(waited))
-        self.recorder.hold(self.order.waiting)
-        skip_to = getattr(self.source, "skip_to", None)
-        if skip_to is not None and self.order.last is not None:
-            skip_to(self.order.last * seconds)
 
     def start(self) -> None:
         """Begin to listen."""
@@ -95,9 +69,9 @@ class Intake:
         data = b""
         try:
             data = self.source.read(READ_SECONDS)
-            self.take(data)
+            self._take(data)
         except Ended:
-            self.take(b"\n")
+            self._take(b"\n")
             self.ended = True
         except Exception as error:
             failure = " ".join(f"an error of the program while receiving ({type(error).__name__}: {error})".split())
@@ -113,7 +87,7 @@ class Intake:
         self.recorder.hold([])
         self.recorder.close()
 
-    def take(self, data: bytes) -> None:
+    def _take(self, data: bytes) -> None:
         """Record what was received."""
         waited = bool(self.order.waiting)
         rows = self._rows(data) if data or waited else []
@@ -142,21 +116,18 @@ class Intake:
 
     @property
     def received(self) -> Received:
-        """What has come so far."""
+        """What was wrong with what has come so far: what was refused (a row whose time leaps too), late or repeated."""
         silent = 0.0 if self.ended else self._now() - self._heard
         trouble = [said for said in (self.recorder.trouble, self.source.trouble, self._failure) if said]
         if self.order.restarted:
             trouble.append("the clock of the unit has started anew: this is another power-on, record it as one")
         if silent > SILENT_SECONDS and not self.source.trouble:
             trouble.append(f"nothing has come for {silent:.0f} s")
-        return Received(
-            source=self.source.name,
-            rows=self.rows,
-            refused=self.lines.refused + self.order.leapt,
-            last_refused=self.lines.last_refused or ("a time far from the next" if self.order.leapt else ""),
-            late=self.order.late,
-            repeated=self.order.repeated,
-            ended=self.ended,
-            silent=silent,
-            trouble=tuple(trouble),
-        )
+        return {
+            "refused": self.lines.refused + self.order.leapt,
+            "why": self.lines.last_refused or ("a time far from the next" if self.order.leapt else ""),
+            "late": self.order.late,
+            "repeated": self.order.repeated,
+            "ended": self.ended,
+            "trouble": trouble,
+        }

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
+from tumble.bench.record.sources import LOOPBACK, LineSource
 from tumble.errors import InputError, needs_extra
 from tumble.units import G_STANDARD
 
@@ -18,7 +19,7 @@ _CHOOSE_SECONDS = 1.0
 _MILLI = 1e-3
 
 
-class Mavlink:
+class Mavlink(LineSource):
     """MAVLink on a UDP port or a serial line."""
 
     unordered = True
@@ -27,13 +28,14 @@ class Mavlink:
         with needs_extra("MAVLink", "bench", "pymavlink"):
             from pymavlink import mavutil
         self.name = f"mavlink:{where}"
-        self.trouble: str | None = None
         kind, _, rest = where.partition(":")
         host, _, port = rest.rpartition(":")
         device, _, baud = where.rpartition(":")
-        address = f"udpin:{host or '127.0.0.1'}:{port}" if kind == "udp" else device
         try:
-            self._link: Any = mavutil.mavlink_connection(address, baud=int(baud) if kind != "udp" else 115200)
+            if kind == "udp":
+                self._link: Any = mavutil.mavlink_connection(f"udpin:{host or LOOPBACK}:{port}")
+            else:
+                self._link = mavutil.mavlink_connection(device, baud=int(baud))
         except (OSError, ValueError) as error:
             raise InputError(
                 f"--listen {self.name}: expected mavlink:udp:PORT or mavlink:DEVICE:BAUD: {error}"

@@ -55,10 +55,6 @@ class Results:
         """With one file more."""
         return self if name in self.files else replace(self, files=(*self.files, name))
 
-    def registered_as(self, said: str) -> Results:
-        """With what the registry said."""
-        return replace(self, registered=said)
-
     def shown(self) -> dict[str, Any]:
         """For the page, with the formats that it may be exported to."""
         return {**asdict(self), "formats": list(FROM_THE_CALIBRATION_ALONE)}
@@ -84,14 +80,11 @@ def _made(fresh: Path, *words: str, stopped: threading.Event) -> bool:
     its own, which leaves this one its time and gives back its memory, and is ended when the bench is `stopped`. No
     module of the folder it runs in is taken for one of Python's or of tumble's (-P). Raises CalibrationError with what
     it says, for any end but with a verdict and a file."""
+    command = [sys.executable, "-P", "-m", "tumble", *words]
+    nowhere = subprocess.DEVNULL
     with (
         tempfile.TemporaryFile() as said,
-        subprocess.Popen(
-            [sys.executable, "-P", "-m", "tumble", *words],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=said,
-        ) as process,
+        subprocess.Popen(command, stdin=nowhere, stdout=nowhere, stderr=said) as process,
     ):
         while process.poll() is None:
             if stopped.wait(_LOOK_SECONDS):
@@ -116,12 +109,10 @@ def report_of(folder: Path, stopped: threading.Event) -> str:
 
 def exported(folder: Path, to: str) -> str:
     """Write a calibration as another program reads it, beside it; the name of the file."""
-    from tumble.calibration.calibration_file import read_calibration
-
-    found = export_calibration(read_calibration(folder / CALIBRATION_FILE), to)
+    content = export_calibration(folder / CALIBRATION_FILE, to).content
     name = f"export-{to}{FORMATS[to].ending}"
     with whole_file(folder / name) as temporary:
-        temporary.write_bytes(found.content)
+        temporary.write_bytes(content)
     return name
 
 
@@ -131,12 +122,11 @@ def registered(folder: Path, place: str | None) -> str:
     from tumble.registry.store.connect import extra_named
 
     with extra_named():
-        from tumble.registry.adding import Particulars, add, read_submission
+        from tumble.registry.adding import add_calibration
         from tumble.registry.store.connect import open_registry
 
-        submission = read_submission(folder / CALIBRATION_FILE, Particulars())
         with open_registry(place, create=True) as opened:
-            added = add(opened, submission)
+            added = add_calibration(opened, folder / CALIBRATION_FILE)
     verdict = added.record.verdict
     said = "registered as" if added.new else "registered before: it is"
     judged = "no limits are set for it" if verdict is None else f"its limits say: {verdict}"
