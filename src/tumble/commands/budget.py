@@ -28,8 +28,8 @@ def budget(methods: tuple[PlannedMethod, ...], iterations: int, as_json: bool, *
     """Expected errors of a calibration before it is made, from the accuracy formulas, and the least possible."""
     from tumble.planning.bounds import bound
     from tumble.planning.budget import budget
-    from tumble.views.planning import budget_table
-    from tumble.views.render.data import budget_data, print_data
+    from tumble.views.planning import budget_data, budget_table
+    from tumble.views.render.data import print_data
     from tumble.views.render.terminal import print_blocks
 
     if not methods:

@@ -179,9 +179,10 @@ def _show(
 ) -> None:
     """Print a calibration, beside those of other methods and the truth: as JSON, or in tables of `every` parameter."""
     if as_json:
-        from tumble.views.render.data import calibration_data, print_data
+        from tumble.views.render.data import print_data
 
-        print_data(calibration_data(result, *others))
+        content = result.content()
+        print_data(content | {"others": [other.content() for other in others]} if others else content)
     else:
         from tumble.views.calibration import calibration_blocks
         from tumble.views.render.terminal import print_blocks

@@ -35,8 +35,8 @@ def check(calibration: Path, session: Path, out: Path | None, force: bool, place
     """
     from tumble.calibration.check import check_calibration
     from tumble.recording.session_file import read_session
-    from tumble.views.checks import field_check_blocks
-    from tumble.views.render.data import field_check_data, print_data
+    from tumble.views.checks import field_check_blocks, field_check_data
+    from tumble.views.render.data import print_data
     from tumble.views.render.terminal import print_blocks
 
     described = read_session(session)

@@ -23,8 +23,8 @@ def compare(first: Path, second: Path, gyro: Path | None, as_json: bool) -> None
     Exit status 0: the largest |E_n| and χ² are within chance (probability 0.01 of so many, and 0.001); 1: otherwise.
     """
     from tumble.calibration.compare import compare_calibrations
-    from tumble.views.checks import comparison_blocks
-    from tumble.views.render.data import comparison_data, print_data
+    from tumble.views.checks import comparison_blocks, comparison_data
+    from tumble.views.render.data import print_data
     from tumble.views.render.terminal import print_blocks
 
     found = compare_calibrations(first, second, gyro=gyro)

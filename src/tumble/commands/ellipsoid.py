@@ -88,7 +88,7 @@ def ellipsoid(
     """
     from tumble.calibration.from_readings import calibrate_table
     from tumble.views.readings import readings_blocks
-    from tumble.views.render.data import calibration_data, print_data
+    from tumble.views.render.data import print_data
     from tumble.views.render.terminal import print_blocks
 
     result = calibrate_table(
@@ -111,7 +111,7 @@ def ellipsoid(
     target = out or readings.with_suffix(".calibration.json")
     result.calibration.write(target, force=force)
     if as_json:
-        print_data(calibration_data(result.calibration))
+        print_data(result.calibration.content())
     else:
         print_blocks(*readings_blocks(result))
     say(f"written to {target}")

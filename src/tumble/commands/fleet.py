@@ -30,14 +30,15 @@ def fleet(
     where it was when the same command is given again.
     """
     from tumble.campaigns.run import fleet
-    from tumble.views.render.data import fleet_data, print_data
+    from tumble.views.render.data import print_data
 
     with task_progress("sessions", out) as progress:
         result = fleet(sessions, out, method=method, serial=serial, cluster=cluster, workers=workers, progress=progress)
     ended = result.tally
     refused, failed = len(ended.refused), len(ended.failed)
     if as_json:
-        print_data(fleet_data(len(result.sessions), ended, result.rows))
+        tally = {"accepted": ended.accepted, "refused": dict(ended.refused), "failed": dict(ended.failed)}
+        print_data({"sessions": len(result.sessions), **tally, "rows": str(result.rows)})
     else:
         click.echo(
             f"{len(result.sessions)} sessions: {ended.accepted} accepted, {refused} not accepted, {failed} failed"

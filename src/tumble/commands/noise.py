@@ -45,9 +45,9 @@ def noise(
     """
     from tumble.calibration.quiet_samples import is_session, noise
     from tumble.drafting.new_session import Given, new_session
-    from tumble.views.noise import noise_blocks
+    from tumble.views.noise import noise_blocks, noise_data
     from tumble.views.noise import plot as draw
-    from tumble.views.render.data import noise_data, print_data
+    from tumble.views.render.data import print_data
     from tumble.views.render.terminal import print_blocks
 
     if is_session(recording):

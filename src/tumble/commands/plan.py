@@ -49,8 +49,8 @@ def plan(
     from tumble.planning.reachable_attitudes import TurnTable
     from tumble.planning.requirements import wanted_of
     from tumble.programme.positions import from_attitudes
-    from tumble.views.planning import plan_blocks, short_of
-    from tumble.views.render.data import plan_data, print_data
+    from tumble.views.planning import plan_blocks, plan_data, short_of
+    from tumble.views.render.data import print_data
     from tumble.views.render.terminal import print_blocks
 
     setup = setup_of(options)
@@ -82,8 +82,8 @@ def _over_temperature(
     """Print the plan of recordings over temperature, and exit."""
     from tumble.planning.over_temperature import Chamber, plan_over_temperature, wanted_over_temperature
     from tumble.simulation.chamber import chamber_sessions
-    from tumble.views.planning import short_over_temperature, thermal_plan_blocks
-    from tumble.views.render.data import print_data, thermal_plan_data
+    from tumble.views.planning import short_over_temperature, thermal_plan_blocks, thermal_plan_data
+    from tumble.views.render.data import print_data
     from tumble.views.render.terminal import print_blocks
 
     wishes, (rate, time_constant) = wanted_over_temperature(wanted), chamber

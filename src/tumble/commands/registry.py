@@ -111,8 +111,8 @@ def add(
 def _print_record(opened: Registry, record: Record, as_json: bool, every: bool) -> bool:
     """Print a record with the verdict on it, and whether it passes."""
     from tumble.registry.series import calibration_in, verdict_of
-    from tumble.views.registry import record_blocks
-    from tumble.views.render.data import print_data, record_data
+    from tumble.views.registry import record_blocks, record_data
+    from tumble.views.render.data import print_data
     from tumble.views.render.terminal import print_blocks
 
     verdict, calibration = verdict_of(opened, record), calibration_in(opened, record, record.frame)
@@ -143,15 +143,16 @@ def list_(serial: str | None, as_json: bool, place: str | None) -> None:
         if serial is not None:
             found = records(opened, serial)
             if as_json:
-                from tumble.views.render.data import print_data, records_data
+                from tumble.views.render.data import print_data
 
-                print_data(records_data(found))
+                print_data({"records": found})
             else:
                 print_blocks(record_table(found))
             return
         latest = sorted(due_of(opened), key=lambda item: item.record.serial)
         if as_json:
-            from tumble.views.render.data import devices_data, print_data
+            from tumble.views.registry_lists import devices_data
+            from tumble.views.render.data import print_data
 
             print_data(devices_data(latest))
         else:
@@ -199,8 +200,8 @@ def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, e
     """
     from tumble.registry.monitor import monitored
     from tumble.registry.store.connect import open_registry
-    from tumble.views.registry import history_blocks, trend_blocks
-    from tumble.views.render.data import print_data, trend_data
+    from tumble.views.registry import history_blocks, trend_blocks, trend_data
+    from tumble.views.render.data import print_data
     from tumble.views.render.terminal import print_blocks
 
     with open_registry(place) as opened:
@@ -235,8 +236,8 @@ def limits(model: str | None, file: Path | None, as_json: bool, place: str | Non
     from tumble.registry.store.connect import open_registry
     from tumble.registry.store.rows import every_limits
     from tumble.views.registry import limits_blocks
-    from tumble.views.registry_lists import limits_table
-    from tumble.views.render.data import limits_data, print_data
+    from tumble.views.registry_lists import limits_data, limits_table
+    from tumble.views.render.data import print_data
     from tumble.views.render.terminal import print_blocks
 
     given = None if file is None else read_limits(file)
@@ -277,7 +278,8 @@ def due(day: datetime | None, as_json: bool, place: str | None) -> None:
     with open_registry(place) as opened:
         found = due_of(opened)
     if as_json:
-        from tumble.views.render.data import due_data, print_data
+        from tumble.views.registry_lists import due_data
+        from tumble.views.render.data import print_data
 
         print_data(due_data(found, today))
     else:

@@ -21,8 +21,8 @@ def verify(calibration: Path, readings: Path, as_json: bool) -> None:
     each is left out in turn.
     """
     from tumble.calibration.verify import verify_calibration
-    from tumble.views.checks import verification_blocks
-    from tumble.views.render.data import print_data, verification_data
+    from tumble.views.checks import verification_blocks, verification_data
+    from tumble.views.render.data import print_data
     from tumble.views.render.terminal import print_blocks
 
     verification = verify_calibration(calibration, readings)
