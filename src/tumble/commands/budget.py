@@ -31,8 +31,7 @@ def budget(method: tuple[PlannedMethod, ...], iterations: int, as_json: bool, **
     """Expected errors of a calibration before it is made, from the accuracy formulas, and the least possible."""
     from tumble.planning.bounds import bound
     from tumble.planning.budget import budget
-    from tumble.views.planning import budget_table
-    from tumble.views.render.data import budget_data
+    from tumble.views.planning import budget_data, budget_table
 
     methods = method
     if not methods:

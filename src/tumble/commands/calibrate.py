@@ -92,7 +92,6 @@ def calibrate(
     from tumble.recording.session_file import read_session
     from tumble.simulation.session import read_truth
     from tumble.views.calibration import calibration_blocks
-    from tumble.views.render.data import calibration_data
 
     methods = tuple(dict.fromkeys(method))
     if len(sessions) > 1 and out is None:
@@ -127,7 +126,7 @@ def calibrate(
     known = None if true is None else _true_at(result, true)
     show(
         as_json,
-        lambda: calibration_data(result, *others),
+        lambda: result.content() | ({"others": [other.content() for other in others]} if others else {}),
         lambda: calibration_blocks(result, known, others, every=every),
     )
     say(f"written to {target}")

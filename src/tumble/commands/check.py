@@ -42,8 +42,7 @@ def check(
     from tumble.calibration.check import check_calibration
     from tumble.recording.session_file import read_session
     from tumble.registry.store.connect import extra_named
-    from tumble.views.checks import field_check_blocks
-    from tumble.views.render.data import field_check_data
+    from tumble.views.checks import field_check_blocks, field_check_data
 
     described = read_session(session)
     launches: tuple[KnownLaunches, ...] = ()

@@ -63,13 +63,12 @@ def ellipsoid(
     """
     from tumble.calibration.from_readings import calibrate_table
     from tumble.views.readings import readings_blocks
-    from tumble.views.render.data import calibration_data
 
     nominal = None if scale is None else _numbers("--scale", scale)
     result = calibrate_table(readings, scale=nominal, known=dict(map(_position, positions)), **options)
     target = out or readings.with_suffix(".calibration.json")
     result.calibration.write(target, force=force)
-    show(as_json, lambda: calibration_data(result.calibration), lambda: readings_blocks(result))
+    show(as_json, result.calibration.content, lambda: readings_blocks(result))
     say(f"written to {target}")
     end(result.calibration.outcome.reasons, "not accepted: ")
 

@@ -26,14 +26,15 @@ def fleet(sessions: str, method: Method, as_json: bool, out: Path, **place: Any)
     where it was when the same command is given again.
     """
     from tumble.campaigns.run import fleet
-    from tumble.views.render.data import fleet_data, print_data
+    from tumble.views.render.data import print_data
 
     with task_progress("sessions", out) as progress:
         result = fleet(sessions, out, method=method, progress=progress, **place)
     ended = result.tally
     outcomes = {"not accepted": ended.refused, "failed": ended.failed}
     if as_json:
-        print_data(fleet_data(len(result.sessions), ended, result.rows))
+        tally = {"accepted": ended.accepted, "refused": dict(ended.refused), "failed": dict(ended.failed)}
+        print_data({"sessions": len(result.sessions), **tally, "rows": str(result.rows)})
     else:
         counts = [f"{len(sessions_why)} {how}" for how, sessions_why in outcomes.items()]
         click.echo(f"{len(result.sessions)} sessions: {ended.accepted} accepted, {', '.join(counts)}")

@@ -45,8 +45,7 @@ def noise(
 
     from tumble.calibration.quiet_samples import is_session, noise
     from tumble.drafting.new_session import new_session
-    from tumble.views.noise import noise_blocks, plot
-    from tumble.views.render.data import noise_data
+    from tumble.views.noise import noise_blocks, noise_data, plot
 
     if is_session(recording):
         found = noise(recording)

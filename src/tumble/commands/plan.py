@@ -43,7 +43,6 @@ def plan(
     """The least uncertainty a programme allows, the best next position, and better programmes; over temperature with
     the time in a chamber."""
     from tumble.programme.positions import from_attitudes
-    from tumble.views.render import data
 
     setup = setup_of(options)
     if attitudes:
@@ -55,7 +54,7 @@ def plan(
             )
         from tumble.planning.over_temperature import Chamber, plan_over_temperature, wanted_over_temperature
         from tumble.simulation.chamber import chamber_sessions
-        from tumble.views.planning import short_over_temperature, thermal_plan_blocks
+        from tumble.views.planning import short_over_temperature, thermal_plan_blocks, thermal_plan_data
 
         wishes_over_temperature = wanted_over_temperature(wanted)
         chamber = Chamber.of(per_minute=chamber_rate, time_constant=time_constant)
@@ -63,18 +62,18 @@ def plan(
             sessions = chamber_sessions(recordings, setup)
             thermal = plan_over_temperature(setup, sessions, chamber=chamber, gyros=not accel_only)
         reasons = short_over_temperature(thermal, wishes_over_temperature)
-        show(as_json, lambda: data.thermal_plan_data(thermal, reasons), lambda: thermal_plan_blocks(thermal))
+        show(as_json, lambda: thermal_plan_data(thermal, reasons), lambda: thermal_plan_blocks(thermal))
         for note in () if as_json else thermal.notes:
             say(f"note: {note}")
         end(reasons)
     from tumble.planning.best_positions import Aim, plan
     from tumble.planning.reachable_attitudes import TurnTable
     from tumble.planning.requirements import wanted_of
-    from tumble.views.planning import plan_blocks, short_of
+    from tumble.views.planning import plan_blocks, plan_data, short_of
 
     aim = Aim(letter=criterion, wanted=wanted_of(wanted, None, setup) if wanted else {}, gyros=not accel_only)
     with working("planning") as progress:
         found = plan(setup, positions=positions, aim=aim, table=TurnTable.of(axes, step), progress=progress)
     reasons = short_of(found.bound, aim, found.setup)
-    show(as_json, lambda: data.plan_data(found, reasons), lambda: plan_blocks(found, aim))
+    show(as_json, lambda: plan_data(found, reasons), lambda: plan_blocks(found, aim))
     end(reasons)

@@ -110,8 +110,7 @@ def add(
 def _print_record(opened: Registry, record: Record, as_json: bool, every: bool) -> bool:
     """Print a record with the verdict on it, and whether it passes."""
     from tumble.registry.series import calibration_in, verdict_of
-    from tumble.views.registry import record_blocks
-    from tumble.views.render.data import record_data
+    from tumble.views.registry import record_blocks, record_data
 
     verdict, calibration = verdict_of(opened, record), calibration_in(opened, record, record.frame)
     show(
@@ -134,13 +133,12 @@ def list_(serial: str | None, as_json: bool, place: str | None) -> None:
     from tumble.registry.due import due as due_of
     from tumble.registry.records import records
     from tumble.registry.store.connect import open_registry
-    from tumble.views.registry_lists import device_table, record_table
-    from tumble.views.render.data import devices_data, records_data
+    from tumble.views.registry_lists import device_table, devices_data, record_table
 
     with open_registry(place) as opened:
         if serial is not None:
             found = records(opened, serial)
-            show(as_json, lambda: records_data(found), lambda: [record_table(found)])
+            show(as_json, lambda: {"records": found}, lambda: [record_table(found)])
             return
         latest = sorted(due_of(opened), key=lambda item: item.record.serial)
         show(as_json, lambda: devices_data(latest), lambda: [device_table(latest)])
@@ -179,8 +177,7 @@ def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, e
     """
     from tumble.registry.monitor import monitored
     from tumble.registry.store.connect import open_registry
-    from tumble.views.registry import history_blocks, trend_blocks
-    from tumble.views.render.data import trend_data
+    from tumble.views.registry import history_blocks, trend_blocks, trend_data
 
     with open_registry(place) as opened:
         found = monitored(opened, serial, parameter)
@@ -214,8 +211,7 @@ def limits(model: str | None, file: Path | None, as_json: bool, place: str | Non
     from tumble.registry.store.connect import open_registry
     from tumble.registry.store.rows import every_limits
     from tumble.views.registry import limits_blocks
-    from tumble.views.registry_lists import limits_table
-    from tumble.views.render.data import limits_data
+    from tumble.views.registry_lists import limits_data, limits_table
 
     given = None if file is None else read_limits(file)
     with open_registry(place, create=given is not None) as opened:
@@ -248,8 +244,7 @@ def due(day: datetime | None, as_json: bool, place: str | None) -> None:
 
     from tumble.registry.due import due as due_of
     from tumble.registry.store.connect import open_registry
-    from tumble.views.registry_lists import due_table
-    from tumble.views.render.data import due_data
+    from tumble.views.registry_lists import due_data, due_table
 
     today = datetime.now(UTC).date() if day is None else day.date()
     with open_registry(place) as opened:

@@ -48,8 +48,7 @@ def require(
 ) -> None:
     """The table, the mounting and the rests that a wanted accuracy needs; what no table can give is named."""
     from tumble.planning.requirements import require, wanted_of
-    from tumble.views.planning import requirement_blocks
-    from tumble.views.render.data import requirements_data
+    from tumble.views.planning import requirement_blocks, requirements_data
 
     options["terms"] = options["terms"] or ("full" if method == "joint" else "linear")
     setup = setup_of(options)

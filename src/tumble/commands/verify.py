@@ -20,8 +20,7 @@ def verify(calibration: Path, readings: Path, as_json: bool) -> None:
     each is left out in turn.
     """
     from tumble.calibration.verify import verify_calibration
-    from tumble.views.checks import verification_blocks
-    from tumble.views.render.data import verification_data
+    from tumble.views.checks import verification_blocks, verification_data
 
     found = verify_calibration(calibration, readings)
     show(as_json, lambda: verification_data(found), lambda: verification_blocks(found))

@@ -3,9 +3,9 @@ as PDF.
 
     blocks       sentences, tables, names with what they are, pictures
     numbers      one choice of units, one formatting of a value with its uncertainty
-    render/      terminal, notebook, page (HTML), pdf, data (JSON), pictures (files)
+    render/      terminal, notebook, page (HTML), pdf, data (how JSON is written), pictures (files)
     calibration, readings, inspection, checks, noise, planning, campaign, registry, sheet
-                 the blocks and pictures of each kind of result
+                 the blocks, the content as JSON and the pictures of each kind of result
     registry_lists, control_chart, chart_panel
                  lists of the registry, the page of a device over its calibrations
     report/      the document that a laboratory signs

@@ -24,6 +24,11 @@ class Text:
     kind: Literal["text"] = "text"
 
 
+def texts(sentences: Iterable[str], tone: Literal["plain", "small"] = "plain") -> list[Block]:
+    """A paragraph of each sentence."""
+    return [Text(text=sentence, tone=tone) for sentence in sentences]
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Items:
     """A list of sentences."""
@@ -193,10 +198,10 @@ class Document:
     tone: Tone
     verdict: str
     facts: tuple[tuple[str, str], ...]
-    created: str
     parts: tuple[Part, ...]
-    statements: tuple[str, ...]
-    signatures: tuple[Signature, ...]
     closing: str
+    created: str = ""
+    statements: tuple[str, ...] = ()
+    signatures: tuple[Signature, ...] = ()
     number: str = ""
     letterhead: Letterhead | None = None

@@ -6,14 +6,13 @@ The axis of values follows the data. A limit that is near is drawn; one that is 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from datetime import datetime, timedelta
+from collections.abc import Iterable, Mapping
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from tumble.registry.series import SeriesPoint
 from tumble.registry.trend import YEAR, Trend
 from tumble.registry.types import STATES
 from tumble.views.numbers import limit_cell, minus
@@ -43,12 +42,13 @@ def draw_panel(
 
     made: Any = matplotlib.dates  # its classes have no types
     size, name = unit
-    points = trend.series.points
-    values = np.array([p.value for p in points]) / size
-    bars = np.array([expanded_of(p) or 0.0 for p in points]) / size
-    low, high = _heights(values, bars, None if limits is None else tuple(limit / size for limit in limits))
+    values = np.array([p.value for p in trend.series.points]) / size
+    bars = np.array([expanded_of(p) or 0.0 for p in trend.series.points]) / size
+    low, high = _heights(values, bars, () if limits is None else tuple(limit / size for limit in limits))
     _draw_points(axes, trend, verdicts, values, bars)
-    _draw_launches(axes, points, size)
+    for point in trend.series.points:
+        launches = [value / size for value, _ in point.launches]
+        axes.plot(_times([point.performed] * len(launches)), launches, "_", markersize=4.0, color=GREY)
     _draw_drift(axes, trend, size)
     axes.set_ylim(low, high)
     if limits is not None:
@@ -61,14 +61,14 @@ def draw_panel(
 
 
 def _heights(
-    values: npt.NDArray[np.float64], bars: npt.NDArray[np.float64], limits: tuple[float, ...] | None
+    values: npt.NDArray[np.float64], bars: npt.NDArray[np.float64], limits: tuple[float, ...]
 ) -> tuple[float, float]:
     """The lowest and the highest value shown."""
     longest = _LONGEST_BAR * max(float(np.ptp(values)), float(np.median(bars)))
     shown = np.minimum(bars, longest)
     low, high = float((values - shown).min()), float((values + shown).max())
     height = (high - low) or abs(high) or 1.0
-    near = [limit for limit in limits or () if low - _NEAR * height <= limit <= high + _NEAR * height]
+    near = [limit for limit in limits if low - _NEAR * height <= limit <= high + _NEAR * height]
     low, high = min([low, *near]), max([high, *near])
     margin = 0.1 * ((high - low) or height)
     return low - margin, high + margin
@@ -81,39 +81,20 @@ def _draw_points(
     values: npt.NDArray[np.float64],
     bars: npt.NDArray[np.float64],
 ) -> None:
-    """Values with U, in the colour of their verdict, and rings where E_n is beyond 1."""
-    points = trend.series.points
+    """Values with U, in the colour of their verdict; rings where E_n is beyond 1, with it beside the value on the side
+    from which it did not come."""
     changed = {c.later: c.e_n for c in trend.changes if c.e_n is not None and abs(c.e_n) > 1.0 and not c.adjustment}
-    for point, value, bar in zip(points, values.tolist(), bars.tolist(), strict=True):
-        verdict = verdicts.get(point.number, "")
+    for point, value, bar in zip(trend.series.points, values.tolist(), bars.tolist(), strict=True):
+        verdict, at = verdicts.get(point.number, ""), _times([point.performed])
         colour = COLOURS[0] if verdict in ("", "pass") else _COLOURS[TONES[verdict]]
-        at = _times([point.performed])
-        axes.errorbar(
-            at, [value], yerr=[bar], fmt=MARKERS[point.state], markersize=4.5, color=colour, capsize=2.5, linewidth=1.0
-        )
-        if point.number in changed:
-            axes.plot(at, [value], "o", markersize=10, fillstyle="none", color=_LIMIT, markeredgewidth=1.2)
-            _draw_number(axes, at, value, changed[point.number])
-
-
-def _draw_number(axes: Axes, at: npt.NDArray[np.datetime64], value: float, e_n: float) -> None:
-    """E_n beside a value, on the side from which it did not come."""
-    side = -1 if e_n > 0.0 else 1
-    axes.annotate(
-        minus(f"Eₙ {e_n:+.1f}"),
-        (at[0], value),
-        xytext=(7 * side, 5),
-        textcoords="offset points",
-        ha="right" if side < 0 else "left",
-        fontsize=7,
-        color=_LIMIT,
-    )
-
-
-def _draw_launches(axes: Axes, points: Sequence[SeriesPoint], size: float) -> None:
-    for point in points:
-        launches = [value / size for value, _ in point.launches]
-        axes.plot(_times([point.performed] * len(launches)), launches, "_", markersize=4.0, color=GREY)
+        style: dict[str, Any] = {"markersize": 4.5, "color": colour, "capsize": 2.5, "linewidth": 1.0}
+        axes.errorbar(at, [value], yerr=[bar], fmt=MARKERS[point.state], **style)
+        if (e_n := changed.get(point.number)) is None:
+            continue
+        axes.plot(at, [value], "o", markersize=10, fillstyle="none", color=_LIMIT, markeredgewidth=1.2)
+        side, align = (-1, "right") if e_n > 0.0 else (1, "left")
+        style = {"textcoords": "offset points", "ha": align, "fontsize": 7, "color": _LIMIT}
+        axes.annotate(minus(f"Eₙ {e_n:+.1f}"), (at[0], value), xytext=(7 * side, 5), **style)
 
 
 def _draw_limits(axes: Axes, limits: tuple[float, float], guard: float, size: float) -> None:
@@ -132,22 +113,20 @@ def _draw_limits(axes: Axes, limits: tuple[float, float], guard: float, size: fl
         axes.set_title(said, loc="right", fontsize=7, fontweight="normal", color=_LIMIT)
 
 
-def _times(moments: Iterable[datetime]) -> npt.NDArray[np.datetime64]:
-    return np.array([moment.replace(tzinfo=None) for moment in moments], dtype="datetime64[s]")
-
-
 def _draw_drift(axes: Axes, trend: Trend, size: float) -> None:
-    """The line of the last stretch."""
+    """The line of the last stretch, and dotted ones at adjustments."""
     points, drift = trend.series.points, trend.drift
     adjusted = [i for i, p in enumerate(points) if i > 0 and p.state == "as-left"]
     for i in adjusted:
         axes.axvline(_times([points[i].performed])[0], color=GREY, linewidth=0.6, linestyle=":")
-    if drift is None:
-        return
     stretch = points[adjusted[-1] if adjusted else 0 :]
-    if len(stretch) < 2:
+    if drift is None or len(stretch) < 2:
         return
-    middle: timedelta = drift.since * YEAR
+    middle = points[0].performed + drift.since * YEAR
     ends = stretch[0].performed, stretch[-1].performed
-    values = [drift.level + drift.per_year * ((t - points[0].performed - middle) / YEAR) for t in ends]
-    axes.plot(_times(ends), [v / size for v in values], color=INK, linewidth=0.9, linestyle="--")
+    values = [(drift.level + drift.per_year * ((t - middle) / YEAR)) / size for t in ends]
+    axes.plot(_times(ends), values, color=INK, linewidth=0.9, linestyle="--")
+
+
+def _times(moments: Iterable[datetime]) -> npt.NDArray[np.datetime64]:
+    return np.array([moment.replace(tzinfo=None) for moment in moments], dtype="datetime64[s]")

@@ -4,55 +4,63 @@ rest before and after correction; and the cases of a self-test."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 
 import numpy as np
 
 from tumble.calibration.apply import RestResidual
 from tumble.calibration.check import FieldCheck
 from tumble.calibration.compare import Comparison
-from tumble.calibration.results import Parameter
+from tumble.calibration.results import fits_content
 from tumble.calibration.verify import Verification
 from tumble.methods.field_check import CHANCE
 from tumble.selftest import SelftestRecord
 from tumble.sensors.parameters import group_name, group_of, positions_by_group
 from tumble.units import G_STANDARD, engineering, two_digits
-from tumble.views.blocks import Block, Table, Text, table
-from tumble.views.numbers import cells, probability_text, shown_units
+from tumble.views.blocks import Block, Table, Text, table, texts
+from tumble.views.numbers import cells, probability_text, units_of_values
+from tumble.views.render.data import Content, fields, rows
 
 # -------------------- two calibrations --------------------
 
 
 def comparison_blocks(comparison: Comparison) -> list[Block]:
     """Values, difference, its uncertainty and E_n of every common parameter, and what they say together."""
-    differences, rows = comparison.differences, []
-    both = ((d, value) for d in differences for value in (d.first, d.second))
-    units = shown_units([Parameter(name=d.name, value=value, u=None, unit=d.unit) for d, value in both])
+    differences, shown = comparison.differences, []
+    units = units_of_values((d.name, value, d.unit) for d in differences for value in (d.first, d.second))
     for d in differences:
         size, unit = units[d.name]
         first, second, difference = (cells(value, d.u or 0.0, size)[0] for value in (d.first, d.second, d.value))
         judged = ("", "") if d.e_n is None or not d.u else (f"{d.value / d.u:+z.2f}", f"{d.e_n:+z.2f}")
         row = {"parameter": d.name, "first": first, "second": second, "difference": difference}
         row |= {"u (k=1)": cells(0.0, d.u, size)[1] if d.u else "", "unit": unit, "d/u": judged[0], "E_n": judged[1]}
-        rows.append(row)
-    said = (Text(text=line) for line in judged_lines(comparison))
-    return [Text(text=f"frame {comparison.frame}"), table(rows), *said]
+        shown.append(row)
+    return [Text(text=f"frame {comparison.frame}"), table(shown), *texts(judged_lines(comparison))]
 
 
 def judged_lines(comparison: Comparison) -> list[str]:
     """How many differences are beyond their U, how likely chance makes the largest of so many, and χ² of all together,
     in sentences."""
     judged = [d for d in comparison.differences if d.e_n is not None]
-    line = f"{sum(abs(d.e_n or 0.0) > 1.0 for d in judged)} of {len(judged)} |E_n| beyond 1"
+    lines = [f"{sum(abs(d.e_n or 0.0) > 1.0 for d in judged)} of {len(judged)} |E_n| beyond 1"]
     if comparison.largest_by_chance is not None:
         chance = probability_text(comparison.largest_by_chance)
-        line += f", one as large as the largest by chance with probability {chance}"
-    if comparison.probability is None:
-        return [line]
-    together = (
-        f"all together: χ² {comparison.chi_square:.1f} for {comparison.degrees}, exceeded by chance with probability "
-        f"{probability_text(comparison.probability)}"
-    )
-    return [line, together]
+        lines[0] += f", one as large as the largest by chance with probability {chance}"
+    if comparison.probability is not None:
+        lines.append(
+            f"all together: χ² {comparison.chi_square:.1f} for {comparison.degrees}, exceeded by chance with "
+            f"probability {probability_text(comparison.probability)}"
+        )
+    return lines
+
+
+def comparison_data(comparison: Comparison) -> Content:
+    """Differences of two calibrations."""
+    return {
+        **fields(comparison, "agree frame"),
+        "parameters": [asdict(d) | {"difference": d.value, "e_n": d.e_n} for d in comparison.differences],
+        **fields(comparison, "covariance chi_square degrees probability largest_by_chance missing remarks"),
+    }
 
 
 # -------------------- check positions --------------------
@@ -66,29 +74,36 @@ def verification_blocks(verification: Verification) -> list[Block]:
     if not known.any():
         return [Text(text=f"{how}\n"), verdict]
     size, unit = engineering("m/s^2", float(np.nanmax([np.abs(verification.difference), verification.u])))
-    headings = "position", f"Δg {unit}", f"u (k=1) {unit}", "|Δg|/u"
-    rows = []
+    shown = []
     values = zip(verification.labels, verification.difference, verification.u, verification.sigmas, strict=True)
     for label, difference, u, ratio in values:
-        numbers = (f"{difference / size:+z.1f}", f"{u / size:.1f}", f"{ratio:.2f}")
-        rows.append(dict(zip(headings, (label, *(numbers if np.isfinite(ratio) else [""] * 3)), strict=True)))
+        row = {"position": label, f"Δg {unit}": f"{difference / size:+z.1f}"}
+        row |= {f"u (k=1) {unit}": f"{u / size:.1f}", "|Δg|/u": f"{ratio:.2f}"}
+        shown.append(row if np.isfinite(ratio) else dict.fromkeys(row, "") | {"position": label})
     summary = (
         f"largest |Δg| {np.nanmax(np.abs(verification.difference)) / size:.3g} {unit}; largest |Δg|/u "
         f"{np.nanmax(verification.sigmas):.2f} of {known.sum()} positions, at most {verification.limit:.2f} in 99 of "
         "100 good calibrations"
     )
-    return [Text(text=how), table(rows, words=("position",)), Text(text=summary), verdict]
+    return [Text(text=how), table(shown, words=("position",)), Text(text=summary), verdict]
+
+
+def verification_data(verification: Verification) -> Content:
+    """Check positions and the verdict."""
+    v = verification
+    positions = rows("label difference u sigmas", v.labels, v.difference, v.u, v.sigmas)
+    return {"accepted": not v.reasons, **fields(v, "reasons left_out limit"), "positions": positions}
 
 
 def residual_table(rests: Sequence[RestResidual]) -> Table:
     """Residuals of rests, mg before and after correction, and their root mean squares."""
     both = np.array([[rest.before, rest.after] for rest in rests]) / (1e-3 * G_STANDARD)
-    rows = [
+    shown = [
         (str(i), f"{rest.start:z.1f}", f"{rest.stop:z.1f}", *(f"{number:+z.4f}" for number in numbers))
         for i, (rest, numbers) in enumerate(zip(rests, both, strict=True), 1)
     ]
-    rows.append(("rms", "", "", *(f"{number:.4f}" for number in np.sqrt(np.mean(both**2, axis=0)))))
-    return Table(columns=("rest", "start s", "stop s", "before mg", "after mg"), rows=tuple(rows), text=())
+    shown.append(("rms", "", "", *(f"{number:.4f}" for number in np.sqrt(np.mean(both**2, axis=0)))))
+    return Table(columns=("rest", "start s", "stop s", "before mg", "after mg"), rows=tuple(shown), text=())
 
 
 # -------------------- a field check --------------------
@@ -96,39 +111,52 @@ def residual_table(rests: Sequence[RestResidual]) -> Table:
 
 def field_check_blocks(check: FieldCheck) -> list[Block]:
     """What each parameter would have changed by, alone, what would have been found, and the verdict."""
-    result, rows = check.result, []
+    result, shown = check.result, []
     turns = f" and {check.turns} turns" if check.turns else ", no turns"
-    units = shown_units(
-        [Parameter(name=n, value=least, u=None, unit=group_of(n).unit) for n, least in result.detectable.items()]
-    )
+    units = units_of_values((name, least, group_of(name).unit) for name, least in result.detectable.items())
     for name, (change, u) in result.tests.items():
         size, unit = units[name]
         value, uncertainty = cells(change, u, size)
         row = {"parameter": name, "change": value, "u (k=1)": uncertainty, "change/u": f"{change / u:+z.2f}"}
-        rows.append(row | {"detectable": cells(0.0, result.detectable[name], size)[1], "unit": unit})
+        shown.append(row | {"detectable": cells(0.0, result.detectable[name], size)[1], "unit": unit})
     blocks: list[Block] = [Text(text=f"{check.rests} rests{turns}")]
-    if rows:
+    if shown:
         largest = (
             f"largest |change|/u {result.largest:.2f}, at most {result.limit:.2f} in {100.0 * (1.0 - CHANCE):.1f} of "
             "100 checks where nothing has changed"
         )
-        blocks += [table(rows), Text(text=largest)]
+        blocks += [table(shown), Text(text=largest)]
     misfit = (
         f"what no change explains: χ² {result.misfit.chi_square:.1f} for {result.misfit.degrees:.0f}, by chance "
         f"with probability {probability_text(result.misfit.probability)}"
     )
-    blocks.append(Text(text=misfit if rows else f"\n{misfit}"))
+    blocks.append(Text(text=misfit if shown else f"\n{misfit}"))
     seen = {group_name(name) for name in result.tests}
     linear = positions_by_group(check.instrument.names[: check.instrument.linear_count])
     if unseen := [group for group in linear if group not in seen]:
         blocks.append(Text(text=f"not seen by these rests: {', '.join(unseen)}"))
-    largest_of: dict[str, str] = {}  # of each group, by its sensor of the largest change that is not shown
+    worst = dict.fromkeys(map(group_name, result.detectable), "")  # of each group, at its sensor that is seen least
     for name in sorted(result.detectable, key=lambda name: result.detectable[name]):
-        largest_of[group_name(name)] = f"{two_digits(result.detectable[name] / units[name][0])} {units[name][1]}"
-    groups = dict.fromkeys(map(group_name, result.detectable))
-    sizes = ", ".join(f"{group} {largest_of[group]}" for group in groups)
+        worst[group_name(name)] = f"{two_digits(result.detectable[name] / units[name][0])} {units[name][1]}"
+    sizes = ", ".join(f"{group} {size}" for group, size in worst.items())
     unchanged = f"no change is shown, and none larger than\n{sizes}"
     return [*blocks, Text(text=unchanged if check.valid else "changed")]
+
+
+def field_check_data(check: FieldCheck) -> Content:
+    """What has changed since a calibration, and what would have been found."""
+    result = check.result
+    return {
+        **fields(check, "valid reasons rests turns"),
+        "changes": result.changes,
+        "parameters": [
+            {"name": name, "change": change, "u": u, "detectable": result.detectable[name]}
+            for name, (change, u) in result.tests.items()
+        ],
+        **fields(result, "largest limit"),
+        "misfit": fits_content({"misfit": result.misfit})["misfit"],
+        "notes": check.notes,
+    }
 
 
 # -------------------- a self-test --------------------
@@ -136,10 +164,10 @@ def field_check_blocks(check: FieldCheck) -> list[Block]:
 
 def selftest_table(record: SelftestRecord) -> Table:
     """The cases of a record."""
-    rows = []
+    shown = []
     for case in record.cases:
         allowed = f"{case.low:g} … {case.high:g}" if case.low > 0.0 else f"≤ {case.high:g}"
         row = {"case": case.name, "compared with": case.source, "found": f"{case.figure:.3g}"}
         row |= {"allowed": f"{allowed} {case.unit}".removesuffix(" 1"), "": "passed" if case.passed else "FAILED"}
-        rows.append(row)
-    return table(rows, words=("case", "compared with", ""))
+        shown.append(row)
+    return table(shown, words=("case", "compared with", ""))

@@ -5,9 +5,8 @@ Everything that comes from calibration files is escaped; the page loads nothing,
 
 from __future__ import annotations
 
-import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -16,8 +15,9 @@ from tumble.errors import InputError, needs_extra
 from tumble.files import whole_file
 from tumble.registry.monitor import Monitored
 from tumble.registry.trend import Trend
-from tumble.sensors.parameters import group_name, group_of
+from tumble.sensors.parameters import group_name, named_group
 from tumble.views.blocks import ChartPanel, Document, Items, Panels, Part, Section, Table, Text, Tone, section
+from tumble.views.chart_panel import draw_panel
 from tumble.views.numbers import Units, cells, device_name, limit_cell, minus
 from tumble.views.registry import (
     TONES,
@@ -30,7 +30,8 @@ from tumble.views.registry import (
     further_of,
     units_of,
 )
-from tumble.views.render.pictures import STYLE, for_a_page
+from tumble.views.render.characters import drawable
+from tumble.views.render.pictures import STYLE, for_a_page, svg_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -95,10 +96,7 @@ def _page(found: Monitored) -> str:
         tone=tone,
         verdict=verdict,
         facts=facts,
-        created="",
         parts=(Part(title="", sections=sections),),
-        statements=(),
-        signatures=(),
         closing="End of the control chart",
     )
     return page(document)
@@ -108,9 +106,7 @@ def _badge(found: Monitored) -> tuple[str, Tone]:
     """One verdict: the worst on the latest values, or that the device has changed; and its colour."""
     verdicts = set(found.latest_verdicts().values())
     worst = next((each for each in RESULTS if each in verdicts), None)
-    if worst == "fail":
-        return "fail", "bad"
-    if found.changed():
+    if worst != "fail" and found.changed():
         return "changed", "bad"
     if worst is not None:
         return worst, TONES[worst]
@@ -121,36 +117,31 @@ def _badge(found: Monitored) -> tuple[str, Tone]:
 def _due(found: Monitored) -> str:
     """When the next calibration is due, and why."""
     drifting = next(iter(found.forecasts()), None)
-    by_calendar = found.by_calendar
-    if drifting is not None and (by_calendar is None or drifting.earliest.date() < by_calendar):
+    if drifting is not None and (found.by_calendar is None or drifting.earliest.date() < found.by_calendar):
         return f"{drifting.earliest:%Y-%m-%d}, by the drift of {drifting.name}"
-    return "no interval is known" if by_calendar is None else f"{by_calendar}, by the calendar"
+    return "no interval is known" if found.by_calendar is None else f"{found.by_calendar}, by the calendar"
 
 
 def _findings(found: Monitored) -> Iterator[Items]:
     """What is to be said before all numbers."""
-    changed, verdicts, forecasts, units = (
-        found.changed(),
-        found.latest_verdicts(),
-        forecast_lines(found),
-        units_of(found),
-    )
+    changed, verdicts, forecasts = found.changed(), found.latest_verdicts(), forecast_lines(found)
+    units = units_of(found)
     if changed:
-        which = ", ".join(changed)
-        yield Items(items=(f"changed since the calibration before, by more than chance: {which}",), tone="bad")
-    said = [] if found.comparison is None else change_lines(found.comparison)
+        said = f"changed since the calibration before, by more than chance: {', '.join(changed)}"
+        yield Items(items=(said,), tone="bad")
+    lines = [] if found.comparison is None else change_lines(found.comparison)
     if drifting := found.drifting():
         which = "; ".join(f"{trend.series.name} {_drift(trend, *units[trend.series.name])}" for trend in drifting)
-        said.append(f"drifts beyond their U: {which}")
-    if said:
-        yield Items(items=tuple(said))
+        lines.append(f"drifts beyond their U: {which}")
+    if lines:
+        yield Items(items=tuple(lines))
     for result in RESULTS[:-1]:
         names = [name for name, verdict in verdicts.items() if verdict == result]
         if names:
             yield Items(items=(f"{result}: {', '.join(names)}",), tone=TONES[result])
     if verdicts and not forecasts:
         forecasts = ["forecast: no parameter drifts towards a limit by more than the U of its drift"]
-    if not (changed or said or verdicts):
+    if not (changed or lines or verdicts):
         forecasts = ["one calibration: nothing to compare with yet"]
     if forecasts:
         yield Items(items=tuple(forecasts))
@@ -170,31 +161,25 @@ def _parts(found: Monitored, units: Units) -> Iterator[Section]:
             panel = _panel(f"t{found.trends.index(trend)}", found, trend, units[trend.series.name])
             by_group.setdefault(group_name(trend.series.name), []).append(panel)
         for group, panels in by_group.items():
-            yield section(_title(group), Panels(panels=tuple(panels)))
+            known = named_group(group)  # None for a name of another program
+            title = group if known is None else known.words
+            yield section(f"{title[:1].upper()}{title[1:]}", Panels(panels=tuple(panels)))
 
 
 def _number_table(found: Monitored, trends: Sequence[Trend], units: Units) -> Table:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     tones: list[tuple[Tone | Literal[""], ...]] = []
     for trend in trends:
-        name, latest = trend.series.name, trend.series.points[-1]
-        size, unit = units[name]
-        limits, verdict = found.limits.get(name), found.latest_verdicts().get(name, "")
-        beyond = trend.last_change is not None and abs(trend.last_change.e_n or 0.0) > 1.0
-        changed: Literal["", "bad"] = "bad" if beyond else ""
-        low, high = ("", "") if limits is None else (limit_cell(limit, size) for limit in limits)
-        rows.append(
-            (
-                name,
-                _with_u(cells(latest.value, expanded_of(latest), size)),
-                "" if limits is None else f"{low or '-∞'} … {high or '∞'}",
-                deviation_cell(trend.run_to_run, size),
-                _with_u(drift_cells(trend, size)),
-                *change_cells(trend.last_change, size),
-                unit,
-                verdict,
-            )
-        )
+        name, latest, change = trend.series.name, trend.series.points[-1], trend.last_change
+        (size, unit), verdict = units[name], found.latest_verdicts().get(name, "")
+        changed: Literal["", "bad"] = "bad" if change is not None and abs(change.e_n or 0.0) > 1.0 else ""
+        limits = ""
+        if name in found.limits:
+            low, high = (limit_cell(limit, size) for limit in found.limits[name])
+            limits = f"{low or '-∞'} … {high or '∞'}"
+        value, drift = _with_u(cells(latest.value, expanded_of(latest), size)), _with_u(drift_cells(trend, size))
+        run_to_run = deviation_cell(trend.run_to_run, size)
+        rows.append((name, value, limits, run_to_run, drift, *change_cells(change, size), unit, verdict))
         tones.append(("", "", "", "", "", changed, changed, "", TONES.get(verdict, "")))
     return Table(columns=_NUMBERS, rows=tuple(rows), text=(0, 7, 8), tones=tuple(tones))
 
@@ -202,14 +187,6 @@ def _number_table(found: Monitored, trends: Sequence[Trend], units: Units) -> Ta
 def _with_u(pair: tuple[str, str]) -> str:
     """A value with its U."""
     return " ± ".join(filter(None, pair))
-
-
-def _title(group: str) -> str:
-    try:
-        words = group_of(group).words
-    except KeyError:  # a name of another program
-        words = group
-    return words[:1].upper() + words[1:]
 
 
 def _panel(name: str, found: Monitored, trend: Trend, unit: tuple[float, str]) -> ChartPanel:
@@ -238,30 +215,19 @@ _LETTERS_AS_TEXT: Any = STYLE | {"svg.fonttype": "none", "font.family": "sans-se
 
 def _picture(name: str, found: Monitored, trend: Trend, unit: tuple[float, str]) -> str:
     """The picture of a parameter for the page."""
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
 
-    from tumble.views.chart_panel import draw_panel
-
-    with rc_context(_LETTERS_AS_TEXT):
-        figure = Figure(figsize=_SIZE, layout="constrained")
+    def draw(figure: Figure) -> None:
         limits = found.limits.get(trend.series.name)
         draw_panel(figure.add_subplot(), trend, limits, found.verdicts(trend), unit)
-        return for_a_page(_saved(figure), name)
+
+    return for_a_page(_saved(_SIZE, draw), name)
 
 
 def _svg(found: Monitored) -> str:
     """All pictures in one."""
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
+    rows, units, device = math.ceil(len(found.trends) / COLUMNS), units_of(found), found.latest
 
-    from tumble.views.chart_panel import draw_panel
-    from tumble.views.render.characters import drawable
-
-    rows, units = math.ceil(len(found.trends) / COLUMNS), units_of(found)
-    with rc_context(_LETTERS_AS_TEXT):
-        figure = Figure(figsize=(_SIZE[0] * COLUMNS, 0.4 + 1.15 * _SIZE[1] * rows), layout="constrained")
-        device = found.latest
+    def draw(figure: Figure) -> None:
         figure.suptitle(drawable(f"{device.serial} · {device.model or ''} · frame {found.frame}"), parse_math=False)
         panels = list(figure.subplots(rows, COLUMNS, squeeze=False).flat)
         for axes, trend in zip(panels, found.trends, strict=False):
@@ -270,10 +236,10 @@ def _svg(found: Monitored) -> str:
             axes.set_title(drawable(name), parse_math=False)
         for axes in panels[len(found.trends) :]:
             axes.remove()
-        return _saved(figure)
+
+    return _saved((_SIZE[0] * COLUMNS, 0.4 + 1.15 * _SIZE[1] * rows), draw)
 
 
-def _saved(figure: Figure) -> str:
-    out = io.StringIO()
-    figure.savefig(out, format="svg", metadata={"Date": None})
-    return out.getvalue()
+def _saved(size: tuple[float, float], draw: Callable[[Figure], None]) -> str:
+    """The SVG of a picture of this size, inches, that `draw` fills; letters are text."""
+    return svg_of(size, draw, _LETTERS_AS_TEXT, {"Date": None})

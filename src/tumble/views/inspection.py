@@ -1,10 +1,8 @@
-"""Rests and turns found in a recording, and the recording as a picture."""
+"""Rests and turns found in a recording."""
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,11 +10,7 @@ from tumble.calibration.observed import Observed
 from tumble.reduction.observations import Observations
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS, BoolArray
 from tumble.views.blocks import Block, Items, Table, Text, table
-from tumble.views.recording_picture import draw_recording
-from tumble.views.render.pictures import STYLE, write_picture
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from tumble.views.render.data import Content, fields, rows
 
 UPRIGHT = 0.98  # an axis within 11° of the vertical is up or down
 
@@ -33,11 +27,11 @@ def inspection_blocks(observed: Observed) -> list[Block]:
         blocks += [_rest_table(observations), turns or Text(text="no turns between rests")]
         blocks += [Items(items=tuple(lines)) for lines in (_half_sums(observations), observations.notes) if lines]
     if segmentation.rejected:
-        rows = [
+        rejected = [
             {"rejected from s": f"{r.start:z.1f}", "to s": f"{r.stop:z.1f}", "because": r.reason}
             for r in segmentation.rejected
         ]
-        blocks.append(table(rows, words=("because",), caption="\n".join(segmentation.unused())))
+        blocks.append(table(rejected, words=("because",), caption="\n".join(segmentation.unused())))
     return blocks
 
 
@@ -48,49 +42,38 @@ def _verticals(observations: Observations) -> np.ndarray:
 
 
 def _rest_table(observations: Observations) -> Table:
-    rests, verticals, rows = observations.rests, _verticals(observations), []
-    files = len(set(rests.file.tolist())) > 1
+    """Where the vertical was in the body, and of each kind of sensor u of a mean, root mean square over the sensors,
+    and the largest drift."""
+    rests, verticals, shown = observations.rests, _verticals(observations), []
+    several = len(set(rests.file.tolist())) > 1
+    kinds = [("accel", "µg", 1e-6 * G_STANDARD), ("gyro", "°/h", DEGREE_PER_HOUR)][: 1 + bool(rests.gyro.shape[1])]
     for i in range(len(rests)):
-        row = {"rest": str(i + 1)} | ({"file": str(rests.file[i] + 1)} if files else {})
+        row = {"rest": str(i + 1)} | ({"file": str(rests.file[i] + 1)} if several else {})
         row |= {"start s": f"{rests.start[i]:z.1f}", "stop s": f"{rests.stop[i]:z.1f}"}
         row["vertical in the body"] = " ".join(f"{v:+z.3f}" for v in verticals[i])
-        u, drift = _noise(rests.accel_covariance[i], rests.accel_drift[i], G_STANDARD * 1e-6)
-        row |= {"u of accel µg": u, "drift µg": drift}
-        if rests.gyro.shape[1]:
-            u, drift = _noise(rests.gyro_covariance[i], rests.gyro_drift[i], DEGREE_PER_HOUR)
-            row |= {"u of gyro °/h": u, "drift °/h": drift}
+        for kind, unit, size in kinds:
+            covariance, drift = getattr(rests, f"{kind}_covariance")[i], getattr(rests, f"{kind}_drift")[i]
+            row[f"u of {kind} {unit}"] = f"{math.sqrt(float(np.trace(covariance)) / len(covariance)) / size:.3g}"
+            row[f"drift {unit}"] = f"{float(drift[np.argmax(np.abs(drift))]) / size:+z.3g}"
         if rests.temperature is not None:
             row["T °C"] = f"{rests.temperature[i] - ZERO_CELSIUS:.1f}"
-        rows.append(row)
-    return table(rows, words=())
-
-
-def _noise(covariance: np.ndarray, drift: np.ndarray, size: float) -> tuple[str, str]:
-    """u of a mean, root mean square over the sensors, and the largest drift."""
-    u = math.sqrt(float(np.trace(covariance)) / len(covariance)) / size
-    return f"{u:.3g}", f"{float(drift[np.argmax(np.abs(drift))]) / size:+z.3g}"
+        shown.append(row)
+    return table(shown, words=())
 
 
 def _turn_table(observations: Observations) -> Table | None:
-    turns, rows = observations.turns, []
+    turns, shown = observations.turns, []
     if turns is None or len(turns) == 0:
         return None
-    for k in range(len(turns)):
-        C = turns.C[k]
+    for k, C in enumerate(turns.C):
         axis = np.array([C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]])
         sine = 0.5 * float(np.linalg.norm(axis))
         angle = math.atan2(sine, 0.5 * (float(np.trace(C)) - 1.0)) / DEGREE
-        rows.append(
-            {
-                "turn": str(k + 1),
-                "from rest": str(turns.first[k] + 1),
-                "to rest": str(turns.last[k] + 1),
-                "duration s": f"{turns.duration[k]:.1f}",
-                "angle °": f"{angle:.1f}",
-                "axis in the body": " ".join(f"{v:+z.2f}" for v in axis / (2.0 * sine)) if sine > 1e-3 else "",
-            }
-        )
-    return table(rows, words=())
+        row = {"turn": str(k + 1), "from rest": str(turns.first[k] + 1), "to rest": str(turns.last[k] + 1)}
+        row |= {"duration s": f"{turns.duration[k]:.1f}", "angle °": f"{angle:.1f}"}
+        about = " ".join(f"{v:+z.2f}" for v in axis / (2.0 * sine)) if sine > 1e-3 else ""
+        shown.append(row | {"axis in the body": about})
+    return table(shown, words=())
 
 
 def _half_sums(observations: Observations) -> list[str]:
@@ -121,12 +104,31 @@ def _numbers(chosen: BoolArray) -> str:
     return ", ".join(str(i + 1) for i in np.flatnonzero(chosen))
 
 
-def plot(observed: Observed, path: Path) -> None:
-    """Write the recording of a session with its rests and turns as svg, png or pdf by the ending of the file.
+def inspection_data(observed: Observed) -> Content:
+    """Rests, turns and what was rejected."""
+    segmentation, observations = observed.segmentation, observed.observations
+    turns = None if observations is None else observations.turns
+    return {
+        "rate": observed.rate,
+        **fields(segmentation, "scatter_limit rate_limit"),
+        "rests": [] if observations is None else _rest_data(observations),
+        "turns": []
+        if turns is None
+        else rows("first last duration rotation", turns.first, turns.last, turns.duration, turns.C),
+        "rejected": segmentation.rejected,
+        "notes": [] if observations is None else observations.notes,
+        "faults": [*observed.faults, *observed.gyro_faults],
+    }
 
-    Raises MissingExtraError without matplotlib, InputError for another ending."""
 
-    def draw(figure: Figure) -> None:
-        draw_recording(figure, observed)
-
-    write_picture(path, "a picture of the recording", (10.0, 5.0), draw, STYLE)
+def _rest_data(observations: Observations) -> list[Content]:
+    rests = observations.rests
+    celsius = [None] * len(rests) if rests.temperature is None else rests.temperature - ZERO_CELSIUS
+    names, verticals = "file start stop vertical temperature", _verticals(observations)
+    found = rows(names, rests.file, rests.start, rests.stop, verticals, celsius)
+    for kind in ("accel", *(["gyro"] if rests.gyro.shape[1] else [])):
+        u = np.sqrt(np.diagonal(getattr(rests, f"{kind}_covariance"), axis1=1, axis2=2))
+        drift, noise = getattr(rests, f"{kind}_drift"), getattr(rests, f"{kind}_noise")
+        for row, sensors in zip(found, rows("mean u drift noise", getattr(rests, kind), u, drift, noise), strict=True):
+            row[kind] = sensors
+    return found

@@ -11,11 +11,14 @@ import numpy as np
 from tumble.reduction.allan_deviation import Panel, shown
 from tumble.units import engineering
 from tumble.views.blocks import Block, Text, table
+from tumble.views.render.data import Content, fields
 from tumble.views.render.pictures import write_picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from tumble.calibration.quiet_samples import RecordedNoise
 
 _COLUMNS = ("sensor", "noise", "symbol", "value", "u (k=1)", "unit")
 
@@ -29,6 +32,16 @@ def noise_blocks(source: str, panels: Sequence[Panel]) -> list[Block]:
             for coefficient in coefficients or [("none that the record shows", "", "", "", "")]:
                 rows.append(dict(zip(_COLUMNS, (channel, *coefficient), strict=True)))
     return [Text(text=source), table(rows, words=("sensor", "noise", "symbol", "unit"), columns=_COLUMNS)]
+
+
+def noise_data(noise: RecordedNoise) -> Content:
+    """Noise coefficients of every channel."""
+    channels = [
+        {"name": name, "unit": panel.unit, "noise": parameters}
+        for panel in noise.panels
+        for name, parameters in zip(panel.channels, panel.parameters, strict=True)
+    ]
+    return fields(noise, "source rate") | {"channels": channels}
 
 
 def plot(panels: Sequence[Panel], path: Path) -> None:

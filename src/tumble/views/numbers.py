@@ -20,8 +20,8 @@ NONE = "—"
 
 
 class Quantity(Protocol):
-    """What has a name, a value and a unit, both SI: a parameter of a calibration or of a registry, a hyperparameter of
-    the model."""
+    """What has a name, a value, a unit and a standard uncertainty, SI: a parameter of a calibration or of a registry, a
+    hyperparameter of the model; u is None where it is not known."""
 
     @property
     def name(self) -> str: ...
@@ -29,30 +29,30 @@ class Quantity(Protocol):
     def value(self) -> float: ...
     @property
     def unit(self) -> str: ...
-
-
-class UncertainQuantity(Quantity, Protocol):
-    """With its standard uncertainty, SI; None where it is not known."""
-
     @property
     def u(self) -> float | None: ...
 
 
-Q = TypeVar("Q", bound=UncertainQuantity)
+Q = TypeVar("Q", bound=Quantity)
 Units = Mapping[str, tuple[float, str]]
 """The unit in which each quantity is shown, by its name: (size in SI, name of the unit)."""
 
 
 def shown_units(quantities: Iterable[Quantity]) -> Units:
     """The unit in which each quantity is shown: one for all of a group, by their root mean square."""
-    groups: dict[str, list[Quantity]] = {}
-    for quantity in quantities:
-        groups.setdefault(group_name(quantity.name), []).append(quantity)
-    return {
-        quantity.name: shown_in(group, members[0].unit, math.sqrt(sum(q.value**2 for q in members) / len(members)))
-        for group, members in groups.items()
-        for quantity in members
-    }
+    return units_of_values((q.name, q.value, q.unit) for q in quantities)
+
+
+def units_of_values(values: Iterable[tuple[str, float, str]]) -> Units:
+    """The same of names with values and their SI unit; a name may have several values."""
+    groups: dict[str, list[tuple[str, float, str]]] = {}
+    for value in values:
+        groups.setdefault(group_name(value[0]), []).append(value)
+    units: dict[str, tuple[float, str]] = {}
+    for group, members in groups.items():
+        rms = math.sqrt(sum(value**2 for _, value, _ in members) / len(members))
+        units |= dict.fromkeys((name for name, _, _ in members), shown_in(group, members[0][2], rms))
+    return units
 
 
 def cells(value: float | None, u: float | None, size: float = 1.0) -> tuple[str, str]:
@@ -70,15 +70,10 @@ def to_digits_of(value: float | None, u: float | None, size: float) -> str:
     return cells(value, u or 0.0, size)[0]
 
 
-def _nothing(quantity: UncertainQuantity, size: float) -> dict[str, str]:  # noqa: ARG001
-    """No further cells."""
-    return {}
-
-
 def quantity_table(
     quantities: Sequence[Q],
-    before: Callable[[Q, float], dict[str, str]] = _nothing,
-    after: Callable[[Q, float], dict[str, str]] = _nothing,
+    before: Callable[[Q, float], dict[str, str]] = lambda _, __: {},
+    after: Callable[[Q, float], dict[str, str]] = lambda _, __: {},
     *,
     headings: tuple[str, str, str] = ("parameter", "value", "u (k=1)"),
     caption: str = "",
@@ -95,10 +90,11 @@ def quantity_table(
     return table(rows, words=words, columns=() if rows else (*headings, "unit"), caption=caption, dense=dense)
 
 
-def in_engineering(unit: str, value: float, digits: int = 3) -> str:
-    """A quantity of an SI unit to so many digits, with the engineering unit of its size; "–" where it is infinite."""
+def in_engineering(unit: str, value: float, digits: int = 3, none: str = "–") -> str:
+    """A quantity of an SI unit to so many digits, with the engineering unit of its size; `none` where it is
+    infinite."""
     size, shown = engineering(unit, value)
-    return f"{value / size:.{digits}g} {shown}" if math.isfinite(value) else "–"
+    return f"{value / size:.{digits}g} {shown}" if math.isfinite(value) else none
 
 
 def probability_text(probability: float) -> str:

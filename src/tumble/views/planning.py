@@ -9,18 +9,20 @@ import numpy as np
 
 from tumble.diagnosis.observability import in_words, sum_in_words
 from tumble.inference.estimate import GroupFinding
-from tumble.planning.best_positions import Aim, Compared, Next, PlanResult
+from tumble.planning.best_positions import Aim, PlanResult
 from tumble.planning.bounds import Bound
 from tumble.planning.budget import Budget
-from tumble.planning.over_temperature import PlannedSession, ThermalPlan
+from tumble.planning.over_temperature import ThermalPlan
 from tumble.planning.requirements import Requirements
 from tumble.planning.setup import Setup, time_of
-from tumble.programme.positions import Programme
+from tumble.programme.positions import Move, Position
 from tumble.programme.sheet_words import clock, move_text, short_code
 from tumble.sensors.grades import spread_of
 from tumble.sensors.parameters import group_name, group_of, positions_by_group, shown_in
-from tumble.units import DEGREE, ZERO_CELSIUS, Array, engineering
-from tumble.views.blocks import Block, Table, Text, table
+from tumble.units import DEGREE, ZERO_CELSIUS, Array
+from tumble.views.blocks import Block, Table, Text, table, texts
+from tumble.views.numbers import in_engineering, minus
+from tumble.views.render.data import Content, fields, rows
 
 LARGEST = 4
 """So many parameters of a combination are named."""
@@ -44,10 +46,26 @@ def in_unit(name: str, value: float) -> str:
 def plan_blocks(plan: PlanResult, aim: Aim) -> list[Block]:
     """What a programme can show at best, with what one more position would add; or the best programme that was found,
     what it can show, and others beside it."""
-    best = _bound_blocks(plan.setup, plan.bound, plan.whole)
     if not plan.programmes:
-        return [*best, _next_table(plan.bound, plan.following, aim)]
-    return [_position_table(plan.setup.programme), *best, _programme_table(plan.setup, plan.programmes, aim)]
+        return [*_bound_blocks(plan.setup, plan.bound, plan.whole), _next_table(plan, aim)]
+    moves = ("start", *map(move_text, plan.setup.programme.moves))
+    positions = [
+        {"": str(i), "how to get there": how, "attitude": short_code(position.attitude), "up and down": position.label}
+        for i, (position, how) in enumerate(zip(plan.setup.programme.positions, moves, strict=True), 1)
+    ]
+    compared = []
+    for one in plan.programmes:
+        row = {"programme": one.programme.name, "positions": str(len(one.programme.positions))}
+        row |= {"time": clock(time_of(one.programme, plan.setup)), "rank": str(one.bound.rank)}
+        row |= {"condition": _condition(one.bound)} | _by_group(one.bound)
+        compared.append(
+            row | {aim.letter: "" if len(one.bound.null) else f"{one.value / plan.programmes[0].value:.2f}"}
+        )
+    return [
+        table(positions, words=("how to get there", "attitude", "up and down")),
+        *_bound_blocks(plan.setup, plan.bound, plan.whole),
+        table(compared, words=("programme",)),
+    ]
 
 
 def _bound_blocks(setup: Setup, bound: Bound, whole: Bound) -> list[Block]:
@@ -62,79 +80,60 @@ def _bound_blocks(setup: Setup, bound: Bound, whole: Bound) -> list[Block]:
     ]
     if not len(bound.null):
         lines.append(f"worst determined: {_worst(bound)} (of gravity, of the rate of turns, rad)")
-    rows = []
+    shown = []
     for name, u, with_all in zip(bound.names[: bound.linear], bound.u, whole.u, strict=False):
         share = f"{u / spread_of(setup, name):.2%}" if math.isfinite(u) else ""
         row = {"parameter": name, "bound of u": in_unit(group_name(name), u), "of the spread": share}
-        rows.append(row | {"with all groups": in_unit(group_name(name), with_all)})
-    further = _further_table(whole.names, whole.u, whole.further)
-    return [*(Text(text=line) for line in lines), table(rows), further]
+        shown.append(row | {"with all groups": in_unit(group_name(name), with_all)})
+    return [*texts(lines), table(shown), _further_table(whole.names, whole.u, whole.further)]
 
 
 def _further_table(names: Sequence[str], u: Array, further: Sequence[GroupFinding]) -> Table:
     """A line for each group beyond the linear model: what is usual, and what is found out about it, from the u of all
     parameters."""
-    places, rows = positions_by_group(names), []
-    for group in further:
-        worst, learned = float(u[places[group.name]].max()), min(group.learned)
-        row = {"group": group.name, "usual": in_unit(group.name, group.prior)}
-        row |= {"bound of u": in_unit(group.name, worst), "learned": f"{learned:.1%}"}
-        rows.append(row | {"": "left to what is usual" if learned < LITTLE else "" if learned > MOSTLY else "in part"})
-    return table(rows, words=("group", ""), columns=("group", "usual", "bound of u", "learned", ""))
+    shown = []
+    for group in _further_data(names, u, further):
+        name, learned = group["group"], group["learned"]
+        row = {"group": name, "usual": in_unit(name, group["usual"]), "bound of u": in_unit(name, group["u"])}
+        known = "left to what is usual" if learned < LITTLE else "" if learned > MOSTLY else "in part"
+        shown.append(row | {"learned": f"{learned:.1%}", "": known})
+    return table(shown, words=("group", ""), columns=("group", "usual", "bound of u", "learned", ""))
 
 
-def _next_table(before: Bound, following: Sequence[Next], aim: Aim) -> Table:
+def _further_data(names: Sequence[str], u: Array, further: Sequence[GroupFinding]) -> list[Content]:
+    places = positions_by_group(names)
+    return [
+        {
+            "group": group.name,
+            "usual": group.prior,
+            "u": float(np.max(u[places[group.name]])),
+            "learned": min(group.learned),
+        }
+        for group in further
+    ]
+
+
+def _next_table(plan: PlanResult, aim: Aim) -> Table:
     """What one more position would buy, the best first."""
     words = ("one more position", "up and down", "how to get there")
-    rows = [dict.fromkeys(words, "") | {words[0]: "none", "as good": "", "rank": str(before.rank), aim.letter: ""}]
-    rows[0] |= _by_group(before)
-    for one in following:
-        ratio = "" if len(before.null) else f"{one.ratio - 1.0:+.1%}".replace("-", "−")
+    none = {words[0]: "none", words[1]: "", words[2]: "", "as good": "", "rank": str(plan.bound.rank), aim.letter: ""}
+    shown = [none | _by_group(plan.bound)]
+    for one in plan.following:
+        ratio = "" if len(plan.bound.null) else minus(f"{one.ratio - 1.0:+.1%}")
         where = (short_code(one.position.attitude), one.position.label, move_text(one.move))
         row = {"as good": f"+{one.as_good}" if one.as_good else "", "rank": str(one.bound.rank), aim.letter: ratio}
-        rows.append(dict(zip(words, where, strict=True)) | row | _by_group(one.bound))
-    return table(rows, words=words)
-
-
-def _position_table(programme: Programme) -> Table:
-    """The positions of a programme and how they are reached."""
-    moves = ("start", *map(move_text, programme.moves))
-    rows = [
-        {"": str(i), "how to get there": how, "attitude": short_code(position.attitude), "up and down": position.label}
-        for i, (position, how) in enumerate(zip(programme.positions, moves, strict=True), 1)
-    ]
-    return table(rows, words=("how to get there", "attitude", "up and down"))
-
-
-def _programme_table(setup: Setup, rows: Sequence[Compared], aim: Aim) -> Table:
-    """Programmes beside each other; the criterion over that of the first."""
-    return table(
-        [
-            {
-                "programme": row.programme.name,
-                "positions": str(len(row.programme.positions)),
-                "time": clock(time_of(row.programme, setup)),
-                "rank": str(row.bound.rank),
-                "condition": _condition(row.bound),
-            }
-            | _by_group(row.bound)
-            | {aim.letter: f"{row.value / rows[0].value:.2f}" if not len(row.bound.null) else ""}
-            for row in rows
-        ],
-        words=("programme",),
-    )
+        shown.append(dict(zip(words, where, strict=True)) | row | _by_group(one.bound))
+    return table(shown, words=words)
 
 
 def short_of(bound: Bound, aim: Aim, setup: Setup) -> list[str]:
     """What a programme does not determine, and wanted accuracies that it cannot give, in sentences."""
-    out = _not_determined(bound)
-    for group, value in (aim.wanted or {}).items():
-        if group in bound.groups and bound.rms(group) > value:
-            out.append(
-                f"{group}: expected {in_unit(group, value)} (rms), found at best "
-                f"{in_unit(group, bound.rms(group))}; take more positions, or longer rests than {setup.rest:g} s"
-            )
-    return out
+    return _not_determined(bound) + [
+        f"{group}: expected {in_unit(group, value)} (rms), found at best {in_unit(group, bound.rms(group))}; take more "
+        f"positions, or longer rests than {setup.rest:g} s"
+        for group, value in (aim.wanted or {}).items()
+        if group in bound.groups and bound.rms(group) > value
+    ]
 
 
 def _worst(bound: Bound) -> str:
@@ -160,6 +159,48 @@ def _condition(bound: Bound) -> str:
     return f"{bound.condition:.3g}" if math.isfinite(bound.condition) else "–"
 
 
+def plan_data(plan: PlanResult, reasons: list[str]) -> Content:
+    """What a programme can show at best, one more position or other programmes, and what is wanted and not had."""
+    setup, bound = plan.setup, plan.bound
+    programme, linear = setup.programme, bound.names[: bound.linear]
+    share = (u / spread_of(setup, name) for name, u in zip(linear, bound.u, strict=False))
+    columns = linear, bound.units[: bound.linear], bound.u[: bound.linear], share, plan.whole.u[: bound.linear]
+    return {
+        "reasons": reasons,
+        "programme": programme.name,
+        "positions": [_position(*at) for at in zip(programme.positions, (None, *programme.moves), strict=True)],
+        "duration": time_of(programme, setup),
+        "bound": _bound(bound),
+        "parameters": rows("name unit u of_spread u_with_all_groups", *columns),
+        "groups": _further_data(plan.whole.names, plan.whole.u, plan.whole.further),
+        "following": [
+            _position(one.position, one.move) | fields(one, "as_good ratio") | {"bound": _bound(one.bound)}
+            for one in plan.following
+        ],
+        "programmes": [
+            {
+                "programme": one.programme.name,
+                "attitudes": [position.attitude for position in one.programme.positions],
+                "duration": time_of(one.programme, setup),
+                "value": one.value,
+                "bound": _bound(one.bound),
+            }
+            for one in plan.programmes
+        ],
+    }
+
+
+def _position(position: Position, move: Move | None) -> Content:
+    """A position and the move that leads to it; of the first position, and where any movement will do, null."""
+    turn = None if move is None or move.axis is None else fields(move, "axis angle")
+    return fields(position, "attitude label") | {"turn": turn}
+
+
+def _bound(bound: Bound) -> Content:
+    rms = {group: bound.rms(group) for group in bound.groups}
+    return {"rank": bound.rank, "of": bound.linear, "condition": bound.condition, "rms": rms}
+
+
 # -------------------- over temperature --------------------
 
 
@@ -172,15 +213,12 @@ def thermal_plan_blocks(plan: ThermalPlan) -> list[Block]:
         f"{setup.turn_rate / DEGREE:g} °/s, {_celsius(plan.low)} to {_celsius(plan.high)} °C, in the chamber "
         f"{clock(plan.seconds)}"
     )
-    sessions = table(
-        [
-            {"recording": session.name, "°C": _range(session), "rests": str(session.rests)}
-            | {"change": clock(session.change), "soak": clock(session.soak), "in all": clock(session.recording)}
-            | {f"{group} alone": in_unit(group, u) for group, u in session.alone.items()}
-            for session in plan.sessions
-        ],
-        words=("recording",),
-    )
+    sessions = []
+    for session in plan.sessions:
+        span = " to ".join(dict.fromkeys((_celsius(session.low), _celsius(session.high))))
+        row = {"recording": session.name, "°C": span, "rests": str(session.rests), "change": clock(session.change)}
+        row |= {"soak": clock(session.soak), "in all": clock(session.recording)}
+        sessions.append(row | {f"{group} alone": in_unit(group, u) for group, u in session.alone.items()})
     parameters, named = [], positions_by_group(plan.names)
     for group in plan.groups:
         row = {"bound of u (rms)": group}
@@ -190,8 +228,12 @@ def thermal_plan_blocks(plan: ThermalPlan) -> list[Block]:
             name = f"{group}.{ending}"
             row[ending] = in_unit(name, plan.rms(name)) if name in named else ""
         parameters.append(row)
-    further = _further_table(plan.names, plan.u, plan.further)
-    return [Text(text=head), sessions, table(parameters, words=("bound of u (rms)",)), further]
+    return [
+        Text(text=head),
+        table(sessions, words=("recording",)),
+        table(parameters, words=("bound of u (rms)",)),
+        _further_table(plan.names, plan.u, plan.further),
+    ]
 
 
 def short_over_temperature(plan: ThermalPlan, wanted: Mapping[str, float]) -> list[str]:
@@ -208,12 +250,24 @@ def short_over_temperature(plan: ThermalPlan, wanted: Mapping[str, float]) -> li
     return out
 
 
-def _range(session: PlannedSession) -> str:
-    return " to ".join(dict.fromkeys((_celsius(session.low), _celsius(session.high))))
-
-
 def _celsius(kelvin: float) -> str:
-    return f"{kelvin - ZERO_CELSIUS:z.1f}".replace("-", "−")
+    return minus(f"{kelvin - ZERO_CELSIUS:z.1f}")
+
+
+def thermal_plan_data(plan: ThermalPlan, reasons: list[str]) -> Content:
+    """What recordings over temperature can show at best, how long each takes, and what is wanted and not had."""
+    units = (group_of(name).unit for name in plan.names)
+    columns = plan.names, units, plan.u, plan.at(plan.low), plan.at(plan.high)
+    return {
+        "reasons": reasons,
+        "programme": plan.setup.programme.name,
+        "duration": plan.seconds,
+        **fields(plan, "low reference high"),
+        "recordings": plan.sessions,
+        "parameters": rows("name unit u u_low u_high", *columns),
+        "groups": _further_data(plan.names, plan.u, plan.further),
+        "notes": plan.notes,
+    }
 
 
 # -------------------- a budget, and what an accuracy needs --------------------
@@ -221,38 +275,48 @@ def _celsius(kelvin: float) -> str:
 
 def budget_table(budget: Budget, bound: Bound | None) -> Table:
     """Expected errors of every method, pass and group of parameters, beside the least that any method can have."""
-    rows = []
+    shown = []
     for row in budget.rows:
         cells = {"method": row.method, "pass": str(row.iteration), "parameters": row.group, "estimator": row.estimator}
-        cells |= {"error (rms)": _quantity(row.error, row.unit), "of the spread": f"{row.relative:.2%}"}
-        cells |= {} if bound is None else {"bound": _quantity(bound.rms(row.group), row.unit)}
-        rows.append(cells | {"mostly from": row.dominating})
-    return table(rows, words=("method", "pass", "parameters", "estimator", "mostly from"), named_by=3)
+        cells |= {"error (rms)": in_engineering(row.unit, row.error, none=""), "of the spread": f"{row.relative:.2%}"}
+        if bound is not None:
+            cells["bound"] = in_engineering(row.unit, bound.rms(row.group), none="")
+        shown.append(cells | {"mostly from": row.dominating})
+    return table(shown, words=("method", "pass", "parameters", "estimator", "mostly from"), named_by=3)
 
 
-def _quantity(value: float, unit: str) -> str:
-    """A value, SI, in its engineering unit; nothing where it is infinite."""
-    size, shown = engineering(unit, value)
-    return f"{value / size:.3g} {shown}" if math.isfinite(value) else ""
+def budget_data(budget: Budget, bound: Bound | None) -> Content:
+    """Expected errors by method, pass and group of parameters, with their terms, and the bound."""
+    shown = []
+    for row in budget.rows:
+        keys = fields(row, "group method iteration estimator unit error relative")
+        keys |= {"bound": None if bound is None else bound.rms(row.group), "mostly_from": row.dominating}
+        shown.append(keys | {"terms": [fields(term, "name error") for term in row.terms]})
+    return {"rows": shown, "remarks": budget.remarks}
 
 
 def requirement_blocks(requirements: Requirements) -> list[Block]:
     """What each wanted accuracy asks of table, mounting and rests, and what meets all of them."""
-    rows = []
+    shown = []
     for row in requirements.rows:
-        cells = {"parameters": row.group, "wanted": _quantity(row.wanted, row.unit), "table within": "no table"}
-        cells |= {"mounting within": "", "rest at least": "", "because": row.reason}
+        cells = {"parameters": row.group, "wanted": in_engineering(row.unit, row.wanted, none="")}
+        cells |= {"table within": "no table", "mounting within": "", "rest at least": "", "because": row.reason}
         if row.feasible:
-            cells |= {"table within": _within(row.table_error, row.limited), "rest at least": f"{row.rest:.3g} s"}
-            cells["mounting within"] = _within(row.mounting_error, row.limited)
-        rows.append(cells)
+            cells["table within"] = f"±{row.table_error / DEGREE:.2f}°" if row.limited else "any (±5°)"
+            cells["mounting within"] = f"±{row.mounting_error / DEGREE:.2f}°" if row.limited else "any (±5°)"
+            cells["rest at least"] = f"{row.rest:.3g} s"
+        shown.append(cells)
     together = (
         f"together: table within ±{requirements.table_error / DEGREE:.2f}°, mounting within "
         f"±{requirements.mounting_error / DEGREE:.2f}°, rests of at least {requirements.rest:.3g} s"
     )
     met = any(row.feasible for row in requirements.rows)
-    return [table(rows, words=("parameters", "because")), *([Text(text=together)] if met else [])]
+    return [table(shown, words=("parameters", "because")), *texts([together] if met else [])]
 
 
-def _within(angle: float, limited: bool) -> str:
-    return f"±{angle / DEGREE:.2f}°" if limited else "any (±5°)"
+def requirements_data(requirements: Requirements) -> Content:
+    """What each wanted accuracy needs, and what meets all of them."""
+    row = "group estimator wanted unit feasible limited table_error mounting_error tilt rest reason"
+    return fields(requirements, "feasible table_error mounting_error rest") | {
+        "rows": [fields(each, row) for each in requirements.rows]
+    }

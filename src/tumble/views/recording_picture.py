@@ -1,7 +1,7 @@
 """The recording as a picture: what the sensors read over time, with its rests and its turns.
 
-`draw_recording` draws a session as it was recorded, `overview` what a calibration file has of it. The files of a log
-stand one after the other.
+`plot` draws a session as it was recorded, `overview` what a calibration file has of it. The files of a log stand one
+after the other.
 """
 
 from __future__ import annotations
@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tumble.units import DEGREE, Array
+from tumble.units import DEGREE
 from tumble.views.render.characters import drawable
-from tumble.views.render.pictures import COLOURS, PAGE, drawn
+from tumble.views.render.pictures import COLOURS, PAGE, STYLE, drawn, write_picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,55 +38,65 @@ Spans = Sequence[tuple[float, float]]
 """Start and stop, s."""
 
 
-def draw_recording(figure: Figure, observed: Observed) -> None:
-    """Accelerometers, and below them gyros, of all blocks of the log of a session."""
+def plot(observed: Observed, path: Path) -> None:
+    """Write the recording of a session, accelerometers and below them gyros of all blocks of its log, with its rests
+    and turns as svg, png or pdf by the ending of the file.
+
+    Raises MissingExtraError without matplotlib, InputError for another ending."""
     files, log = observed.reduction.files, observed.session.log
-    starts = _starts([float(file.edges[-1] - file.edges[0]) for file in files])
-    begin = [float(file.edges[0]) for file in files]
-    found = [
-        (r.start - begin[r.file] + starts[r.file], r.stop - begin[r.file] + starts[r.file], r.file)
-        for r in observed.segmentation.rests
-    ]
+    starts = _starts(float(file.edges[-1] - file.edges[0]) for file in files)
+    later = [start - float(file.edges[0]) for start, file in zip(starts, files, strict=True)]
+    found = [(r.start + later[r.file], r.stop + later[r.file], r.file) for r in observed.segmentation.rests]
     rests = [(start, stop) for start, stop, _ in found]
+    turns = [(before[1], after[0]) for before, after in pairwise(found) if before[2] == after[2]]
     panels = [("accel", log.accel, 1.0, "m/s²")] + ([("gyro", log.gyro, DEGREE, "°/s")] if log.gyro else [])
-    axes_of = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, (kind, channels, size, unit) in zip(axes_of, panels, strict=True):
-        assert channels is not None
-        for i, column in enumerate(channels.columns):
-            for file, start in zip(files, starts, strict=True):
-                middle = 0.5 * (file.edges[1:] + file.edges[:-1]) - file.edges[0] + start
-                label = drawable(column) if file is files[0] else None
-                values = getattr(file, kind).means[:, i] / size
-                axes.plot(middle, values, color=COLOURS[i % len(COLOURS)], linewidth=0.8, label=label)
-        axes.set_ylabel(unit)
-        _spans(axes, rests, _between(found))
-        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    _numbers(axes_of[0], rests)
-    axes_of[-1].set_xlabel("time, s")
+
+    def draw(figure: Figure) -> None:
+        axes_of = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, (kind, channels, size, unit) in zip(axes_of, panels, strict=True):
+            assert channels is not None
+            for i, column in enumerate(channels.columns):
+                for file, start in zip(files, starts, strict=True):
+                    middle = 0.5 * (file.edges[1:] + file.edges[:-1]) - file.edges[0] + start
+                    label = drawable(column) if file is files[0] else None
+                    values = getattr(file, kind).means[:, i] / size
+                    axes.plot(middle, values, color=COLOURS[i % len(COLOURS)], linewidth=0.8, label=label)
+            axes.set_ylabel(unit)
+            _spans(axes, rests, turns)
+            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        _numbers(axes_of[0], rests)
+        axes_of[-1].set_xlabel("time, s")
+
+    write_picture(path, "a picture of the recording", (10.0, 5.0), draw, STYLE)
 
 
 def overview(name: str, rests: Sequence[RestResult], turns: Sequence[TurnResult], columns: Sequence[str]) -> str:
-    """The mean readings of the accelerometers at the rests over time, and the angle of every turn between them, as the
-    SVG of a figure `name`; the accelerometers are called by their columns."""
-    lasted = [max((r.stop for r in rests if r.file == file), default=0.0) for file in range(rests[-1].file + 1)]
-    starts = _starts(lasted)
+    """The mean readings of the accelerometers at the rests over time, thin lines from each to the next, and the angle
+    of every turn between them as the gyros saw it, as the SVG of a figure `name`; the accelerometers are called by
+    their columns."""
+    starts = _starts(max((r.stop for r in rests if r.file == file), default=0.0) for file in range(rests[-1].file + 1))
     spans = [(r.start + starts[r.file], r.stop + starts[r.file]) for r in rests]
     between = [(spans[t.first][1], spans[t.last][0]) for t in turns]
 
     def draw(figure: Figure) -> None:
         told = any(t.angle is not None for t in turns)
         all_axes = figure.subplots(2 if told else 1, 1, sharex=True, squeeze=False, height_ratios=(2, 1)[: 1 + told])
-        top = all_axes[0, 0]
-        means = np.array([r.accel.mean for r in rests if r.accel is not None])
-        for i in range(means.shape[1]):
-            label = drawable(columns[i]) if i < len(columns) else str(i)
-            _steps(top, spans, means[:, i], COLOURS[i % len(COLOURS)], label)
+        top, times = all_axes[0, 0], np.ravel(np.array(spans))
+        for i, means in enumerate(np.array([r.accel.mean for r in rests if r.accel is not None]).T):
+            label, colour = drawable(columns[i]) if i < len(columns) else str(i), COLOURS[i % len(COLOURS)]
+            top.plot(times, np.repeat(means, 2), color=colour, linewidth=0.4)
+            for span, mean in zip(spans, means, strict=True):
+                top.plot(span, (mean, mean), color=colour, linewidth=2.0, label=label if span is spans[0] else None)
         top.set_ylabel("m/s²")
         _spans(top, spans, between)
         _numbers(top, spans)
         top.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
         if told:
-            _angles(all_axes[1, 0], turns, between)
+            bottom = all_axes[1, 0]
+            for turn, (start, stop) in zip(turns, between, strict=True):
+                if turn.angle is not None:
+                    bottom.bar(start, turn.angle / DEGREE, stop - start, align="edge", color="#c0561a")
+            bottom.set(ylabel="turn, °", ylim=(0.0, 190.0), yticks=(0, 90, 180))
         all_axes[-1, 0].set_xlabel("time, s")
 
     return drawn(name, PAGE, 2.4, draw)
@@ -94,11 +105,6 @@ def overview(name: str, rests: Sequence[RestResult], turns: Sequence[TurnResult]
 def _starts(lasted: Iterable[float]) -> list[float]:
     """When each file begins, the files standing one after the other."""
     return [0.0, *np.cumsum(list(lasted)).tolist()][:-1]
-
-
-def _between(rests: Sequence[tuple[float, float, int]]) -> Spans:
-    """From the end of a rest to the beginning of the next of the same file."""
-    return [(before[1], after[0]) for before, after in pairwise(rests) if before[2] == after[2]]
 
 
 def _spans(axes: Axes, rests: Spans, turns: Spans) -> None:
@@ -121,23 +127,11 @@ def _numbers(axes: Axes, rests: Spans) -> None:
         middle, half = 0.5 * (start + stop), 0.325 * _NUMBER * len(str(number)) * point
         if middle - half < taken:
             continue
-        axes.annotate(
-            str(number), (middle, 1.0), xycoords=("data", "axes fraction"), ha="center", va="bottom", fontsize=_NUMBER
-        )
+        place: dict[str, Any] = {
+            "xycoords": ("data", "axes fraction"),
+            "ha": "center",
+            "va": "bottom",
+            "fontsize": _NUMBER,
+        }
+        axes.annotate(str(number), (middle, 1.0), **place)
         taken = middle + half + 0.4 * _NUMBER * point
-
-
-def _steps(axes: Axes, spans: Spans, values: Array, colour: str, label: str) -> None:
-    """A level line over every span, thin ones from each to the next."""
-    times = np.ravel(np.array(spans))
-    axes.plot(times, np.repeat(values, 2), color=colour, linewidth=0.4)
-    for i, (start, stop) in enumerate(spans):
-        axes.plot((start, stop), (values[i], values[i]), color=colour, linewidth=2.0, label=label if i == 0 else None)
-
-
-def _angles(axes: Axes, turns: Sequence[TurnResult], spans: Spans) -> None:
-    """The angle of every turn as the gyros saw it, as a bar over its time."""
-    for turn, (start, stop) in zip(turns, spans, strict=True):
-        if turn.angle is not None:
-            axes.bar(start, turn.angle / DEGREE, stop - start, align="edge", color="#c0561a")
-    axes.set(ylabel="turn, °", ylim=(0.0, 190.0), yticks=(0, 90, 180))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Container, Iterable, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
 
 from tumble.acceptance.conformity import RULE, LimitJudgement, Verdict
 from tumble.calibration.calibration_file import Calibration
@@ -16,13 +15,14 @@ from tumble.registry.adding import logs_of
 from tumble.registry.monitor import Monitored
 from tumble.registry.series import SeriesPoint
 from tumble.registry.trend import Change, Trend
-from tumble.registry.types import Forecast, LimitsRecord, Record
+from tumble.registry.types import LimitsRecord, Record
 from tumble.sensors.parameters import beyond_linear, group_name
 from tumble.units import two_digits
 from tumble.views.blocks import Block, Items, Table, Text, Tone, table
 from tumble.views.checks import judged_lines
-from tumble.views.numbers import Units, cells, device_name, limit_cell, shown_units
+from tumble.views.numbers import Units, cells, device_name, limit_cell, shown_units, units_of_values
 from tumble.views.registry_lists import day_of
+from tumble.views.render.data import Content, fields
 
 TONES: Mapping[str, Tone] = {
     "pass": "good",
@@ -77,16 +77,30 @@ def _counted(further: Collection[str]) -> str:
 
 def _verdict_table(parameters: Sequence[Parameter], judged: Mapping[str, LimitJudgement]) -> Table:
     units, rows = shown_units(parameters), []
-    for parameter in parameters:
-        size, unit = units[parameter.name]
-        value, expanded = cells(parameter.value, expanded_of(parameter), size)
-        row = {"parameter": parameter.name, "value": value, "U": expanded}
-        own = judged.get(parameter.name)
+    for p in parameters:
+        (size, unit), judgement = units[p.name], judged.get(p.name)
+        row = dict(zip(("parameter", "value", "U"), (p.name, *cells(p.value, expanded_of(p), size)), strict=True))
         if judged:
-            low, high = ("", "") if own is None else (limit_cell(limit, size) for limit in (own.low, own.high))
-            row |= {"lowest": low, "highest": high, "unit": unit, "verdict": own.result if own else ""}
+            limits = (math.nan, math.nan) if judgement is None else (judgement.low, judgement.high)
+            row |= dict(zip(("lowest", "highest"), (limit_cell(limit, size) for limit in limits), strict=True))
+            row |= {"unit": unit, "verdict": judgement.result if judgement else ""}
         rows.append(row | {"unit": unit})
     return table(rows, words=("parameter", "unit", "verdict"), columns=() if rows else ("parameter", "value", "U"))
+
+
+def record_data(record: Record, calibration: Calibration, verdict: Verdict | None) -> Content:
+    """A record with its launches, its parameters (of the result: launch 0), and the verdict."""
+    launches = enumerate([calibration.parameters, *(launch.parameters for launch in calibration.launches)])
+    judged = None
+    if verdict is not None:
+        said = {"reasons": verdict.reasons(), "parameters": verdict.judgements}
+        judged = fields(verdict, "result occasion frame") | said
+    return {
+        "record": record,
+        "launches": [{"session": session, "log_sha256": log} for session, log in logs_of(calibration)],
+        "parameters": [{"launch": i} | fields(p, "name value u unit dof") for i, own in launches for p in own],
+        "verdict": judged,
+    }
 
 
 def limits_blocks(limits: LimitsRecord) -> list[Block]:
@@ -134,27 +148,44 @@ def trend_blocks(found: Monitored, *, every: bool) -> list[Block]:
     ]
 
 
+def trend_data(found: Monitored) -> Content:
+    """The parameters of a device over its calibrations."""
+    parameters = [
+        fields(trend.series, "name unit")
+        | {
+            "calibrations": [
+                {"record": p.number} | fields(p, "performed state value u dof") for p in trend.series.points
+            ]
+        }
+        | fields(trend, "run_to_run instability drift changes")
+        for trend in found.trends
+    ]
+    return {
+        "serial": found.latest.serial,
+        "frame": found.frame,
+        "limits": dict(found.limits),
+        "parameters": parameters,
+        "changed": found.changed(),
+        "forecasts": found.forecasts(),
+    }
+
+
 def forecast_lines(found: Monitored) -> list[str]:
     """When parameters meet their limits by their drift, in sentences."""
-    units = units_of(found)
-    return [_forecast_line(each, *units[each.name]) for each in found.forecasts()]
+    units, lines = units_of(found), []
+    for each in found.forecasts():
+        size, unit = units[each.name]
+        latest = "more than 50 years on" if each.latest is None else day_of(each.latest)
+        lines.append(
+            f"forecast: {each.name} meets its limit of {limit_cell(each.limit, size)} {unit} on "
+            f"{day_of(each.expected)} (95 %: {day_of(each.earliest)} to {latest})"
+        )
+    return lines
 
 
 def units_of(found: Monitored) -> Units:
     """The unit in which each parameter is shown."""
-    values = chain.from_iterable(
-        (Parameter(name=t.series.name, value=p.value, u=None, unit=t.series.unit) for p in t.series.points)
-        for t in found.trends
-    )
-    return shown_units(values)
-
-
-def _forecast_line(each: Forecast, size: float, unit: str) -> str:
-    latest = "more than 50 years on" if each.latest is None else day_of(each.latest)
-    return (
-        f"forecast: {each.name} meets its limit of {limit_cell(each.limit, size)} {unit} on {day_of(each.expected)} "
-        f"(95 %: {day_of(each.earliest)} to {latest})"
-    )
+    return units_of_values((t.series.name, p.value, t.series.unit) for t in found.trends for p in t.series.points)
 
 
 def change_lines(comparison: Comparison) -> list[str]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import date
 from typing import TYPE_CHECKING
 
 from tumble.views.blocks import Table
+from tumble.views.render.data import Content, fields
 
 if TYPE_CHECKING:
     from tumble.registry.due import Due
@@ -18,74 +19,67 @@ def day_of(moment: date) -> str:
     return f"{moment:%Y-%m-%d}"
 
 
-def limits_table(records: Iterable[LimitsRecord], in_force: Mapping[str, LimitsRecord]) -> Table:
-    """The limits of all types."""
-    return _list(
-        ("limits", "type", "added", ""),
-        (
-            (str(own.number), own.model, day_of(own.added), "in force" if in_force[own.model] == own else "replaced")
-            for own in records
-        ),
-    )
+def _list(columns: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> Table:
+    """A table of words; what is not known is an empty cell."""
+    cells = (tuple("" if cell is None else str(cell) for cell in row) for row in rows)
+    return Table(columns=columns, rows=tuple(cells), text=tuple(range(len(columns))))
 
 
 def device_table(latest: Iterable[Due]) -> Table:
     """Every device with its latest record."""
+    columns = ("device", "type", "calibrations", "latest", "record", "check", "verdict", "due")
+    records = ((item.record, item) for item in latest)
     return _list(
-        ("device", "type", "calibrations", "latest", "record", "check", "verdict", "due"),
+        columns,
         (
-            (
-                item.record.serial,
-                item.record.model or "",
-                str(item.calibrations),
-                day_of(item.record.performed),
-                str(item.record.number),
-                item.record.occasion,
-                item.record.verdict or "",
-                str(item.day or ""),
-            )
-            for item in latest
+            (r.serial, r.model, i.calibrations, day_of(r.performed), r.number, r.occasion, r.verdict, i.day)
+            for r, i in records
         ),
     )
+
+
+def devices_data(latest: Sequence[Due]) -> Content:
+    """Every device with its latest record."""
+    return {
+        "devices": [
+            fields(i.record, "serial model") | {"calibrations": i.calibrations, "due": i.day, "latest": i.record}
+            for i in latest
+        ]
+    }
 
 
 def record_table(records: Iterable[Record]) -> Table:
     """The records of a device."""
-    return _list(
-        ("record", "performed", "check", "state", "method", "frame", "verdict", ""),
-        (
-            (
-                str(record.number),
-                day_of(record.performed),
-                record.occasion,
-                record.state,
-                record.method,
-                record.frame,
-                record.verdict or "",
-                f"superseded by {record.superseded_by}" if record.superseded_by else "",
-            )
-            for record in records
-        ),
-    )
+    rows = []
+    for r in records:
+        superseded = f"superseded by {r.superseded_by}" if r.superseded_by else ""
+        rows.append((r.number, day_of(r.performed), r.occasion, r.state, r.method, r.frame, r.verdict, superseded))
+    return _list(("record", "performed", "check", "state", "method", "frame", "verdict", ""), rows)
+
+
+def limits_table(records: Iterable[LimitsRecord], in_force: Mapping[str, LimitsRecord]) -> Table:
+    """The limits of all types."""
+    rows = ((r.number, r.model, day_of(r.added), "in force" if in_force[r.model] == r else "replaced") for r in records)
+    return _list(("limits", "type", "added", ""), rows)
+
+
+def limits_data(records: Sequence[LimitsRecord], in_force: Mapping[str, LimitsRecord]) -> Content:
+    """Acceptance limits of device types, as TOML texts."""
+    shown = []
+    for record in records:
+        force = {"in_force": in_force[record.model].number == record.number}
+        shown.append(fields(record, "number model added") | force | {"file": record.file})
+    return {"limits": shown}
 
 
 def due_table(items: Iterable[Due], today: date) -> Table:
     """What is due when."""
-    return _list(
-        ("device", "type", "latest", "record", "every", "due", ""),
-        (
-            (
-                item.record.serial,
-                item.record.model or "",
-                day_of(item.record.performed),
-                str(item.record.number),
-                "" if item.months is None else f"{item.months} months",
-                str(item.day or ""),
-                _until(item, today),
-            )
-            for item in items
-        ),
-    )
+    rows = []
+    for i in items:
+        every, until = None if i.months is None else f"{i.months} months", _until(i, today)
+        r = i.record
+        rows.append((r.serial, r.model, day_of(r.performed), r.number, every, i.day, until))
+    return _list(("device", "type", "latest", "record", "every", "due", ""), rows)
 
 
 def _until(item: Due, today: date) -> str:
@@ -95,5 +89,11 @@ def _until(item: Due, today: date) -> str:
     return f"{said}, by the drift of {item.by_drift.name}" if item.drifts and item.by_drift is not None else said
 
 
-def _list(columns: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Table:
-    return Table(columns=columns, rows=tuple(rows), text=tuple(range(len(columns))), named_by=1)
+def due_data(items: Sequence[Due], today: date) -> Content:
+    """When which device is to be calibrated again."""
+    devices = []
+    for i in items:
+        keys = fields(i.record, "serial model") | {"record": i.record.number, "performed": i.record.performed}
+        keys |= {"months": i.months, "due": i.day, "by_drift": i.by_drift if i.drifts else None}
+        devices.append(keys | {"overdue": i.day is not None and i.day < today})
+    return {"on": today, "devices": devices}

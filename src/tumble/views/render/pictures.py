@@ -75,18 +75,23 @@ def write_picture(
             figure.savefig(temporary, dpi=150, metadata=_UNDATED.get(ending))
 
 
-def drawn(name: str, width: float, height: float, draw: Callable[[Figure], None]) -> str:
-    """The SVG of a figure of this size in inches that `draw` fills. `name` is put before every identifier in it:
-    several figures of a page share one name space."""
+def svg_of(size: tuple[float, float], draw: Callable[[Figure], None], style: Any, metadata: Any, **saving: Any) -> str:
+    """The SVG of a figure of this size in inches that `draw` fills."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    with rc_context(STYLE):
-        figure = Figure(figsize=(width, height), layout="constrained")
+    with rc_context(style):
+        figure = Figure(figsize=size, layout="constrained")
         draw(figure)
         out = io.StringIO()
-        figure.savefig(out, format="svg", metadata=_DATA_OF_THE_FILE, transparent=True)
-    return for_a_page(out.getvalue(), name)
+        figure.savefig(out, format="svg", metadata=metadata, **saving)
+    return out.getvalue()
+
+
+def drawn(name: str, width: float, height: float, draw: Callable[[Figure], None]) -> str:
+    """The SVG of a figure of this size in inches that `draw` fills. `name` is put before every identifier in it:
+    several figures of a page share one name space."""
+    return for_a_page(svg_of((width, height), draw, STYLE, _DATA_OF_THE_FILE, transparent=True), name)
 
 
 def for_a_page(svg: str, name: str) -> str:
