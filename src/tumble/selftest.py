@@ -133,7 +133,7 @@ def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lam
 def _sources() -> Iterator[tuple[str, str]]:
     """Every source file of the program with its SHA-256, and what is compiled of them."""
     package = Path(__file__).parent
-    for path in sorted(path for path in package.rglob("*") if path.suffix in (".py", ".pxd", ".so", ".pyd")):
+    for path in sorted(path for path in package.rglob("*") if path.suffix in (".py", ".so", ".pyd")):
         yield path.relative_to(package).as_posix(), hashlib.sha256(path.read_bytes()).hexdigest()
 
 

@@ -25,10 +25,19 @@ try:
 except ImportError:
     from tumble import uncompiled as cython
 
+# C: from libc.math cimport cos, sin, sqrt
+# C: cpdef enum:
+# C:     PARAMETERS = 9
+# C:     LANES = 16
+# C:     _ROWS = 10
+# C:     _MODEL = 14
+# C:     _TOGETHER = 4
+# C:     _SUMS = 55
+
 STEPS = 5
 """Gauss–Newton steps: from zero, sensors that are off by 5 % are known to rounding after five."""
 
-if not cython.compiled:  # where it is, these are numbers of triads.pxd
+if not cython.compiled:  # where it is, these are numbers of C
     from numpy import cos, sin, sqrt
 
     PARAMETERS = 9
@@ -56,6 +65,9 @@ def fit_statics(readings: Array, gravity: float, start: Array | None = None) -> 
     return values, variance, step
 
 
+# C: cdef void _fit(const double[:, :, ::1] readings, double gravity, Py_ssize_t steps, double[:, ::1] values,
+# C:     double[:, ::1] variance, double[:, ::1] step, double[:, ::1] tile, double[:, ::1] theta, double[:, ::1] model,
+# C:     double[:, ::1] sums, double[:, ::1] spread, double[:, ::1] column, double[:, ::1] h)
 def _fit(
     readings: Array,
     gravity: float,
@@ -96,11 +108,13 @@ def _fit(
                     variance[first + lane, m] = spread[m, lane]
 
 
+# C: cdef Py_ssize_t _at(Py_ssize_t row, Py_ssize_t column) noexcept nogil
 def _at(row: int, column: int) -> int:
     """Where an element of a lower triangle is."""
     return row * (row + 1) // 2 + column
 
 
+# C: cdef void _model(double[:, ::1] theta, double[:, ::1] model) noexcept nogil
 def _model(theta: Array, model: Array) -> None:
     """What the parameters (9, lanes) mean: per lane sin and cos of γ_yx, γ_zx, γ_zy; 1 + k and its inverse; the
     inverses of the diagonal of A in rows y and z."""
@@ -114,6 +128,8 @@ def _model(theta: Array, model: Array) -> None:
         model[13, lane] = 1.0 / (model[3, lane] * model[5, lane])
 
 
+# C: cdef void _accumulate(double[:, ::1] tile, double gravity, double[:, ::1] theta, double[:, ::1] model,
+# C:     double[:, ::1] h, double[:, ::1] sums) noexcept nogil
 def _accumulate(tile: Array, gravity: float, theta: Array, model: Array, h: Array, sums: Array) -> None:
     """Lower triangle of Σ (h, r)ᵀ(h, r) over the rests, h = −dr/dθ; _TOGETHER rests at a time, of which h has a row
     for each number."""
@@ -140,6 +156,9 @@ def _accumulate(tile: Array, gravity: float, theta: Array, model: Array, h: Arra
                     )
 
 
+# C: @cython.locals(vx=double, vy=double, vz=double)
+# C: cdef void _row(double[:, ::1] tile, Py_ssize_t at, double gravity, double[:, ::1] theta, double[:, ::1] model,
+# C:     double[:, ::1] h, Py_ssize_t to) noexcept nogil
 def _row(tile: Array, at: int, gravity: float, theta: Array, model: Array, h: Array, to: int) -> None:
     """h and r (10, lanes) of a rest whose readings are three rows of `tile`, to the rows of `h` from `to`."""
     for lane in range(LANES):
@@ -165,6 +184,7 @@ def _row(tile: Array, at: int, gravity: float, theta: Array, model: Array, h: Ar
         h[to + 9, lane] = (size - gravity) * size * shrink
 
 
+# C: cdef void _factorise(double[:, ::1] sums) noexcept nogil
 def _factorise(sums: Array) -> None:
     """Cholesky factor L of the first nine rows in place; the tenth becomes L⁻¹ Σ hᵀ r."""
     for row in range(_ROWS):
@@ -183,6 +203,7 @@ def _factorise(sums: Array) -> None:
                     sums[at, lane] /= sums[diagonal, lane]
 
 
+# C: cdef void _solve(double[:, ::1] sums, double[:, ::1] theta) noexcept nogil
 def _solve(sums: Array, theta: Array) -> None:
     """The step L⁻ᵀ (L⁻¹ Σ hᵀ r), in the tenth row, added to the parameters."""
     for back in range(PARAMETERS):
@@ -196,6 +217,7 @@ def _solve(sums: Array, theta: Array) -> None:
             theta[row, lane] += sums[at, lane]
 
 
+# C: cdef void _variances(double[:, ::1] sums, double[:, ::1] column, double[:, ::1] spread) noexcept nogil
 def _variances(sums: Array, column: Array, spread: Array) -> None:
     """Diagonal (9, lanes) of (L Lᵀ)⁻¹: squares of the columns of L⁻¹."""
     for m in range(PARAMETERS):

@@ -17,7 +17,18 @@ try:
 except ImportError:
     from tumble import uncompiled as cython
 
-if not cython.compiled:  # where it is, these are numbers of fixed_point.pxd
+# C: cpdef enum:
+# C:     LANES = 64
+# C:     _OTHER = 192
+# C:     _NEXT = 384
+# C:     _KNOWN = 576
+# C:     _RATE = 1
+# C:     _FORCE = 4
+# C:     _PRODUCTS = 7
+# C:     _OWN_SIZE = 13
+# C:     _OWN_CUBE = 14
+
+if not cython.compiled:  # where it is, these are numbers of C
     LANES = 64
     _OTHER = 3 * LANES
     _NEXT = 6 * LANES
@@ -55,6 +66,9 @@ def _on_a_line(size: int) -> Array:
     return zeros[first : first + size]
 
 
+# C: cdef void _solve(const double[:, :] readings, const double[:, :] offset, const double[:, :] gain,
+# C:     const double[:, :] other, const double[:, :] inverse, const double[:, :] axes, const double[:, :] K,
+# C:     Py_ssize_t steps, bint of_force, double[::1] tile, double[:, ::1] x)
 def _solve(
     readings: Array,
     offset: Array,
@@ -80,6 +94,11 @@ def _solve(
                 x[first + i, 0], x[first + i, 1], x[first + i, 2] = tile[i], tile[LANES + i], tile[2 * LANES + i]
 
 
+# C: @cython.locals(value=double, x=double, y=double, z=double, a=double, b=double, c=double, linear=Py_ssize_t,
+# C:     known=Py_ssize_t, inverse_gain=Py_ssize_t)
+# C: cdef void _fill(const double[:, :] readings, const double[:, :] offset, const double[:, :] gain,
+# C:     const double[:, :] other, const double[:, :] K, bint of_force, Py_ssize_t first, Py_ssize_t count,
+# C:     double[::1] tile) noexcept nogil
 def _fill(
     readings: Array,
     offset: Array,
@@ -107,6 +126,8 @@ def _fill(
             _take_products(K, p, known, tile)
 
 
+# C: cdef void _step(const double[:, :] inverse, const double[:, :] axes, const double[:, :] K, bint of_force,
+# C:     double[::1] tile) noexcept nogil
 def _step(inverse: Array, axes: Array, K: Array, of_force: bool, tile: Array) -> None:
     """A step of all samples in the tile."""
     for i in range(3 * LANES):
@@ -120,6 +141,10 @@ def _step(inverse: Array, axes: Array, K: Array, of_force: bool, tile: Array) ->
         tile[i] = tile[_NEXT + i]
 
 
+# C: @cython.locals(a=double, b=double, c=double, size=double, cube=double, own=double, value=double, to_x=double,
+# C:     to_y=double, to_z=double, known=Py_ssize_t, inverse_gain=Py_ssize_t)
+# C: cdef void _add_rate_sensor(const double[:, :] inverse, const double[:, :] axes, const double[:, :] K,
+# C:     Py_ssize_t p, double[::1] tile) noexcept nogil
 def _add_rate_sensor(inverse: Array, axes: Array, K: Array, p: int, tile: Array) -> None:
     """Add to the next vector what sensor p makes of it: its known reading less what size and cube of the vector along
     its axis make."""
@@ -134,6 +159,11 @@ def _add_rate_sensor(inverse: Array, axes: Array, K: Array, p: int, tile: Array)
         tile[_NEXT + 2 * LANES + i] += to_z * value
 
 
+# C: @cython.locals(a=double, b=double, c=double, size=double, cube=double, own=double, value=double, to_x=double,
+# C:     to_y=double, to_z=double, known=Py_ssize_t, inverse_gain=Py_ssize_t, x=double, y=double, z=double,
+# C:     products=double, xx=double, xy=double, xz=double, yy=double, yz=double, zz=double)
+# C: cdef void _add_force_sensor(const double[:, :] inverse, const double[:, :] axes, const double[:, :] K,
+# C:     Py_ssize_t p, double[::1] tile) noexcept nogil
 def _add_force_sensor(inverse: Array, axes: Array, K: Array, p: int, tile: Array) -> None:
     """The same of an accelerometer, less what products of the components of the vector make, too."""
     known, inverse_gain = _KNOWN + p * LANES, _KNOWN + (K.shape[0] + p) * LANES
@@ -151,6 +181,8 @@ def _add_force_sensor(inverse: Array, axes: Array, K: Array, p: int, tile: Array
         tile[_NEXT + 2 * LANES + i] += to_z * value
 
 
+# C: @cython.locals(xx=double, xy=double, xz=double, yy=double, yz=double, zz=double, x=double, y=double, z=double)
+# C: cdef void _take_products(const double[:, :] K, Py_ssize_t p, Py_ssize_t known, double[::1] tile) noexcept nogil
 def _take_products(K: Array, p: int, known: int, tile: Array) -> None:
     """Take off the known reading of a gyro p, from `known` on, what products of the components of the force make."""
     xx, xy, xz = K[p, _PRODUCTS], K[p, _PRODUCTS + 1], K[p, _PRODUCTS + 2]
@@ -171,6 +203,9 @@ def central_differences(values: Array, time: Array, longest: float) -> Array:
     return out
 
 
+# C: @cython.locals(step=double, before=Py_ssize_t, after=Py_ssize_t)
+# C: cdef void _differ(const double[:, :] values, const double[:] time, double longest, double unknown,
+# C:     double[:, ::1] out)
 def _differ(values: Array, time: Array, longest: float, unknown: float, out: Array) -> None:
     """The same into `out`."""
     samples = values.shape[0]
@@ -194,6 +229,11 @@ def moved(readings: Array, rate: Array, acceleration: Array, levers: Array, sens
     return out
 
 
+# C: @cython.locals(rx=double, ry=double, rz=double, size=double, kx=double, ky=double, kz=double, cx=double,
+# C:     cy=double, cz=double, x=double, y=double, z=double, turning=double, spinning=double, there=double)
+# C: cdef void _move(const double[:, :] readings, const double[:, :] rate, const double[:, :] acceleration,
+# C:     const double[:, :] levers, const double[:, :] sensitivity, const double[:, :] across, const double[:] along,
+# C:     double[:, ::1] out)
 def _move(
     readings: Array,
     rate: Array,
