@@ -25,7 +25,7 @@ except ImportError:
 # C: from libc.stdint cimport int64_t
 # C: cpdef enum:
 # C:     LINEAR = 7
-# C:     GROUP = 40
+# C:     GROUP = 200
 # C:     BLOCK = 4
 # C:     _RATE = 0
 # C:     _FORCE = 3
@@ -40,7 +40,7 @@ except ImportError:
 
 if not cython.compiled:  # where it is, these are numbers of C
     LINEAR = 7  # regressors 1, ω (3), f (3)
-    GROUP = 40
+    GROUP = 200
     BLOCK = 4  # numbers of regressors are multiples of it
     # rows: ω (3), f (3) and one that is no matter, dt, ω with which the force is moved (3), quaternions of half a step
     # and then of the attitude in its middle (4), what the velocity moves by and then the velocity in the middle (3),
