@@ -56,7 +56,7 @@ REORDERED = {"reduction/moment_kernels"}
 """Those among them whose sums over samples may be taken in another order."""
 PLAIN = {"reduction/kernels"}
 """Modules that newer processors do not run faster."""
-INDEPENDENT = {"reduction/moment_kernels", "sensors/fixed_point"}
+INDEPENDENT = {"reduction/moment_kernels"}
 """Modules in which the steps of a loop over `i` do not depend on one another. GCC does not see it, and would ask in
 every loop over lanes whether rows overlap."""
 AVX2 = ("-mavx2", "-mfma", "-mbmi2")
