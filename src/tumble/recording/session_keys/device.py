@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from tumble.documents import shown
 from tumble.recording.session_keys.table import SessionTable
-from tumble.sensors.typed_quantities import prior_of
+from tumble.sensors.parameters import prior_of
 
 LONGEST_NAME = 200
 """Characters of a serial number and of a type."""
