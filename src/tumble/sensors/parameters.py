@@ -25,7 +25,7 @@ from typing import Literal
 import numpy as np
 
 from tumble.sensors.model import Block, SensorKind
-from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, coarsest, engineering, quantity
+from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, coarsest, engineering, quantity
 
 FUNCTIONS = 15
 """How many functions β there are."""
@@ -202,13 +202,31 @@ def _group(
 
 
 LINEAR: tuple[ParameterGroup, ...] = (
-    _group("accel.bias", "m/s^2", "biases of the accelerometers", _every_sensor, 1.0, _MASS),
-    _group("accel.scale", "1", "scale-factor errors of the accelerometers", _every_sensor, 0.1, _PARTS),
-    _group("accel.axis", "rad", "axis angles of the accelerometers", _angles, 0.1, ()),
-    _group("gyro.bias", "rad/s", "biases of the gyros", _every_sensor, 0.1, _TURN_RATE),
-    _group("gyro.scale", "1", "scale-factor errors of the gyros", _every_sensor, 0.1, _PARTS),
-    _group("gyro.axis", "rad", "axis angles of the gyros", _angles, 0.1, ()),
-)
+    _group(
+        "accel.bias", "m/s^2", "biases of the accelerometers", _every_sensor,
+        1.0, _MASS, _grades(2e-3, 2e-2, 5e-2, 0.3),
+    ),
+    _group(
+        "accel.scale", "1", "scale-factor errors of the accelerometers", _every_sensor,
+        0.1, _PARTS, _grades(1e-4, 5e-4, 6e-3, 1.5e-2),
+    ),
+    _group(
+        "accel.axis", "rad", "axis angles of the accelerometers", _angles,
+        0.1, (), _grades(20 * ARCSEC, 100 * ARCSEC, 4e-3, 1e-2),
+    ),
+    _group(
+        "gyro.bias", "rad/s", "biases of the gyros", _every_sensor,
+        0.1, _TURN_RATE, _grades(0.1 * DEGREE_PER_HOUR, 5 * DEGREE_PER_HOUR, 1e-2, 2e-2),
+    ),
+    _group(
+        "gyro.scale", "1", "scale-factor errors of the gyros", _every_sensor,
+        0.1, _PARTS, _grades(1e-4, 5e-4, 6e-3, 1.5e-2),
+    ),
+    _group(
+        "gyro.axis", "rad", "axis angles of the gyros", _angles,
+        0.1, (), _grades(10 * ARCSEC, 100 * ARCSEC, 4e-3, 1e-2),
+    ),
+)  # fmt: skip
 """Bias, scale-factor error and axis angles: the 21 of two triads."""
 
 
