@@ -50,13 +50,13 @@ DIRECTIVES = {
 }
 FLAGS = ("-O3", "-fPIC", "-fno-math-errno", "-fno-trapping-math", "-fvisibility=hidden", "-w")
 GCC_FLAGS = ("--param=vect-max-version-for-alias-checks=1000",)
-FUSED = {"reduction/moment_kernels", "campaigns/triads"}
+FUSED = {"reduction/turns/moment_kernels", "campaigns/triads"}
 """Modules whose products and sums may be rounded once; the others give the same bits on all processors."""
-REORDERED = {"reduction/moment_kernels"}
+REORDERED = {"reduction/turns/moment_kernels"}
 """Those among them whose sums over samples may be taken in another order."""
 PLAIN = {"reduction/kernels"}
 """Modules that newer processors do not run faster."""
-INDEPENDENT = {"reduction/moment_kernels"}
+INDEPENDENT = {"reduction/turns/moment_kernels"}
 """Modules in which the steps of a loop over `i` do not depend on one another. GCC does not see it, and would ask in
 every loop over lanes whether rows overlap."""
 AVX2 = ("-mavx2", "-mfma", "-mbmi2")

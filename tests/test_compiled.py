@@ -20,8 +20,9 @@ from click.testing import CliRunner
 from tumble import cli, compiled, uncompiled
 from tumble.campaigns import triads
 from tumble.inference import elimination, residual_loops, row_loops
-from tumble.reduction import kernels, moment_kernels, moments
-from tumble.reduction.moments import BlockCompensation, Compensation, OwnAxes, Pieces, moments_of
+from tumble.reduction import kernels
+from tumble.reduction.turns import moment_kernels, moments
+from tumble.reduction.turns.moments import BlockCompensation, Compensation, OwnAxes, Pieces, moments_of
 from tumble.sensors import fixed_point
 from tumble.units import Array
 
@@ -137,7 +138,7 @@ def test_moments_are_those_of_python(monkeypatch: pytest.MonkeyPatch) -> None:
     compensation = Compensation(gyro=block, accel=block, g_sensitivity=1e-3 * np.ones((3, 3)), delay=3e-3)
     own = OwnAxes(gyro=np.eye(3), accel=np.eye(3)[:2])
     found = moments_of(pieces, compensation, own)
-    monkeypatch.setattr(moments, "_kernels", as_python("reduction/moment_kernels"))
+    monkeypatch.setattr(moments, "_kernels", as_python("reduction/turns/moment_kernels"))
     expected = moments_of(pieces, compensation, own)
     for field in fields(found):
         ours, theirs = getattr(found, field.name), getattr(expected, field.name)

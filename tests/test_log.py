@@ -26,7 +26,7 @@ from tumble.recording.description import description_of
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.session_file import read_session, write_session
-from tumble.reduction.blocks import reduce_log
+from tumble.reduction.blocks.reducer import reduce_log
 from tumble.units import Array
 
 if sys.version_info >= (3, 14):

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from preintegrated import preintegrate
 from scipy.spatial.transform import Rotation
 
-from tumble.reduction.moment_kernels import GROUP
+from tumble.reduction.turns.moment_kernels import GROUP
 from tumble.rotation import rotation_matrix, skew
 from tumble.units import Array
 

@@ -14,7 +14,7 @@ from pathlib import Path
 FOLDER = Path(__file__).parent
 LOOPS = (
     "reduction/kernels",
-    "reduction/moment_kernels",
+    "reduction/turns/moment_kernels",
     "inference/elimination",
     "inference/row_loops",
     "inference/residual_loops",

@@ -32,7 +32,7 @@ from tumble.estimation.quadric import fit_many
 from tumble.files import FilePath, whole_file
 from tumble.planning.setup import Setup
 from tumble.recording.session import Session
-from tumble.reduction.allan_deviation import allan_deviation
+from tumble.reduction.noise.allan_deviation import allan_deviation
 from tumble.simulation.scenario import Scenario, scenario_of
 from tumble.simulation.session import session_in_memory
 from tumble.units import DEGREE, G_STANDARD

@@ -14,13 +14,13 @@ from tumble.inference.joint import joint
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk
 from tumble.recording.session import Exclusion, Session
-from tumble.reduction.blemishes import without_blemishes
-from tumble.reduction.blocks import Reducer, Reduction
-from tumble.reduction.coloured_noise import fit_coloured_noise
-from tumble.reduction.exclusion import without_rests, without_times
-from tumble.reduction.matching import Match
+from tumble.reduction.blocks.reducer import Reducer, Reduction
+from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.reduction.observations import observe
-from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests
+from tumble.reduction.rests.blemishes import without_blemishes
+from tumble.reduction.rests.exclusion import without_rests, without_times
+from tumble.reduction.rests.matching import Match
+from tumble.reduction.rests.segmentation import RestSpan, Segmentation, find_rests
 from tumble.sensors.parameters import usual_sizes
 from tumble.units import ZERO_CELSIUS, Array
 

@@ -15,7 +15,7 @@ from tumble.bench.chain import Blocks, MeanUncertainty
 from tumble.bench.wishes import Wanted
 from tumble.earth import EARTH_RATE
 from tumble.programme.positions import Move, Position, Programme
-from tumble.reduction.matching import POSITION_LIMIT, SAME_ATTITUDE
+from tumble.reduction.rests.matching import POSITION_LIMIT, SAME_ATTITUDE
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.units import Array, BoolArray
 

@@ -17,8 +17,8 @@ from tumble.bench.task import Task
 from tumble.bench.wishes import DIRECTIONS, gains, reached
 from tumble.estimation.estimate import FIT_SIGMAS, Estimate
 from tumble.recording.session import Exclusion
-from tumble.reduction.blocks import Reduction
-from tumble.reduction.segmentation import RestSpan
+from tumble.reduction.blocks.reducer import Reduction
+from tumble.reduction.rests.segmentation import RestSpan
 from tumble.units import G_STANDARD, Array
 
 log = logging.getLogger(__name__)

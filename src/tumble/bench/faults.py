@@ -21,7 +21,7 @@ from tumble.bench.watch import ChannelFault
 from tumble.bench.wishes import Wanted
 from tumble.programme.positions import Move, Position, Programme
 from tumble.programme.sheet_words import move_text
-from tumble.reduction.matching import POSITION_LIMIT, TURN_LIMIT
+from tumble.reduction.rests.matching import POSITION_LIMIT, TURN_LIMIT
 from tumble.units import DEGREE, G_STANDARD, Array
 
 WRONG_WAY = 30.0 * DEGREE

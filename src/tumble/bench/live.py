@@ -16,8 +16,8 @@ from tumble.bench.task import Task
 from tumble.bench.watch import Watch
 from tumble.recording.log import HEAD_ROWS
 from tumble.recording.session import Exclusion
-from tumble.reduction.blocks import Reduction
-from tumble.reduction.segmentation import RestSpan, Segmentation
+from tumble.reduction.blocks.reducer import Reduction
+from tumble.reduction.rests.segmentation import RestSpan, Segmentation
 
 _PIECES = 32
 _GROWN = 0.01

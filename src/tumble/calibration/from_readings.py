@@ -48,7 +48,7 @@ from tumble.estimation.observability import Refusal, undetermined
 from tumble.files import FilePath
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
-from tumble.reduction.rests import Rests
+from tumble.reduction.rests.rests import Rests
 from tumble.sensors.frames import Convention, Frame, convert, frame_of
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.parameters import usual_sizes, variable_of

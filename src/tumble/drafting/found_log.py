@@ -18,7 +18,7 @@ from tumble.recording.formats.columns import ACCEL, Columns, is_no_sensor
 from tumble.recording.gaps import is_reading
 from tumble.recording.log_source import LogSource
 from tumble.recording.readers import source_of
-from tumble.reduction.tuning import USUAL
+from tumble.reduction.blocks.tuning import USUAL
 from tumble.units import Array
 
 LONGEST = 2_000_000

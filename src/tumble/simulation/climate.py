@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tumble.reduction.thermometer import Thermometers, followed
+from tumble.reduction.rests.thermometer import Thermometers, followed
 from tumble.sensors.parameters import Variable
 from tumble.units import Array, IntArray
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.reduction.thermometer import MOVED
+from tumble.reduction.rests.thermometer import MOVED
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block, thermometers_of
 from tumble.sensors.parameters import FURTHER, ParameterGroup, to_temperature

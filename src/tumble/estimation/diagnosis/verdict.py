@@ -18,7 +18,7 @@ from tumble.estimation.diagnosis.undetermined import (
 )
 from tumble.estimation.estimate import FIT_SIGMAS, Estimate, Outcome
 from tumble.reduction.observations import Observations
-from tumble.reduction.segmentation import Segmentation
+from tumble.reduction.rests.segmentation import Segmentation
 from tumble.sensors.parameters import sensor_kind
 from tumble.units import DEGREE, G_STANDARD, BoolArray
 

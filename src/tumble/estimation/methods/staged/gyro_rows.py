@@ -24,7 +24,7 @@ import numpy as np
 from tumble.earth import EARTH_RATE
 from tumble.estimation.methods.staged.accelerometers import Accelerometers
 from tumble.reduction.observations import Observations
-from tumble.reduction.turns import Turns
+from tumble.reduction.turns.turns import Turns
 from tumble.rotation import onto_body, rotation_matrix, skew, tangent_basis
 from tumble.sensors.model import beyond_body
 from tumble.units import Array

@@ -1,4 +1,4 @@
-"""The compiled loops over the samples of turns: sums of which `tumble.reduction.moments` makes the moments of a turn.
+"""The compiled loops over the samples of turns: sums of which `tumble.reduction.turns.moments` makes their moments.
 
 All moments are outer products of nine numbers of the attitude with regressors of a sample, Ψ included: by summation in
 parts, exact for the discrete sums too,
@@ -7,8 +7,8 @@ parts, exact for the discrete sums too,
 
 GROUP samples of a turn at a time go through loops of which each does one thing to all of them: only attitude and
 velocity follow from sample to sample, and every other loop the compiler turns into vector instructions. The samples
-stand side by side in `rows`, a row for each quantity, after the two samples before them. The steps of a loop over `i` do
-not depend on one another, which hatch_build.py tells GCC. The rules of `tumble.reduction.kernels` hold.
+stand side by side in `rows`, a row for each quantity, after the two samples before them. The steps of a loop over `i`
+do not depend on one another, which hatch_build.py tells GCC. The rules of `tumble.reduction.kernels` hold.
 """
 
 from __future__ import annotations
@@ -276,7 +276,7 @@ def _regress(gyros: Array, accels: Array, count: int, rows: Array) -> float:
 def _step(count: int, rows: Array) -> None:
     """With primes for the sample before, docs/mathematics.md (6), the quaternions exp([φ×]/4) and the moves
 
-        φ = Δθ + Δθ'×Δθ/12,   Δv + φ×(φ×Δv)/24 + (Δθ'×Δv + Δv'×Δθ)/12"""
+    φ = Δθ + Δθ'×Δθ/12,   Δv + φ×(φ×Δv)/24 + (Δθ'×Δv + Δv'×Δθ)/12"""
     for i in range(count):
         dt, before = rows[_DT, i + 2], rows[_DT, i + 1]
         x, y, z = rows[_RIGHT + 1, i + 2], rows[_RIGHT + 2, i + 2], rows[_RIGHT + 3, i + 2]
@@ -358,8 +358,8 @@ def _multiply(count: int, rows: Array) -> None:
             rows[_SWEPT + 3 * j + 2, i + 2] = a * y - b * x
 
 
-# C: @cython.locals(a=double, b=double, c=double, u=double, v=double, w=double, x=double, a0=double, a1=double, a2=double,
-# C:     a3=double, b0=double, b1=double, b2=double, b3=double, c0=double, c1=double, c2=double, c3=double,
+# C: @cython.locals(a=double, b=double, c=double, u=double, v=double, w=double, x=double, a0=double, a1=double,
+# C:     a2=double, a3=double, b0=double, b1=double, b2=double, b3=double, c0=double, c1=double, c2=double, c3=double,
 # C:     left=Py_ssize_t, right=Py_ssize_t)
 # C: cdef void _add_products(Py_ssize_t of, Py_ssize_t by, Py_ssize_t many, Py_ssize_t count, double[:, ::1] rows,
 # C:     double[:, :, ::1] sums, Py_ssize_t k) noexcept nogil

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.reduction.blocks import Reduction
-from tumble.reduction.coloured_noise import ColouredNoise, fit_coloured_noise
-from tumble.reduction.rest_noise import accel_covariance, channel_rounding, density, drift
-from tumble.reduction.rounding import Rounding
-from tumble.reduction.segmentation import RestSpan
-from tumble.reduction.thermometer import Thermometers
-from tumble.reduction.warming import KelvinAtLag, without_warming
+from tumble.reduction.blocks.reducer import Reduction
+from tumble.reduction.noise.coloured_noise import ColouredNoise, fit_coloured_noise
+from tumble.reduction.noise.rounding import Rounding
+from tumble.reduction.rests.rest_noise import accel_covariance, channel_rounding, density, drift
+from tumble.reduction.rests.segmentation import RestSpan
+from tumble.reduction.rests.thermometer import Thermometers
+from tumble.reduction.rests.warming import KelvinAtLag, without_warming
 from tumble.sensors.model import Block
 from tumble.units import Array, IntArray
 

@@ -7,10 +7,10 @@ from typing import Literal
 
 import numpy as np
 
-from tumble.reduction.blocks import ChannelState, Reduction
-from tumble.reduction.coloured_noise import fit_coloured_noise
-from tumble.reduction.rounding import Rounding, rounding
-from tumble.reduction.segmentation import RestSpan
+from tumble.reduction.blocks.reducer import ChannelState, Reduction
+from tumble.reduction.noise.coloured_noise import fit_coloured_noise
+from tumble.reduction.noise.rounding import Rounding, rounding
+from tumble.reduction.rests.segmentation import RestSpan
 from tumble.rotation import tangent_basis
 from tumble.sensors.model import Block
 from tumble.units import Array
