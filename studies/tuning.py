@@ -1,9 +1,9 @@
 """How much hangs on the thresholds by which rests and bad samples are told from movement?
 
 Every threshold of `tumble.reduction.blocks.tuning.Tuning` is halved, divided by 1.4, multiplied by 1.4 and doubled, the
-others as they are, over simulated sessions of four grades: 12 positions by hand; on a vibrating bench; with gyros that feel
-specific force and a slow turn about the vertical, at 0.3 °/s, in place of one rest; with rests of 1.2 s; with single
-samples that are off by 0.5 g to 16 g and by 20 to 2000 °/s, in rests and in turns. Counted are
+others as they are, over simulated sessions of four grades: 12 positions by hand; on a vibrating bench; with gyros that
+feel specific force and a slow turn about the vertical, at 0.3 °/s, in place of one rest; with rests of 1.2 s; with
+single samples that are off by 0.5 g to 16 g and by 20 to 2000 °/s, in rests and in turns. Counted are
 
     false    rests that were found where the device moved
     missed   true rests that were not found

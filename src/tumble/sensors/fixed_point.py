@@ -50,18 +50,9 @@ def fixed_point(
 # C:     const double[:, :] other, const double[:, :] inverse, const double[:, :] axes, const double[:, :] K,
 # C:     Py_ssize_t steps, bint of_force, double[:, ::1] known, double[:, ::1] out)
 def _solve(
-    readings: Array,
-    offset: Array,
-    gain: Array,
-    other: Array,
-    inverse: Array,
-    axes: Array,
-    K: Array,
-    steps: int,
-    of_force: bool,
-    known: Array,
-    out: Array,
-) -> None:
+    readings: Array, offset: Array, gain: Array, other: Array, inverse: Array, axes: Array, K: Array, steps: int,
+    of_force: bool, known: Array, out: Array,
+) -> None:  # fmt: skip
     """The same into `out`; `known` has of each sensor the reading less all that is known before the first step, and the
     inverse of its gain."""
     linear = _RATE if of_force else _FORCE
@@ -137,15 +128,9 @@ def moved(readings: Array, rate: Array, acceleration: Array, levers: Array, sens
 # C:     const double[:, :] levers, const double[:, :] sensitivity, const double[:, :] across, const double[:] along,
 # C:     double[:, ::1] out)
 def _move(
-    readings: Array,
-    rate: Array,
-    acceleration: Array,
-    levers: Array,
-    sensitivity: Array,
-    across: Array,
-    along: Array,
-    out: Array,
-) -> None:
+    readings: Array, rate: Array, acceleration: Array, levers: Array, sensitivity: Array, across: Array,
+    along: Array, out: Array,
+) -> None:  # fmt: skip
     """The same into `out`: k · (ω̇ × r + ω × (ω × r)) = ω̇ · (r × k) + (ω · r) (ω · k) − ω² (r · k)."""
     with cython.nogil:
         for p in range(out.shape[1]):

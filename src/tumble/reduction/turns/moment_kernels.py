@@ -90,29 +90,10 @@ def integrate_pieces(
 # C:     double[:, ::1] attitude, double[:, ::1] V, double[:, :, ::1] products, double[:, :, ::1] moved,
 # C:     double[:, :, ::1] swept, double[::1] jumps, double[:, ::1] rows, double[:, ::1] work)
 def _integrate(
-    rates: Array,
-    forces: Array,
-    intervals: Array,
-    piece: IntArray,
-    start: IntArray,
-    stop: IntArray,
-    gyro: Array,
-    gyro_terms: Array,
-    accel: Array,
-    accel_terms: Array,
-    G: Array,
-    delay: float,
-    gyros: Array,
-    accels: Array,
-    attitude: Array,
-    V: Array,
-    products: Array,
-    moved: Array,
-    swept: Array,
-    jumps: Array,
-    rows: Array,
-    work: Array,
-) -> None:
+    rates: Array, forces: Array, intervals: Array, piece: IntArray, start: IntArray, stop: IntArray, gyro: Array,
+    gyro_terms: Array, accel: Array, accel_terms: Array, G: Array, delay: float, gyros: Array, accels: Array,
+    attitude: Array, V: Array, products: Array, moved: Array, swept: Array, jumps: Array, rows: Array, work: Array,
+) -> None:  # fmt: skip
     """The same without tuples."""
     with cython.nogil:
         for place in range(piece.shape[0]):
