@@ -57,5 +57,5 @@ bench: .venv/test kernels
 	touch $@ .venv/demo
 
 clean:
-	rm -rf .venv demo site src/tumble/compiled.json
+	rm -rf .venv demo site
 	find src -name '*.so' -delete

@@ -6,13 +6,16 @@ the package ziglang brings, makes machine code of that, which Python imports in 
 for every Python from 3.11 (the limited API). On x86-64 the same C is compiled for three generations of processors, and
 which of them is used is decided when it is imported; so what was built on one machine runs on every other.
 
-Where nothing can be compiled, tumble is installed all the same, and the loops run as plain Python.
+Lines of a module that begin with `# C: ` are declarations for Cython: which functions become functions of C, and the
+types of their arguments and of sums. What was not changed since is not compiled again. Modules are put beside their
+sources once all of them are made, so that a build that fails changes nothing; where nothing can be compiled, tumble is
+installed all the same, and the loops run as plain Python.
 """
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
-import json
 import os
 import platform
 import re
@@ -37,7 +40,7 @@ SHARED = "tumble/memoryviews"
 
 DIRECTIVES = {
     "language_level": 3,
-    "annotation_typing": False,  # types are those of the .pxd alone
+    "annotation_typing": False,  # types are those of DECLARED alone
     "infer_types": True,
     "boundscheck": False,
     "wraparound": False,
@@ -47,11 +50,13 @@ DIRECTIVES = {
 }
 FLAGS = ("-O3", "-fPIC", "-fno-math-errno", "-fno-trapping-math", "-fvisibility=hidden", "-w")
 GCC_FLAGS = ("--param=vect-max-version-for-alias-checks=1000",)
-FUSED = {"reduction/moment_kernels"}
+FUSED = {"reduction/turns/moment_kernels"}
 """Modules whose products and sums may be rounded once; the others give the same bits on all processors."""
-PLAIN = {"reduction/kernels", "sensors/triad_axes"}
+REORDERED = {"reduction/turns/moment_kernels"}
+"""Those among them whose sums over samples may be taken in another order."""
+PLAIN = {"reduction/kernels"}
 """Modules that newer processors do not run faster."""
-INDEPENDENT = {"reduction/moment_kernels", "sensors/fixed_point"}
+INDEPENDENT = {"reduction/turns/moment_kernels"}
 """Modules in which the steps of a loop over `i` do not depend on one another. GCC does not see it, and would ask in
 every loop over lanes whether rows overlap."""
 AVX2 = ("-mavx2", "-mfma", "-mbmi2")
@@ -59,6 +64,18 @@ AVX512 = (*AVX2, "-mavx512f", "-mavx512vl", "-mavx512dq", "-mavx512bw", "-mprefe
 OLD = ("-O1",)
 """For processors from before 2013 the loops are compiled in a third of the time, and run at two thirds of the speed."""
 GENERATIONS = {"_avx512": AVX512, "_avx2": AVX2, "": OLD}
+
+DECLARED = re.compile(r"^# C: (.*)$", re.MULTILINE)
+CHECK = """
+
+from pathlib import Path as _Path
+
+from tumble.compiled import expect_source as _expect_source
+
+COMPILER = {compiler!r}
+_expect_source(_Path(__file__).with_name(__name__.rpartition(".")[2] + ".py"), {built_from!r})
+"""
+"""What a compiled module ends with."""
 
 LOOP_OVER_I = re.compile(r"for \((__pyx_t_\d+) = 0; \1 < __pyx_t_\d+; \1\+=1\) {\s*__pyx_v_i = \1;")
 """A loop over `i`, to a number that the compiler does not know, as Cython writes it."""
@@ -134,14 +151,12 @@ class Compiler:
         return target
 
     def link(self, objects: Sequence[Path], target: Path) -> None:
-        """A module that Python imports, whole or not at all."""
+        """A module that Python imports."""
         how = {
             "darwin": ("-bundle", "-undefined", "dynamic_lookup"),
             "win32": ("-shared", f"-L{sys.base_prefix}/libs", "-lpython3"),
         }.get(sys.platform, ("-shared", "-lm"))
-        temporary = target.with_suffix(f".{os.getpid()}")
-        _run(*self.command, *objects, *how, "-o", temporary)
-        temporary.replace(target)
+        _run(*self.command, *objects, *how, "-o", target)
 
 
 def _c_of_shared(folder: Path) -> Path:
@@ -152,60 +167,82 @@ def _c_of_shared(folder: Path) -> Path:
     return source
 
 
-def _c_of(loops: str, folder: Path) -> Path:
-    """A module of LOOPS as C."""
+def _c_of(loops: str, folder: Path, built_from: str, compiler: str) -> Path:
+    """A module of LOOPS as C, by a copy of it that knows what it was made of, with its declarations beside it."""
+    text = (SOURCE / f"tumble/{loops}.py").read_text(encoding="utf-8")
+    copy = folder / f"tumble/{loops}.py"
+    copy.parent.mkdir(parents=True, exist_ok=True)
+    for package in (copy.parent, copy.parent.parent):
+        (package / "__init__.py").touch()
+    copy.write_text(text + CHECK.format(built_from=built_from, compiler=compiler), encoding="utf-8")
+    declared = "".join(f"{line}\n" for line in DECLARED.findall(text))
+    copy.with_suffix(".pxd").write_text(f"cimport cython\n{declared}", encoding="utf-8")
     source = folder / f"{Path(loops).name}.c"
     directives = (word for key, value in DIRECTIVES.items() for word in ("-X", f"{key}={value}"))
-    shared = f"--shared={SHARED.replace('/', '.')}"
-    _run(sys.executable, "-m", "cython", *directives, shared, SOURCE / f"tumble/{loops}.py", "-o", source)
+    _run(sys.executable, "-m", "cython", *directives, f"--shared={SHARED.replace('/', '.')}", copy, "-o", source)
     if loops in INDEPENDENT:
         source.write_text(LOOP_OVER_I.sub(r"\n#pragma GCC ivdep\n\g<0>", source.read_text()))
     return source
 
 
-def _make(compiler: Compiler, loops: str, folder: Path) -> None:
-    """A module of LOOPS as machine code, beside its source."""
-    source, name = _c_of(loops, folder), Path(loops).name
-    target = SOURCE / f"tumble/{loops}{ENDING}"
-    fused = f"-ffp-contract={'fast' if loops in FUSED else 'off'}"
-    if loops in PLAIN or platform.machine().lower() not in ("x86_64", "amd64"):
-        compiler.link([compiler.compile(source, folder / f"{name}.o", fused)], target)
-        return
-    objects = []
-    for generation, flags in GENERATIONS.items():
-        ending = generation or "_any"
-        whole = "__pyx_module_is_main_" + "__".join(("tumble", *loops.split("/")))
-        renamed = (f"-D{symbol}={symbol}{ending}" for symbol in (f"PyInit_{name}", whole))
-        objects.append(compiler.compile(source, folder / f"{name}{ending}.o", fused, *flags, *renamed))
+def _make(compiler: Compiler, loops: str, folder: Path, built_from: str, mark: str) -> None:
+    """A module of LOOPS as machine code, in a folder."""
+    source, name = _c_of(loops, folder, built_from, compiler.version), Path(loops).name
+    sums = [f"-ffp-contract={'fast' if loops in FUSED else 'off'}"]
+    sums += ["-fassociative-math", "-fno-signed-zeros"] if loops in REORDERED else []
     choice = folder / f"{name}_choice.c"
-    choice.write_text(CHOICE.format(name=name))
-    compiler.link([*objects, compiler.compile(choice, choice.with_suffix(".o"))], target)
+    choice.write_text(f'const char {name}_built_from[] __attribute__((used)) = "{mark}";\n')
+    objects = []
+    if loops in PLAIN or platform.machine().lower() not in ("x86_64", "amd64"):
+        objects.append(compiler.compile(source, folder / f"{name}.o", *sums))
+    else:
+        for generation, flags in GENERATIONS.items():
+            ending = generation or "_any"
+            whole = "__pyx_module_is_main_" + "__".join(("tumble", *loops.split("/")))
+            renamed = (f"-D{symbol}={symbol}{ending}" for symbol in (f"PyInit_{name}", whole))
+            objects.append(compiler.compile(source, folder / f"{name}{ending}.o", *sums, *flags, *renamed))
+        choice.write_text(choice.read_text() + CHOICE.format(name=name))
+    objects.append(compiler.compile(choice, choice.with_suffix(".o")))
+    compiler.link(objects, folder / f"tumble/{loops}{ENDING}")
 
 
 def _make_shared(compiler: Compiler, folder: Path) -> None:
     source = _c_of_shared(folder)
-    compiler.link([compiler.compile(source, source.with_suffix(".o"), "-O1")], SOURCE / (SHARED + ENDING))
+    compiler.link([compiler.compile(source, source.with_suffix(".o"), "-O1")], folder / (SHARED + ENDING))
 
 
 def build() -> str:
-    """Compile what is not compiled yet or was changed; what with."""
+    """Compile what is not compiled yet or was changed, this file included, and put it in place once all of it is made;
+    what was done in words."""
     compiled = _compiled()
-    sources = {loops: compiled.source_hash(loops) for loops in compiled.LOOPS}
-    made = compiled.record()
-    files = [SOURCE / (SHARED + ENDING), *(SOURCE / f"tumble/{loops}{ENDING}" for loops in sources)]
-    if made.get("sources") == sources and all(file.exists() for file in files):
-        return str(made["compiler"])
+    recipe = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
+    hashes = {loops: compiled.source_hash(SOURCE / f"tumble/{loops}.py") for loops in compiled.LOOPS}
+    marks = {loops: f"tumble loops {built_from} {recipe}" for loops, built_from in hashes.items()}
+    targets = {loops: SOURCE / f"tumble/{loops}{ENDING}" for loops in hashes}
+    old = [k for k, file in targets.items() if not file.exists() or marks[k].encode() not in file.read_bytes()]
+    shared = SOURCE / (SHARED + ENDING)
+    if not old and shared.exists():
+        return "compiled already"
     compiler = Compiler()
-    compiled.RECORD.unlink(missing_ok=True)
-    longest_first = sorted(sources, key=lambda loops: -(SOURCE / f"tumble/{loops}.py").stat().st_size)
-    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
-        jobs = [pool.submit(_make, compiler, loops, Path(folder)) for loops in longest_first]
-        jobs.append(pool.submit(_make_shared, compiler, Path(folder)))
+    beside = tempfile.TemporaryDirectory(dir=SOURCE, prefix=".compiled")
+    with beside as name, ThreadPoolExecutor(os.cpu_count()) as pool:
+        folder = Path(name)
+        (folder / "tumble").mkdir()
+        longest_first = sorted(old, key=lambda loops: -(SOURCE / f"tumble/{loops}.py").stat().st_size)
+        jobs = [pool.submit(_make, compiler, k, folder, hashes[k], marks[k]) for k in longest_first]
+        jobs.append(pool.submit(_make_shared, compiler, folder))
         for job in jobs:
             job.result()
-    content = {"compiler": compiler.version, "sources": sources}
-    compiled.RECORD.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    return compiler.version
+        (folder / (SHARED + ENDING)).replace(shared)
+        for loops in old:
+            (folder / f"tumble/{loops}{ENDING}").replace(targets[loops])
+    return f"compiled {', '.join(old) or SHARED}: {compiler.version}"
+
+
+def remove() -> None:
+    """Remove all that is compiled, so that the sources run."""
+    for file in (SOURCE / "tumble").rglob(f"*{ENDING}"):
+        file.unlink()
 
 
 class Loops(BuildHookInterface):  # type: ignore[type-arg]
@@ -220,11 +257,13 @@ class Loops(BuildHookInterface):  # type: ignore[type-arg]
         try:
             build()
         except OSError as error:
+            remove()
             self.app.display_warning(f"tumble: the loops over samples stay plain Python and are slow: {error}")
             return
         build_data["pure_python"] = False
-        build_data["tag"] = f"cp311-abi3-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
-        build_data["artifacts"] += [f"src/tumble/**/*{ENDING}", "src/tumble/compiled.json"]
+        system = sysconfig.get_platform().replace("universal2", platform.machine())  # one architecture is compiled for
+        build_data["tag"] = f"cp311-abi3-{system.replace('-', '_').replace('.', '_')}"
+        build_data["artifacts"] += [f"src/tumble/**/*{ENDING}"]
 
 
 if __name__ == "__main__":

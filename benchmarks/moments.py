@@ -1,6 +1,6 @@
 """How fast are the moments of turns, compensation included?
 
-`tumble.reduction.moments.moments_of` on one core: all that a turn needs, with own-axis sums of a triad, and with
+`tumble.reduction.turns.moments.moments_of` on one core: all that a turn needs, with own-axis sums of a triad, and with
 nonlinear terms too. All alternate so that they see the same machine. A figure is processor time, the least of several
 runs, since whatever else runs on the machine only ever adds. The answer is printed last.
 """
@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from tumble import compiled
-from tumble.reduction.moments import BlockCompensation, Compensation, Moments, OwnAxes, Pieces, moments_of
+from tumble.reduction.turns.moments import BlockCompensation, Compensation, Moments, OwnAxes, Pieces, moments_of
 from tumble.sensors.model import SensorModel
 from tumble.units import Array
 

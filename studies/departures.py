@@ -27,15 +27,15 @@ from tumble.inference.estimate import Outcome
 from tumble.inference.joint import joint
 from tumble.programme.positions import programme
 from tumble.recording.session import Site
-from tumble.reduction.blocks import ChannelState
-from tumble.reduction.coloured_noise import WHITE
-from tumble.reduction.moments import BlockCompensation, Compensation, integrate
-from tumble.reduction.motion_samples import MotionSamples
+from tumble.reduction.blocks.motion_samples import MotionSamples
+from tumble.reduction.blocks.reducer import ChannelState
+from tumble.reduction.noise.coloured_noise import WHITE
+from tumble.reduction.noise.rounding import Rounding, rounding
 from tumble.reduction.observations import Observations
-from tumble.reduction.rests import Rests
-from tumble.reduction.rounding import Rounding, rounding
-from tumble.reduction.turn_samples import TurnSamples
-from tumble.reduction.turns import Turns, aliased_rotations
+from tumble.reduction.rests.rests import Rests
+from tumble.reduction.turns.moments import BlockCompensation, Compensation, integrate
+from tumble.reduction.turns.turn_samples import TurnSamples
+from tumble.reduction.turns.turns import Turns, aliased_rotations
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block

@@ -40,11 +40,11 @@ from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.recording.session import Site
-from tumble.reduction.blocks import Reducer
-from tumble.reduction.matching import Match
-from tumble.reduction.moments import BlockCompensation, Compensation, Pieces, moments_of
+from tumble.reduction.blocks.reducer import Reducer
 from tumble.reduction.observations import Observations, observe
-from tumble.reduction.segmentation import find_rests
+from tumble.reduction.rests.matching import Match
+from tumble.reduction.rests.segmentation import find_rests
+from tumble.reduction.turns.moments import BlockCompensation, Compensation, Pieces, moments_of
 from tumble.rotation import rotation_matrix, skew
 from tumble.sensors.grades import NoiseModel
 from tumble.simulation.recording import Recording, record

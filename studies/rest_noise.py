@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from tumble.reduction.coloured_noise import fit_coloured_noise
+from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.units import Array
 
 BLOCK = 0.1  # s

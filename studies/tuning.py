@@ -1,9 +1,9 @@
 """How much hangs on the thresholds by which rests and bad samples are told from movement?
 
-Every threshold of `tumble.reduction.tuning.Tuning` is halved, divided by 1.4, multiplied by 1.4 and doubled, the others
-as they are, over simulated sessions of four grades: 12 positions by hand; on a vibrating bench; with gyros that feel
-specific force and a slow turn about the vertical, at 0.3 °/s, in place of one rest; with rests of 1.2 s; with single
-samples that are off by 0.5 g to 16 g and by 20 to 2000 °/s, in rests and in turns. Counted are
+Every threshold of `tumble.reduction.blocks.tuning.Tuning` is halved, divided by 1.4, multiplied by 1.4 and doubled, the
+others as they are, over simulated sessions of four grades: 12 positions by hand; on a vibrating bench; with gyros that
+feel specific force and a slow turn about the vertical, at 0.3 °/s, in place of one rest; with rests of 1.2 s; with
+single samples that are off by 0.5 g to 16 g and by 20 to 2000 °/s, in rests and in turns. Counted are
 
     false    rests that were found where the device moved
     missed   true rests that were not found
@@ -26,12 +26,12 @@ import numpy as np
 from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
-from tumble.reduction.blemishes import without_blemishes
-from tumble.reduction.blocks import Reducer, Reduction
-from tumble.reduction.matching import Match
+from tumble.reduction.blocks.reducer import Reducer, Reduction
+from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.observations import Observations, observe
-from tumble.reduction.segmentation import RestSpan, find_rests
-from tumble.reduction.tuning import USUAL, Tuning
+from tumble.reduction.rests.blemishes import without_blemishes
+from tumble.reduction.rests.matching import Match
+from tumble.reduction.rests.segmentation import RestSpan, find_rests
 from tumble.simulation.recording import Recording, record
 from tumble.simulation.scenario import NO_VIBRATION, Scenario, Vibration, scenario_of
 from tumble.units import DEGREE, G_STANDARD, Array, IntArray

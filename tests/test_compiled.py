@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import importlib.util
+import os
+import shutil
+import subprocess
+import sys
 from dataclasses import fields
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -14,14 +19,15 @@ from click.testing import CliRunner
 
 from tumble import cli, compiled, uncompiled
 from tumble.inference import elimination, residual_loops, row_loops
-from tumble.reduction import kernels, moment_kernels, moments
-from tumble.reduction.moments import BlockCompensation, Compensation, OwnAxes, Pieces, moments_of
-from tumble.sensors import fixed_point, triad_axes
+from tumble.reduction import kernels
+from tumble.reduction.turns import moment_kernels, moments
+from tumble.reduction.turns.moments import BlockCompensation, Compensation, OwnAxes, Pieces, moments_of
+from tumble.sensors import fixed_point
 from tumble.units import Array
 
-LOOPS = kernels, moment_kernels, elimination, row_loops, residual_loops, fixed_point, triad_axes
+LOOPS = kernels, moment_kernels, elimination, row_loops, residual_loops, fixed_point
 MODULES = dict(zip(compiled.LOOPS, LOOPS, strict=True))
-pytestmark = pytest.mark.skipif(not compiled.record(), reason="the loops are not compiled here")
+pytestmark = pytest.mark.skipif(bool(compiled.as_python()), reason="the loops are not compiled here")
 
 
 def as_python(loops: str) -> ModuleType:
@@ -131,7 +137,7 @@ def test_moments_are_those_of_python(monkeypatch: pytest.MonkeyPatch) -> None:
     compensation = Compensation(gyro=block, accel=block, g_sensitivity=1e-3 * np.ones((3, 3)), delay=3e-3)
     own = OwnAxes(gyro=np.eye(3), accel=np.eye(3)[:2])
     found = moments_of(pieces, compensation, own)
-    monkeypatch.setattr(moments, "_kernels", as_python("reduction/moment_kernels"))
+    monkeypatch.setattr(moments, "_kernels", as_python("reduction/turns/moment_kernels"))
     expected = moments_of(pieces, compensation, own)
     for field in fields(found):
         ours, theirs = getattr(found, field.name), getattr(expected, field.name)
@@ -174,38 +180,76 @@ def test_samples_are_solved_as_by_python_to_the_bit(of_force: bool) -> None:
     assert np.flatnonzero(np.isnan(found).any(axis=1)).tolist() == [5]
 
 
-def test_triads_are_those_of_python() -> None:
-    """Two sensors exchanged, one the other way round, and an angle that is none."""
-    axes, values = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), 0.1 * np.sin(np.arange(1.0, 12.0))
-    angles, found = np.array([[6, 7], [-1, 8], [9, 10]]), []
-    for module in (triad_axes, as_python("sensors/triad_axes")):
-        model, jacobian = np.zeros((3, 4)), np.zeros((3, 4, 11))
-        module.linearise(axes, np.array([1, 0, 2]), angles, values, model, jacobian)
-        found.append((model, jacobian))
-    for compiled_one, plain in zip(*found, strict=True):
-        np.testing.assert_allclose(compiled_one, plain, rtol=1e-15, atol=1e-17)
-
-
 @pytest.mark.parametrize("loops", compiled.LOOPS)
-def test_what_is_compiled_is_of_this_source_and_has_its_constants(loops: str) -> None:
-    made = compiled.record()["sources"]
-    assert made[loops] == compiled.source_hash(loops), "the source was changed: run `make kernels`"
-    assert MODULES[loops].__file__ not in (None, str(compiled.FOLDER / f"{loops}.py"))
+def test_what_is_compiled_has_the_constants_of_its_source(loops: str) -> None:
+    assert Path(str(MODULES[loops].__file__)).suffix != ".py"
     plain = vars(as_python(loops))
     constants = {name: value for name, value in plain.items() if name.strip("_").isupper() and isinstance(value, int)}
     assert {name: getattr(MODULES[loops], name) for name in constants} == constants
 
 
 def test_words_say_what_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert compiled.words().startswith("compiled, ")
-    monkeypatch.setattr(compiled, "source_hash", lambda loops: loops)
-    assert compiled.words().endswith(f"; older than their source: {', '.join(compiled.LOOPS)}")
-    monkeypatch.setattr(compiled, "RECORD", compiled.FOLDER / "none.json")
+    assert compiled.words() == f"compiled, {kernels.COMPILER}"  # type: ignore[attr-defined]
+    monkeypatch.delattr(fixed_point, "COMPILER")
+    assert compiled.words().endswith("; plain Python, some hundred times slower: sensors/fixed_point")
+    for module in MODULES.values():
+        monkeypatch.delattr(module, "COMPILER", raising=False)
     assert compiled.words().startswith("plain Python")
 
 
+IMPORTED = "import tumble.reduction.kernels as k, tumble.compiled as c; print(k.__file__, c.as_python())"
+
+
+def test_old_machine_code_is_refused_and_without_it_the_source_runs(tmp_path: Path) -> None:
+    package = tmp_path / "tumble"
+    copied = shutil.ignore_patterns("__pycache__", "page", "*.html")
+    shutil.copytree(compiled.FOLDER, package, ignore=copied)
+    source = package / "reduction/kernels.py"
+
+    def imported() -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-c", IMPORTED], env={**os.environ, "PYTHONPATH": str(tmp_path)}, capture_output=True,
+            text=True, check=False,
+        )  # fmt: skip
+
+    (machine_code,) = (path for path in source.parent.glob("kernels.*") if path != source)
+    assert imported().stdout == f"{machine_code} ()\n"
+    source.write_text(source.read_text(encoding="utf-8") + "# changed\n", encoding="utf-8")
+    refused = imported()
+    assert refused.returncode != 0
+    assert refused.stderr.splitlines()[-1] == (
+        f"ImportError: {source}: expected the source that the compiled module beside it was made of, found another; "
+        "run `make kernels`, or `pip install -e .` again"
+    )
+    machine_code.unlink()
+    assert imported().stdout == f"{source} ('reduction/kernels',)\n"
+
+
+def test_a_build_that_fails_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("hatchling")
+    pytest.importorskip("Cython")
+    spec = importlib.util.spec_from_file_location("hatch_build", compiled.FOLDER.parents[1] / "hatch_build.py")
+    assert spec is not None
+    assert spec.loader is not None
+    build = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(build)
+    loops = tmp_path / "tumble/reduction"
+    loops.mkdir(parents=True)
+    shutil.copy(compiled.FOLDER / "compiled.py", tmp_path / "tumble")
+    (loops / "good.py").write_text("COUNT = 3\n")
+    (loops / "bad.py").write_text("# C: cdef no_type _f(nothing x)\ndef _f(x): return x\n")
+    monkeypatch.setattr(build, "SOURCE", tmp_path)
+    made = build._compiled()
+    monkeypatch.setattr(made, "LOOPS", ("reduction/good", "reduction/bad"))
+    monkeypatch.setattr(build, "_compiled", lambda: made)
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(OSError, match="is not a type identifier"):
+        build.build()
+    assert sorted(tmp_path.rglob("*")) == before
+
+
 def test_where_nothing_is_compiled_a_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cli, "record", dict)
+    monkeypatch.setattr(cli, "as_python", lambda: compiled.LOOPS)
     said = CliRunner().invoke(cli.main, ["programme", "none"]).stderr.splitlines()
     assert said[0] == "tumble: the loops over samples are not compiled and run as plain Python, slowly"
     assert "plain Python" not in CliRunner().invoke(cli.main, ["-q", "programme", "none"]).stderr

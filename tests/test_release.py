@@ -34,7 +34,7 @@ def test_the_wheel_holds_the_package_its_pages_its_types_and_its_command(tmp_pat
     metadata = (name for name in wheel.namelist() if ".dist-info/" in name)
     described = {name.partition(".dist-info/")[2]: wheel.read(name).decode() for name in metadata}
     assert "tumble = tumble.__main__:run" in described["entry_points.txt"]
-    compiled = "tumble/compiled.json" in names
+    compiled = any(name.endswith((".so", ".pyd")) for name in names)
     assert f"Root-Is-Purelib: {str(not compiled).lower()}" in described["WHEEL"]
     assert ("Tag: cp311-abi3-" if compiled else "Tag: py3-none-any") in described["WHEEL"]  # any Python from 3.11
     assert described["licenses/LICENSE"] == (ROOT / "LICENSE").read_text(encoding="utf-8")
@@ -49,7 +49,7 @@ def test_the_sdist_holds_what_its_tests_need(tmp_path: Path) -> None:
         here = {path.relative_to(ROOT).as_posix() for path in (ROOT / folder).rglob("*.py")}
         assert here <= names, f"{folder}: {sorted(here - names)}"
     assert {"pyproject.toml", "mkdocs.yml", "README.md", "CHANGELOG.md", "LICENSE", "CITATION.cff", "Makefile"} <= names
-    assert {"hatch_build.py", "src/tumble/reduction/kernels.pxd"} <= names
+    assert "hatch_build.py" in names
     assert not [name for name in names if "__pycache__" in name or name.startswith("dist/") or name.endswith(".so")]
 
 

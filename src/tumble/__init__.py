@@ -98,7 +98,7 @@ if TYPE_CHECKING:
     from tumble.recording.session_file import read_session as read_session
     from tumble.recording.session_file import session_of as session_of
     from tumble.recording.session_file import write_session as write_session
-    from tumble.reduction.allan_deviation import allan_deviation as allan_deviation
+    from tumble.reduction.noise.allan_deviation import allan_deviation as allan_deviation
     from tumble.reduction.observations import Observations as Observations
     from tumble.registry.adding import add_calibration as add_calibration
     from tumble.registry.due import Due as Due
@@ -202,7 +202,7 @@ _PUBLIC = {
     "campaign": "campaigns.run",
     "fleet": "campaigns.run",
     "run_selftest": "selftest",
-    "allan_deviation": "reduction.allan_deviation",
+    "allan_deviation": "reduction.noise.allan_deviation",
     "normal_gravity": "earth",
     "TumbleError": "errors",
     "InputError": "errors",

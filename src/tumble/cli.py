@@ -20,7 +20,8 @@ from typing import Any, NoReturn
 import click
 
 from tumble import __version__
-from tumble.compiled import record
+from tumble.compiled import as_python
+from tumble.documents import one_line
 from tumble.errors import TumbleError
 from tumble.program_errors import check_address_space, ended_by
 
@@ -34,7 +35,6 @@ class _Refused(click.ClickException):
     exit_code = 2
 
     def show(self, file: Any = None) -> None:
-        from tumble.documents import one_line
 
         click.echo(f"tumble: {one_line(self.message)}", file=file, err=True)
 
@@ -155,7 +155,7 @@ def main(context: click.Context, quiet: bool, verbose: bool) -> None:
 
     if context.invoked_subcommand in (*GROUPS["From a recording to a calibration"], *GROUPS["Many at once"]):
         check_address_space()
-    if not record() and not quiet:
+    if as_python() and not quiet:
         click.echo("tumble: the loops over samples are not compiled and run as plain Python, slowly", err=True)
     context.call_on_close(_ended_in_order())
     context.call_on_close(partial(COMMAND_LINE.reset, COMMAND_LINE.set(True)))

@@ -32,7 +32,7 @@ from tumble.files import FilePath, whole_file
 from tumble.methods.quadric import fit_many
 from tumble.planning.setup import Setup
 from tumble.recording.session import Session
-from tumble.reduction.allan_deviation import allan_deviation
+from tumble.reduction.noise.allan_deviation import allan_deviation
 from tumble.simulation.scenario import Scenario, scenario_of
 from tumble.simulation.session import session_in_memory
 from tumble.units import DEGREE, G_STANDARD
@@ -129,7 +129,7 @@ def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lam
 def _sources() -> dict[str, str]:
     """The SHA-256 of every source file of the program, and of what is compiled of them."""
     package = Path(__file__).parent
-    paths = sorted(path for path in package.rglob("*") if path.suffix in (".py", ".pxd", ".so", ".pyd"))
+    paths = sorted(path for path in package.rglob("*") if path.suffix in (".py", ".so", ".pyd"))
     return {path.relative_to(package).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
 

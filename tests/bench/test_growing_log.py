@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.recording.session import Site
-from tumble.reduction.blocks import FileBlocks, Reducer, Reduction
-from tumble.reduction.matching import Match
-from tumble.reduction.motion_samples import MotionSamples
+from tumble.reduction.blocks.motion_samples import MotionSamples
+from tumble.reduction.blocks.reducer import FileBlocks, Reducer, Reduction
 from tumble.reduction.observations import Observations, observe
-from tumble.reduction.segmentation import find_rests
+from tumble.reduction.rests.matching import Match
+from tumble.reduction.rests.segmentation import find_rests
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
 from tumble.simulation.scenario import scenario_of

@@ -13,7 +13,7 @@ from tumble.inference.linearisation import linearise
 from tumble.inference.step import solve
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
-from tumble.reduction.rests import Rests
+from tumble.reduction.rests.rests import Rests
 from tumble.sensors.model import Block
 from tumble.units import Array
 

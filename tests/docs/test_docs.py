@@ -36,7 +36,7 @@ from tumble.calibration.observed import inspect_session
 from tumble.cli import main
 from tumble.recording.log import open_log
 from tumble.recording.session_file import read_session
-from tumble.reduction.tuning import USUAL
+from tumble.reduction.blocks.tuning import USUAL
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
 
 RUN = (

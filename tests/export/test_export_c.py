@@ -16,7 +16,7 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.results import Parameter
 from tumble.export import export_calibration
 from tumble.export.c_header import LAG_EXAMPLE
-from tumble.reduction.thermometer import followed
+from tumble.reduction.rests.thermometer import followed
 from tumble.sensors.model import SensorModel
 from tumble.units import Array
 

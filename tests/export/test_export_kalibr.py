@@ -19,7 +19,7 @@ from tumble.export import export_calibration
 from tumble.export.kalibr import noise_densities
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
-from tumble.reduction.allan_deviation import allan_deviation
+from tumble.reduction.noise.allan_deviation import allan_deviation
 from tumble.sensors.frames import Frame
 from tumble.simulation.session import simulate_session
 from tumble.units import Array

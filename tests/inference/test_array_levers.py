@@ -10,8 +10,8 @@ import polars as pl
 import pytest
 
 from tumble.inference.array_levers import COMMON, ArrayLevers, array_levers
-from tumble.reduction.array_motion import ArrayMoments, MovedArray, array_moments
-from tumble.reduction.motion_samples import MotionSamples
+from tumble.reduction.blocks.motion_samples import MotionSamples
+from tumble.reduction.turns.array_motion import ArrayMoments, MovedArray, array_moments
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, beyond_body
 from tumble.units import DEGREE, G_STANDARD, Array

@@ -15,8 +15,8 @@ from tumble.inference.likelihood import Problem, noise_of
 from tumble.inference.linearisation import linearise
 from tumble.inference.start import start_of
 from tumble.planning.setup import Setup
+from tumble.reduction.noise.rounding import Rounding
 from tumble.reduction.observations import Observations
-from tumble.reduction.rounding import Rounding
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import usual_sizes

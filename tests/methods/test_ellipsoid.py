@@ -25,7 +25,7 @@ from tumble.methods.quadric import fit_many
 from tumble.methods.staged import staged
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
-from tumble.reduction.rests import Rests
+from tumble.reduction.rests.rests import Rests
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import DEGREE, Array

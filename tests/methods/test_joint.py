@@ -29,9 +29,9 @@ from tumble.inference.turns_about import TurnsAbout
 from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes
-from tumble.reduction.motion_samples import MotionSamples
+from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.observations import Observations
-from tumble.reduction.turn_samples import TurnSamples
+from tumble.reduction.turns.turn_samples import TurnSamples
 from tumble.sensors.grades import GRADES, NoiseModel, Spread
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import usual_sizes

@@ -31,13 +31,13 @@ from tumble.programme.positions import programme
 from tumble.recording.log import open_log
 from tumble.recording.session import Site
 from tumble.recording.session_file import read_session
-from tumble.reduction.blocks import reduce_log
-from tumble.reduction.matching import match_rests
-from tumble.reduction.motion_samples import MotionSamples
+from tumble.reduction.blocks.motion_samples import MotionSamples
+from tumble.reduction.blocks.reducer import reduce_log
 from tumble.reduction.observations import Observations, observe
-from tumble.reduction.rests import Rests
-from tumble.reduction.segmentation import find_rests
-from tumble.reduction.turn_samples import TurnSamples
+from tumble.reduction.rests.matching import match_rests
+from tumble.reduction.rests.rests import Rests
+from tumble.reduction.rests.segmentation import find_rests
+from tumble.reduction.turns.turn_samples import TurnSamples
 from tumble.rotation import axes_matrix
 from tumble.sensors.model import Block, triad_model, triad_parameters
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array, IntArray

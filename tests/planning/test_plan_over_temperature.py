@@ -25,7 +25,7 @@ from tumble.planning.setup import Setup, with_all_groups
 from tumble.programme.positions import from_attitudes, programme
 from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
-from tumble.reduction.turns import VELOCITY_FLOOR
+from tumble.reduction.turns.turns import VELOCITY_FLOOR
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_name, usual_sizes
 from tumble.simulation.scenario import OnTable, Scenario, itinerary, scenario_of

@@ -21,9 +21,9 @@ from tumble.programme.sheet_words import sheet_rows
 from tumble.recording.log import open_log
 from tumble.recording.session import ProgrammeSpec, Session
 from tumble.recording.session_file import read_session
-from tumble.reduction.blocks import reduce_log
-from tumble.reduction.matching import Match, match_rests
-from tumble.reduction.segmentation import find_rests
+from tumble.reduction.blocks.reducer import reduce_log
+from tumble.reduction.rests.matching import Match, match_rests
+from tumble.reduction.rests.segmentation import find_rests
 from tumble.rotation import rotation_matrix
 from tumble.simulation.scenario import OnTable, Profile, scenario_of
 from tumble.simulation.session import simulate_session, write_simulation

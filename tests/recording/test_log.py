@@ -29,7 +29,7 @@ from tumble.recording.rows.gaps import Gap
 from tumble.recording.session_file import read_session, write_session
 from tumble.recording.text import pieces as text_pieces
 from tumble.recording.text import unpacked
-from tumble.reduction.blocks import reduce_log
+from tumble.reduction.blocks.reducer import reduce_log
 from tumble.units import Array
 
 if sys.version_info >= (3, 14):

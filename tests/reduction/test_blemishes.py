@@ -12,16 +12,16 @@ from tumble.calibration.calibrate import calibrate
 from tumble.calibration.observed import inspect_session
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
-from tumble.reduction.blemishes import (
+from tumble.reduction.blocks.motion_samples import MotionSamples
+from tumble.reduction.blocks.reducer import Reducer, Reduction
+from tumble.reduction.rests.blemishes import (
     BadSamples,
     bad_sample_notes,
     bad_samples_of_turns,
     blemish_notes,
     without_blemishes,
 )
-from tumble.reduction.blocks import Reducer, Reduction
-from tumble.reduction.motion_samples import MotionSamples
-from tumble.reduction.segmentation import RestSpan
+from tumble.reduction.rests.segmentation import RestSpan
 from tumble.rotation import unit_vector
 from tumble.sensors.model import Block
 from tumble.simulation.session import simulate_session

@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 
 from tests.support import naive
 from tumble.reduction import kernels as _kernels
-from tumble.reduction.coloured_noise import NEGLIGIBLE, ColouredNoise, fit_coloured_noise
+from tumble.reduction.noise.coloured_noise import NEGLIGIBLE, ColouredNoise, fit_coloured_noise
 from tumble.units import Array
 
 CHANNELS = 3

@@ -14,9 +14,9 @@ from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme, programme
 from tumble.recording.log import Chunk
 from tumble.recording.session import Channels, Device, ListedPosition, LogSpec, ProgrammeSpec, Session, Site
-from tumble.reduction.blocks import Reducer, Reduction
-from tumble.reduction.matching import Match, match_rests
-from tumble.reduction.segmentation import find_rests
+from tumble.reduction.blocks.reducer import Reducer, Reduction
+from tumble.reduction.rests.matching import Match, match_rests
+from tumble.reduction.rests.segmentation import find_rests
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record

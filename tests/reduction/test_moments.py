@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests.support import naive_moments
-from tumble.reduction.moment_kernels import GROUP
-from tumble.reduction.moments import (
+from tumble.reduction.turns.moment_kernels import GROUP
+from tumble.reduction.turns.moments import (
     NO_OWN_AXES,
     BlockCompensation,
     Compensation,

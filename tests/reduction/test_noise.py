@@ -19,7 +19,7 @@ from scipy.stats import binom, norm
 from tests.support import ROOT, naive
 from tumble.errors import InputError, MissingExtraError
 from tumble.reduction import kernels as _kernels
-from tumble.reduction.allan_deviation import (
+from tumble.reduction.noise.allan_deviation import (
     FLICKER,
     AllanDeviation,
     Coefficient,
@@ -39,7 +39,7 @@ NO_FALSE_ALARM = 5.5  # standard uncertainties: 4e-8
 def record(
     rng: np.random.Generator, samples: int, *, Q: float = 0.0, N: float = 0.0, B: float = 0.0, K: float = 0.0
 ) -> Array:
-    """Samples at RATE of a sensor with these noise terms, (1) of `tumble.reduction.allan_deviation`."""
+    """Samples at RATE of a sensor with these noise terms, (1) of `tumble.reduction.noise.allan_deviation`."""
     out: Array = N * np.sqrt(RATE) * rng.standard_normal(samples)
     out += Q * RATE * np.diff(rng.standard_normal(samples + 1))
     out += K / np.sqrt(RATE) * np.cumsum(rng.standard_normal(samples))
@@ -348,7 +348,7 @@ def test_without_matplotlib_the_extra_is_named(
 
 
 def test_matplotlib_is_imported_by_plot_alone() -> None:
-    code = "import sys, tumble.reduction.allan_deviation; assert 'matplotlib' not in sys.modules"
+    code = "import sys, tumble.reduction.noise.allan_deviation; assert 'matplotlib' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 

@@ -18,14 +18,13 @@ from tumble.earth import earth_rate
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.recording.session import Site
-from tumble.reduction import motion_samples as reduction
-from tumble.reduction import turn_samples
-from tumble.reduction.blocks import Reducer, Reduction
-from tumble.reduction.matching import Match
+from tumble.reduction.blocks import motion_samples as reduction
+from tumble.reduction.blocks.reducer import Reducer, Reduction
 from tumble.reduction.observations import Observations, observe
-from tumble.reduction.segmentation import RestSpan, find_rests
-from tumble.reduction.turn_samples import TurnSamples
-from tumble.reduction.turns import rotations_of_independent
+from tumble.reduction.rests.matching import Match
+from tumble.reduction.rests.segmentation import RestSpan, find_rests
+from tumble.reduction.turns.turn_samples import TurnSamples
+from tumble.reduction.turns.turns import rotations_of_independent, turn_samples
 from tumble.rotation import rotation_matrix, tangent_basis
 from tumble.sensors.model import Block, SensorModel
 from tumble.simulation.recording import Recording, record

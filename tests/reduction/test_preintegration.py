@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.support import naive
 from tests.support.preintegrated import preintegrate
-from tumble.reduction.moment_kernels import GROUP
+from tumble.reduction.turns.moment_kernels import GROUP
 from tumble.rotation import rotation_matrix, skew
 from tumble.units import Array
 

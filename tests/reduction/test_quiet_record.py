@@ -15,7 +15,7 @@ from tumble.cli import main
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
-from tumble.reduction.allan_deviation import Panel
+from tumble.reduction.noise.allan_deviation import Panel
 from tumble.sensors.grades import GRADES
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE

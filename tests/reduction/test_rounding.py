@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tumble.reduction.blocks import ChannelState
-from tumble.reduction.rounding import Rounding, rounding, rounding_notes
+from tumble.reduction.blocks.reducer import ChannelState
+from tumble.reduction.noise.rounding import Rounding, rounding, rounding_notes
 from tumble.units import Array
 
 STEP = 1.19709e-3

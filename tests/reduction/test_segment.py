@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
-from tumble.reduction.blocks import Reducer, Reduction
-from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests
+from tumble.reduction.blocks.reducer import Reducer, Reduction
+from tumble.reduction.rests.segmentation import RestSpan, Segmentation, find_rests
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record

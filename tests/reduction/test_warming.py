@@ -10,9 +10,9 @@ import pytest
 
 from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
-from tumble.reduction.coloured_noise import fit_coloured_noise
-from tumble.reduction.thermometer import STEP, Thermometers, Warmth, followed
-from tumble.reduction.warming import without_warming
+from tumble.reduction.noise.coloured_noise import fit_coloured_noise
+from tumble.reduction.rests.thermometer import STEP, Thermometers, Warmth, followed
+from tumble.reduction.rests.warming import without_warming
 from tumble.sensors.parameters import usual_sizes
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import scenario_of

@@ -23,7 +23,7 @@ from tumble.methods.ellipsoid_fit import TRIAD
 from tumble.methods.magnetometer import NAMES
 from tumble.recording.log import open_log
 from tumble.recording.session_file import read_session, write_session
-from tumble.reduction.blocks import reduce_log
+from tumble.reduction.blocks.reducer import reduce_log
 from tumble.units import Array
 
 RATE, REST, MOVE = 50.0, 6.0, 1.5  # Hz, s, s

@@ -35,8 +35,7 @@ from tumble.recording.session_file import session_of, write_session
 from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.parameters import usual_sizes
-from tumble.sensors.typed_quantities import prior_of
+from tumble.sensors.parameters import prior_of, usual_sizes
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.recording import record
 from tumble.simulation.scenario import Scenario, scenario_of

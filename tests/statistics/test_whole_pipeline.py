@@ -13,10 +13,10 @@ from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.recording.session import Site
-from tumble.reduction.blocks import Reducer
-from tumble.reduction.matching import Match
+from tumble.reduction.blocks.reducer import Reducer
 from tumble.reduction.observations import Observations, observe
-from tumble.reduction.segmentation import find_rests
+from tumble.reduction.rests.matching import Match
+from tumble.reduction.rests.segmentation import find_rests
 from tumble.sensors.grades import GRADES, NoiseModel
 from tumble.sensors.model import Block
 from tumble.simulation.observations import simulate_observations

@@ -1,4 +1,4 @@
-"""Plain twin of `tumble.reduction.moments.moments_of`: one sample after another, the equations as they are printed."""
+"""Plain twin of `tumble.reduction.turns.moments.moments_of`: one sample after another, the equations as printed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import fields
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tumble.reduction.moments import (
+from tumble.reduction.turns.moments import (
     NO_OWN_AXES,
     BlockCompensation,
     Compensation,

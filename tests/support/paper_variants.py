@@ -13,7 +13,7 @@ from tumble.methods.paper.indirect import (
     Series,
     carried_attitudes,
 )
-from tumble.reduction.turns import Turns
+from tumble.reduction.turns.turns import Turns
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.units import Array
 

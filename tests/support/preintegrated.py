@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tumble.reduction.moments import BlockCompensation, Compensation, Pieces, moments_of
+from tumble.reduction.turns.moments import BlockCompensation, Compensation, Pieces, moments_of
 from tumble.units import Array
 
 IntArray = npt.NDArray[np.int64]

@@ -23,8 +23,8 @@ from tumble.methods.paper.four_stages import (
 )
 from tumble.methods.paper.indirect import RecordedTurn, known_turns, programme_matrix
 from tumble.programme.positions import programme
-from tumble.reduction.coloured_noise import WHITE
-from tumble.reduction.turns import Turns
+from tumble.reduction.noise.coloured_noise import WHITE
+from tumble.reduction.turns.turns import Turns
 from tumble.rotation import rotation_matrix, skew
 from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, SensorModel, triad_model, triad_parameters
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array

@@ -24,7 +24,7 @@ from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
-from tumble.reduction.rests import Rests
+from tumble.reduction.rests.rests import Rests
 from tumble.rotation import rotation_matrix
 from tumble.sensors.frames import FRAMES
 from tumble.sensors.model import Block

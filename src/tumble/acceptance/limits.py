@@ -19,8 +19,7 @@ from tumble.acceptance.schedule import OCCASIONS, Occasion, Schedule, content_of
 from tumble.documents import text_of_document
 from tumble.errors import InputError, did_you_mean
 from tumble.sensors.frames import FRAMES
-from tumble.sensors.parameters import group_of, groups, meant_by
-from tumble.sensors.typed_quantities import quantity_of
+from tumble.sensors.parameters import group_of, groups, meant_by, quantity_of
 
 _FORMS = 'a text such as "5 mg", or a table with min and max, or one with deviation'
 

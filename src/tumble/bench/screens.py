@@ -25,7 +25,7 @@ from tumble.bench.state import Answer, EstimateShown, PositionShown, RestNumber,
 from tumble.programme.positions import ANY_MOVE, Move
 from tumble.programme.sheet_pictures import ghost
 from tumble.programme.sheet_words import move_text, points_of, signed_angle
-from tumble.reduction.rest_noise import drift
+from tumble.reduction.rests.rests import drift
 from tumble.units import DEGREE, G_STANDARD, ZERO_CELSIUS, Array
 from tumble.usual_setup import MOVE
 

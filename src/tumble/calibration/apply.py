@@ -46,7 +46,7 @@ from tumble.recording.session import Channels, LogSpec, Magnetometer, Session
 from tumble.recording.session_file import session_from
 from tumble.recording.text.clock import times_of
 from tumble.recording.writer import write_tables
-from tumble.reduction.thermometer import followed
+from tumble.reduction.rests.thermometer import followed
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import groups, positions_by_group

@@ -18,8 +18,8 @@ from tumble.diagnosis.undetermined import faces_alone
 from tumble.diagnosis.verdict import verdict
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.recording.session import Channels, Session
-from tumble.reduction import exclusion
 from tumble.reduction.observations import Observations
+from tumble.reduction.rests import exclusion
 from tumble.sensors.frames import Frame, convert
 from tumble.sensors.parameters import sensor_kind
 from tumble.units import ZERO_CELSIUS, IntArray

@@ -48,7 +48,7 @@ from tumble.methods.ellipsoid import estimate_of
 from tumble.methods.ellipsoid_fit import TRIAD, EllipsoidFit, fit_ellipsoid
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
-from tumble.reduction.rests import Rests
+from tumble.reduction.rests.rests import Rests
 from tumble.sensors.frames import Convention, Frame, convert, frame_of
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.parameters import usual_sizes, variable_of

@@ -26,16 +26,16 @@ from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
-from tumble.reduction import exclusion
-from tumble.reduction.blemishes import without_blemishes
-from tumble.reduction.blocks import Reduction, reduce_log
-from tumble.reduction.matching import Match, match_rests
+from tumble.reduction.blocks.reducer import Reduction, reduce_log
+from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.observations import Observations, observe
-from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests
+from tumble.reduction.rests import exclusion
+from tumble.reduction.rests.blemishes import without_blemishes
+from tumble.reduction.rests.matching import Match, match_rests
+from tumble.reduction.rests.segmentation import RestSpan, Segmentation, find_rests
 from tumble.reduction.together import held, in_parts
-from tumble.reduction.tuning import USUAL, Tuning
-from tumble.reduction.turns import torn_turns
-from tumble.reduction.unknown_turns import without_unknown_turns
+from tumble.reduction.turns.turns import torn_turns
+from tumble.reduction.turns.unknown_turns import without_unknown_turns
 from tumble.rotation import onto_body
 from tumble.units import IntArray
 

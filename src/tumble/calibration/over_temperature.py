@@ -9,7 +9,7 @@ import numpy as np
 from tumble.inference.estimate import Estimate
 from tumble.inference.variables import at_two_temperatures, both_ways, over_a_range
 from tumble.reduction.observations import Observations
-from tumble.reduction.warming import OVER_TEMPERATURE
+from tumble.reduction.rests.warming import OVER_TEMPERATURE
 from tumble.sensors.parameters import THERMAL, variable_of
 from tumble.units import ZERO_CELSIUS
 

@@ -20,7 +20,7 @@ from tumble.files import FilePath
 from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.session import Session
 from tumble.recording.session_file import SESSION_FILE, session_from, session_of
-from tumble.reduction.allan_deviation import Panel, allan_deviation, identify
+from tumble.reduction.noise.allan_deviation import Panel, allan_deviation, identify
 from tumble.units import Array
 
 _IN_MEMORY_BYTES = 1 << 26

@@ -8,7 +8,7 @@ from tumble.calibration.results import RestResult, SensorsAtRest, TurnResult
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate
 from tumble.reduction.observations import Observations
-from tumble.reduction.rests import Rests
+from tumble.reduction.rests.rests import Rests
 from tumble.sensors.model import Block
 from tumble.units import ZERO_CELSIUS, Array
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from tumble.diagnosis.channels import block_means
 from tumble.recording.session import Channels, Session
-from tumble.reduction.blocks import Reduction
+from tumble.reduction.blocks.reducer import Reduction
 from tumble.rotation import onto_body
 from tumble.units import ACCEL_UNITS, Array
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from tumble.recording.session import Channels, LogSpec
-from tumble.reduction.blocks import ChannelState, Reduction
-from tumble.reduction.segmentation import RestSpan
+from tumble.reduction.blocks.reducer import ChannelState, Reduction
+from tumble.reduction.rests.segmentation import RestSpan
 from tumble.units import DEGREE, G_STANDARD, Array
 
 REST_SHARE = 0.2

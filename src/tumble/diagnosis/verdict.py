@@ -19,7 +19,7 @@ from tumble.diagnosis.undetermined import (
 from tumble.inference.estimate import FIT_SIGMAS, Estimate, Outcome
 from tumble.inference.integral import POOR
 from tumble.reduction.observations import Observations
-from tumble.reduction.segmentation import Segmentation
+from tumble.reduction.rests.segmentation import Segmentation
 from tumble.sensors.parameters import sensor_kind
 from tumble.units import DEGREE, G_STANDARD, BoolArray
 

@@ -18,7 +18,7 @@ from tumble.recording.formats.message import Sensors
 from tumble.recording.readers import KeptLog, source_of
 from tumble.recording.rows.gaps import is_reading
 from tumble.recording.text.dialect import Dialect, is_clock
-from tumble.reduction.tuning import USUAL
+from tumble.reduction.blocks.tuning import USUAL
 from tumble.units import Array
 
 LONGEST = 2_000_000

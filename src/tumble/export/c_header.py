@@ -12,7 +12,7 @@ Where parameters change with temperature, there are functions with a temperature
     out = inverse · ((reading − bias − d (b₁ + d b₂)) / (1 + d (s₁ + d s₂)))
 
 sensor by sensor. Where the sensors lag behind the thermometer by λ, a function follows it from reading to reading,
-exact where the temperature is straight between two (`tumble.reduction.thermometer`): over h seconds, with
+exact where the temperature is straight between two (`tumble.reduction.rests.thermometer`): over h seconds, with
 g = 1 − e^(−h/λ),
 
     y₁ = y₀ + g (T₀ − y₀) + (T₁ − T₀) (1 − g λ/h)
@@ -30,7 +30,7 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.temperature_curves import changing, coefficients, measured_range, own_thermometers, references
 from tumble.export.exported import NO_UNCERTAINTY, UNITS, Exported, example, examples, models, numbers, origin, shown
 from tumble.export.larger_model import not_held
-from tumble.reduction.thermometer import followed
+from tumble.reduction.rests.thermometer import followed
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
 from tumble.sensors.instrument import is_linear
 from tumble.sensors.model import Block, SensorKind, SensorModel

@@ -49,7 +49,7 @@ from tumble.export.exported import (
 )
 from tumble.export.larger_model import g_sensitivity, not_held, still
 from tumble.recording.session import Session
-from tumble.reduction.allan_deviation import Panel
+from tumble.reduction.noise.allan_deviation import Panel
 from tumble.units import Array
 
 

@@ -10,8 +10,8 @@ are unknowns. own_p is what a calibration at rest does not know of a sensor that
 square, delay of its own), and is eliminated. Its row reads all of the acceleration where the sensor is: on a flat board
 an angular acceleration reaches accelerometers in the board by their height, 1 mm, and by an error of their axes of
 10⁻³ times 10 mm. What is left is a likelihood of lever arms, τ and E, all from the moments of
-`tumble.reduction.array_motion`. Translations of all sensors of one direction change nothing but f and remain open, and
-a common scale of all lever arms is open as far as E is: turns say both.
+`tumble.reduction.turns.array_motion`. Translations of all sensors of one direction change nothing but f and remain
+open, and a common scale of all lever arms is open as far as E is: turns say both.
 
 What rates change by from sample to sample is no measurement of ω̇: much of what accelerometers of a shaken body read of
 it is faster than the samples, and against the gyros' differences it has a scale that depends on how they are formed.
@@ -29,7 +29,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tumble.reduction.array_motion import ArrayMoments
+from tumble.reduction.turns.array_motion import ArrayMoments
 from tumble.rotation import skew
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block

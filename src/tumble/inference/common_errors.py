@@ -1,8 +1,8 @@
 """How uncertain the parameters are by what errs alike in a whole session, so that no residual shows it.
 
 Rounding. Where noise does not cover the steps L of a channel, the mean of many samples errs by a sawtooth of the place
-of the true value between two steps (`tumble.reduction.rounding`). Rests that read the same err by the same, and so does
-a turn about another axis: the error is one of the bias. Of rests whose true values scatter by s the part
+of the true value between two steps (`tumble.reduction.noise.rounding`). Rests that read the same err by the same, and
+so does a turn about another axis: the error is one of the bias. Of rests whose true values scatter by s the part
 e^(−2π²s²/L²) of it is common, of accelerometers in several attitudes nothing. Readings scatter by up to
 1 + 2 Σ_k e^(−2π²k²σ²/L²) times as much as the true values, which between two steps they do.
 
@@ -24,8 +24,8 @@ from tumble.sensors.parameters import group_name
 from tumble.units import Array
 
 if TYPE_CHECKING:
+    from tumble.reduction.noise.rounding import Rounding
     from tumble.reduction.observations import Observations
-    from tumble.reduction.rounding import Rounding
 
 _HARMONICS = np.arange(1, 40)
 

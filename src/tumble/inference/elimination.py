@@ -19,7 +19,7 @@ over columns are vector instructions.
 Sums are taken in the order that is written: a compiler that may choose another one chooses differently from one
 compilation to the next, and rows of a campaign would differ in the last digit from process to process.
 
-`elimination.pxd` says what of this is compiled, and how; the rules of `tumble.reduction.kernels` hold.
+The rules of `tumble.reduction.kernels` hold.
 """
 
 from __future__ import annotations
@@ -33,6 +33,9 @@ try:
     import cython
 except ImportError:
     from tumble import uncompiled as cython
+
+# C: from libc.math cimport cos, fabs, sin, sqrt
+# C: from libc.stdint cimport int64_t
 
 if not cython.compiled:
     from numpy import cos, fabs, sin, sqrt
@@ -147,6 +150,9 @@ def _fold_many(rows: Array, triangle: Array) -> None:
         upper[:] = np.triu(dtpqrt(len(below) if triangular else 0, min(WIDE, len(upper)), upper, below)[0])
 
 
+# C: cdef Py_ssize_t _eliminate(const double[:, :, :] rest, const double[:, :, :] turn, const int64_t[:] link,
+# C:     double[:, :, :] factor, double[:, ::1] triangle, double rounding, double[:, ::1] work, double[:, ::1] carried,
+# C:     double[:, ::1] kept, double[::1] length, double[::1] product)
 def _eliminate(
     rest: Array,
     turn: Array,
@@ -193,6 +199,8 @@ def _eliminate(
     return count
 
 
+# C: cdef Py_ssize_t _gather(double[:, ::1] work, double[:, ::1] carried, const double[:, :, :] rest, Py_ssize_t i,
+# C:     const double[:, :, :] turn, int64_t k) noexcept nogil
 def _gather(work: Array, carried: Array, rest: Array, i: int, turn: Array, k: int) -> int:
     """Put what involves the unknowns of rest i together: carried rows, its own, and those of turn k; how many."""
     d, columns = carried.shape[0], carried.shape[1]
@@ -214,6 +222,9 @@ def _gather(work: Array, carried: Array, rest: Array, i: int, turn: Array, k: in
     return rows  # type: ignore[no-any-return]
 
 
+# C: @cython.locals(square=double)
+# C: cdef bint _reflect(double[:, ::1] work, double[::1] product, Py_ssize_t top, Py_ssize_t column, Py_ssize_t rows,
+# C:     double least ) noexcept nogil
 def _reflect(work: Array, product: Array, top: int, column: int, rows: int, least: float) -> bool:
     """Reflect rows top … rows − 1 so that below row `top` the column is zero. False, and the column cleared, where it
     has nothing in it."""
@@ -248,6 +259,9 @@ def _reflect(work: Array, product: Array, top: int, column: int, rows: int, leas
     return True
 
 
+# C: @cython.locals(square=double)
+# C: cdef void _fold(double[:, ::1] kept, double[::1] product, Py_ssize_t count, double[:, ::1] triangle
+# C:     ) noexcept nogil
 def _fold(kept: Array, product: Array, count: int, triangle: Array) -> None:
     """Fold rows (count, p + 1), which are overwritten, into an upper triangle (p + 1, p + 1): Householder reflections
     of the rows together with one row of the triangle at a time. Rows that are 0 in a column have no part in that of its
@@ -306,6 +320,8 @@ def put_back(
     return own, shared
 
 
+# C: cdef void _solve_all(const double[:, :, ::1] factor, double[:, :, ::1] inverse, double[:, :, ::1] by_next,
+# C:     double[:, :, ::1] by, double[:, :] unknowns)
 def _solve_all(factor: Array, inverse: Array, by_next: Array, by: Array, unknowns: Array) -> None:
     """The rows of all rests, solved for their unknowns."""
     with cython.nogil:
@@ -314,6 +330,9 @@ def _solve_all(factor: Array, inverse: Array, by_next: Array, by: Array, unknown
             _solve_for(inverse[i], factor[i], by_next[i], by[i], unknowns[i])
 
 
+# C: cdef void _put_back(const int64_t[:] link, const double[::1] parameters, const double[:, :, ::1] inverse,
+# C:     const double[:, :, ::1] by_next, const double[:, :, ::1] by, double[:, :] unknowns, double[:, :, :, ::1] own,
+# C:     double[:, :, ::1] shared)
 def _put_back(
     link: IntArray,
     parameters: Array,
@@ -353,6 +372,10 @@ def whitening(noise: Array, directions: Array, component: IntArray, variance: Ar
     return factors
 
 
+# C: @cython.locals(v=double, part=double, total=double, scale=double, a=Py_ssize_t, b=Py_ssize_t, c=Py_ssize_t,
+# C:     k=Py_ssize_t)
+# C: cdef bint _whiten(const double[:, :, :] noise, const double[:, :, :] directions, const int64_t[:] component,
+# C:     const double[:] variance, double[:, ::1] work, double[:, :, ::1] factors)
 def _whiten(noise: Array, directions: Array, component: IntArray, variance: Array, work: Array, factors: Array) -> bool:
     """One covariance after the other; false where one is none."""
     N, n, q = noise.shape[0], noise.shape[1], directions.shape[2]
@@ -390,6 +413,8 @@ def _whiten(noise: Array, directions: Array, component: IntArray, variance: Arra
     return True
 
 
+# C: cdef void _solve_for(double[:, ::1] inverse, const double[:, ::1] factor, double[:, ::1] by_next,
+# C:     double[:, ::1] by, double[:] value ) noexcept nogil
 def _solve_for(inverse: Array, factor: Array, by_next: Array, by: Array, value: Array) -> None:
     """What the rows of a rest, solved for its unknowns, say of them: by how much they change with those of the next
     rest (d, d) and with the parameters (d, p), and their value (d,) where these are zero."""
@@ -404,6 +429,8 @@ def _solve_for(inverse: Array, factor: Array, by_next: Array, by: Array, value: 
             value[a] += inverse[a, b] * factor[b, 2 * d + p]
 
 
+# C: @cython.locals(total=double)
+# C: cdef void _add_product(const double[:, ::1] a, const double[:, ::1] b, double[:, ::1] out) noexcept nogil
 def _add_product(a: Array, b: Array, out: Array) -> None:
     """Add a bᵀ; a covariance stands for its own transpose."""
     for i in range(a.shape[0]):
@@ -414,6 +441,8 @@ def _add_product(a: Array, b: Array, out: Array) -> None:
             out[i, j] += total
 
 
+# C: @cython.locals(total=double)
+# C: cdef void _inverse(const double[:, ::1] factor, double[:, ::1] inverse) noexcept nogil
 def _inverse(factor: Array, inverse: Array) -> None:
     """Inverse of the triangle in the first columns of a rest's factor; rows and columns of unknowns that nothing shows
     are zero."""
@@ -430,6 +459,8 @@ def _inverse(factor: Array, inverse: Array) -> None:
             inverse[a, b] = total / factor[a, a]
 
 
+# C: cpdef carry(const double[:, :] vertical, const double[:, :, :] C, const int64_t[:] link, const double[:] turned,
+# C:     double[:, :, ::1] attitudes)
 def carry(vertical: Array, C: Array, link: IntArray, turned: Array, attitudes: Array) -> None:
     """Attitudes (N, 3, 3) with the verticals (N, 3), and with the heading that the turns C (K, 3, 3) carry along each
     chain, whose first heading is any; in turn k the Earth turns by `turned[k]` about the vertical."""
@@ -442,6 +473,8 @@ def carry(vertical: Array, C: Array, link: IntArray, turned: Array, attitudes: A
             _complete(vertical[i], attitudes[i], north)
 
 
+# C: cdef void _turn_north(const double[:, ::1] before, const double[:, :] C, double turned, double[::1] north
+# C:     ) noexcept nogil
 def _turn_north(before: Array, C: Array, turned: float, north: Array) -> None:
     """North of the attitude before, less by how far the Earth turns, after the turn C."""
     cosine, sine = cos(turned), sin(turned)
@@ -450,6 +483,7 @@ def _turn_north(before: Array, C: Array, turned: float, north: Array) -> None:
             north[a] += (cosine * before[0, b] - sine * before[2, b]) * C[b, a]
 
 
+# C: cdef void _complete(const double[:] u, double[:, ::1] L, double[::1] north) noexcept nogil
 def _complete(u: Array, L: Array, north: Array) -> None:
     """An attitude with the vertical u and a north that is near to north, or any where it is none."""
     along = _dot(north, u)
@@ -472,6 +506,7 @@ def _complete(u: Array, L: Array, north: Array) -> None:
     L[2, 2] = north[0] * u[1] - north[1] * u[0]
 
 
+# C: cdef double _dot(const double[:] a, const double[:] b) noexcept nogil
 def _dot(a: Array, b: Array) -> float:
     """Scalar product of vectors of three."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]  # type: ignore[no-any-return]

@@ -9,10 +9,10 @@ Minimised is the sum of squares, each over its covariance (docs/mathematics.md, 
     g − g₀                                     the measured gravity
 
 C(θ) = exp([φ×]) C and V(θ) are about the parameters the turn was integrated with: φ and V change with the coefficients
-K by what `tumble.reduction.moments` has of the turn, to first order; levers and delays enter V linearly. The turn's
-rows are (13) in other axes, those in which its covariance is given. The Coriolis term of (13) is left out: it is below
-0.1 σ for a table whose axes are within a metre. Gravity is the same for all rests, so it is an unknown that has been
-measured; no table angle has a prior unless a `Prior` is given. Parameters have priors: those of the linear model
+K by what `tumble.reduction.turns.moments` has of the turn, to first order; levers and delays enter V linearly. The
+turn's rows are (13) in other axes, those in which its covariance is given. The Coriolis term of (13) is left out: it is
+below 0.1 σ for a table whose axes are within a metre. Gravity is the same for all rests, so it is an unknown that has
+been measured; no table angle has a prior unless a `Prior` is given. Parameters have priors: those of the linear model
 their limits, which decide what the data leave open and are nothing beside what they show; the others what
 instruments usually have. What n > 3 gyros say of a turn beyond its rotation is n − 3 rows more.
 

@@ -1,7 +1,7 @@
 """Compiled loops over what a least-squares step leaves of whitened residuals, and what that says of components of
 variance.
 
-`residual_loops.pxd` says what of this is compiled, and how; the rules of `tumble.reduction.kernels` hold.
+The rules of `tumble.reduction.kernels` hold.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ try:
 except ImportError:
     from tumble import uncompiled as cython
 
+# C: from libc.stdint cimport int64_t
+
 
 def leave(rows: Array, first: IntArray, known: tuple[Array, Array, Array], step: Array, predicted: Array) -> Array:
     """Residuals (M, r) that rows (M, r, ·) of one rest or two each, from the `first` (M,) on, have after the step of
@@ -27,6 +29,11 @@ def leave(rows: Array, first: IntArray, known: tuple[Array, Array, Array], step:
     return residual
 
 
+# C: @cython.locals(total=double, half=double, across=double, i=Py_ssize_t, k=Py_ssize_t, a=Py_ssize_t, b=Py_ssize_t,
+# C:     c=Py_ssize_t, r=Py_ssize_t, p=Py_ssize_t, d=Py_ssize_t, row=Py_ssize_t, other=Py_ssize_t)
+# C: cdef void _leave(const double[:, :, ::1] rows, const int64_t[:] first, const double[:, :] angles,
+# C:     const double[:, :, :, ::1] own, const double[:, :, ::1] shared, const double[::1] step,
+# C:     double[:, :, ::1] covariance, double[:, ::1] residual, double[:, ::1] work)
 def _leave(
     rows: Array,
     first: IntArray,
@@ -69,6 +76,8 @@ def _leave(
                     covariance[k, other, row] = total
 
 
+# C: cdef double _of_unknowns(const double[:, :, :, ::1] own, Py_ssize_t i, Py_ssize_t d, Py_ssize_t a, Py_ssize_t b
+# C:     ) noexcept nogil
 def _of_unknowns(own: Array, i: int, d: int, a: int, b: int) -> float:
     """The covariance of two of the unknowns of rest i and the next, of those with themselves and with the next."""
     if a < d:
@@ -87,6 +96,10 @@ def score(directions: Array, component: IntArray, left: tuple[Array, Array], slo
     _score(directions, component, residual, covariance, work, product, slope, information)
 
 
+# C: @cython.locals(part=double, along=double, a=Py_ssize_t, b=Py_ssize_t, c=Py_ssize_t, d=Py_ssize_t, k=Py_ssize_t)
+# C: cdef void _score(const double[:, :, ::1] directions, const int64_t[:] component, const double[:, :] residual,
+# C:     const double[:, :, ::1] covariance, double[:, ::1] work, double[::1] product, double[::1] slope,
+# C:     double[:, ::1] information)
 def _score(
     directions: Array,
     component: IntArray,

@@ -2,7 +2,7 @@
 They are derived in `tumble.inference.likelihood`; functions β are in the order of `tumble.sensors.parameters`: 1, ω,
 f, the six products of f, |u| and u³ along the sensor's own axis.
 
-`row_loops.pxd` says what of this is compiled, and how; the rules of `tumble.reduction.kernels` hold.
+The rules of `tumble.reduction.kernels` hold.
 """
 
 from __future__ import annotations
@@ -15,6 +15,9 @@ try:
     import cython
 except ImportError:
     from tumble import uncompiled as cython
+
+# C: from libc.math cimport atan2, fabs, sin, sqrt, tan
+# C: from libc.stdint cimport int64_t
 
 if not cython.compiled:
     from numpy import arctan2 as atan2
@@ -39,6 +42,11 @@ def add_rests(
     _add_rests(attitudes, force, rate, axes, kind, K, D, used, observed, rows, top, np.zeros((3, 15)))
 
 
+# C: @cython.locals(i=Py_ssize_t, k=Py_ssize_t, p=Py_ssize_t, b=Py_ssize_t, m=Py_ssize_t, last=Py_ssize_t,
+# C:     column=Py_ssize_t, residual=double, value=double)
+# C: cdef void _add_rests(const double[:, :, :] attitudes, const double[:] force, const double[:] rate,
+# C:     const double[:, :] axes, int kind, const double[:, :] K, const double[:, :, ::1] D, const int64_t[:] used,
+# C:     const double[:, :] observed, double[:, :, ::1] rows, Py_ssize_t top, double[:, ::1] work)
 def _add_rests(
     attitudes: Array,
     force: Array,
@@ -83,6 +91,9 @@ def _add_rests(
                         row[4 + column] += value * D[p, used[b], column]
 
 
+# C: @cython.locals(k=Py_ssize_t, own=double)
+# C: cdef void _functions(const double[:] axis, int kind, const double[:] f, const double[:] w, double[:] beta
+# C:     ) noexcept nogil
 def _functions(axis: Array, kind: int, f: Array, w: Array, beta: Array) -> None:
     """β (15,) of a sensor."""
     beta[0] = 1.0
@@ -94,6 +105,9 @@ def _functions(axis: Array, kind: int, f: Array, w: Array, beta: Array) -> None:
     beta[13], beta[14] = fabs(own), own * own * own
 
 
+# C: @cython.locals(k=Py_ssize_t, own=double, sign=double, slope=double)
+# C: cdef void _slopes(const double[:] axis, int kind, const double[:] f, const double[:] beta, const double[:] K,
+# C:     double[:] by_force, double[:] by_rate) noexcept nogil
 def _slopes(axis: Array, kind: int, f: Array, beta: Array, K: Array, by_force: Array, by_rate: Array) -> None:
     """Derivatives (3,) of a reading with respect to specific force and rate."""
     for k in range(3):
@@ -136,6 +150,11 @@ def add_turns(
     )
 
 
+# C: @cython.locals(k=Py_ssize_t, a=Py_ssize_t, b=Py_ssize_t, m=Py_ssize_t, column=Py_ssize_t)
+# C: cdef void _add_turns(const double[:, :, :] attitudes, const int64_t[:] first, const int64_t[:] last,
+# C:     const double[:, :, :] rotations, const double[:] seconds, const double[:, :, :] turned, const double[:] earth,
+# C:     double gravity, bint moved, const double[:, :, ::1] by, const double[:, :, :] by_bias, double[:, :, ::1] rows,
+# C:     double[:, :, ::1] bias, double[:, :, ::1] work)
 def _add_turns(
     attitudes: Array,
     first: IntArray,
@@ -196,6 +215,8 @@ def _add_turns(
                         bias[k, a, column] = by_bias[k, a, column]
 
 
+# C: cdef void _attitudes_of_turn(const double[:, :] left, const double[:, :] carried, const double[:, :] start,
+# C:     const double[:, :] end, double[:, ::1] rows) noexcept nogil
 def _attitudes_of_turn(left: Array, carried: Array, start: Array, end: Array, rows: Array) -> None:
     """−J_l⁻ᵀ and J_l⁻¹ C of the attitudes before and after a turn, in their bases."""
     for a in range(3):
@@ -210,6 +231,10 @@ def _attitudes_of_turn(left: Array, carried: Array, start: Array, end: Array, ro
             rows[a, 5] += carried[a, b] * end[1, b]
 
 
+# C: @cython.locals(m=Py_ssize_t, column=Py_ssize_t, a=Py_ssize_t, b=Py_ssize_t, c=Py_ssize_t, x=double, y=double,
+# C:     z=double, whole_b=double, whole_c=double, predicted=double)
+# C: cdef void _add_velocity(const double[:, :] start, const double[:] earth, double gravity, double T,
+# C:     const double[:, ::1] by, double[:, ::1] rows, double[:, ::1] work) noexcept nogil
 def _add_velocity(start: Array, earth: Array, gravity: float, T: float, by: Array, rows: Array, work: Array) -> None:
     """L_iᵀ ∫ e^{[Ω×]s} g e_U ds, with ∫ = T (I + [x×]/2 + [x×]²/6) and x = Ω T, and its derivative with the attitude
     before the turn; the heading has a part in it through the Earth's rate alone."""
@@ -244,6 +269,9 @@ def turned(attitudes: Array, angles: Array) -> Array:
     return out
 
 
+# C: @cython.locals(i=Py_ssize_t, a=Py_ssize_t)
+# C: cdef void _turn(const double[:, :, :] attitudes, const double[:, :] angles, double[:, :, ::1] out,
+# C:     double[:, :, ::1] work )
 def _turn(attitudes: Array, angles: Array, out: Array, work: Array) -> None:
     """One attitude after the other."""
     with cython.nogil:
@@ -267,6 +295,7 @@ def inverse_left_jacobian(r: Array) -> Array:
     return out
 
 
+# C: cdef void _exponential(const double[:] r, double[:, ::1] C) noexcept nogil
 def _exponential(r: Array, C: Array) -> None:
     """exp([r×]): I + sin a/a [r×] + (1 − cos a)/a² [r×]²."""
     angle = sqrt(_dot(r, r))
@@ -274,6 +303,8 @@ def _exponential(r: Array, C: Array) -> None:
     _polynomial(r, _sine_ratio(angle), 0.5 * half * half, C)
 
 
+# C: @cython.locals(second=double)
+# C: cdef void _left_jacobian(const double[:] r, double[:, ::1] J) noexcept nogil
 def _left_jacobian(r: Array, J: Array) -> None:
     """J_l: I + (1 − cos a)/a² [r×] + (a − sin a)/a³ [r×]², of small angles by its series."""
     angle = sqrt(_dot(r, r))
@@ -284,6 +315,8 @@ def _left_jacobian(r: Array, J: Array) -> None:
     _polynomial(r, 0.5 * half * half, second, J)
 
 
+# C: @cython.locals(second=double)
+# C: cdef void _inverse_left_jacobian(const double[:] r, double[:, ::1] J) noexcept nogil
 def _inverse_left_jacobian(r: Array, J: Array) -> None:
     """J_l⁻¹: I − [r×]/2 + (1/a² − 1/(2 a tan(a/2))) [r×]², likewise."""
     angle = sqrt(_dot(r, r))
@@ -293,6 +326,7 @@ def _inverse_left_jacobian(r: Array, J: Array) -> None:
     _polynomial(r, -0.5, second, J)
 
 
+# C: cdef double _sine_ratio(double angle) noexcept nogil
 def _sine_ratio(angle: float) -> float:
     """sin a / a."""
     if angle < 1e-4:
@@ -300,6 +334,7 @@ def _sine_ratio(angle: float) -> float:
     return sin(angle) / angle  # type: ignore[no-any-return]
 
 
+# C: cdef void _polynomial(const double[:] r, double first, double second, double[:, ::1] out) noexcept nogil
 def _polynomial(r: Array, first: float, second: float, out: Array) -> None:
     """I + first [r×] + second [r×]², [r×]² = r rᵀ − r² I."""
     square = _dot(r, r)
@@ -315,6 +350,8 @@ def _polynomial(r: Array, first: float, second: float, out: Array) -> None:
     out[0, 1] -= first * r[2]
 
 
+# C: @cython.locals(most=double, largest=Py_ssize_t, a=Py_ssize_t, b=Py_ssize_t, scalar=double, ratio=double)
+# C: cdef void _logarithm(const double[:, :] C, double[::1] r) noexcept nogil
 def _logarithm(C: Array, r: Array) -> None:
     """The rotation vector, up to π, of a rotation matrix: by the largest column of 4 q qᵀ, q a unit quaternion, scalar
     first."""
@@ -338,6 +375,7 @@ def _logarithm(C: Array, r: Array) -> None:
         r[a] *= ratio if scalar >= 0.0 else -ratio
 
 
+# C: cdef void _product(const double[:, :] a, const double[:, :] b, double[:, ::1] out) noexcept nogil
 def _product(a: Array, b: Array, out: Array) -> None:
     """a b of matrices (3, 3)."""
     for i in range(3):
@@ -345,11 +383,13 @@ def _product(a: Array, b: Array, out: Array) -> None:
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
 
 
+# C: cdef double _dot(const double[:] a, const double[:] b) noexcept nogil
 def _dot(a: Array, b: Array) -> float:
     """Scalar product of vectors of three."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]  # type: ignore[no-any-return]
 
 
+# C: cdef double _triple(const double[:] a, const double[:] b, const double[:] c) noexcept nogil
 def _triple(a: Array, b: Array, c: Array) -> float:
     """a · (b × c)."""
     return (  # type: ignore[no-any-return]

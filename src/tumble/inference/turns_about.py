@@ -1,7 +1,7 @@
 """The turns of a session about the parameters they were integrated with: how rotation and velocity change with others.
 
-With the moments of a turn (`tumble.reduction.moments`) and s_p the column of sensor p in the left inverse, a change
-ΔK of the coefficients of a reading turns C into exp([φ×]) C and adds to V,
+With the moments of a turn (`tumble.reduction.turns.moments`) and s_p the column of sensor p in the left inverse, a
+change ΔK of the coefficients of a reading turns C into exp([φ×]) C and adds to V,
 
     φ = −P_pb ΔK_pb,    ΔV = −Q_pb ΔK_pb,    P = Φ_ijb s_jp,    Q = Ψ_ijb s_jp of gyros, Φ_ijb s_jp of accelerometers
     (9)
@@ -20,7 +20,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from tumble.inference.array_levers import ArrayLevers, array_levers
-from tumble.reduction.moments import (
+from tumble.reduction.observations import Observations
+from tumble.reduction.turns.moments import (
     NO_AXES,
     BlockCompensation,
     Compensation,
@@ -30,7 +31,6 @@ from tumble.reduction.moments import (
     lever_columns,
     single_delay_columns,
 )
-from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, rotation_vector, skew
 from tumble.sensors.compensation import angular_rate, specific_force
 from tumble.sensors.instrument import Instrument

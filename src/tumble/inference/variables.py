@@ -15,8 +15,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from tumble.reduction.observations import Observations
-from tumble.reduction.thermometer import Warmth
-from tumble.reduction.warming import OVER_TEMPERATURE
+from tumble.reduction.rests.thermometer import Warmth
+from tumble.reduction.rests.warming import OVER_TEMPERATURE
 from tumble.sensors.parameters import Variable
 from tumble.units import Array, BoolArray
 

@@ -41,7 +41,7 @@ from tumble.methods.least_squares import (
     with_scatter,
 )
 from tumble.reduction.observations import Observations
-from tumble.reduction.turns import Turns
+from tumble.reduction.turns.turns import Turns
 from tumble.rotation import onto_body, rotation_matrix, skew, tangent_basis, unit_vector
 from tumble.sensors.model import SensorModel, beyond_body
 from tumble.sensors.parameters import limits_of

@@ -45,12 +45,12 @@ from tumble.planning.expected_sizes import expected
 from tumble.planning.setup import Setup, check_setup
 from tumble.planning.steady_turns import inertial_turns, steady_moments
 from tumble.recording.session import Site
-from tumble.reduction.coloured_noise import WHITE
-from tumble.reduction.moments import Moments
+from tumble.reduction.blocks.tuning import USUAL
+from tumble.reduction.noise.coloured_noise import WHITE
 from tumble.reduction.observations import Observations
-from tumble.reduction.rests import Rests
-from tumble.reduction.tuning import USUAL
-from tumble.reduction.turns import TURN_FLOOR, VELOCITY_FLOOR, Turns
+from tumble.reduction.rests.rests import Rests
+from tumble.reduction.turns.moments import Moments
+from tumble.reduction.turns.turns import TURN_FLOOR, VELOCITY_FLOOR, Turns
 from tumble.rotation import rotation_vector
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.instrument import Instrument

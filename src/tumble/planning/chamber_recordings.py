@@ -26,11 +26,11 @@ from tumble.inference.linearisation import linearise
 from tumble.planning.bounds import Course, begins, instrument_of, observed
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme
+from tumble.reduction.blocks.tuning import USUAL
 from tumble.reduction.observations import Observations, Together
-from tumble.reduction.thermometer import Thermometers
+from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.together import MOST_PARTS, SHORTEST_PART, WARMED, held
-from tumble.reduction.tuning import USUAL
-from tumble.reduction.turns import Turns
+from tumble.reduction.turns.turns import Turns
 from tumble.units import Array
 
 TYPICAL = 0.5

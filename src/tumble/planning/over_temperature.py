@@ -32,10 +32,10 @@ from tumble.sensors.parameters import (
     THERMAL,
     group_of,
     positions_by_group,
+    quantity_of,
     to_temperature,
     variable_of,
 )
-from tumble.sensors.typed_quantities import quantity_of
 from tumble.units import ZERO_CELSIUS, Array
 
 SETTLED = 0.1

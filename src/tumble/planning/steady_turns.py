@@ -7,7 +7,7 @@ With v the rotation vector of a turn in the body at its start, ω = v/T, L₀ th
     C(t) = exp([ω×]t),   f(t) = g C(t)ᵀ L₀ᵀ exp([Ω×]t) e_U
 
 Everything is smooth in t but |f_p|: Gauss–Legendre sums over the whole turn are exact to rounding for turns up to a
-revolution, and right to some 1e-3 for |f_p|. The integrals ∫ Φ × dV of `tumble.reduction.moments` are, in another
+revolution, and right to some 1e-3 for |f_p|. The integrals ∫ Φ × dV of `tumble.reduction.turns.moments` are, in another
 order,
 
     Ψ_jb = ∫ C_j β_b × (V(T) − V(t)) dt
@@ -23,7 +23,7 @@ import numpy as np
 
 from tumble.earth import earth_rate
 from tumble.planning.setup import Setup
-from tumble.reduction.moments import REGRESSORS, Moments, OwnAxes
+from tumble.reduction.turns.moments import REGRESSORS, Moments, OwnAxes
 from tumble.rotation import rotation_matrix, rotation_vector_near, skew
 from tumble.sensors.parameters import PAIRS
 from tumble.units import Array
@@ -64,7 +64,7 @@ def steady_moments(
 ) -> tuple[Moments, tuple[Array, Array]]:
     """Moments of turns through rotation vectors (K, 3), body, inertial, in T (K,) s from attitudes (K, 3, 3); with
     `still` (K,) s before and after them in which nothing turns. And Φ and Ψ weighted with the time from the middle, as
-    `tumble.reduction.moments.growing_moments` has them."""
+    `tumble.reduction.turns.moments.growing_moments` has them."""
     K = len(T)
     lasts = T[:, None] if still is None else np.stack([still, T, still], axis=1)
     nodes, weights, _ = _gauss()

@@ -1,9 +1,9 @@
 """Compiled loops over samples. Each has a plain twin in tests/naive.py that says the same in NumPy.
 
 This is Python, and runs as it stands. When tumble is built, Cython and a compiler of C make a module of machine code of
-it, which Python imports in its place; the file beside it that ends in `.pxd` tells Cython which functions become
-functions of C, and of what type their arguments are. What no `.pxd` names stays a function of Python. Sums are taken in
-the order that is written.
+it, which Python imports in its place. Lines that begin with `# C: ` tell Cython which functions become functions of C,
+and of what type their arguments are; what they do not name stays a function of Python. Sums are taken in the order that
+is written.
 """
 
 from __future__ import annotations
@@ -17,7 +17,11 @@ try:
 except ImportError:
     from tumble import uncompiled as cython
 
-if not cython.compiled:  # where it is, this is a number of kernels.pxd
+# C: from libc.stdint cimport int64_t
+# C: cpdef enum:
+# C:     LANES = 16
+
+if not cython.compiled:  # where it is, this is a number of C
     LANES = 16
 
 # Allan variance ----------------------------------------------------------------------------------------------
@@ -33,6 +37,7 @@ def allan_sums(phase: Array, sizes: IntArray) -> Array:
     return np.asarray(sums.sum(axis=1))
 
 
+# C: cdef void _allan_sums(const double[::1] phase, const int64_t[:] sizes, double[:, ::1] sums)
 def _allan_sums(phase: Array, sizes: IntArray, sums: Array) -> None:
     """The same in LANES parts (k, LANES)."""
     n = phase.shape[0]
@@ -43,6 +48,8 @@ def _allan_sums(phase: Array, sizes: IntArray, sums: Array) -> None:
                 _add_squares(phase, begin, min(begin + 4096, n - 2 * sizes[i]), sizes[i], sums, i)
 
 
+# C: cdef void _add_squares(const double[::1] phase, Py_ssize_t begin, Py_ssize_t end, Py_ssize_t m,
+# C:     double[:, ::1] sums, Py_ssize_t i ) noexcept nogil
 def _add_squares(phase: Array, begin: int, end: int, m: int, sums: Array, i: int) -> None:
     """Add (x[j+2m] − 2 x[j+m] + x[j])² for j from begin to end, every LANES-th to one part."""
     for group in range((end - begin) // LANES):
@@ -58,6 +65,8 @@ def _add_squares(phase: Array, begin: int, end: int, m: int, sums: Array, i: int
 # Autoregressive noise ----------------------------------------------------------------------------------------
 
 
+# C: @cython.locals(total=double)
+# C: cpdef Py_ssize_t levinson(const double[:] autocovariance, double[:, :] filters, double[:] powers)
 def levinson(autocovariance: Array, filters: Array, powers: Array) -> int:
     """Prediction-error filters (P, P), a row an order from 0, and innovation variances (P,) of autocovariances (P,) by
     Levinson's recursion, both zero before; returns how many orders there are until the process would be no longer
@@ -76,6 +85,8 @@ def levinson(autocovariance: Array, filters: Array, powers: Array) -> int:
     return len(autocovariance)
 
 
+# C: @cython.locals(total=double, largest=double)
+# C: cpdef continue_autocovariance(double[::1] autocovariance, const double[::1] prediction_filter, double negligible)
 def continue_autocovariance(autocovariance: Array, prediction_filter: Array, negligible: float) -> None:
     """Write the autocovariances of an autoregressive process of order p behind the first p + 1, until a filter's length
     of them is below `negligible` of the first."""
@@ -94,6 +105,7 @@ def continue_autocovariance(autocovariance: Array, prediction_filter: Array, neg
 # A lag of first order ----------------------------------------------------------------------------------------
 
 
+# C: cpdef follow(double[::1] values, double kept)
 def follow(values: Array, kept: float) -> None:
     """Add to each of the values (n,) what is kept of the one before it, in place: y[k] = x[k] + a y[k−1]."""
     for k in range(1, values.shape[0]):
@@ -115,6 +127,10 @@ def new_channel_state(sensors: int) -> Array:
     return state
 
 
+# C: @cython.locals(total=double, row=double, last=double, lowest=double, highest=double, step=double, repeats=int64_t,
+# C:     count=int64_t, blocks=Py_ssize_t)
+# C: cpdef Py_ssize_t block_sums(const double[:, :] values, const double[:] time, const double[:] weight, int64_t size,
+# C:     double[:] sums, int64_t[:] filled, double[:, ::1] state, double[:, :] out)
 def block_sums(
     values: Array, time: Array, weight: Array, size: int, sums: Array, filled: IntArray, state: Array, out: Array
 ) -> int:
@@ -155,6 +171,7 @@ def block_sums(
     return blocks
 
 
+# C: cdef void _end_row(double[:, ::1] state, Py_ssize_t c, double value, double length, double stop) noexcept nogil
 def _end_row(state: Array, c: int, value: float, length: float, stop: float) -> None:
     """Take note of a row of equal values that ends, or goes on after this chunk."""
     if length > state[c, 6]:

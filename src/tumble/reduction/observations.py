@@ -24,12 +24,15 @@ import numpy as np
 from tumble.brief import Brief
 from tumble.programme.positions import Programme
 from tumble.recording.session import Site
-from tumble.reduction.array_motion import ArrayMoments, MovedArray, array_moments
-from tumble.reduction.blemishes import bad_sample_notes, blemish_notes
-from tumble.reduction.blocks import Reduction, extremes
-from tumble.reduction.coloured_noise import fit_coloured_noise
-from tumble.reduction.matching import Match
-from tumble.reduction.moments import (
+from tumble.reduction.blocks.reducer import Reduction, extremes
+from tumble.reduction.noise.coloured_noise import fit_coloured_noise
+from tumble.reduction.noise.rounding import Rounding, rounding_notes
+from tumble.reduction.rests.blemishes import bad_sample_notes, blemish_notes
+from tumble.reduction.rests.matching import Match
+from tumble.reduction.rests.rests import Rests, reduced_rests, thermometers_of
+from tumble.reduction.rests.thermometer import Thermometers
+from tumble.reduction.turns.array_motion import ArrayMoments, MovedArray, array_moments
+from tumble.reduction.turns.moments import (
     NO_OWN_AXES,
     Compensation,
     Moments,
@@ -37,11 +40,8 @@ from tumble.reduction.moments import (
     growing_moments,
     integrate,
 )
-from tumble.reduction.rests import Rests, reduced_rests, thermometers_of
-from tumble.reduction.rounding import Rounding, rounding_notes
-from tumble.reduction.thermometer import Thermometers
-from tumble.reduction.turn_samples import TurnSamples
-from tumble.reduction.turns import (
+from tumble.reduction.turns.turn_samples import TurnSamples
+from tumble.reduction.turns.turns import (
     TurnReadings,
     Turns,
     linear_compensation,

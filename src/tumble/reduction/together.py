@@ -14,15 +14,15 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from tumble.reduction.blocks import Reduction
-from tumble.reduction.matching import Match
+from tumble.reduction.blocks.reducer import Reduction
+from tumble.reduction.noise.rounding import Rounding
 from tumble.reduction.observations import Observations, Together
-from tumble.reduction.rests import Rests
-from tumble.reduction.rounding import Rounding
-from tumble.reduction.segmentation import RestSpan
-from tumble.reduction.thermometer import Thermometers
-from tumble.reduction.turn_samples import TurnSamples
-from tumble.reduction.turns import TurnReadings, Turns
+from tumble.reduction.rests.matching import Match
+from tumble.reduction.rests.rests import Rests
+from tumble.reduction.rests.segmentation import RestSpan
+from tumble.reduction.rests.thermometer import Thermometers
+from tumble.reduction.turns.turn_samples import TurnSamples
+from tumble.reduction.turns.turns import TurnReadings, Turns
 from tumble.units import Array, IntArray
 
 WARMED = 1.0

@@ -1,9 +1,7 @@
 """The compiled loops that correct readings sample by sample: that solves those of a block for what it measures, and
 those that move accelerometers to one point.
 
-They are Python and run as they stand; see `tumble.reduction.kernels`. LANES samples are solved side by side. A `tile`
-holds of them, LANES numbers in a row: the measured vector, the other one, the next vector; and of each sensor the
-reading less all that is known before the first step, and the inverse of its gain. It begins on a line of the cache.
+They are Python and run as they stand; see `tumble.reduction.kernels`.
 """
 
 from __future__ import annotations
@@ -17,16 +15,15 @@ try:
 except ImportError:
     from tumble import uncompiled as cython
 
-if not cython.compiled:  # where it is, these are numbers of fixed_point.pxd
-    LANES = 64
-    _OTHER = 3 * LANES
-    _NEXT = 6 * LANES
-    _KNOWN = 9 * LANES
-    _RATE = 1
-    _FORCE = 4
-    _PRODUCTS = 7
-    _OWN_SIZE = 13
-    _OWN_CUBE = 14
+# C: cpdef enum:
+# C:     _RATE = 1
+# C:     _FORCE = 4
+# C:     _PRODUCTS = 7
+# C:     _OWN_SIZE = 13
+# C:     _OWN_CUBE = 14
+
+if not cython.compiled:  # where it is, these are numbers of C: places of functions in K
+    _RATE, _FORCE, _PRODUCTS, _OWN_SIZE, _OWN_CUBE = 1, 4, 7, 13, 14
 
 
 def fixed_point(
@@ -43,121 +40,49 @@ def fixed_point(
     `sensors`: S⁻¹ (3, n), axes (n, 3) and the coefficients K (n, 15) of what is not linear in x. `of_force`: whether x
     is the specific force."""
     inverse, axes, K = sensors
-    x, tile = np.empty((len(readings), 3)), _on_a_line(_KNOWN + 2 * LANES * len(K))
-    _solve(readings, change[0], change[1], other, inverse, axes, K, steps, of_force, tile, x)
-    return x
+    out, known = np.empty((len(readings), 3)), np.empty((2, len(K)))
+    _solve(readings, change[0], change[1], other, inverse, axes, K, steps, of_force, known, out)
+    return out
 
 
-def _on_a_line(size: int) -> Array:
-    """So many zeros that begin on a line of the cache, of 64 bytes."""
-    zeros = np.zeros(size + 7)
-    first = -(zeros.ctypes.data // zeros.itemsize) % 8
-    return zeros[first : first + size]
-
-
+# C: @cython.locals(p=Py_ssize_t, x=double, y=double, z=double, u=double, v=double, w=double, own=double, value=double)
+# C: cdef void _solve(const double[:, :] readings, const double[:, :] offset, const double[:, :] gain,
+# C:     const double[:, :] other, const double[:, :] inverse, const double[:, :] axes, const double[:, :] K,
+# C:     Py_ssize_t steps, bint of_force, double[:, ::1] known, double[:, ::1] out)
 def _solve(
-    readings: Array,
-    offset: Array,
-    gain: Array,
-    other: Array,
-    inverse: Array,
-    axes: Array,
-    K: Array,
-    steps: int,
-    of_force: bool,
-    tile: Array,
-    x: Array,
-) -> None:
-    """The same, LANES samples at a time."""
+    readings: Array, offset: Array, gain: Array, other: Array, inverse: Array, axes: Array, K: Array, steps: int,
+    of_force: bool, known: Array, out: Array,
+) -> None:  # fmt: skip
+    """The same into `out`; `known` has of each sensor the reading less all that is known before the first step, and the
+    inverse of its gain."""
+    linear = _RATE if of_force else _FORCE
     with cython.nogil:
-        for group in range((x.shape[0] + LANES - 1) // LANES):
-            first = group * LANES
-            count = min(LANES, x.shape[0] - first)
-            _fill(readings, offset, gain, other, K, of_force, first, count, tile)
+        for i in range(out.shape[0]):
+            x, y, z = other[i, 0], other[i, 1], other[i, 2]
+            for p in range(K.shape[0]):
+                value = readings[i, p] - offset[i, p] - K[p, linear] * x - K[p, linear + 1] * y - K[p, linear + 2] * z
+                known[0, p] = value if of_force else value - _products(K, p, x, y, z)
+                known[1, p] = 1.0 / gain[i, p]
+            x, y, z = 0.0, 0.0, 0.0
             for _ in range(steps):
-                _step(inverse, axes, K, of_force, tile)
-            for i in range(count):
-                x[first + i, 0], x[first + i, 1], x[first + i, 2] = tile[i], tile[LANES + i], tile[2 * LANES + i]
+                u, v, w = 0.0, 0.0, 0.0
+                for p in range(K.shape[0]):
+                    own = axes[p, 0] * x + axes[p, 1] * y + axes[p, 2] * z
+                    value = known[0, p] - own * (K[p, _OWN_CUBE] * own * own) - K[p, _OWN_SIZE] * abs(own)
+                    if of_force:
+                        value -= _products(K, p, x, y, z)
+                    value *= known[1, p]
+                    u, v, w = u + inverse[0, p] * value, v + inverse[1, p] * value, w + inverse[2, p] * value
+                x, y, z = u, v, w
+            out[i, 0], out[i, 1], out[i, 2] = x, y, z
 
 
-def _fill(
-    readings: Array,
-    offset: Array,
-    gain: Array,
-    other: Array,
-    K: Array,
-    of_force: bool,
-    first: int,
-    count: int,
-    tile: Array,
-) -> None:
-    """Put samples into the tile, and take off their readings what is constant and what the other vector alone makes."""
-    sensors, linear = K.shape[0], _RATE if of_force else _FORCE
-    for k in range(3):
-        for i in range(count):
-            tile[k * LANES + i], tile[_OTHER + k * LANES + i] = 0.0, other[first + i, k]
-    for p in range(sensors):
-        known, inverse_gain = _KNOWN + p * LANES, _KNOWN + (sensors + p) * LANES
-        a, b, c = K[p, linear], K[p, linear + 1], K[p, linear + 2]
-        for i in range(count):
-            value = readings[first + i, p] - offset[first + i, p]
-            x, y, z = tile[_OTHER + i], tile[_OTHER + LANES + i], tile[_OTHER + 2 * LANES + i]
-            tile[known + i], tile[inverse_gain + i] = value - a * x - b * y - c * z, 1.0 / gain[first + i, p]
-        if not of_force:
-            _take_products(K, p, known, tile)
-
-
-def _step(inverse: Array, axes: Array, K: Array, of_force: bool, tile: Array) -> None:
-    """A step of all samples in the tile."""
-    for i in range(3 * LANES):
-        tile[_NEXT + i] = 0.0
-    for p in range(K.shape[0]):
-        if of_force:
-            _add_force_sensor(inverse, axes, K, p, tile)
-        else:
-            _add_rate_sensor(inverse, axes, K, p, tile)
-    for i in range(3 * LANES):
-        tile[i] = tile[_NEXT + i]
-
-
-def _add_rate_sensor(inverse: Array, axes: Array, K: Array, p: int, tile: Array) -> None:
-    """Add to the next vector what sensor p makes of it: its known reading less what size and cube of the vector along
-    its axis make."""
-    known, inverse_gain = _KNOWN + p * LANES, _KNOWN + (K.shape[0] + p) * LANES
-    a, b, c, size, cube = axes[p, 0], axes[p, 1], axes[p, 2], K[p, _OWN_SIZE], K[p, _OWN_CUBE]
-    to_x, to_y, to_z = inverse[0, p], inverse[1, p], inverse[2, p]
-    for i in range(LANES):
-        own = a * tile[i] + b * tile[LANES + i] + c * tile[2 * LANES + i]
-        value = (tile[known + i] - size * abs(own) - cube * own * own * own) * tile[inverse_gain + i]
-        tile[_NEXT + i] += to_x * value
-        tile[_NEXT + LANES + i] += to_y * value
-        tile[_NEXT + 2 * LANES + i] += to_z * value
-
-
-def _add_force_sensor(inverse: Array, axes: Array, K: Array, p: int, tile: Array) -> None:
-    """The same of an accelerometer, less what products of the components of the vector make, too."""
-    known, inverse_gain = _KNOWN + p * LANES, _KNOWN + (K.shape[0] + p) * LANES
-    a, b, c, size, cube = axes[p, 0], axes[p, 1], axes[p, 2], K[p, _OWN_SIZE], K[p, _OWN_CUBE]
-    to_x, to_y, to_z = inverse[0, p], inverse[1, p], inverse[2, p]
-    xx, xy, xz = K[p, _PRODUCTS], K[p, _PRODUCTS + 1], K[p, _PRODUCTS + 2]
-    yy, yz, zz = K[p, _PRODUCTS + 3], K[p, _PRODUCTS + 4], K[p, _PRODUCTS + 5]
-    for i in range(LANES):
-        x, y, z = tile[i], tile[LANES + i], tile[2 * LANES + i]
-        own = a * x + b * y + c * z
-        products = x * (xx * x + xy * y + xz * z) + y * (yy * y + yz * z) + zz * z * z
-        value = (tile[known + i] - size * abs(own) - cube * own * own * own - products) * tile[inverse_gain + i]
-        tile[_NEXT + i] += to_x * value
-        tile[_NEXT + LANES + i] += to_y * value
-        tile[_NEXT + 2 * LANES + i] += to_z * value
-
-
-def _take_products(K: Array, p: int, known: int, tile: Array) -> None:
-    """Take off the known reading of a gyro p, from `known` on, what products of the components of the force make."""
-    xx, xy, xz = K[p, _PRODUCTS], K[p, _PRODUCTS + 1], K[p, _PRODUCTS + 2]
-    yy, yz, zz = K[p, _PRODUCTS + 3], K[p, _PRODUCTS + 4], K[p, _PRODUCTS + 5]
-    for i in range(LANES):
-        x, y, z = tile[_OTHER + i], tile[_OTHER + LANES + i], tile[_OTHER + 2 * LANES + i]
-        tile[known + i] -= x * (xx * x + xy * y + xz * z) + y * (yy * y + yz * z) + zz * z * z
+# C: cdef double _products(const double[:, :] K, Py_ssize_t p, double x, double y, double z) noexcept nogil
+def _products(K: Array, p: int, x: float, y: float, z: float) -> float:
+    """What a sensor reads of the products of the components of the force."""
+    by_x = K[p, _PRODUCTS] * x + K[p, _PRODUCTS + 1] * y + K[p, _PRODUCTS + 2] * z
+    by_y = K[p, _PRODUCTS + 3] * y + K[p, _PRODUCTS + 4] * z
+    return x * by_x + y * by_y + K[p, _PRODUCTS + 5] * z * z  # type: ignore[no-any-return]
 
 
 # Accelerometers at one point ---------------------------------------------------------------------------------
@@ -171,6 +96,9 @@ def central_differences(values: Array, time: Array, longest: float) -> Array:
     return out
 
 
+# C: @cython.locals(step=double, before=Py_ssize_t, after=Py_ssize_t)
+# C: cdef void _differ(const double[:, :] values, const double[:] time, double longest, double unknown,
+# C:     double[:, ::1] out)
 def _differ(values: Array, time: Array, longest: float, unknown: float, out: Array) -> None:
     """The same into `out`."""
     samples = values.shape[0]
@@ -194,16 +122,15 @@ def moved(readings: Array, rate: Array, acceleration: Array, levers: Array, sens
     return out
 
 
+# C: @cython.locals(rx=double, ry=double, rz=double, size=double, kx=double, ky=double, kz=double, cx=double,
+# C:     cy=double, cz=double, x=double, y=double, z=double, turning=double, spinning=double, there=double)
+# C: cdef void _move(const double[:, :] readings, const double[:, :] rate, const double[:, :] acceleration,
+# C:     const double[:, :] levers, const double[:, :] sensitivity, const double[:, :] across, const double[:] along,
+# C:     double[:, ::1] out)
 def _move(
-    readings: Array,
-    rate: Array,
-    acceleration: Array,
-    levers: Array,
-    sensitivity: Array,
-    across: Array,
-    along: Array,
-    out: Array,
-) -> None:
+    readings: Array, rate: Array, acceleration: Array, levers: Array, sensitivity: Array, across: Array,
+    along: Array, out: Array,
+) -> None:  # fmt: skip
     """The same into `out`: k · (ω̇ × r + ω × (ω × r)) = ω̇ · (r × k) + (ω · r) (ω · k) − ω² (r · k)."""
     with cython.nogil:
         for p in range(out.shape[1]):

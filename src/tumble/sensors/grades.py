@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Protocol
 
 from tumble.earth import EARTH_RATE
 from tumble.errors import InputError, did_you_mean
-from tumble.sensors.parameters import group_name, sensor_kind, within_kind
+from tumble.sensors.parameters import LINEAR, group_name, sensor_kind, within_kind
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR
 from tumble.usual_setup import INSTABILITY_TIME
 
@@ -35,12 +35,12 @@ class NoiseModel:
 
     def scaled(self, factor: float) -> NoiseModel:
         """The same with every noise so many times as large."""
-        return NoiseModel(
+        return replace(
+            self,
             accel_white=factor * self.accel_white,
             gyro_white=factor * self.gyro_white,
             accel_instability=factor * self.accel_instability,
             gyro_instability=factor * self.gyro_instability,
-            instability_time=self.instability_time,
         )
 
 
@@ -88,69 +88,49 @@ def spread_of(instruments: _OfInstruments, parameter: str) -> float:
     return float(getattr(of_kind, within_kind(group_name(parameter))))
 
 
+def _usual(kind: str, grade: str) -> Spread:
+    """The spreads of the linear model in the table of parameters."""
+    sizes = {within_kind(group.name): group.usual[grade] for group in LINEAR if group.kind == kind}
+    return Spread(**sizes)
+
+
+def _noise(grade: str, accel: float, gyro: float, accel_instability: float, gyro_instability: float) -> Grade:
+    """A grade with these densities, m/s²/√Hz and rad/s/√Hz, and instabilities, m/s² and °/h."""
+    return Grade(
+        accel=_usual("accel", grade),
+        gyro=_usual("gyro", grade),
+        noise=NoiseModel(
+            accel_white=accel,
+            gyro_white=gyro,
+            accel_instability=accel_instability,
+            gyro_instability=gyro_instability * DEGREE_PER_HOUR,
+        ),
+    )
+
+
 GRADES: Mapping[str, Grade] = MappingProxyType(
     {
-        "navigation": Grade(  # fibre-optic or ring-laser gyros, pendulous accelerometers
-            accel=Spread(bias=2e-3, scale=1e-4, axis=20 * ARCSEC),
-            gyro=Spread(bias=0.1 * DEGREE_PER_HOUR, scale=1e-4, axis=10 * ARCSEC),
-            noise=NoiseModel(
-                accel_white=1e-4,
-                gyro_white=0.003 * DEGREE_PER_ROOT_HOUR,
-                accel_instability=5e-6,
-                gyro_instability=0.002 * DEGREE_PER_HOUR,
-            ),
-        ),
-        "tactical": Grade(
-            accel=Spread(bias=2e-2, scale=5e-4, axis=100 * ARCSEC),
-            gyro=Spread(bias=5 * DEGREE_PER_HOUR, scale=5e-4, axis=100 * ARCSEC),
-            noise=NoiseModel(
-                accel_white=3e-4,
-                gyro_white=0.1 * DEGREE_PER_ROOT_HOUR,
-                accel_instability=5e-5,
-                gyro_instability=0.2 * DEGREE_PER_HOUR,
-            ),
-        ),
-        "mems": Grade(
-            accel=Spread(bias=5e-2, scale=6e-3, axis=4e-3),
-            gyro=Spread(bias=1e-2, scale=6e-3, axis=4e-3),
-            noise=NoiseModel(
-                accel_white=1.5e-3,
-                gyro_white=0.01 * DEGREE,
-                accel_instability=3e-4,
-                gyro_instability=5 * DEGREE_PER_HOUR,
-            ),
-        ),
-        "consumer": Grade(
-            accel=Spread(bias=0.3, scale=1.5e-2, axis=1e-2),
-            gyro=Spread(bias=2e-2, scale=1.5e-2, axis=1e-2),
-            noise=NoiseModel(
-                accel_white=3e-3,
-                gyro_white=0.02 * DEGREE,
-                accel_instability=2e-3,
-                gyro_instability=20 * DEGREE_PER_HOUR,
-            ),
-        ),
+        "navigation": _noise("navigation", 1e-4, 0.003 * DEGREE_PER_ROOT_HOUR, 5e-6, 0.002),
+        "tactical": _noise("tactical", 3e-4, 0.1 * DEGREE_PER_ROOT_HOUR, 5e-5, 0.2),
+        "mems": _noise("mems", 1.5e-3, 0.01 * DEGREE, 3e-4, 5.0),
+        "consumer": _noise("consumer", 3e-3, 0.02 * DEGREE, 2e-3, 20.0),
     }
 )
+"""Fibre-optic or ring-laser gyros with pendulous accelerometers are of navigation grade."""
+
+
+def _turn_on(accel: tuple[float, float, float], gyro: tuple[float, float, float]) -> TurnOn:
+    """Standard deviations of bias, m/s² and rad/s, scale factor and axis angles, rad."""
+    of_accel, of_gyro = (Spread(bias=bias, scale=scale, axis=axis) for bias, scale, axis in (accel, gyro))
+    return TurnOn(accel=of_accel, gyro=of_gyro)
+
 
 TURN_ON: Mapping[str, TurnOn] = MappingProxyType(
     {
-        "navigation": TurnOn(
-            accel=Spread(bias=2e-4, scale=1e-5, axis=2 * ARCSEC),
-            gyro=Spread(bias=0.01 * DEGREE_PER_HOUR, scale=5e-6, axis=2 * ARCSEC),
-        ),
-        "tactical": TurnOn(
-            accel=Spread(bias=3e-3, scale=1e-4, axis=10 * ARCSEC),
-            gyro=Spread(bias=1 * DEGREE_PER_HOUR, scale=1e-4, axis=10 * ARCSEC),
-        ),
-        "mems": TurnOn(
-            accel=Spread(bias=5e-3, scale=3e-4, axis=1e-4),
-            gyro=Spread(bias=0.02 * DEGREE, scale=3e-4, axis=1e-4),
-        ),
-        "consumer": TurnOn(
-            accel=Spread(bias=3e-2, scale=1e-3, axis=3e-4),
-            gyro=Spread(bias=0.1 * DEGREE, scale=1e-3, axis=3e-4),
-        ),
+        "navigation": _turn_on((2e-4, 1e-5, 2 * ARCSEC), (0.01 * DEGREE_PER_HOUR, 5e-6, 2 * ARCSEC)),
+        "tactical": _turn_on((3e-3, 1e-4, 10 * ARCSEC), (1 * DEGREE_PER_HOUR, 1e-4, 10 * ARCSEC)),
+        "mems": _turn_on((5e-3, 3e-4, 1e-4), (0.02 * DEGREE, 3e-4, 1e-4)),
+        "consumer": _turn_on((3e-2, 1e-3, 3e-4), (0.1 * DEGREE, 1e-3, 3e-4)),
     }
 )
 """By grade, how far parameters at a power-on are from their mean over many."""

@@ -22,19 +22,15 @@ from typing import Literal
 import numpy as np
 
 from tumble.rotation import axes_angles, axes_matrix, left_inverse
-from tumble.sensors import triad_axes
 from tumble.units import Array, IntArray
 
 SensorKind = Literal["accel", "gyro"]
 
 _ANGLE_PAIRS = ("xy", "xz", "yx", "yz", "zx", "zy")
 _FREE_PAIRS: dict[SensorKind, tuple[str, ...]] = {"accel": ("yx", "zx", "zy"), "gyro": _ANGLE_PAIRS}
-_LEANING = (("xy", "xz"), ("yz", "yx"), ("zx", "zy"))
-"""The angles of each sensor of a triad towards the next axis and the one before."""
-_FREE_PLACES = {
-    kind: np.array([[6 + pairs.index(pair) if pair in pairs else -1 for pair in both] for both in _LEANING])
-    for kind, pairs in _FREE_PAIRS.items()
-}
+_LEANING = {"xy": (0, 0), "xz": (0, 1), "yx": (1, 1), "yz": (1, 0), "zx": (2, 0), "zy": (2, 1)}
+"""Of a triad the sensor that an angle is of, and whether it leans towards the next axis, 0, or the one before, 1."""
+_EACH, _NEXT, _BEFORE = np.arange(3), np.array([1, 2, 0]), np.array([2, 0, 1])
 _BIAS_UNIT: dict[SensorKind, str] = {"accel": "m/s^2", "gyro": "rad/s"}
 
 
@@ -127,7 +123,8 @@ class Block:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Parameter names as in the calibration file: biases, scale-factor errors, axis angles."""
-        return _names(self.kind, self.size, self.triad)
+        of_sensors = (f"{what}.{sensor}" for what in ("bias", "scale") for sensor in self.sensors)
+        return tuple(f"{self.kind}.{part}" for part in (*of_sensors, *(f"axis.{angle}" for angle in self.angles)))
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -137,7 +134,15 @@ class Block:
     @cached_property
     def angles(self) -> tuple[str, ...]:
         """What the axis angles are called in the names of parameters."""
-        return _angles(self.kind, self.size, self.triad)
+        return _FREE_PAIRS[self.kind] if self.triad else tuple(f"{p}.{1 + j}" for p, j in self._free)
+
+    @cached_property
+    def _free(self) -> list[tuple[int, int]]:
+        """Sensor, in the order of `sensors`, and which of its two angles, 0 or 1, every axis angle is."""
+        if self.triad:
+            return [_LEANING[pair] for pair in _FREE_PAIRS[self.kind]]
+        every = [(p, j) for p in range(self.size) for j in (0, 1)]
+        return every if self.kind == "gyro" else [(1, 0), *every[4:]]
 
     @cached_property
     def channels(self) -> IntArray:
@@ -161,21 +166,14 @@ class Block:
 
     def model(self, values: Array) -> SensorModel:
         """The sensor model of parameter values given in the order of `names`."""
-        if self.triad:
-            found = self.linearised(values)[0]
-            return SensorModel(matrix=found[:, :3].copy(), bias=found[:, 3].copy())
-        n = self.size
-        rotated = self._rotated(values[2 * n :])
-        return SensorModel(matrix=(1.0 + values[n : 2 * n])[:, None] * rotated, bias=np.array(values[:n]))
+        matrix_and_bias = self.linearised(values)[0]
+        return SensorModel(matrix=matrix_and_bias[:, :3].copy(), bias=matrix_and_bias[:, 3].copy())
 
     def parameters(self, model: SensorModel) -> Array:
         """Parameter values of a sensor model given in this block's frame: `model` inverted."""
-        if self.triad:
-            in_body = SensorModel(matrix=self.axes.T @ model.matrix, bias=model.bias[self.channels])
-            bias, scale, angles = triad_parameters(in_body)
-            return np.concatenate([bias, scale, angles if self.kind == "gyro" else angles[list(ACCEL_ANGLES)]])
-        norms = np.linalg.norm(model.matrix, axis=1)
-        return np.concatenate([model.bias, norms - 1.0, self._angles(model.matrix / norms[:, None])])
+        norms = np.linalg.norm(model.matrix, axis=1)[self.channels]
+        directions = model.matrix[self.channels] / norms[:, None]
+        return np.concatenate([model.bias[self.channels], norms - 1.0, self._angles_of(directions)])
 
     def jacobian(self, values: Array) -> Array:
         """Derivative of the matrix (n, 3) and of the bias (as a fourth column) with respect to the
@@ -189,58 +187,54 @@ class Block:
     def _linearised(self, values: Array) -> tuple[Array, Array]:
         n, m = self.size, len(values)
         model, out = np.empty((n, 4)), np.zeros((n, 4, m))
-        if self.triad:
-            triad_axes.linearise(
-                np.asarray(self.axes, dtype=float), self.channels, _FREE_PLACES[self.kind], values, model, out
-            )
-            return model, out
         each, scale, angles = np.arange(n), values[n : 2 * n], values[2 * n :]
-        model[:, 3], out[each, 3, each] = values[:n], 1.0
-        rotated = self._rotated(angles)
-        model[:, :3] = (1.0 + scale)[:, None] * rotated
-        out[each, :3, n + each] = rotated
-        free = self._free_angles()
+        model[self.channels, 3], out[self.channels, 3, each] = values[:n], 1.0
+        gain, rotated = (1.0 + scale)[:, None], self._rotated(angles)
+        model[self.channels, :3], out[self.channels, :3, n + each] = gain * rotated, rotated
         for which in (0, 1):  # a complex step, exact to rounding: an angle of one sensor moves no other
-            own = [i for i, (_, j) in enumerate(free) if j == which]
-            stepped = angles.astype(complex)
+            stepped, own = angles.astype(complex), [i for i, free in enumerate(self._free) if free[1] == which]
             stepped[own] += 1e-20j
-            change = (1.0 + scale)[:, None] * self._rotated(stepped).imag / 1e-20
+            change = gain * self._rotated(stepped).imag / 1e-20
             for i in own:
-                out[free[i][0], :3, 2 * n + i] = change[free[i][0]]
+                sensor = self._free[i][0]
+                out[self.channels[sensor], :3, 2 * n + i] = change[sensor]
         return model, out
 
-    def _free_angles(self) -> list[tuple[int, int]]:
-        """(sensor, 0 or 1) of every axis angle that is a parameter."""
-        return _free_angles(self.kind, self.size)
-
-    def _perpendiculars(self) -> Array:
-        """t₁ and t₂ of every sensor, shape (n, 2, 3)."""
-        return _perpendiculars(np.asarray(self.axes, dtype=float).tobytes())
-
     def _rotated(self, angles: Array) -> Array:
-        """Unit sensing axes (n, 3) for values of the free angles."""
+        """Unit sensing axes (n, 3), in the order of `sensors`, for values of the free angles, real or complex."""
         both = np.zeros((self.size, 2), dtype=angles.dtype)
-        for value, (p, j) in zip(angles, self._free_angles(), strict=True):
-            both[p, j] = value
-        t = self._perpendiculars()
+        for value, (sensor, which) in zip(angles, self._free, strict=True):
+            both[sensor, which] = value
+        if self.triad:
+            onward, back, out = both[:, 0], both[:, 1], np.empty((3, 3), dtype=angles.dtype)
+            out[_EACH, _EACH] = np.cos(onward) * np.cos(back)
+            out[_EACH, _NEXT], out[_EACH, _BEFORE] = np.sin(onward), np.cos(onward) * np.sin(back)
+            return np.asarray(self._signs[:, None] * out)
+        t = _perpendiculars(np.asarray(self.axes, dtype=float).tobytes())
         square = (both**2).sum(axis=1)[:, None]
-        # cos and sin(a)/a as series in a²: they also take the complex steps of `jacobian`
         angle = np.sqrt(np.where(square == 0, 1.0, square))
         cosine = np.where(square == 0, 1.0, np.cos(angle))
         ratio = np.where(square == 0, 1.0, np.sin(angle) / angle)
         across = both[:, :1] * np.cross(t[:, 0], self.axes) + both[:, 1:] * np.cross(t[:, 1], self.axes)
         return np.asarray(cosine * self.axes + ratio * across)
 
-    def _angles(self, axes: Array) -> Array:
+    def _angles_of(self, directions: Array) -> Array:
         """The free angles of unit sensing axes (n, 3): `_rotated` inverted."""
-        t = self._perpendiculars()
-        out = []
-        for p, j in self._free_angles():
-            sine = np.cross(self.axes[p], axes[p])
-            angle = np.arctan2(np.linalg.norm(sine), self.axes[p] @ axes[p])
+        if self.triad:
+            six = axes_angles(self._signs[:, None] * directions)
+            return np.array([six[_ANGLE_PAIRS.index(pair)] for pair in self.angles])
+        t, out = _perpendiculars(np.asarray(self.axes, dtype=float).tobytes()), []
+        for p, j in self._free:
+            sine = np.cross(self.axes[p], directions[p])
+            angle = np.arctan2(np.linalg.norm(sine), self.axes[p] @ directions[p])
             ratio = 1.0 if angle == 0.0 else angle / np.sin(angle)
             out.append(ratio * (sine @ t[p, j]))
         return np.array(out)
+
+    @property
+    def _signs(self) -> Array:
+        """Of a triad +1 or −1 (3,): which way each sensor senses, in the order of `sensors`."""
+        return np.asarray(self.axes[self.channels].sum(axis=1), dtype=float)
 
 
 @lru_cache(maxsize=256)
@@ -276,27 +270,6 @@ def _perpendiculars(axes: bytes) -> Array:
     return out
 
 
-@lru_cache(maxsize=64)
-def _names(kind: SensorKind, size: int, triad: bool) -> tuple[str, ...]:
-    """Parameter names of a block of so many sensors."""
-    sensors = ["x", "y", "z"] if triad else [str(p) for p in range(size)]
-    parts = [f"{what}.{s}" for what in ("bias", "scale") for s in sensors]
-    return tuple(f"{kind}.{part}" for part in (*parts, *(f"axis.{angle}" for angle in _angles(kind, size, triad))))
-
-
-@lru_cache(maxsize=64)
-def _angles(kind: SensorKind, size: int, triad: bool) -> tuple[str, ...]:
-    """What the axis angles of a block of so many sensors are called."""
-    return _FREE_PAIRS[kind] if triad else tuple(f"{p}.{1 + j}" for p, j in _free_angles(kind, size))
-
-
-def _free_angles(kind: SensorKind, size: int) -> list[tuple[int, int]]:
-    """(sensor, 0 or 1) of every axis angle of a numbered block that is a parameter."""
-    if kind == "gyro":
-        return [(p, j) for p in range(size) for j in (0, 1)]
-    return [(1, 0)] + [(p, j) for p in range(2, size) for j in (0, 1)]
-
-
 def to_accelerometer_frame(
     block: Block, accel: SensorModel, gyro: SensorModel | None
 ) -> tuple[SensorModel, SensorModel | None]:
@@ -304,7 +277,7 @@ def to_accelerometer_frame(
     axis, accelerometer 1 in the nominal plane of 0 and 1; for a triad, X along the X accelerometer and Y in
     the plane of X and Y."""
     order = block.channels
-    signs = np.sign(block.axes[order].sum(axis=1)) if block.triad else np.ones(block.size)
+    signs = block._signs if block.triad else np.ones(block.size)
     found = _frame_of(signs[:, None] * accel.matrix[order])
     nominal = _frame_of(signs[:, None] * block.axes[order])
     rotation = found.T @ nominal

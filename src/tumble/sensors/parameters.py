@@ -16,15 +16,16 @@ The groups are those of docs/mathematics.md (1) and (2); their usual sizes those
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
 from tumble.sensors.model import Block, SensorKind
-from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, coarsest, engineering
+from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, coarsest, engineering, quantity
 
 FUNCTIONS = 15
 """How many functions β there are."""
@@ -87,22 +88,18 @@ class ParameterGroup:
         return tuple(of.get(s[:1] if block.triad else s.partition(".")[0], 0) for s in self.suffixes(block))
 
 
-_ENDINGS: dict[Variable | None, str] = {
-    "time": "drift",
-    "temperature": "t1",
-    "temperature²": "t2",
-    "hysteresis": "hysteresis",
-    "launch": "launch",
+_CHANGES: dict[Variable | None, tuple[str, str, str]] = {
+    "time": ("drift", "s", "drift of the "),
+    "temperature": ("t1", "K", "slope over temperature of the "),
+    "temperature²": ("t2", "K^2", "curvature over temperature of the "),
+    "hysteresis": ("hysteresis", "", "hysteresis over temperature of the "),
+    "launch": ("launch", "", "change from session to session of the "),
 }
-"""How the name of a parameter ends that is the change of another."""
-_CHANGES: dict[Variable, tuple[str, str]] = {
-    "time": ("s", "drift of the "),
-    "temperature": ("K", "slope over temperature of the "),
-    "temperature²": ("K^2", "curvature over temperature of the "),
-    "hysteresis": ("", "hysteresis over temperature of the "),
-    "launch": ("", "change from session to session of the "),
-}
-"""What a change is divided by in its unit, and its words."""
+"""How the name of a parameter ends that is the change of another, what its unit is divided by, and its words."""
+_ENDINGS = {variable: ending for variable, (ending, _, _) in _CHANGES.items()}
+
+
+# What parameters are called within their group
 
 
 def _every_sensor(block: Block) -> tuple[str, ...]:
@@ -128,6 +125,9 @@ def _others(block: Block) -> tuple[str, ...]:
 
 def _once(_: Block) -> tuple[str, ...]:
     return ("",)
+
+
+# Regressors
 
 
 def _own(function: int) -> Regressors:
@@ -158,215 +158,178 @@ def g_sensitivity(block: Block) -> Array:
     return out
 
 
-_MASS = ((MICRO_G, "µg"), (1e3 * MICRO_G, "mg"))
-_PARTS = ((1e-6, "ppm"),)
-_TURN_RATE = ((DEGREE_PER_HOUR, "°/h"), (DEGREE, "°/s"))
+# The table
+
+Units = tuple[tuple[float, str], ...]
+_MASS: Units = ((MICRO_G, "µg"), (1e3 * MICRO_G, "mg"))
+_PARTS: Units = ((1e-6, "ppm"),)
+_TURN_RATE: Units = ((DEGREE_PER_HOUR, "°/h"), (DEGREE, "°/s"))
+_TIME: Units = ((1e-6, "µs"), (1e-3, "ms"))
+_HOUR = 3600.0
 _AT_TEN = 1e-6 / (10.0 * DEGREE) ** 2
 """s²/rad²: what changes the scale factor by 1 ppm at 10 °/s."""
-_PER_G = tuple((size / G_STANDARD, f"{name}/g") for size, name in _TURN_RATE)
-
-
-def _grades(navigation: float, tactical: float, mems: float, consumer: float) -> dict[str, float]:
-    return {"navigation": navigation, "tactical": tactical, "mems": mems, "consumer": consumer}
-
-
-_BLOCKS: tuple[tuple[SensorKind, str, str, float, tuple[tuple[float, str], ...]], ...] = (
-    ("accel", "accelerometers", "m/s^2", 1.0, _MASS),
-    ("gyro", "gyros", "rad/s", 0.1, _TURN_RATE),
-)
-
-LINEAR: tuple[ParameterGroup, ...] = tuple(
-    ParameterGroup(
-        name=f"{kind}.{what}", kind=kind, unit=unit, words=words, suffixes=suffixes, limit=limit, shown=shown
-    )
-    for kind, sensors, bias_unit, bias_limit, bias_shown in _BLOCKS
-    for what, unit, words, suffixes, limit, shown in (
-        ("bias", bias_unit, f"biases of the {sensors}", _every_sensor, bias_limit, bias_shown),
-        ("scale", "1", f"scale-factor errors of the {sensors}", _every_sensor, 0.1, _PARTS),
-        ("axis", "rad", f"axis angles of the {sensors}", _angles, 0.1, ()),
-    )
-)
-"""Bias, scale-factor error and axis angles: the 21 of two triads."""
-
-FURTHER: list[ParameterGroup] = [
-    ParameterGroup(
-        name="accel.quadratic",
-        kind="accel",
-        unit="s^2/m",
-        words="quadratic nonlinearity of the accelerometers, K₂",
-        suffixes=_every_sensor,
-        limit=1e-2 / G_STANDARD,
-        shown=((MICRO_G / G_STANDARD**2, "µg/g²"), (1e3 * MICRO_G / G_STANDARD**2, "mg/g²")),
-        usual={grade: ppm * 1e-6 / G_STANDARD for grade, ppm in _grades(30.0, 100.0, 500.0, 1000.0).items()},
-        regressors=quadratic,
-    ),
-    ParameterGroup(
-        name="accel.cubic",
-        kind="accel",
-        unit="s^4/m^2",
-        words="cubic nonlinearity of the accelerometers, K₃",
-        suffixes=_every_sensor,
-        limit=1e-2 / G_STANDARD**2,
-        shown=((MICRO_G / G_STANDARD**3, "µg/g³"), (1e3 * MICRO_G / G_STANDARD**3, "mg/g³")),
-        usual={grade: ppm * 1e-6 / G_STANDARD**2 for grade, ppm in _grades(10.0, 30.0, 100.0, 200.0).items()},
-        regressors=_own(OWN_CUBE),
-    ),
-    ParameterGroup(
-        name="accel.asymmetry",
-        kind="accel",
-        unit="1",
-        words="difference of the + and − scale factors of the accelerometers, half",
-        suffixes=_every_sensor,
-        limit=1e-2,
-        shown=_PARTS,
-        usual=_grades(20e-6, 100e-6, 500e-6, 1000e-6),
-        regressors=_own(OWN_SIZE),
-    ),
-    ParameterGroup(
-        name="gyro.asymmetry",
-        kind="gyro",
-        unit="1",
-        words="difference of the + and − scale factors of the gyros, half",
-        suffixes=_every_sensor,
-        limit=1e-2,
-        shown=_PARTS,
-        usual=_grades(10e-6, 100e-6, 500e-6, 1000e-6),
-        regressors=_own(OWN_SIZE),
-    ),
-    ParameterGroup(
-        name="gyro.cubic",
-        kind="gyro",
-        unit="s^2/rad^2",
-        words="cubic nonlinearity of the gyros: their scale factors with the square of the rate",
-        suffixes=_every_sensor,
-        limit=1e-2 / (10.0 * DEGREE) ** 2,
-        shown=((0.01 * _AT_TEN, "ppm at 100 °/s"), (_AT_TEN, "ppm at 10 °/s")),
-        regressors=_own(OWN_CUBE),
-    ),
-    ParameterGroup(
-        name="gyro.g_sensitivity",
-        kind="gyro",
-        unit="rad*s/m",
-        words="g-sensitivity of the gyros",
-        suffixes=_by_force,
-        limit=DEGREE,
-        shown=_PER_G,
-        usual={
-            grade: rate / G_STANDARD
-            for grade, rate in _grades(
-                0.05 * DEGREE_PER_HOUR, 5.0 * DEGREE_PER_HOUR, 0.1 * DEGREE, 0.2 * DEGREE
-            ).items()
-        },
-        regressors=g_sensitivity,
-    ),
-    ParameterGroup(
-        name="accel.lever",
-        kind="accel",
-        unit="m",
-        words="lever arms of the accelerometers from the last one",
-        suffixes=_levers,
-        limit=1.0,
-        shown=((1e-3, "mm"),),
-        usual=_grades(0.03, 0.03, 0.005, 0.005),
-        motion="lever",
-    ),
-    ParameterGroup(
-        name="accel.delay",
-        kind="accel",
-        unit="s",
-        words="delay of the accelerometers after the gyros",
-        suffixes=_once,
-        limit=0.1,
-        shown=((1e-6, "µs"), (1e-3, "ms")),
-        usual=_grades(1e-3, 3e-3, 5e-3, 10e-3),
-        motion="delay",
-    ),
-    ParameterGroup(
-        name="accel.single_delay",
-        kind="accel",
-        unit="s",
-        words="delays of single accelerometers after the last one",
-        suffixes=_others,
-        limit=0.1,
-        shown=((1e-6, "µs"), (1e-3, "ms")),
-        usual=_grades(20e-6, 100e-6, 300e-6, 500e-6),
-        motion="single delay",
-        stem="accel.delay",
-    ),
-]
-"""The groups beyond the linear model, in the order of the calibration file."""
-
-
-def _changing(base: str, variable: Variable, usual: dict[str, float], shown: tuple[tuple[float, str], ...]) -> None:
-    """Add the change of a group of the linear model with a variable to the table."""
-    group = next(group for group in LINEAR if group.name == base)
-    per, said = _CHANGES[variable]
-    FURTHER.append(
-        ParameterGroup(
-            name=f"{base}.{_ENDINGS[variable]}",
-            kind=group.kind,
-            unit=f"{group.unit}/{per}" if per else group.unit,
-            words=said + group.words,
-            suffixes=group.suffixes,
-            limit=group.limit,
-            shown=shown,
-            usual=usual,
-            base=base,
-            variable=variable,
-        )
-    )
-
-
-def _scaled(values: dict[str, float], factor: float) -> dict[str, float]:
-    return {grade: factor * value for grade, value in values.items()}
-
-
-_HOUR = 3600.0
-_FINER = {"accel.bias": ((1e-3 * MICRO_G, "ng"),), "accel.scale": ((1e-9, "ppb"),), "gyro.scale": ((1e-9, "ppb"),)}
 _CURVED = 1.0 / 60.0
 """Usual curvature over temperature, K⁻¹, in parts of the usual slope: at 60 K from the reference they do as much."""
-for _base, _units, _per_hour, _per_kelvin in (
-    (
-        "accel.bias",
-        _MASS,
-        _scaled(_grades(20.0, 200.0, 2e3, 5e3), MICRO_G),
-        _scaled(_grades(20.0, 50.0, 300.0, 1e3), MICRO_G),
+
+
+def _per(units: Units, by: str, size: float = 1.0) -> Units:
+    """Units divided by another."""
+    return tuple((each / size, f"{name}/{by}") for each, name in units)
+
+
+def _grades(navigation: float, tactical: float, mems: float, consumer: float, unit: float = 1.0) -> dict[str, float]:
+    sizes = {"navigation": navigation, "tactical": tactical, "mems": mems, "consumer": consumer}
+    return {grade: unit * size for grade, size in sizes.items()}
+
+
+def _group(
+    name: str,
+    unit: str,
+    words: str,
+    suffixes: Callable[[Block], tuple[str, ...]],
+    limit: float,
+    shown: Units,
+    usual: dict[str, float] | None = None,
+    regressors: Regressors | None = None,
+    motion: Motion | None = None,
+    stem: str | None = None,
+) -> ParameterGroup:
+    kind: SensorKind = "accel" if name.startswith("accel") else "gyro"
+    return ParameterGroup(
+        name=name, kind=kind, unit=unit, words=words, suffixes=suffixes, limit=limit, shown=shown, usual=usual or {},
+        regressors=regressors, motion=motion, stem=stem,
+    )  # fmt: skip
+
+
+LINEAR: tuple[ParameterGroup, ...] = (
+    _group(
+        "accel.bias", "m/s^2", "biases of the accelerometers", _every_sensor,
+        1.0, _MASS, _grades(2e-3, 2e-2, 5e-2, 0.3),
     ),
-    ("accel.scale", _PARTS, _grades(10e-6, 50e-6, 200e-6, 500e-6), _grades(20e-6, 30e-6, 150e-6, 300e-6)),
-    (
-        "gyro.bias",
-        _TURN_RATE,
-        _scaled(_grades(0.005, 0.5, 50.0, 200.0), DEGREE_PER_HOUR),
-        _scaled(_grades(0.01, 1.0, 80.0, 200.0), DEGREE_PER_HOUR),
+    _group(
+        "accel.scale", "1", "scale-factor errors of the accelerometers", _every_sensor,
+        0.1, _PARTS, _grades(1e-4, 5e-4, 6e-3, 1.5e-2),
     ),
-    ("gyro.scale", _PARTS, _grades(5e-6, 50e-6, 200e-6, 500e-6), _grades(10e-6, 30e-6, 200e-6, 400e-6)),
-):
-    _hourly = tuple((size / _HOUR, f"{name}/h") for size, name in _units)
-    _changing(_base, "time", _scaled(_per_hour, 1.0 / _HOUR), _hourly)
-    _changing(_base, "temperature", _per_kelvin, tuple((size, f"{name}/°C") for size, name in _units))
-    _squared = tuple((size, f"{name}/°C²") for size, name in (*_FINER.get(_base, ()), *_units))
-    _changing(_base, "temperature²", _scaled(_per_kelvin, _CURVED), _squared)
-_FURTHER_CHANGES: tuple[tuple[str, tuple[tuple[float, str], ...], Variable, dict[str, float]], ...] = (
-    ("accel.bias", _MASS, "hysteresis", _scaled(_grades(20.0, 50.0, 500.0, 1e3), MICRO_G)),
-    ("gyro.bias", _TURN_RATE, "hysteresis", _scaled(_grades(0.01, 0.5, 20.0, 50.0), DEGREE_PER_HOUR)),
-    ("accel.bias", _MASS, "launch", _scaled(_grades(20.0, 100.0, 500.0, 2e3), MICRO_G)),
-    ("gyro.bias", _TURN_RATE, "launch", _scaled(_grades(0.005, 0.5, 20.0, 100.0), DEGREE_PER_HOUR)),
-)
-for _name, _shown, _variable, _sizes in _FURTHER_CHANGES:
-    _changing(_name, _variable, _sizes, _shown)
-FURTHER.append(
-    ParameterGroup(
-        name="temperature.lag",
-        kind="accel",
-        unit="s",
-        words="lag of all sensors behind the thermometer",
-        suffixes=_once,
-        limit=_HOUR,
-        shown=((1.0, "s"),),
-        usual=_grades(200.0, 200.0, 200.0, 200.0),
-        variable="lag",
+    _group(
+        "accel.axis", "rad", "axis angles of the accelerometers", _angles,
+        0.1, (), _grades(20 * ARCSEC, 100 * ARCSEC, 4e-3, 1e-2),
+    ),
+    _group(
+        "gyro.bias", "rad/s", "biases of the gyros", _every_sensor,
+        0.1, _TURN_RATE, _grades(0.1 * DEGREE_PER_HOUR, 5 * DEGREE_PER_HOUR, 1e-2, 2e-2),
+    ),
+    _group(
+        "gyro.scale", "1", "scale-factor errors of the gyros", _every_sensor,
+        0.1, _PARTS, _grades(1e-4, 5e-4, 6e-3, 1.5e-2),
+    ),
+    _group(
+        "gyro.axis", "rad", "axis angles of the gyros", _angles,
+        0.1, (), _grades(10 * ARCSEC, 100 * ARCSEC, 4e-3, 1e-2),
+    ),
+)  # fmt: skip
+"""Bias, scale-factor error and axis angles: the 21 of two triads."""
+
+
+def _change(
+    base: str, variable: Variable, shown: Units, usual: dict[str, float], scaled: float = 1.0
+) -> ParameterGroup:
+    """The change of a group of the linear model with a variable, usual sizes times a factor."""
+    group = next(group for group in LINEAR if group.name == base)
+    ending, per, words = _CHANGES[variable]
+    return replace(
+        group,
+        name=f"{base}.{ending}",
+        unit=f"{group.unit}/{per}" if per else group.unit,
+        words=words + group.words,
+        shown=shown,
+        usual={grade: scaled * size for grade, size in usual.items()},
+        base=base,
+        variable=variable,
     )
-)
+
+
+def _steady_changes(
+    base: str, units: Units, per_hour: dict[str, float], per_kelvin: dict[str, float], finer: Units = ()
+) -> list[ParameterGroup]:
+    """The drift, the slope and the curvature of a group of the linear model."""
+    return [
+        _change(base, "time", _per(units, "h", _HOUR), per_hour, 1.0 / _HOUR),
+        _change(base, "temperature", _per(units, "°C"), per_kelvin),
+        _change(base, "temperature²", _per((*finer, *units), "°C²"), per_kelvin, _CURVED),
+    ]
+
+
+FURTHER: list[ParameterGroup] = [
+    _group(
+        "accel.quadratic", "s^2/m", "quadratic nonlinearity of the accelerometers, K₂", _every_sensor,
+        1e-2 / G_STANDARD, ((MICRO_G / G_STANDARD**2, "µg/g²"), (1e3 * MICRO_G / G_STANDARD**2, "mg/g²")),
+        _grades(30.0, 100.0, 500.0, 1000.0, 1e-6 / G_STANDARD), quadratic,
+    ),
+    _group(
+        "accel.cubic", "s^4/m^2", "cubic nonlinearity of the accelerometers, K₃", _every_sensor,
+        1e-2 / G_STANDARD**2, ((MICRO_G / G_STANDARD**3, "µg/g³"), (1e3 * MICRO_G / G_STANDARD**3, "mg/g³")),
+        _grades(10.0, 30.0, 100.0, 200.0, 1e-6 / G_STANDARD**2), _own(OWN_CUBE),
+    ),
+    _group(
+        "accel.asymmetry", "1", "difference of the + and − scale factors of the accelerometers, half", _every_sensor,
+        1e-2, _PARTS, _grades(20e-6, 100e-6, 500e-6, 1000e-6), _own(OWN_SIZE),
+    ),
+    _group(
+        "gyro.asymmetry", "1", "difference of the + and − scale factors of the gyros, half", _every_sensor,
+        1e-2, _PARTS, _grades(10e-6, 100e-6, 500e-6, 1000e-6), _own(OWN_SIZE),
+    ),
+    _group(
+        "gyro.cubic", "s^2/rad^2", "cubic nonlinearity of the gyros: their scale factors with the square of the rate",
+        _every_sensor, 1e-2 / (10.0 * DEGREE) ** 2,
+        ((0.01 * _AT_TEN, "ppm at 100 °/s"), (_AT_TEN, "ppm at 10 °/s")), None, _own(OWN_CUBE),
+    ),
+    _group(
+        "gyro.g_sensitivity", "rad*s/m", "g-sensitivity of the gyros", _by_force,
+        DEGREE, _per(_TURN_RATE, "g", G_STANDARD),
+        _grades(0.05 * DEGREE_PER_HOUR, 5.0 * DEGREE_PER_HOUR, 0.1 * DEGREE, 0.2 * DEGREE, 1.0 / G_STANDARD),
+        g_sensitivity,
+    ),
+    _group(
+        "accel.lever", "m", "lever arms of the accelerometers from the last one", _levers,
+        1.0, ((1e-3, "mm"),), _grades(0.03, 0.03, 0.005, 0.005), motion="lever",
+    ),
+    _group(
+        "accel.delay", "s", "delay of the accelerometers after the gyros", _once,
+        0.1, _TIME, _grades(1e-3, 3e-3, 5e-3, 10e-3), motion="delay",
+    ),
+    _group(
+        "accel.single_delay", "s", "delays of single accelerometers after the last one", _others,
+        0.1, _TIME, _grades(20e-6, 100e-6, 300e-6, 500e-6), motion="single delay", stem="accel.delay",
+    ),
+    *_steady_changes(
+        "accel.bias", _MASS, _grades(20.0, 200.0, 2e3, 5e3, MICRO_G), _grades(20.0, 50.0, 300.0, 1e3, MICRO_G),
+        ((1e-3 * MICRO_G, "ng"),),
+    ),
+    *_steady_changes(
+        "accel.scale", _PARTS, _grades(10e-6, 50e-6, 200e-6, 500e-6), _grades(20e-6, 30e-6, 150e-6, 300e-6),
+        ((1e-9, "ppb"),),
+    ),
+    *_steady_changes(
+        "gyro.bias", _TURN_RATE, _grades(0.005, 0.5, 50.0, 200.0, DEGREE_PER_HOUR),
+        _grades(0.01, 1.0, 80.0, 200.0, DEGREE_PER_HOUR),
+    ),
+    *_steady_changes(
+        "gyro.scale", _PARTS, _grades(5e-6, 50e-6, 200e-6, 500e-6), _grades(10e-6, 30e-6, 200e-6, 400e-6),
+        ((1e-9, "ppb"),),
+    ),
+    _change("accel.bias", "hysteresis", _MASS, _grades(20.0, 50.0, 500.0, 1e3, MICRO_G)),
+    _change("gyro.bias", "hysteresis", _TURN_RATE, _grades(0.01, 0.5, 20.0, 50.0, DEGREE_PER_HOUR)),
+    _change("accel.bias", "launch", _MASS, _grades(20.0, 100.0, 500.0, 2e3, MICRO_G)),
+    _change("gyro.bias", "launch", _TURN_RATE, _grades(0.005, 0.5, 20.0, 100.0, DEGREE_PER_HOUR)),
+    replace(
+        _group(
+            "temperature.lag", "s", "lag of all sensors behind the thermometer", _once,
+            _HOUR, ((1.0, "s"),), _grades(200.0, 200.0, 200.0, 200.0),
+        ),
+        kind="accel", variable="lag",
+    ),
+]  # fmt: skip
+"""The groups beyond the linear model, in the order of the calibration file."""
 
 
 def groups() -> tuple[ParameterGroup, ...]:
@@ -466,9 +429,8 @@ def shown_in(name: str, unit: str, magnitude: float) -> tuple[float, str]:
     """The unit in which a parameter or group of this name, SI unit and magnitude is shown, as (its size in SI, its
     name): that of the table where there is one, such as µg/g² or mm, else the engineering unit."""
     group = named_group(group_name(name))
-    if group is None or not group.shown or group.unit != unit:
-        return engineering(unit, magnitude)
-    return coarsest(group.shown, magnitude)
+    known = group is not None and group.shown and group.unit == unit
+    return coarsest(group.shown, magnitude) if known and group is not None else engineering(unit, magnitude)
 
 
 def limits_of(parameters: Iterable[str]) -> Array:
@@ -495,3 +457,60 @@ def positions_by_group(parameters: Iterable[str]) -> dict[str, list[int]]:
     for i, parameter in enumerate(parameters):
         out.setdefault(group_name(parameter), []).append(i)
     return out
+
+
+# Values as they are typed, in the units that the table shows: "20 ug/g^2" or "-3 deg/h"
+
+LEAST, LARGEST = 1e-60, 1e60
+"""SI: standard deviations between which squares and their inverses are numbers."""
+
+
+def prior_of(key: str, text: str) -> tuple[str, float]:
+    """The group of a key of [device.prior], such as "accel_quadratic" or "accel_temperature.bias", and the standard
+    deviation, SI, of a text such as "20 ug/g^2". Raises ValueError, one line, for a group or a unit that is none."""
+    stem, _, of = key.partition(".")
+    kind, _, what = stem.partition("_")
+    ending = {"temperature": "t1", "curvature": "t2"}.get(what, what)
+    name = f"{kind}.{of}.{ending}" if of else f"{kind}.{what}"
+    group = next((group for group in groups() if group.name == name and not group.linear), None)
+    if group is None:
+        known = ", ".join(g.name.replace(".", "_") for g in FURTHER if g.variable is None)
+        raise ValueError(
+            f"{key}: expected one of {known}, or accel_temperature, gyro_temperature, accel_curvature, gyro_curvature, "
+            "accel_hysteresis, gyro_hysteresis, accel_drift, gyro_drift, "
+            "accel_launch, gyro_launch, temperature_lag"
+        )
+    value = _quantity(group, text)
+    if value is None or not LEAST <= value <= LARGEST:
+        units = ", ".join(_typed_units(group))
+        raise ValueError(f"{key}: expected a positive number and one of {units}, found {text!r}")
+    return group.name, value
+
+
+def quantity_of(group: ParameterGroup, text: str) -> float:
+    """The SI value of a text such as "-3 ug/g^2" for a parameter of a group. Raises ValueError, one line."""
+    if group.linear:
+        return quantity(text, group.unit)
+    value = _quantity(group, text)
+    if value is None:
+        raise ValueError(f"expected a number and one of {', '.join(_typed_units(group))}, found {text!r}")
+    return value
+
+
+def _quantity(group: ParameterGroup, text: str) -> float | None:
+    number = re.match(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text)
+    unit = _plain(text[number.end() :].strip()) if number else ""
+    units = _typed_units(group)
+    return float(number.group()) * units[unit] if number is not None and unit in units else None
+
+
+def _typed_units(group: ParameterGroup) -> dict[str, float]:
+    """What the units are worth that values of a group are given in, SI."""
+    return {_plain(shown): size for size, shown in group.shown} | {group.unit: 1.0}
+
+
+def _plain(unit: str) -> str:
+    """A unit as it is typed: ug/g^2 for µg/g², deg/s/g for °/s/g, mg/K for mg/°C."""
+    for shown, typed in (("/°C", "/K"), ("µ", "u"), ("²", "^2"), ("³", "^3"), ("°", "deg")):
+        unit = unit.replace(shown, typed)
+    return unit

@@ -30,12 +30,12 @@ import numpy.typing as npt
 from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.planning.steady_turns import inertial_turns
-from tumble.reduction.coloured_noise import WHITE
-from tumble.reduction.motion_samples import MotionSamples
+from tumble.reduction.blocks.motion_samples import MotionSamples
+from tumble.reduction.noise.coloured_noise import WHITE
 from tumble.reduction.observations import Observations
-from tumble.reduction.rests import Rests
-from tumble.reduction.turn_samples import AHEAD, TurnSamples
-from tumble.reduction.turns import TURN_FLOOR, VELOCITY_FLOOR, VELOCITY_STEP, TurnReadings, Turns
+from tumble.reduction.rests.rests import Rests
+from tumble.reduction.turns.turn_samples import AHEAD, TurnSamples
+from tumble.reduction.turns.turns import TURN_FLOOR, VELOCITY_FLOOR, VELOCITY_STEP, TurnReadings, Turns
 from tumble.rotation import onto_body, rotation_matrix, skew
 from tumble.simulation.scenario import Itinerary, OnTable, Scenario, itinerary
 from tumble.simulation.sensors import InRunBias, SimulatedBlock

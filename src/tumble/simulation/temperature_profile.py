@@ -23,7 +23,7 @@ import numpy as np
 from tumble.errors import InputError
 from tumble.planning.chamber_recordings import ChamberSession, CourseOfTemperature, rests_of
 from tumble.planning.setup import Setup
-from tumble.reduction.thermometer import MOVED, Thermometers, followed
+from tumble.reduction.rests.thermometer import MOVED, Thermometers, followed
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block, thermometers_of
 from tumble.sensors.parameters import FURTHER, ParameterGroup, Variable, to_temperature

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tumble.reduction.allan_deviation import Panel, shown
+from tumble.reduction.noise.allan_deviation import Panel, shown
 from tumble.units import engineering
 from tumble.views.blocks import Block, Text, table
 from tumble.views.render.data import Content, fields

@@ -18,12 +18,12 @@ from tumble.bench.state import EstimateShown
 from tumble.inference.estimate import FIT_SIGMAS, Estimate
 from tumble.inference.joint import joint
 from tumble.recording.session import Exclusion, Session
-from tumble.reduction.blemishes import without_blemishes
-from tumble.reduction.blocks import Reduction
-from tumble.reduction.exclusion import without_rests
-from tumble.reduction.matching import Match
+from tumble.reduction.blocks.reducer import Reduction
 from tumble.reduction.observations import observe
-from tumble.reduction.segmentation import RestSpan
+from tumble.reduction.rests.blemishes import without_blemishes
+from tumble.reduction.rests.exclusion import without_rests
+from tumble.reduction.rests.matching import Match
+from tumble.reduction.rests.segmentation import RestSpan
 from tumble.sensors.parameters import usual_sizes
 from tumble.units import G_STANDARD
 

@@ -18,7 +18,7 @@ from tumble.bench.follow.rests import (
 from tumble.bench.follow.wishes import Task
 from tumble.programme.positions import Move, Position, Programme
 from tumble.programme.sheet_words import move_text
-from tumble.reduction.matching import POSITION_LIMIT, TURN_LIMIT
+from tumble.reduction.rests.matching import POSITION_LIMIT, TURN_LIMIT
 from tumble.units import DEGREE, G_STANDARD, Array
 
 STUCK_SECONDS = 1.0

@@ -25,10 +25,10 @@ from tumble.bench.follow.wishes import Task
 from tumble.recording.log import HEAD_ROWS, Chunk
 from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Exclusion
-from tumble.reduction.blemishes import without_blemishes
-from tumble.reduction.blocks import Reducer, Reduction
-from tumble.reduction.exclusion import without_times
-from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests
+from tumble.reduction.blocks.reducer import Reducer, Reduction
+from tumble.reduction.rests.blemishes import without_blemishes
+from tumble.reduction.rests.exclusion import without_times
+from tumble.reduction.rests.segmentation import RestSpan, Segmentation, find_rests
 from tumble.units import ZERO_CELSIUS, Array
 
 _PIECES = 32

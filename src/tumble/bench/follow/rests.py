@@ -15,9 +15,9 @@ from tumble.bench.follow.wishes import Wanted
 from tumble.earth import EARTH_RATE
 from tumble.programme.positions import Programme
 from tumble.recording.session import Session
-from tumble.reduction.blocks import Reduction
-from tumble.reduction.coloured_noise import fit_coloured_noise
-from tumble.reduction.matching import POSITION_LIMIT, SAME_ATTITUDE
+from tumble.reduction.blocks.reducer import Reduction
+from tumble.reduction.noise.coloured_noise import fit_coloured_noise
+from tumble.reduction.rests.matching import POSITION_LIMIT, SAME_ATTITUDE
 from tumble.rotation import onto_body, rotation_matrix, rotation_vector, unit_vector
 from tumble.units import Array, BoolArray
 

@@ -47,7 +47,7 @@ from tumble.methods.paper.indirect import (
 )
 from tumble.programme.positions import Programme
 from tumble.reduction.observations import Observations
-from tumble.reduction.turns import Turns
+from tumble.reduction.turns.turns import Turns
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, Block, SensorModel, triad_model, triad_parameters
 from tumble.sensors.parameters import group_name

@@ -31,7 +31,7 @@ from tumble.recording.session import (
 )
 from tumble.recording.session.log_tables import LogTable
 from tumble.recording.session.table import SessionTable, as_written, check_span, name_of, one_of, visible
-from tumble.sensors.typed_quantities import prior_of
+from tumble.sensors.parameters import prior_of
 from tumble.units import (
     DEGREE,
     G_STANDARD,

@@ -25,7 +25,7 @@ from functools import cache
 import numpy as np
 from scipy.special import ndtr
 
-from tumble.reduction.blocks import ChannelState
+from tumble.reduction.blocks.reducer import ChannelState
 from tumble.units import DEGREE_PER_HOUR, G_STANDARD, Array, BoolArray, IntArray
 
 ON_GRID = 0.1

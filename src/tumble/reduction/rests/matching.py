@@ -17,8 +17,8 @@ import numpy as np
 from tumble.errors import ProgrammeError
 from tumble.programme.positions import Position, Programme, from_attitudes, programme
 from tumble.recording.session import ProgrammeSpec, Session
-from tumble.reduction.blocks import BLOCK_SECONDS, FileBlocks, Reduction
-from tumble.reduction.segmentation import RestSpan, Segmentation
+from tumble.reduction.blocks.reducer import BLOCK_SECONDS, FileBlocks, Reduction
+from tumble.reduction.rests.segmentation import RestSpan, Segmentation
 from tumble.units import DEGREE, Array, IntArray
 
 POSITION_LIMIT = 7.0 * DEGREE

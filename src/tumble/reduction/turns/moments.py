@@ -27,7 +27,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from tumble.reduction import moment_kernels as _kernels
+from tumble.reduction.turns import moment_kernels as _kernels
 from tumble.rotation import onto_body, skew
 from tumble.sensors.model import SensorModel
 from tumble.units import Array, IntArray
@@ -198,7 +198,11 @@ def integrate(
     one, of_gyros, forces_2, rates_2, of_accels = (slice(a, b) for a, b in pairwise(firsts.tolist()))
     rows, moved_rows = (-(-width // _kernels.BLOCK) * _kernels.BLOCK for width in firsts[[-1, 2]].tolist())
     attitude, V, jumps = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros((count, 3)), np.zeros(count)
-    products, moved, sweep = np.zeros((count, 10, rows)), np.zeros((count, 9, moved_rows)), np.zeros((count, 9, 3))
+    products, moved, sweep = (
+        np.zeros((count, 10, rows)),
+        np.zeros((count, 9, moved_rows)),
+        np.zeros((count, 9, _kernels.BLOCK)),
+    )
     sums = attitude, V, products, moved, sweep, jumps
     axes = np.ascontiguousarray(own.gyro, dtype=float), np.ascontiguousarray(own.accel, dtype=float)
     for pieces in batches:
@@ -222,7 +226,7 @@ def integrate(
         Phi=np.concatenate([Phi[..., one], Phi[..., forces_2]], axis=-1),
         Psi=Psi[..., one],
         W=Phi[..., rates_2],
-        sweep=sweep.reshape(count, 3, 3, 3),
+        sweep=sweep[..., :3].reshape(count, 3, 3, 3),
         Phi_gyro=Phi[..., of_gyros].reshape(count, 3, 3, 2, n),
         Psi_gyro=Psi[..., of_gyros].reshape(count, 3, 3, 2, n),
         Phi_accel=Phi[..., of_accels].reshape(count, 3, 3, 2, m),

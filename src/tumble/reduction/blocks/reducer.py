@@ -16,9 +16,9 @@ from tumble.recording.ahead import one_ahead
 from tumble.recording.log import Chunk, Log
 from tumble.recording.rows.gaps import Gap
 from tumble.reduction import kernels as _kernels
-from tumble.reduction.array_motion import FEWEST
-from tumble.reduction.motion_samples import MotionSamples
-from tumble.reduction.tuning import USUAL, Tuning
+from tumble.reduction.blocks.motion_samples import MotionSamples
+from tumble.reduction.blocks.tuning import USUAL, Tuning
+from tumble.reduction.turns.array_motion import FEWEST
 from tumble.sensors.model import Block, beyond_body
 from tumble.units import Array, IntArray
 

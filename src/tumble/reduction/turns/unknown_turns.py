@@ -19,9 +19,9 @@ import numpy as np
 
 from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Channels
-from tumble.reduction.array_motion import read_by
-from tumble.reduction.blocks import Reduction, extremes
-from tumble.reduction.segmentation import RestSpan, unrecorded
+from tumble.reduction.blocks.reducer import Reduction, extremes
+from tumble.reduction.rests.segmentation import RestSpan, unrecorded
+from tumble.reduction.turns.array_motion import read_by
 from tumble.sensors.model import Block
 from tumble.units import Array
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from tumble.errors import SessionError
 from tumble.recording.session import Exclusion
-from tumble.reduction.blocks import Reduction
-from tumble.reduction.matching import Match
-from tumble.reduction.segmentation import RestSpan, Segmentation, unrecorded
+from tumble.reduction.blocks.reducer import Reduction
+from tumble.reduction.rests.matching import Match
+from tumble.reduction.rests.segmentation import RestSpan, Segmentation, unrecorded
 
 
 def without_times(reduction: Reduction, found: Segmentation, excluded: tuple[Exclusion, ...]) -> Segmentation:

@@ -9,21 +9,21 @@ from itertools import accumulate, pairwise
 import numpy as np
 
 from tumble.recording.rows.gaps import Gap
-from tumble.reduction.blemishes import bad_samples_of_turns
-from tumble.reduction.blocks import Reduction
-from tumble.reduction.coloured_noise import ColouredNoise
-from tumble.reduction.moments import (
+from tumble.reduction.blocks.motion_samples import MotionSamples
+from tumble.reduction.blocks.reducer import Reduction
+from tumble.reduction.noise.coloured_noise import ColouredNoise
+from tumble.reduction.noise.rounding import Rounding
+from tumble.reduction.rests.blemishes import bad_samples_of_turns
+from tumble.reduction.rests.rests import Rests
+from tumble.reduction.rests.segmentation import RestSpan
+from tumble.reduction.turns.moments import (
     BlockCompensation,
     Compensation,
     Moments,
     integrate,
     moments_of,
 )
-from tumble.reduction.motion_samples import MotionSamples
-from tumble.reduction.rests import Rests
-from tumble.reduction.rounding import Rounding
-from tumble.reduction.segmentation import RestSpan
-from tumble.reduction.turn_samples import TurnSamples
+from tumble.reduction.turns.turn_samples import TurnSamples
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array, IntArray
 

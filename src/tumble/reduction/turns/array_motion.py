@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.reduction.motion_samples import MotionSamples
+from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.sensors.model import Block, beyond_body
 from tumble.sensors.parameters import PAIRS
 from tumble.units import Array, BoolArray

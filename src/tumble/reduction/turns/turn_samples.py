@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tumble.reduction.blemishes import NO_BAD_SAMPLES, BadSamples
-from tumble.reduction.moments import Pieces
-from tumble.reduction.motion_samples import MotionSamples
+from tumble.reduction.blocks.motion_samples import MotionSamples
+from tumble.reduction.rests.blemishes import NO_BAD_SAMPLES, BadSamples
+from tumble.reduction.turns.moments import Pieces
 from tumble.units import IntArray
 
 BATCH_SAMPLES = 2**17

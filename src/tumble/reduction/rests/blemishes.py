@@ -25,10 +25,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.reduction.blocks import Blemish, FileBlocks, Reduction
-from tumble.reduction.motion_samples import MotionSamples
-from tumble.reduction.segmentation import RestSpan, inner_mean, inner_variance
-from tumble.reduction.tuning import USUAL, Tuning
+from tumble.reduction.blocks.motion_samples import MotionSamples
+from tumble.reduction.blocks.reducer import Blemish, FileBlocks, Reduction
+from tumble.reduction.blocks.tuning import USUAL, Tuning
+from tumble.reduction.rests.segmentation import RestSpan, inner_mean, inner_variance
 from tumble.units import Array, BoolArray, IntArray
 
 AT_A_TIME = 2**17

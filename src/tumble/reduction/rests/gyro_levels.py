@@ -21,7 +21,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from tumble.reduction.tuning import Tuning
+from tumble.reduction.blocks.tuning import Tuning
 from tumble.units import Array, BoolArray
 
 Span = tuple[int, int]

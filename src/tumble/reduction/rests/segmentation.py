@@ -35,9 +35,9 @@ import numpy as np
 
 from tumble.earth import EARTH_RATE
 from tumble.recording.rows.gaps import Gap
-from tumble.reduction.blocks import ChannelState, FileBlocks, Reduction
-from tumble.reduction.gyro_levels import OffLevel, Span, core, level_function, times_of
-from tumble.reduction.tuning import USUAL, Tuning
+from tumble.reduction.blocks.reducer import ChannelState, FileBlocks, Reduction
+from tumble.reduction.blocks.tuning import USUAL, Tuning
+from tumble.reduction.rests.gyro_levels import OffLevel, Span, core, level_function, times_of
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array, BoolArray, IntArray
 

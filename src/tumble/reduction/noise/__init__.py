@@ -1,0 +1,1 @@
+"""Noise: of single sensors over averaging time, of the means of rests, and what rounding does."""
