@@ -16,10 +16,10 @@ import numpy as np
 import polars as pl
 from calibrate import ONE_RUN, TUMBLE, machine
 
-from tumble.calibration.calibrate import calibrate
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import write_session
 from tumble.recording.writer import write_tables
+from tumble.run.calibrate import calibrate
 from tumble.simulation.session import simulate_session
 
 ROWS = 1_000_000 if "--short" in sys.argv else 20_000_000

@@ -22,9 +22,9 @@ from typing import Literal
 
 import polars as pl
 
-from tumble.calibration.calibrate import calibrate
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
+from tumble.run.calibrate import calibrate
 from tumble.simulation.session import simulate_session
 
 TUMBLE = Path(sys.executable).with_name("tumble")

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tumble.calibration.together import calibrate_together
 from tumble.planning.setup import Setup
+from tumble.run.together import calibrate_together
 from tumble.simulation.session import simulate_session
 from tumble.simulation.temperature_profile import TemperatureProfile
 

@@ -15,9 +15,9 @@ from collections import Counter
 import numpy as np
 
 import tumble
-from tumble.calibration.calibration_file import Calibration
 from tumble.earth import earth_rate, normal_gravity
 from tumble.planning.setup import Setup
+from tumble.result.calibration import Calibration
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.instrument import Instrument, readings
 from tumble.sensors.parameters import FURTHER

@@ -27,9 +27,9 @@ import numpy as np
 
 from tumble.bench.session_folder import begin, in_si
 from tumble.bench.station import STEP_SECONDS, Station
-from tumble.calibration.observed import inspect_session
 from tumble.programme.positions import programme
 from tumble.rotation import rotation_matrix, rotation_vector
+from tumble.run.observed import inspect_session
 from tumble.sensors.grades import grade
 from tumble.units import DEGREE, G_STANDARD, Array
 

@@ -26,8 +26,8 @@ import numpy as np
 from tumble.bench.record.sources import Ended
 from tumble.bench.session_folder import session_to_record
 from tumble.bench.station import Station
-from tumble.calibration.calibrate import calibrate
 from tumble.planning.setup import Setup
+from tumble.run.calibrate import calibrate
 from tumble.simulation.session import simulate_session
 
 LONGEST_PIECE = 6000  # bytes

@@ -25,11 +25,11 @@ from itertools import product
 
 import numpy as np
 
-from tumble.calibration.case import Verticals, align_case
 from tumble.methods.paper.scalar import scalar_rows
 from tumble.methods.quadric import fit_many
 from tumble.programme.positions import programme
 from tumble.rotation import rotation_matrix
+from tumble.run.case import Verticals, align_case
 from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
 from tumble.units import DEGREE, Array
 

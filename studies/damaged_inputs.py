@@ -57,10 +57,10 @@ import tomli_w
 from click.testing import CliRunner, Result
 from scipy.io import savemat
 
-from tumble.calibration.calibration_file import read_calibration
 from tumble.cli import main as tumble
 from tumble.errors import TumbleError
 from tumble.planning.setup import Setup
+from tumble.result.calibration import read_calibration
 from tumble.simulation.session import simulate_session
 from tumble.simulation.temperature_profile import temperature_profile
 

@@ -16,17 +16,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.check import known_before
-from tumble.calibration.results import Parameter
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
 from tumble.methods.field_check import CheckResult, field_check
 from tumble.planning.setup import Setup
+from tumble.result.calibration import Calibration
+from tumble.result.parts import Parameter
 from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import HandHeld, Scenario, scenario_of
 from tumble.units import DEGREE, G_STANDARD
+from tumble.use.check import known_before
 
 GRADE = "mems"
 CHANGES = {

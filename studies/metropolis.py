@@ -18,7 +18,6 @@ from pathlib import Path
 
 import numpy as np
 
-from tumble.calibration.observed import inspect_session, observations_for_calibration
 from tumble.inference.estimate import Outcome
 from tumble.inference.hyperparameters import components_of, sized
 from tumble.inference.in_run import of_session
@@ -30,6 +29,7 @@ from tumble.inference.start import start_of
 from tumble.inference.step import deviance, joined, tell
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
+from tumble.run.observed import inspect_session, observations_for_calibration
 from tumble.sensors.parameters import usual_sizes
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import draw_further, scenario_of

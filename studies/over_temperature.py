@@ -25,9 +25,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.together import calibrate_together
 from tumble.inference.estimate import Estimate, Fit
 from tumble.inference.hyperparameters import Components
 from tumble.inference.joint import joint
@@ -36,6 +33,9 @@ from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme, programme
 from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
+from tumble.result.calibration import Calibration
+from tumble.run.calibrate import calibrate
+from tumble.run.together import calibrate_together
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import Variable, group_name, named_group, usual_sizes
 from tumble.simulation.observations import simulate_observations

@@ -25,9 +25,6 @@ from dataclasses import dataclass, replace
 import formulas_against_simulation as simulation
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.launches import difference_percent
-from tumble.calibration.results import Launch, Parameter
 from tumble.earth import earth_rate, normal_gravity
 from tumble.inference.estimate import Outcome
 from tumble.methods.paper.accuracy_formulas import scalar_scale_error
@@ -44,7 +41,10 @@ from tumble.methods.paper.sequential import accelerometers as sequential
 from tumble.methods.paper.sequential import check_positions
 from tumble.planning.setup import Setup
 from tumble.programme.positions import Programme
+from tumble.result.calibration import Calibration
+from tumble.result.parts import Launch, Parameter
 from tumble.rotation import rotation_matrix
+from tumble.run.launches import difference_percent
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, SensorModel, triad_model, triad_parameters
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array

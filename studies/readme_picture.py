@@ -18,13 +18,13 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.further import linear_parameters
-from tumble.calibration.results import Parameter
 from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
 from tumble.recording.log import open_log
 from tumble.recording.session_file import read_session
+from tumble.result.further import linear_parameters
+from tumble.result.parts import Parameter
+from tumble.run.calibrate import calibrate
 from tumble.simulation.session import simulate_session
 from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD, Array
 

@@ -17,11 +17,11 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
-from tumble.calibration.from_estimate import references_of
 from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.thermometer import Thermometers
+from tumble.run.from_estimate import references_of
 from tumble.sensors.parameters import usual_sizes
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import Scenario, itinerary, scenario_of

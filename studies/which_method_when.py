@@ -24,12 +24,12 @@ from typing import Any
 
 import numpy as np
 
-from tumble.calibration.calibrate import ITERATED_METHODS, METHODS
 from tumble.campaigns.campaign import campaign_of, run_campaign
 from tumble.campaigns.summary import SummaryLine, summary
 from tumble.campaigns.trial import stream
 from tumble.planning.budget import GROUPS, UNITS
 from tumble.planning.setup import Setup
+from tumble.run.calibrate import ITERATED_METHODS, METHODS
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import scenario_of
 from tumble.units import engineering

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from tests.support.registry_files import content
-from tumble.calibration.calibration_file import calibration_of
 from tumble.documents import LONGEST_LINE, json_of, one_line, plain, toml_of
 from tumble.errors import CalibrationError, InputError, SessionError
 from tumble.recording.session_file import read_session, session_of
+from tumble.result.calibration import calibration_of
 
 LOG = {"file": "log.csv", "rate_hz": 100.0, "accel": {"columns": ["ax", "ay", "az"], "unit": "g"}}
 

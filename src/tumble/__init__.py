@@ -27,36 +27,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from tumble.calibration.apply import apply_to_session as apply_to_session
-    from tumble.calibration.apply import rest_residuals as rest_residuals
-    from tumble.calibration.calibrate import calibrate as calibrate
-    from tumble.calibration.calibration_file import Calibration as Calibration
-    from tumble.calibration.calibration_file import read_calibration as read_calibration
-    from tumble.calibration.check import FieldCheck as FieldCheck
-    from tumble.calibration.check import check_calibration as check_calibration
-    from tumble.calibration.compare import Comparison as Comparison
-    from tumble.calibration.compare import compare_calibrations as compare_calibrations
-    from tumble.calibration.from_readings import ReadingsCalibration as ReadingsCalibration
-    from tumble.calibration.from_readings import calibrate_table as calibrate_table
-    from tumble.calibration.launches import Run as Run
-    from tumble.calibration.launches import calibrate_launches as calibrate_launches
-    from tumble.calibration.launches import mean_of_launches as mean_of_launches
-    from tumble.calibration.observed import Observed as Observed
-    from tumble.calibration.observed import inspect_session as inspect_session
-    from tumble.calibration.quiet_samples import RecordedNoise as RecordedNoise
-    from tumble.calibration.quiet_samples import noise as noise
-    from tumble.calibration.results import Launch as Launch
-    from tumble.calibration.results import Member as Member
-    from tumble.calibration.results import Parameter as Parameter
-    from tumble.calibration.results import RestResult as RestResult
-    from tumble.calibration.results import TurnResult as TurnResult
-    from tumble.calibration.together import calibrate_together as calibrate_together
-    from tumble.calibration.type_spread import KnownLaunches as KnownLaunches
-    from tumble.calibration.type_spread import TypeSpread as TypeSpread
-    from tumble.calibration.verify import Positions as Positions
-    from tumble.calibration.verify import Verification as Verification
-    from tumble.calibration.verify import positions_of as positions_of
-    from tumble.calibration.verify import verify_calibration as verify_calibration
     from tumble.campaigns.run import CampaignResult as CampaignResult
     from tumble.campaigns.run import FleetResult as FleetResult
     from tumble.campaigns.run import campaign as campaign
@@ -111,10 +81,40 @@ if TYPE_CHECKING:
     from tumble.registry.store.connect import Registry as Registry
     from tumble.registry.store.connect import open_registry as open_registry
     from tumble.registry.types import Record as Record
+    from tumble.result.calibration import Calibration as Calibration
+    from tumble.result.calibration import read_calibration as read_calibration
+    from tumble.result.parts import Launch as Launch
+    from tumble.result.parts import Member as Member
+    from tumble.result.parts import Parameter as Parameter
+    from tumble.result.parts import RestResult as RestResult
+    from tumble.result.parts import TurnResult as TurnResult
+    from tumble.run.calibrate import calibrate as calibrate
+    from tumble.run.from_readings import ReadingsCalibration as ReadingsCalibration
+    from tumble.run.from_readings import calibrate_table as calibrate_table
+    from tumble.run.launches import Run as Run
+    from tumble.run.launches import calibrate_launches as calibrate_launches
+    from tumble.run.launches import mean_of_launches as mean_of_launches
+    from tumble.run.observed import Observed as Observed
+    from tumble.run.observed import inspect_session as inspect_session
+    from tumble.run.quiet_samples import RecordedNoise as RecordedNoise
+    from tumble.run.quiet_samples import noise as noise
+    from tumble.run.together import calibrate_together as calibrate_together
+    from tumble.run.type_spread import KnownLaunches as KnownLaunches
+    from tumble.run.type_spread import TypeSpread as TypeSpread
     from tumble.selftest import run_selftest as run_selftest
     from tumble.sensors.model import Block as Block
     from tumble.sensors.model import SensorModel as SensorModel
     from tumble.simulation.session import simulate_session as simulate_session
+    from tumble.use.apply import apply_to_session as apply_to_session
+    from tumble.use.apply import rest_residuals as rest_residuals
+    from tumble.use.check import FieldCheck as FieldCheck
+    from tumble.use.check import check_calibration as check_calibration
+    from tumble.use.compare import Comparison as Comparison
+    from tumble.use.compare import compare_calibrations as compare_calibrations
+    from tumble.use.verify import Positions as Positions
+    from tumble.use.verify import Verification as Verification
+    from tumble.use.verify import positions_of as positions_of
+    from tumble.use.verify import verify_calibration as verify_calibration
     from tumble.views.report.write import write_report as write_report
     from tumble.views.sheet import write_sheet as write_sheet
 

@@ -25,14 +25,14 @@ from typing import Any
 import numpy as np
 
 from tumble import __version__, compiled
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.earth import normal_gravity
 from tumble.files import FilePath, whole_file
 from tumble.methods.quadric import fit_many
 from tumble.planning.setup import Setup
 from tumble.recording.session import Session
 from tumble.reduction.noise.allan_deviation import allan_deviation
+from tumble.result.calibration import Calibration, read_calibration
+from tumble.run.calibrate import calibrate
 from tumble.simulation.scenario import Scenario, scenario_of
 from tumble.simulation.session import session_in_memory
 from tumble.units import DEGREE, G_STANDARD

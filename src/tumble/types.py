@@ -5,13 +5,6 @@ from tumble.types import Device, Site
 
 from __future__ import annotations
 
-from tumble.calibration.apply import RestResidual as RestResidual
-from tumble.calibration.compare import Difference as Difference
-from tumble.calibration.readings_table import Nominal as Nominal
-from tumble.calibration.readings_table import ReadingsTable as ReadingsTable
-from tumble.calibration.results import Readings as Readings
-from tumble.calibration.results import SensorsAtRest as SensorsAtRest
-from tumble.calibration.type_spread import KnownLaunches as KnownLaunches
 from tumble.campaigns.campaign import Campaign as Campaign
 from tumble.campaigns.fleet import Tally as Tally
 from tumble.campaigns.summary import SummaryLine as SummaryLine
@@ -60,6 +53,11 @@ from tumble.reduction.turns.moments import OwnAxes as OwnAxes
 from tumble.reduction.turns.turn_samples import TurnSamples as TurnSamples
 from tumble.reduction.turns.turns import TurnReadings as TurnReadings
 from tumble.reduction.turns.turns import Turns as Turns
+from tumble.result.parts import Readings as Readings
+from tumble.result.parts import SensorsAtRest as SensorsAtRest
+from tumble.run.readings_table import Nominal as Nominal
+from tumble.run.readings_table import ReadingsTable as ReadingsTable
+from tumble.run.type_spread import KnownLaunches as KnownLaunches
 from tumble.selftest import SelftestRecord as SelftestRecord
 from tumble.sensors.compensation import Compensator as Compensator
 from tumble.sensors.grades import NoiseModel as NoiseModel
@@ -67,3 +65,5 @@ from tumble.sensors.grades import Spread as Spread
 from tumble.sensors.instrument import Instrument as Instrument
 from tumble.simulation.scenario import Vibration as Vibration
 from tumble.simulation.temperature_profile import TemperatureProfile as TemperatureProfile
+from tumble.use.apply import RestResidual as RestResidual
+from tumble.use.compare import Difference as Difference

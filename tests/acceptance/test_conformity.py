@@ -13,12 +13,12 @@ from tests.support.calibrated import calibration, warmed
 from tests.support.registry_files import record
 from tumble.acceptance.conformity import verdicts
 from tumble.acceptance.limits import Limits, parse_limits
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.temperature_curves import curve
 from tumble.errors import InputError
 from tumble.registry.adding import Particulars, add, set_limits, submission
 from tumble.registry.series import verdict_of
 from tumble.registry.store.connect import open_registry
+from tumble.result.calibration import Calibration
+from tumble.result.temperature_curves import curve
 from tumble.units import G_STANDARD
 from tumble.views.report.limits import section
 

@@ -17,7 +17,6 @@ from tests.support.registry_files import content, limits_records, record, write
 from tumble.acceptance.conformity import judge, judge_value
 from tumble.acceptance.limits import Limits, parse_limits, read_limits
 from tumble.acceptance.schedule import months_later
-from tumble.calibration.results import Parameter
 from tumble.errors import InputError
 from tumble.registry import adding
 from tumble.registry.adding import Particulars, add, set_limits, submission, utc
@@ -27,6 +26,7 @@ from tumble.registry.monitor import monitored
 from tumble.registry.series import verdict_of
 from tumble.registry.store import rows
 from tumble.registry.store.connect import Registry, open_registry
+from tumble.result.parts import Parameter
 from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD
 from tumble.views.registry_lists import due_table
 

@@ -18,8 +18,8 @@ from tumble.bench.follow.estimates import Estimates
 from tumble.bench.record.virtual_table import VirtualTable
 from tumble.bench.session_folder import begin, in_si
 from tumble.bench.station import Station
-from tumble.calibration.calibration_file import read_calibration
 from tumble.programme.sheet_pictures import ghost
+from tumble.result.calibration import read_calibration
 
 needs_browser = pytest.mark.skipif(chromium() is None, reason="no Chromium is installed")
 

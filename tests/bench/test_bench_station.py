@@ -17,11 +17,11 @@ from tumble.bench.follow.wishes import wishes
 from tumble.bench.opening import station_of
 from tumble.bench.record.sources import source_of
 from tumble.bench.station import Station
-from tumble.calibration.calibrate import calibrate
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.log import open_log
 from tumble.recording.session_file import read_session
+from tumble.run.calibrate import calibrate
 from tumble.simulation.session import simulate_session
 
 

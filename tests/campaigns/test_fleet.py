@@ -10,12 +10,12 @@ import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 
-from tumble.calibration.calibrate import calibrate
 from tumble.campaigns.engine import Executor
 from tumble.campaigns.fleet import run_fleet, sessions_of, tally
 from tumble.cli import main
 from tumble.errors import InputError, MissingExtraError
 from tumble.planning.setup import Setup
+from tumble.run.calibrate import calibrate
 from tumble.simulation.session import simulate_session
 
 

@@ -25,9 +25,9 @@ from click.shell_completion import ShellComplete
 from click.testing import CliRunner, Result
 
 from tumble import __version__
-from tumble.calibration.observed import inspect_session
 from tumble.cli import EXAMPLES, GROUPS, first_sentence, main
 from tumble.planning.setup import Setup
+from tumble.run.observed import inspect_session
 from tumble.simulation.session import simulate_session
 from tumble.views.inspection import inspection_blocks
 from tumble.views.render.terminal import text_of

@@ -13,13 +13,13 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tumble.calibration.apply import apply_to_session
 from tumble.cli import main
 from tumble.drafting.new_session import new_session
 from tumble.errors import InputError
 from tumble.files import OutputFolder, nothing_left
 from tumble.planning.setup import Setup
 from tumble.simulation.session import simulate_session
+from tumble.use.apply import apply_to_session
 
 NAMES = ("log.parquet", "log.csv", "log-ACC.csv", "log-GYRO.csv", "position-01.parquet", "log-01.parquet", "in.csv")
 SENSORS = {"ACC": ("ax", "ay", "az"), "GYRO": ("gx", "gy", "gz")}

@@ -23,8 +23,6 @@ import pytest
 import tomli_w
 from click.testing import CliRunner, Result
 
-from tumble.calibration.calibrate import calibrate as calibrated
-from tumble.calibration.observed import inspect_session
 from tumble.cli import main
 from tumble.errors import ProgrammeError
 from tumble.inference.estimate import Estimate
@@ -34,6 +32,8 @@ from tumble.programme.positions import attitude, from_attitudes, programme
 from tumble.recording.session import Site
 from tumble.recording.session_file import read_session
 from tumble.rotation import rotation_matrix
+from tumble.run.calibrate import calibrate as calibrated
+from tumble.run.observed import inspect_session
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block
 from tumble.simulation.recording import record
@@ -834,7 +834,7 @@ def test_an_estimate_that_breaks_down_is_a_refusal(
     def broken(_: object) -> Estimate:
         raise np.linalg.LinAlgError("SVD did not converge")
 
-    monkeypatch.setattr("tumble.calibration.calibrate.METHODS", {"joint": broken})
+    monkeypatch.setattr("tumble.run.calibrate.METHODS", {"joint": broken})
     assert reason(hand, tmp_path / "session").startswith("the estimate broke down (SVD did not converge)")
 
 

@@ -15,8 +15,6 @@ import polars as pl
 import pytest
 
 from tests.support import study
-from tumble.calibration.calibrate import Terms, calibrate
-from tumble.calibration.calibration_file import Calibration
 from tumble.diagnosis.causes import followed
 from tumble.diagnosis.chances import FALSE_ALARMS, SumOfSquares, standing_out
 from tumble.diagnosis.misfit import misfit
@@ -31,6 +29,8 @@ from tumble.inference.joint import joint
 from tumble.inference.linearisation import linearise
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
+from tumble.result.calibration import Calibration
+from tumble.run.calibrate import Terms, calibrate
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, Array
 

@@ -40,7 +40,7 @@ def result_is_complete(result: dict[str, dict[str, list[dict[str, object]]]]) ->
 
 
 def test_every_method_is_on_the_page() -> None:
-    from tumble.calibration.calibrate import ITERATED_METHODS, METHODS
+    from tumble.run.calibrate import ITERATED_METHODS, METHODS
 
     listed = set(re.findall(r"^\| `(\w+)` \|", PAGE.read_text(encoding="utf-8"), re.M))
     assert listed == set(STUDY.NEEDS) == {*METHODS, *ITERATED_METHODS}

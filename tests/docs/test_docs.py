@@ -31,12 +31,12 @@ from click.testing import CliRunner
 from scipy.linalg import rq
 
 from tests.support import ROOT, study
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.observed import inspect_session
 from tumble.cli import main
 from tumble.recording.log import open_log
 from tumble.recording.session_file import read_session
 from tumble.reduction.blocks.tuning import USUAL
+from tumble.run.calibrate import calibrate
+from tumble.run.observed import inspect_session
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
 
 RUN = (

@@ -14,8 +14,6 @@ from tests.support.corpus import dialects as d
 from tests.support.corpus import doubtful as q
 from tests.support.corpus import programs as p
 from tests.support.corpus.dialects import Case
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.cli import main
 from tumble.drafting.containers.archive import unzipped
 from tumble.drafting.detection import files_of, found_log
@@ -27,6 +25,8 @@ from tumble.files import OutputFolder
 from tumble.planning.setup import Setup
 from tumble.recording.session import Channels
 from tumble.recording.session_file import read_session
+from tumble.result.calibration import Calibration, read_calibration
+from tumble.run.calibrate import calibrate
 from tumble.sensors.model import SensorModel
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, G_STANDARD, Array

@@ -12,12 +12,12 @@ import pytest
 from click.testing import CliRunner
 
 from tests.support.corpus import rows_and_times as r
-from tumble.calibration.observed import inspect_session
 from tumble.cli import main
 from tumble.drafting.new_session import new_session
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
+from tumble.run.observed import inspect_session
 from tumble.simulation.session import simulate_session
 from tumble.units import Array
 

@@ -14,8 +14,6 @@ from click.testing import CliRunner
 
 from tests.recording.test_formats import ulog_message
 from tests.support.calibrated import calibration
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.cli import main
 from tumble.drafting.new_session import Given, new_session
 from tumble.errors import InputError
@@ -25,6 +23,8 @@ from tumble.recording.autopilot import AutopilotSensor
 from tumble.recording.description import description_of
 from tumble.recording.formats.recording import messages
 from tumble.recording.session_file import read_session, session_of
+from tumble.result.calibration import Calibration, read_calibration
+from tumble.run.calibrate import calibrate
 from tumble.simulation.session import simulate_session
 from tumble.units import Array
 

@@ -12,13 +12,13 @@ from click.testing import CliRunner
 
 from tests.support.calibrated import HEXAD, calibration, warmed
 from tests.support.exports import NOISE, THERMAL, beside
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.results import Parameter
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import FORMATS, export_calibration
 from tumble.export.exported import NO_MAGNETOMETER
 from tumble.inference.estimate import Outcome
+from tumble.result.calibration import Calibration
+from tumble.result.parts import Parameter
 
 PLAIN = tuple(name for name, target in FORMATS.items() if not {"noise", "certificate"} & {*target.takes})
 WITH_COMMENTS = tuple(name for name in PLAIN if name not in ("mat", "depthai", "matlab-imu"))

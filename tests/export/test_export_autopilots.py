@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tests.support.calibrated import calibration
-from tumble.calibration.calibration_file import Calibration
 from tumble.export import export_calibration
+from tumble.result.calibration import Calibration
 from tumble.sensors.model import SensorModel
 from tumble.units import G_STANDARD, Array
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from tests.support.calibrated import HEXAD, calibration, warmed
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.results import Parameter
 from tumble.export import export_calibration
 from tumble.export.c_header import LAG_EXAMPLE
 from tumble.reduction.rests.thermometer import followed
+from tumble.result.calibration import Calibration
+from tumble.result.parts import Parameter
 from tumble.sensors.model import SensorModel
 from tumble.units import Array
 

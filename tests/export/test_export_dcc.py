@@ -18,13 +18,13 @@ from tests.support import ROOT
 from tests.support.calibrated import HEXAD, calibration
 from tests.support.exports import CERTIFICATE
 from tumble.acceptance.certificate import read_certificate
-from tumble.calibration.calibration_file import Calibration
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.export.dcc import d_si
 from tumble.recording.circumstances import AirConditions, Circumstances
 from tumble.recording.session import Site
+from tumble.result.calibration import Calibration
 
 NAMESPACES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
 TOML = """

@@ -10,8 +10,8 @@ import pytest
 from tests.docs.test_docs import lines_of, same_output
 from tests.support import ROOT
 from tests.support.exports import beside
-from tumble.calibration.calibration_file import read_calibration
 from tumble.export import FORMATS, export_calibration
+from tumble.result.calibration import read_calibration
 from tumble.sensors.model import Block
 
 PAGES = ROOT / "docs/reference/export"

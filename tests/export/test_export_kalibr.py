@@ -12,14 +12,14 @@ import yaml
 
 from tests.support.calibrated import FRAMES, calibration
 from tests.support.exports import NOISE
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.quiet_samples import longest_rest
 from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.export.kalibr import noise_densities
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.reduction.noise.allan_deviation import allan_deviation
+from tumble.result.calibration import Calibration
+from tumble.run.quiet_samples import longest_rest
 from tumble.sensors.frames import Frame
 from tumble.simulation.session import simulate_session
 from tumble.units import Array

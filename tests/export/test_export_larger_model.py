@@ -15,11 +15,11 @@ from tests.export.test_export_mat_csv import read_csv, read_mat
 from tests.support.calibrated import HEXAD, calibration, warmed
 from tests.support.exports import beside
 from tests.use.test_applied_model import larger, read, truth
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.temperature_curves import model_at
 from tumble.export import FORMATS, export_calibration
 from tumble.export.larger_model import not_held
 from tumble.inference.prediction import Prediction
+from tumble.result.calibration import Calibration
+from tumble.result.temperature_curves import model_at
 from tumble.units import DEGREE, G_STANDARD, Array
 
 __all__ = ["gcc"]

@@ -12,8 +12,8 @@ import pytest
 from scipy.io import loadmat
 
 from tests.support.calibrated import HEXAD, calibration
-from tumble.calibration.calibration_file import Calibration
 from tumble.export import export_calibration
+from tumble.result.calibration import Calibration
 
 
 def read_mat(made: Calibration) -> dict[str, Any]:

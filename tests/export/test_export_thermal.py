@@ -13,14 +13,14 @@ import pytest
 from click.testing import CliRunner
 
 from tests.support.calibrated import HEXAD, calibration, values_of, warmed
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.temperature_curves import curve
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.export.diagonal import range_of
 from tumble.export.tables import temperatures
 from tumble.recording.autopilot import AutopilotSensor
+from tumble.result.calibration import Calibration
+from tumble.result.temperature_curves import curve
 from tumble.units import DEGREE, G_STANDARD, Array
 
 AUTOPILOTS = ("px4-thermal", "ardupilot-thermal")

@@ -15,7 +15,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tumble.calibration.calibrate import calibrate
 from tumble.diagnosis.observability import Refusal
 from tumble.errors import InputError
 from tumble.methods.ellipsoid import ellipsoid
@@ -27,6 +26,7 @@ from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
 from tumble.rotation import rotation_matrix
+from tumble.run.calibrate import calibrate
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import DEGREE, Array
 

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from tests.support.formula_setup import device_setup
-from tumble.calibration.calibrate import calibrate
 from tumble.diagnosis.verdict import verdict
 from tumble.inference.estimate import Estimate
 from tumble.inference.fits import TOTAL
@@ -32,6 +31,7 @@ from tumble.programme.positions import from_attitudes
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.observations import Observations
 from tumble.reduction.turns.turn_samples import TurnSamples
+from tumble.run.calibrate import calibrate
 from tumble.sensors.grades import GRADES, NoiseModel, Spread
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import usual_sizes

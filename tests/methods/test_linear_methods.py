@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tumble.calibration.calibrate import Terms, calibrate
-from tumble.calibration.verify import verify_calibration
 from tumble.diagnosis.linear_model import moved_by
 from tumble.methods.ellipsoid import ellipsoid
 from tumble.methods.staged import estimate_accelerometers
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
+from tumble.run.calibrate import Terms, calibrate
 from tumble.sensors.parameters import usual_sizes
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import scenario_of
 from tumble.simulation.session import simulate_session
 from tumble.units import G_STANDARD, Array
+from tumble.use.verify import verify_calibration
 
 SIZES = {
     "accel.quadratic": 1e-5 / G_STANDARD,

@@ -26,7 +26,6 @@ from tests.methods.test_staged import (
     unit,
 )
 from tests.support.paper_variants import angle_astride
-from tumble.calibration.calibrate import calibrate
 from tumble.earth import earth_rate
 from tumble.methods.paper.accuracy_formulas import angle_variance, best_elevations
 from tumble.methods.paper.gyro_bias import triad
@@ -34,6 +33,7 @@ from tumble.methods.paper.sequential import angle_between, bias_and_scale
 from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.rotation import rotation_matrix, unit_vector
+from tumble.run.calibrate import calibrate
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block
 from tumble.simulation.scenario import draw_parameters, scenario_of

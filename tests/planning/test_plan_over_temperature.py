@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from tumble.calibration.observed import inspect_session, observations_for_calibration, observations_in_parts
 from tumble.cli import main
 from tumble.inference.likelihood import Problem, instruments_of
 from tumble.inference.start import start_of
@@ -26,6 +25,7 @@ from tumble.programme.positions import from_attitudes, programme
 from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
 from tumble.reduction.turns.turns import VELOCITY_FLOOR
+from tumble.run.observed import inspect_session, observations_for_calibration, observations_in_parts
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_name, usual_sizes
 from tumble.simulation.scenario import OnTable, Scenario, itinerary, scenario_of

@@ -11,7 +11,6 @@ import pytest
 from click.testing import CliRunner
 
 from tests.support import ROOT, study
-from tumble.calibration.calibration_file import read_calibration
 from tumble.cli import main
 from tumble.errors import ProgrammeError
 from tumble.planning.setup import Setup
@@ -24,6 +23,7 @@ from tumble.recording.session_file import read_session
 from tumble.reduction.blocks.reducer import reduce_log
 from tumble.reduction.rests.matching import Match, match_rests
 from tumble.reduction.rests.segmentation import find_rests
+from tumble.result.calibration import read_calibration
 from tumble.rotation import rotation_matrix
 from tumble.simulation.scenario import OnTable, Profile, scenario_of
 from tumble.simulation.session import simulate_session, write_simulation

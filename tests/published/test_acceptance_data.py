@@ -12,9 +12,9 @@ import pytest
 from click.testing import CliRunner
 from scipy.linalg import rq
 
-from tumble.calibration.calibrate import Method, calibrate
-from tumble.calibration.calibration_file import Calibration
 from tumble.cli import main
+from tumble.result.calibration import Calibration
+from tumble.run.calibrate import Method, calibrate
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
 pytestmark = pytest.mark.data

@@ -12,10 +12,6 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tumble.calibration.apply import apply_to_session
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.observed import inspect_session
-from tumble.calibration.quiet_samples import longest_rest
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.arrays import session_of_arrays
@@ -23,8 +19,12 @@ from tumble.recording.description import description_of
 from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.session import Session
 from tumble.recording.session_file import read_session, session_of
+from tumble.run.calibrate import calibrate
+from tumble.run.observed import inspect_session
+from tumble.run.quiet_samples import longest_rest
 from tumble.simulation.session import simulate_session
 from tumble.units import ARCSEC, DEGREE, G_STANDARD, ZERO_CELSIUS, Array
+from tumble.use.apply import apply_to_session
 
 REQUEST = Setup.of(grade="mems", positions=12, rest=3.0)
 

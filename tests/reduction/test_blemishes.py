@@ -8,8 +8,6 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.observed import inspect_session
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.reduction.blocks.motion_samples import MotionSamples
@@ -23,6 +21,8 @@ from tumble.reduction.rests.blemishes import (
 )
 from tumble.reduction.rests.segmentation import RestSpan
 from tumble.rotation import unit_vector
+from tumble.run.calibrate import calibrate
+from tumble.run.observed import inspect_session
 from tumble.sensors.model import Block
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, Array

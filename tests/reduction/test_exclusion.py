@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.cli import main
 from tumble.errors import InputError, SessionError
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
+from tumble.result.calibration import Calibration, read_calibration
+from tumble.run.calibrate import calibrate
 from tumble.simulation.session import simulate_session
 
 RESTS = 9

@@ -10,12 +10,12 @@ import polars as pl
 import pytest
 from click.testing import CliRunner
 
-from tumble.calibration.quiet_samples import longest_rest, noise_panels, whole_log
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.reduction.noise.allan_deviation import Panel
+from tumble.run.quiet_samples import longest_rest, noise_panels, whole_log
 from tumble.sensors.grades import GRADES
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE

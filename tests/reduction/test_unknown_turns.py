@@ -8,9 +8,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.observed import inspect_session
 from tumble.planning.setup import Setup
+from tumble.run.calibrate import calibrate
+from tumble.run.observed import inspect_session
 from tumble.simulation.session import simulate_session
 
 SETUP = Setup.of(grade="mems", positions=14, rest=5.0, rate_deg_s=120.0, sample_rate=50.0)

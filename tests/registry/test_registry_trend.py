@@ -167,7 +167,7 @@ def simulated(rng: np.random.Generator, count: int, launches: int, tau: float) -
         runs: Array = 1.5 * i + rng.normal(0.0, tau, launches) + rng.normal(0.0, 1.0, launches)
         if launches == 1:
             points.append(point(0.5 * i, float(runs[0])))
-        else:  # as `tumble.calibration.launches` states the u of a mean
+        else:  # as `tumble.run.launches` states the u of a mean
             u = float(np.sqrt(max(1.0, runs.var(ddof=1)) / launches))
             points.append(point(0.5 * i, float(runs.mean()), u=u, launches=runs.tolist()))
     return trend(*points)

@@ -20,10 +20,6 @@ import pytest
 from click.testing import CliRunner, Result
 
 from tumble import __version__
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.calibration_file import Calibration, read_calibration
-from tumble.calibration.observed import inspect_session
-from tumble.calibration.results import Launch, Member, Parameter
 from tumble.cli import main
 from tumble.errors import CalibrationError
 from tumble.planning.setup import Setup
@@ -31,6 +27,10 @@ from tumble.recording.autopilot import AutopilotSensor
 from tumble.recording.circumstances import AirConditions, Circumstances
 from tumble.recording.session import Site
 from tumble.recording.session_file import read_session
+from tumble.result.calibration import Calibration, read_calibration
+from tumble.result.parts import Launch, Member, Parameter
+from tumble.run.calibrate import calibrate
+from tumble.run.observed import inspect_session
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import group_of

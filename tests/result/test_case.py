@@ -13,9 +13,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.calibration_file import read_calibration
-from tumble.calibration.case import (
+from tumble.cli import main
+from tumble.errors import InputError
+from tumble.methods.staged import staged
+from tumble.planning.setup import Setup
+from tumble.programme.positions import BUILT_IN, attitude, from_attitudes, programme
+from tumble.reduction.observations import Observations
+from tumble.result.calibration import read_calibration
+from tumble.rotation import rotation_matrix
+from tumble.run.calibrate import calibrate
+from tumble.run.case import (
     CaseAlignment,
     Verticals,
     align_case,
@@ -25,13 +32,6 @@ from tumble.calibration.case import (
     rotation_between,
     verticals_of,
 )
-from tumble.cli import main
-from tumble.errors import InputError
-from tumble.methods.staged import staged
-from tumble.planning.setup import Setup
-from tumble.programme.positions import BUILT_IN, attitude, from_attitudes, programme
-from tumble.reduction.observations import Observations
-from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block, SensorModel
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import OnTable, Scenario, itinerary, scenario_of
@@ -250,7 +250,7 @@ def test_gyros_tell_the_azimuths_of_a_cube() -> None:
     _, case = estimate_in("case", estimate, seen)
     assert case is not None
     assert len(case.tilt) == 2
-    from tumble.calibration.case import _attitudes
+    from tumble.run.case import _attitudes
 
     force = estimate.accel.apply(seen.rests.accel)
     attitudes = _attitudes(seen, force / np.linalg.norm(force, axis=1, keepdims=True), estimate.gyro)

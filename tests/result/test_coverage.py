@@ -15,8 +15,10 @@ from tests.support.calibrated import calibration
 from tests.support.exports import CERTIFICATE
 from tumble.acceptance.conformity import judge_value
 from tumble.acceptance.limits import parse_limits
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.coverage import (
+from tumble.export import export_calibration
+from tumble.inference.estimate import Fit
+from tumble.result.calibration import Calibration
+from tumble.result.coverage import (
     degrees_of_freedom,
     degrees_of_mean,
     degrees_through,
@@ -26,11 +28,9 @@ from tumble.calibration.coverage import (
     welch_satterthwaite,
     with_degrees,
 )
-from tumble.calibration.from_readings import calibrate_table
-from tumble.calibration.readings_table import ReadingsTable, read_table
-from tumble.calibration.results import coverage_factor
-from tumble.export import export_calibration
-from tumble.inference.estimate import Fit
+from tumble.result.parts import coverage_factor
+from tumble.run.from_readings import calibrate_table
+from tumble.run.readings_table import ReadingsTable, read_table
 from tumble.units import Array
 from tumble.views.numbers import with_expanded
 from tumble.views.report.document import Source, document

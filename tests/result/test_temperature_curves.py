@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from tests.support.calibrated import HEXAD, calibration, warmed
-from tumble.calibration.calibration_file import read_calibration
-from tumble.calibration.results import Launch, coverage_factor
-from tumble.calibration.temperature_curves import changing, curve, measured_range, model_at, warm_rests
+from tumble.result.calibration import read_calibration
+from tumble.result.parts import Launch, coverage_factor
+from tumble.result.temperature_curves import changing, curve, measured_range, model_at, warm_rests
 from tumble.units import G_STANDARD
 from tumble.views.blocks import Figure, Table
 from tumble.views.report.document import Source, document

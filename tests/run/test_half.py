@@ -15,14 +15,14 @@ from tests.export.test_export_larger_model import run
 from tests.support.calibrated import calibration, session_of, warmed
 from tests.support.exports import THERMAL, beside
 from tests.use.test_applied_model import larger, read, truth
-from tumble.calibration.apply import applied, apply_to_session, rest_residuals
-from tumble.calibration.calibration_file import Calibration, read_calibration
-from tumble.calibration.half import accepted_part
 from tumble.errors import CalibrationError, InputError
 from tumble.export import FORMATS, export_calibration
 from tumble.inference.estimate import Outcome
 from tumble.registry.adding import Particulars, read_submission
+from tumble.result.accepted import accepted_part
+from tumble.result.calibration import Calibration, read_calibration
 from tumble.sensors.parameters import sensor_kind
+from tumble.use.apply import applied, apply_to_session, rest_residuals
 
 __all__ = ["gcc"]
 

@@ -12,12 +12,12 @@ import polars as pl
 import pytest
 
 import tumble
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.launches import calibrate_launches
-from tumble.calibration.same_recording import same_recording
 from tumble.errors import InputError
 from tumble.recording.arrays import session_of_arrays
 from tumble.recording.session import Exclusion, Session
+from tumble.result.calibration import Calibration
+from tumble.run.launches import calibrate_launches
+from tumble.run.same_recording import same_recording
 from tumble.simulation.session import read_truth
 from tumble.units import DEGREE, Array
 

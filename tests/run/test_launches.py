@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.calibration_file import read_calibration
-from tumble.calibration.coverage import expanded
-from tumble.calibration.launches import Run, mean_of_launches
-from tumble.calibration.results import Parameter
-from tumble.calibration.type_spread import KnownLaunches, TypeSpread
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
+from tumble.result.calibration import read_calibration
+from tumble.result.coverage import expanded
+from tumble.result.parts import Parameter
+from tumble.run.calibrate import calibrate
+from tumble.run.launches import Run, mean_of_launches
+from tumble.run.type_spread import KnownLaunches, TypeSpread
 from tumble.sensors.parameters import group_name
 from tumble.simulation.session import simulate_session
 

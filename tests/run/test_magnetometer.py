@@ -13,10 +13,6 @@ import pytest
 from click.testing import CliRunner
 
 from tests.methods.test_ellipsoid import cube, placed
-from tumble.calibration.apply import apply_to_session
-from tumble.calibration.calibrate import Method, calibrate
-from tumble.calibration.calibration_file import Calibration, read_calibration
-from tumble.calibration.launches import Run, mean_of_launches
 from tumble.cli import main
 from tumble.errors import InputError, SessionError
 from tumble.methods.ellipsoid_fit import TRIAD
@@ -24,7 +20,11 @@ from tumble.methods.magnetometer import NAMES
 from tumble.recording.log import open_log
 from tumble.recording.session_file import read_session, write_session
 from tumble.reduction.blocks.reducer import reduce_log
+from tumble.result.calibration import Calibration, read_calibration
+from tumble.run.calibrate import Method, calibrate
+from tumble.run.launches import Run, mean_of_launches
 from tumble.units import Array
+from tumble.use.apply import apply_to_session
 
 RATE, REST, MOVE = 50.0, 6.0, 1.5  # Hz, s, s
 FIELD = 49.7  # uT

@@ -13,13 +13,13 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from tests.methods.test_ellipsoid import FOURTEEN, THETA, B, K, cube, placed, readings
-from tumble.calibration.calibration_file import read_calibration
-from tumble.calibration.from_readings import calibrate_table, paper_form
-from tumble.calibration.readings_grade import AT_REST
-from tumble.calibration.readings_table import ReadingsTable, read_table
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.methods.ellipsoid_fit import TRIAD
+from tumble.result.calibration import read_calibration
+from tumble.run.from_readings import calibrate_table, paper_form
+from tumble.run.readings_grade import AT_REST
+from tumble.run.readings_table import ReadingsTable, read_table
 from tumble.sensors.grades import GRADES
 from tumble.sensors.parameters import usual_sizes
 from tumble.units import DEGREE, G_STANDARD, Array

@@ -8,8 +8,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from tumble.calibration.rests_and_turns import rest_results
 from tumble.errors import InputError
+from tumble.run.rests_and_turns import rest_results
 
 
 def test_a_fit_that_ran_away_is_refused() -> None:

@@ -15,12 +15,6 @@ from tests.export.test_export_larger_model import run
 from tests.support.calibrated import calibration, session_of, warmed
 from tests.use.test_applied_model import larger, read, truth
 from tumble import calibrate
-from tumble.calibration.apply import apply_to_session
-from tumble.calibration.calibration_file import Calibration, read_calibration
-from tumble.calibration.check import check_calibration
-from tumble.calibration.results import SensorsAtRest
-from tumble.calibration.temperature_curves import measured_range, model_at
-from tumble.calibration.verify import positions_of, verify_calibration
 from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.planning.setup import Setup
@@ -28,12 +22,18 @@ from tumble.recording.arrays import session_of_arrays
 from tumble.recording.description import description_of
 from tumble.recording.log import open_log
 from tumble.recording.session_file import read_session
+from tumble.result.calibration import Calibration, read_calibration
+from tumble.result.parts import SensorsAtRest
+from tumble.result.temperature_curves import measured_range, model_at
 from tumble.simulation.session import read_truth, simulate_session
 from tumble.simulation.temperature_profile import (
     temperature_profile,
     truth_at,
 )
 from tumble.units import ZERO_CELSIUS, Array
+from tumble.use.apply import apply_to_session
+from tumble.use.check import check_calibration
+from tumble.use.verify import positions_of, verify_calibration
 
 __all__ = ["gcc"]
 

@@ -13,8 +13,6 @@ import polars as pl
 import pytest
 from click.testing import CliRunner
 
-from tumble.calibration.calibration_file import Calibration, read_calibration
-from tumble.calibration.together import calibrate_together
 from tumble.cli import main
 from tumble.diagnosis.linearised_session import LinearisedSession
 from tumble.diagnosis.misfit import misfit
@@ -34,6 +32,8 @@ from tumble.recording.session import Session
 from tumble.recording.session_file import session_of, write_session
 from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
+from tumble.result.calibration import Calibration, read_calibration
+from tumble.run.together import calibrate_together
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import prior_of, usual_sizes
 from tumble.simulation.observations import simulate_observations

@@ -14,15 +14,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import sqrtm
 
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.calibration_file import Calibration, read_calibration
-from tumble.calibration.launches import Run, mean_of_launches
 from tumble.cli import main
 from tumble.commands.arguments import FRAMES as OFFERED
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
+from tumble.result.calibration import Calibration, read_calibration
 from tumble.rotation import rotation_matrix
+from tumble.run.calibrate import calibrate
+from tumble.run.launches import Run, mean_of_launches
 from tumble.sensors.frames import FRAMES, Alignment, Convention, Frame, convert, frame_of, rotation_to, triad_axes
 from tumble.sensors.model import Block, SensorModel
 from tumble.simulation.session import simulate_session

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tumble.calibration.calibrate import calibrate
 from tumble.planning.setup import Setup
+from tumble.run.calibrate import calibrate
 from tumble.sensors.grades import GRADES, guessed_grade
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE_PER_HOUR

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.calibration_file import read_calibration
 from tumble.inference.joint import joint
 from tumble.planning.bounds import bound
 from tumble.planning.setup import Setup
+from tumble.result.calibration import read_calibration
+from tumble.run.calibrate import calibrate
 from tumble.sensors import parameters
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import FUNCTIONS, PAIRS, PRODUCTS, ParameterGroup, group_of

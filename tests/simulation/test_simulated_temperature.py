@@ -10,11 +10,11 @@ import polars as pl
 import pytest
 from click.testing import CliRunner
 
-from tumble.calibration.calibrate import calibrate
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
+from tumble.run.calibrate import calibrate
 from tumble.sensors.model import Block
 from tumble.simulation.session import read_truth, simulate_session
 from tumble.simulation.temperature_profile import (

@@ -11,12 +11,12 @@ import pytest
 
 from tests.methods.test_redundant_blocks import DODECAHEDRON
 from tests.methods.test_staged import FINE, NAVIGATION, in_the_hand, observations, unit
-from tumble.calibration.observed import inspect_session, observations_for_calibration
 from tumble.diagnosis.verdict import verdict
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
+from tumble.run.observed import inspect_session, observations_for_calibration
 from tumble.sensors.parameters import group_name, usual_sizes
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import itinerary, scenario_of

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.results import Parameter, RestResult
 from tumble.inference.estimate import Outcome
 from tumble.recording.session_file import write_session
+from tumble.result.calibration import Calibration
+from tumble.result.parts import Parameter, RestResult
 from tumble.sensors.frames import Frame
 from tumble.sensors.model import Block
 from tumble.units import Array

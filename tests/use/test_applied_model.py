@@ -10,16 +10,16 @@ import polars as pl
 import pytest
 
 from tests.support.calibrated import HEXAD, calibration, session_of
-from tumble.calibration.apply import applied, apply_to_session
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.correction import angular_acceleration
-from tumble.calibration.results import Parameter
 from tumble.errors import InputError
 from tumble.inference.estimate import GroupFinding
+from tumble.result.calibration import Calibration
+from tumble.result.correction import angular_acceleration
+from tumble.result.parts import Parameter
 from tumble.sensors.instrument import Instrument, readings
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import ParameterGroup, Variable, group_of
 from tumble.units import DEGREE, ZERO_CELSIUS, Array
+from tumble.use.apply import applied, apply_to_session
 
 N = 500
 AT_REST: tuple[Variable, ...] = ("temperature", "temperature²")

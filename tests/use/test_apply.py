@@ -15,16 +15,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.calibrated import HEXAD, calibration, session_of
-from tumble.calibration.apply import apply_to_session, rest_residuals
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.cli import main
 from tumble.errors import InputError, LogError
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
+from tumble.result.calibration import Calibration, read_calibration
+from tumble.run.calibrate import calibrate
 from tumble.sensors.model import SensorModel
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, G_STANDARD, Array
+from tumble.use.apply import apply_to_session, rest_residuals
 
 ROWS = 400
 ROUNDING = 1e-14

@@ -15,11 +15,6 @@ import pytest
 from click.testing import CliRunner
 from scipy import stats
 
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.calibration_file import Calibration, read_calibration
-from tumble.calibration.check import FieldCheck, check_calibration, known_before
-from tumble.calibration.results import Launch, Member, Parameter
-from tumble.calibration.type_spread import KnownLaunches
 from tumble.cli import main
 from tumble.errors import CalibrationError, InputError
 from tumble.inference.estimate import Outcome
@@ -34,11 +29,16 @@ from tumble.reduction.observations import Observations
 from tumble.registry.adding import Particulars, add, submission
 from tumble.registry.series import device_launches
 from tumble.registry.store.connect import open_registry
+from tumble.result.calibration import Calibration, read_calibration
+from tumble.result.parts import Launch, Member, Parameter
+from tumble.run.calibrate import calibrate
+from tumble.run.type_spread import KnownLaunches
 from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import HandHeld, Scenario, scenario_of
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, ZERO_CELSIUS
+from tumble.use.check import FieldCheck, check_calibration, known_before
 
 MG = 9.80665e-3
 NOTHING: Mapping[str, float] = {}

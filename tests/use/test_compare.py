@@ -14,10 +14,6 @@ from click.testing import CliRunner
 from scipy.special import ndtr
 
 from tests.support.calibrated import FRAMES, HEXAD, calibration
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.compare import compare_calibrations
-from tumble.calibration.results import Parameter
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
@@ -25,10 +21,14 @@ from tumble.recording.session import Site
 from tumble.registry.adding import Particulars, add, read_submission
 from tumble.registry.monitor import monitored
 from tumble.registry.store.connect import open_registry
+from tumble.result.calibration import Calibration
+from tumble.result.parts import Parameter
+from tumble.run.calibrate import calibrate
 from tumble.sensors.frames import Frame
 from tumble.sensors.model import Block
 from tumble.simulation.session import simulate_session
 from tumble.units import Array
+from tumble.use.compare import compare_calibrations
 from tumble.views.control_chart import write_chart
 
 

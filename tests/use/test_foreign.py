@@ -11,13 +11,13 @@ import yaml
 from click.testing import CliRunner
 
 from tests.support.calibrated import calibration
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.compare import compare_calibrations
-from tumble.calibration.results import Parameter, Readings
 from tumble.cli import main
 from tumble.errors import InputError
+from tumble.result.calibration import Calibration
+from tumble.result.parts import Parameter, Readings
 from tumble.rotation import rotation_matrix
 from tumble.units import Array
+from tumble.use.compare import compare_calibrations
 
 G_SENSITIVITY = np.arange(1.0, 10.0).reshape(3, 3) * 1e-5
 

@@ -10,12 +10,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.calibration_file import Calibration, read_calibration
-from tumble.calibration.case import relate
-from tumble.calibration.from_readings import calibrate_table
-from tumble.calibration.results import Parameter, Readings
-from tumble.calibration.verify import TURNED_ON, Positions, positions_of, verify_calibration, verticals
 from tumble.cli import main
 from tumble.errors import CalibrationError, InputError
 from tumble.inference.estimate import Estimate, Outcome
@@ -25,11 +19,17 @@ from tumble.programme.positions import programme
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
+from tumble.result.calibration import Calibration, read_calibration
+from tumble.result.parts import Parameter, Readings
 from tumble.rotation import rotation_matrix
+from tumble.run.calibrate import calibrate
+from tumble.run.case import relate
+from tumble.run.from_readings import calibrate_table
 from tumble.sensors.frames import FRAMES
 from tumble.sensors.model import Block
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, Array
+from tumble.use.verify import TURNED_ON, Positions, positions_of, verify_calibration, verticals
 
 G = 9.8159
 SITE = Site(latitude=None, height=0.0, gravity=G, gravity_u=0.0)
@@ -384,7 +384,7 @@ def test_what_cannot_be_verified_is_refused(folders: dict[str, Path]) -> None:
     with pytest.raises(InputError, match="all parameters of a group or none, found no"):
         verify_calibration(replace(made, parameters=(*made.parameters, one_quadratic)), own)
     session = calibrate(folders["own"], terms="linear")
-    from tumble.calibration.results import Launch
+    from tumble.result.parts import Launch
 
     launch = Launch(session="own", parameters=(), covariance=None, log_sha256=session.provenance["log_sha256"])
     with pytest.raises(InputError, match="one of its 2 launches"):

@@ -15,16 +15,16 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 from tests.support.calibrated import calibration
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.further import decided_by_priors, group_lines, predicted, verdicts
-from tumble.calibration.launches import Run, difference_percent, mean_of_launches
-from tumble.calibration.results import Parameter
 from tumble.cli import main
 from tumble.inference.estimate import GroupFinding, HyperparameterEstimate, Integral, Outcome, ProcessBias
 from tumble.inference.prediction import Prediction
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
+from tumble.result.calibration import Calibration
+from tumble.result.further import decided_by_priors, group_lines, predicted, verdicts
+from tumble.result.parts import Parameter
+from tumble.run.calibrate import calibrate
+from tumble.run.launches import Run, difference_percent, mean_of_launches
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, rounded, two_digits
 from tumble.views.blocks import Block, Items, Table, Text

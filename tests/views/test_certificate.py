@@ -20,12 +20,6 @@ from tests.support.calibrated import calibration
 from tests.views.test_report import Page, opened, pdf_text
 from tumble.acceptance.certificate import Party, read_certificate
 from tumble.acceptance.conformity import judge_value
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.calibration_file import read_calibration
-from tumble.calibration.coverage import expanded
-from tumble.calibration.further import left_by_matrix, left_said
-from tumble.calibration.observed import inspect_session
-from tumble.calibration.results import Launch, Parameter
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import export_calibration
@@ -34,6 +28,12 @@ from tumble.planning.setup import Setup
 from tumble.recording.circumstances import AirConditions, Circumstances
 from tumble.recording.session_file import session_of
 from tumble.registry.adding import Particulars, read_submission
+from tumble.result.calibration import read_calibration
+from tumble.result.coverage import expanded
+from tumble.result.further import left_by_matrix, left_said
+from tumble.result.parts import Launch, Parameter
+from tumble.run.calibrate import calibrate
+from tumble.run.observed import inspect_session
 from tumble.simulation.session import simulate_session
 from tumble.views.report.certified import letterhead
 from tumble.views.report.write import write_report

@@ -30,14 +30,14 @@ from matplotlib.figure import Figure
 
 from tests.support.calibrated import HEXAD
 from tests.support.calibrated import calibration as exact
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.calibration_file import read_calibration
-from tumble.calibration.further import described, predicted
-from tumble.calibration.results import coverage_factor
 from tumble.cli import main
 from tumble.errors import MissingExtraError
 from tumble.inference.prediction import Prediction
 from tumble.planning.setup import Setup
+from tumble.result.calibration import read_calibration
+from tumble.result.further import described, predicted
+from tumble.result.parts import coverage_factor
+from tumble.run.calibrate import calibrate
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import FURTHER
 from tumble.simulation.session import simulate_session

@@ -30,7 +30,7 @@ from tumble.documents import is_plain, shown, text_of_document, toml_of
 from tumble.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
-    from tumble.calibration.calibration_file import Calibration
+    from tumble.result.calibration import Calibration
 
 RELATES = (
     "This certificate relates only to the item described in it, in the state in which it was calibrated; it may be "

@@ -8,7 +8,7 @@ The decision rule is RULE. With the limits low, high and the expanded uncertaint
     fail                outside by more
 
 Over temperature a bias or a scale factor is the whole sum θ + θ₁ (T − T₀) + θ₂ (T − T₀)² with U of the sum
-(`tumble.calibration.temperature_curves`). It is judged at the temperature where it is worst: where it fails, else where
+(`tumble.result.temperature_curves`). It is judged at the temperature where it is worst: where it fails, else where
 it is nearest to failing. What was not measured passes nowhere: beyond the range of the rests there is no U. Other
 parameters are the same at all temperatures.
 
@@ -26,11 +26,11 @@ import numpy as np
 
 from tumble.acceptance.limits import Limits
 from tumble.acceptance.schedule import OCCASIONS, Occasion
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.coverage import expanded, expanded_of
-from tumble.calibration.half import accepted_kinds, accepted_part
-from tumble.calibration.results import Parameter
-from tumble.calibration.temperature_curves import changing, curve, measured_range
+from tumble.result.accepted import accepted_kinds, accepted_part
+from tumble.result.calibration import Calibration
+from tumble.result.coverage import expanded, expanded_of
+from tumble.result.parts import Parameter
+from tumble.result.temperature_curves import changing, curve, measured_range
 from tumble.sensors.parameters import FURTHER, group_name, group_of, meant_by
 
 RULE = (

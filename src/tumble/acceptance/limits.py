@@ -163,7 +163,7 @@ def _temperatures(given: Any, name: str) -> tuple[float, float] | None:
 
 def _systematic(text: str, frame: str, name: str) -> Mapping[str, float]:
     """The systematic values of a type, SI, by parameter."""
-    from tumble.calibration.calibration_file import calibration_of
+    from tumble.result.calibration import calibration_of
 
     calibration = calibration_of(text, f"{name}: systematic")
     if calibration.frame != frame:

@@ -17,7 +17,7 @@ from tumble.sensors.parameters import group_name
 from tumble.units import rounded
 
 if TYPE_CHECKING:
-    from tumble.calibration.calibration_file import Calibration
+    from tumble.result.calibration import Calibration
 
 CALIBRATION_FILE = "calibration.json"
 REPORT_FILE = "report.html"
@@ -63,7 +63,7 @@ class Results:
 def calibrated(folder: Path, stopped: threading.Event) -> Calibration:
     """The calibration of a session folder, written into it by `tumble calibrate`. It is believed only where it agrees
     with how that has ended. Raises CalibrationError; the file of an earlier calibration then stays as it is."""
-    from tumble.calibration.calibration_file import read_calibration
+    from tumble.result.calibration import read_calibration
 
     with whole_file(folder / CALIBRATION_FILE) as fresh:
         accepted = _made(fresh, "calibrate", "--force", "--out", str(fresh), "--", str(folder), stopped=stopped)

@@ -27,7 +27,6 @@ from typing import Annotated, Any, Literal, Self, cast
 import polars as pl
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from tumble.calibration.calibrate import DEFAULT_METHOD, ITERATED_METHODS, METHODS, Method
 from tumble.campaigns.engine import Executor, Job, Progress, Row, run
 from tumble.campaigns.trial import NAMES, Cell, Source, session_rows, statics_rows
 from tumble.documents import text_of_document, toml_of
@@ -35,6 +34,7 @@ from tumble.errors import InputError, did_you_mean
 from tumble.planning.bounds import instrument_of
 from tumble.planning.setup import Terms
 from tumble.programme.positions import BUILT_IN
+from tumble.run.calibrate import DEFAULT_METHOD, ITERATED_METHODS, METHODS, Method
 from tumble.sensors.grades import GRADES
 from tumble.usual_setup import GRADE, INSTABILITY_TIME, LATITUDE_DEG, MOUNTING_ERROR_DEG, PROGRAMME, TABLE_ERROR_DEG
 

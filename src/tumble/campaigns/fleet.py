@@ -20,12 +20,12 @@ from typing import Any
 
 import polars as pl
 
-from tumble.calibration.calibrate import Method, calibrate
-from tumble.calibration.calibration_file import Calibration
 from tumble.campaigns.engine import Executor, Job, Progress, Row, run
 from tumble.documents import text_of_document
 from tumble.errors import InputError, needs_extra
 from tumble.recording.session_file import SESSION_FILE, read_session
+from tumble.result.calibration import Calibration
+from tumble.run.calibrate import Method, calibrate
 
 MANIFESTS = (".txt", ".csv")
 COLUMN = "session"

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tumble.brief import Brief
-from tumble.calibration.calibrate import Method
 from tumble.campaigns.campaign import Campaign, read_campaign, run_campaign
 from tumble.campaigns.cluster import executor_for
 from tumble.campaigns.engine import Progress
 from tumble.campaigns.fleet import Tally, run_fleet, sessions_of, tally
 from tumble.campaigns.summary import SummaryLine, summary, write_summary
 from tumble.files import FilePath
+from tumble.run.calibrate import Method
 
 SUMMARY_FILE = "summary.csv"
 

@@ -18,7 +18,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tumble.calibration.calibrate import ITERATED_METHODS, METHODS, Method, calibrate
 from tumble.campaigns.engine import Row
 from tumble.campaigns.triads import fit_statics
 from tumble.diagnosis.verdict import verdict
@@ -33,6 +32,7 @@ from tumble.planning.setup import Setup
 from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, unit_vector
+from tumble.run.calibrate import ITERATED_METHODS, METHODS, Method, calibrate
 from tumble.sensors.grades import Spread
 from tumble.sensors.model import Block, triad_model
 from tumble.sensors.parameters import limits_of

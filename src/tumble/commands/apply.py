@@ -21,8 +21,8 @@ def apply(calibration: Path, session: Path, out: Path, force: bool, verify: bool
     Corrected values are in SI under the session's column names, or in the unit that these names say; every other column
     is copied.
     """
-    from tumble.calibration.apply import applied, apply_to_session, rest_residuals
     from tumble.recording.session_file import read_session
+    from tumble.use.apply import applied, apply_to_session, rest_residuals
     from tumble.views.checks import residual_table
     from tumble.views.render.terminal import print_blocks
 

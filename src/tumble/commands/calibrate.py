@@ -36,10 +36,10 @@ from tumble.commands.arguments import (
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
-    from tumble.calibration.calibrate import Method, Terms
-    from tumble.calibration.calibration_file import Calibration
-    from tumble.calibration.type_spread import TypeSpread
     from tumble.drafting.new_session import Given
+    from tumble.result.calibration import Calibration
+    from tumble.run.calibrate import Method, Terms
+    from tumble.run.type_spread import TypeSpread
     from tumble.sensors.frames import Frame
 
 
@@ -87,9 +87,9 @@ def calibrate(
     A file that is no session.toml, or anything with --latitude, --serial, --sample-rate, --accel, --gyro or --time, is
     a LOG in any dialect: a session is made of it first, as `tumble new` does, in the folder LOG-session beside it.
     """
-    from tumble.calibration.launches import calibrate_launches
-    from tumble.calibration.together import calibrate_together
     from tumble.recording.session_file import read_session
+    from tumble.run.launches import calibrate_launches
+    from tumble.run.together import calibrate_together
     from tumble.simulation.session import read_truth
     from tumble.views.calibration import calibration_blocks
 

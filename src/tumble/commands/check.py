@@ -20,7 +20,7 @@ from tumble.commands.arguments import (
 )
 
 if TYPE_CHECKING:
-    from tumble.calibration.type_spread import KnownLaunches
+    from tumble.run.type_spread import KnownLaunches
 
 
 @click.command()
@@ -39,9 +39,9 @@ def check(
 
     Exit status 0: no change is shown; 1: something has changed.
     """
-    from tumble.calibration.check import check_calibration
     from tumble.recording.session_file import read_session
     from tumble.registry.store.connect import extra_named
+    from tumble.use.check import check_calibration
     from tumble.views.checks import field_check_blocks, field_check_data
 
     described = read_session(session)

@@ -21,7 +21,7 @@ def compare(first: Path, second: Path, gyro_file: Path | None, as_json: bool) ->
 
     Exit status 0: the largest |E_n| and χ² are within chance (probability 0.01 of so many, and 0.001); 1: otherwise.
     """
-    from tumble.calibration.compare import compare_calibrations
+    from tumble.use.compare import compare_calibrations
     from tumble.views.checks import comparison_blocks, comparison_data
 
     found = compare_calibrations(first, second, gyro=gyro_file)

@@ -61,7 +61,7 @@ def ellipsoid(
 
     The table has a header with the names of three columns, one per channel, and a row per position.
     """
-    from tumble.calibration.from_readings import calibrate_table
+    from tumble.run.from_readings import calibrate_table
     from tumble.views.readings import readings_blocks
 
     nominal = None if scale is None else _numbers("--scale", scale)

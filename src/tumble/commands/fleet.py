@@ -11,7 +11,7 @@ import click
 from tumble.commands.arguments import CLUSTER, JSON, METHOD_NAMES, SHOWN, method_option, say, task_progress, warn
 
 if TYPE_CHECKING:
-    from tumble.calibration.calibrate import Method
+    from tumble.run.calibrate import Method
 
 
 @click.command()

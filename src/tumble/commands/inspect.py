@@ -16,7 +16,7 @@ from tumble.commands.arguments import EXISTING_FOLDER, FILE, JSON, option, say, 
 @JSON
 def inspect(session: Path, picture: Path | None, as_json: bool) -> None:
     """Show the rests and turns found in SESSION, and what was rejected and why."""
-    from tumble.calibration.observed import inspect_session
+    from tumble.run.observed import inspect_session
     from tumble.views.inspection import inspection_blocks, inspection_data, plot
 
     observed = inspect_session(session, progress=with_progress)

@@ -43,8 +43,8 @@ def noise(
     """
     from tempfile import TemporaryDirectory
 
-    from tumble.calibration.quiet_samples import is_session, noise
     from tumble.drafting.new_session import new_session
+    from tumble.run.quiet_samples import is_session, noise
     from tumble.views.noise import noise_blocks, noise_data, plot
 
     if is_session(recording):

@@ -19,7 +19,7 @@ def verify(calibration: Path, readings: Path, as_json: bool) -> None:
     They are every rest of a session, or every row of a table of readings. Where these are the calibration's own,
     each is left out in turn.
     """
-    from tumble.calibration.verify import verify_calibration
+    from tumble.use.verify import verify_calibration
     from tumble.views.checks import verification_blocks, verification_data
 
     found = verify_calibration(calibration, readings)

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from tumble.calibration.observed import Progress
 from tumble.drafting.containers.archive import unzipped
 from tumble.drafting.containers.workbook import sheets_of
 from tumble.drafting.detection import files_of, found_log
@@ -42,6 +41,7 @@ from tumble.recording.readers import source_of
 from tumble.recording.rows.gaps import is_reading
 from tumble.recording.session.log_tables import RAW
 from tumble.recording.session_file import SESSION_FILE, session_of
+from tumble.run.observed import Progress
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, TEMPERATURE_UNITS, Array
 
 _TOLERANCE = 0.3

@@ -15,11 +15,11 @@ from tumble.errors import InputError
 
 if TYPE_CHECKING:
     from tumble.acceptance.certificate import Certificate
-    from tumble.calibration.calibration_file import Calibration
     from tumble.export.exported import Exported
     from tumble.export.kalibr import NoiseDensities
     from tumble.files import FilePath
     from tumble.recording.session import Session
+    from tumble.result.calibration import Calibration
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -79,9 +79,9 @@ def export_calibration(
     >>> exported.content.splitlines()[0].split(b",")[0]
     b'# device mems-1'
     """
-    from tumble.calibration.calibration_file import calibration_from
-    from tumble.calibration.half import accepted_part
     from tumble.export.exported import NO_MAGNETOMETER
+    from tumble.result.accepted import accepted_part
+    from tumble.result.calibration import calibration_from
 
     calibration = accepted_part(calibration_from(calibration))
     if to not in FORMATS:

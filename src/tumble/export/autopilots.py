@@ -36,11 +36,11 @@ from functools import partial
 
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration
 from tumble.errors import InputError
 from tumble.export.diagonal import Diagonal, Thermal, diagonal, said, single, thermal
 from tumble.export.exported import Exported, commented, origin
 from tumble.recording.autopilot import AutopilotSensor
+from tumble.result.calibration import Calibration
 from tumble.sensors.model import SensorKind
 from tumble.units import Array
 

@@ -26,11 +26,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.temperature_curves import changing, coefficients, measured_range, own_thermometers, references
 from tumble.export.exported import NO_UNCERTAINTY, UNITS, Exported, example, examples, models, numbers, origin, shown
 from tumble.export.larger_model import not_held
 from tumble.reduction.rests.thermometer import followed
+from tumble.result.calibration import Calibration
+from tumble.result.temperature_curves import changing, coefficients, measured_range, own_thermometers, references
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
 from tumble.sensors.instrument import is_linear
 from tumble.sensors.model import Block, SensorKind, SensorModel

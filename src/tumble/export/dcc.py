@@ -25,13 +25,13 @@ from scipy.special import chdtri, fdtri
 
 from tumble.acceptance.certificate import RELATES, STATES, Certificate, Party, check_certificate, judged_by
 from tumble.acceptance.conformity import RULE, LimitJudgement, Verdict, verdicts
-from tumble.calibration.calibration_file import Calibration, read_calibration
-from tumble.calibration.coverage import PROBABILITY, degrees_of_freedom
-from tumble.calibration.further import described
-from tumble.calibration.results import FEWEST_DEGREES, Parameter, stated_factor
 from tumble.errors import InputError
 from tumble.export.exported import UNITS, Exported, example, models, one_line, origin, shown
 from tumble.export.larger_model import NOT_IN_MATRIX, not_held
+from tumble.result.calibration import Calibration, read_calibration
+from tumble.result.coverage import PROBABILITY, degrees_of_freedom
+from tumble.result.further import described
+from tumble.result.parts import FEWEST_DEGREES, Parameter, stated_factor
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import sensor_kind, shown_in
 from tumble.units import Array

@@ -18,9 +18,12 @@ from itertools import chain
 
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.results import RestResult
-from tumble.calibration.temperature_curves import (
+from tumble.errors import InputError
+from tumble.export.exported import NO_UNCERTAINTY, SINGLE_PRECISION, example, shown, triads
+from tumble.export.larger_model import not_held, session_rate
+from tumble.result.calibration import Calibration
+from tumble.result.parts import RestResult
+from tumble.result.temperature_curves import (
     Range,
     changing,
     coefficients,
@@ -29,9 +32,6 @@ from tumble.calibration.temperature_curves import (
     references,
     warm_rests,
 )
-from tumble.errors import InputError
-from tumble.export.exported import NO_UNCERTAINTY, SINGLE_PRECISION, example, shown, triads
-from tumble.export.larger_model import not_held, session_rate
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import group_name
 from tumble.units import DEGREE, G_STANDARD, Array

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration
 from tumble.errors import InputError
+from tumble.result.calibration import Calibration
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.units import Array
 

@@ -36,10 +36,10 @@ from typing import Any
 
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.half import WORDS
 from tumble.export.exported import NO_UNCERTAINTY, SINGLE_PRECISION, Exported, examples, one_line, origin, triads
 from tumble.export.larger_model import g_sensitivity, not_held, still
+from tumble.result.accepted import WORDS
+from tumble.result.calibration import Calibration
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, Array
 

@@ -29,10 +29,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.half import WORDS
-from tumble.calibration.quiet_samples import longest_rest, noise_panels
-from tumble.calibration.results import SensorsAtRest
 from tumble.errors import InputError
 from tumble.export.diagonal import gyro_matrix_lost
 from tumble.export.exported import (
@@ -50,6 +46,10 @@ from tumble.export.exported import (
 from tumble.export.larger_model import g_sensitivity, not_held, still
 from tumble.recording.session import Session
 from tumble.reduction.noise.allan_deviation import Panel
+from tumble.result.accepted import WORDS
+from tumble.result.calibration import Calibration
+from tumble.result.parts import SensorsAtRest
+from tumble.run.quiet_samples import longest_rest, noise_panels
 from tumble.units import Array
 
 

@@ -10,8 +10,8 @@ from collections.abc import Container, Mapping
 
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration
 from tumble.inference.prediction import directions
+from tumble.result.calibration import Calibration
 from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.parameters import (
     FORCE,

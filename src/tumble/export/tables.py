@@ -23,11 +23,11 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.temperature_curves import Curve, Range, changing, curve, model_at, own_thermometers
 from tumble.export.diagonal import range_of, said, warm_end
 from tumble.export.exported import UNITS, Exported, example, examples, models, numbers, origin
 from tumble.export.larger_model import NOT_IN_MATRIX, not_held
+from tumble.result.calibration import Calibration
+from tumble.result.temperature_curves import Curve, Range, changing, curve, model_at, own_thermometers
 from tumble.sensors.model import SensorKind
 from tumble.sensors.parameters import THERMAL, group_name, variable_of
 from tumble.units import Array

@@ -16,7 +16,7 @@ known. As it is an estimate, they have Student's t distribution with ν_j degree
 
     1/√ν_j = q_jᵀ D q_j,   q_j = Gᵀ g_j u_j   (3)
 
-with D of `tumble.calibration.check`: as a part of P is wrong, so is that part of the variance of t_j, all parts
+with D of `tumble.use.check`: as a part of P is wrong, so is that part of the variance of t_j, all parts
 together. The largest |t_j| is compared with what the largest of such numbers exceeds in CHANCE of all cases. Where it
 is larger, its parameter is set free, everything is solved again, and so on: that gives the changes together. What no
 change explains is judged by χ² = |z|² and the residuals, against MISFIT_CHANCE.

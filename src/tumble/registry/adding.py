@@ -18,8 +18,6 @@ from typing import TYPE_CHECKING
 from tumble.acceptance.conformity import verdict_at
 from tumble.acceptance.limits import parse_limits
 from tumble.acceptance.schedule import Occasion
-from tumble.calibration.calibration_file import Calibration, calibration_of, text_and_name
-from tumble.calibration.half import accepted_part
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.recording.session.table import LONGEST_NAME
@@ -27,6 +25,8 @@ from tumble.registry.due import keep_forecasts
 from tumble.registry.store import rows
 from tumble.registry.store.connect import Registry
 from tumble.registry.types import LimitsRecord, Record, State
+from tumble.result.accepted import accepted_part
+from tumble.result.calibration import Calibration, calibration_of, text_and_name
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection

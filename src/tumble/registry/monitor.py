@@ -12,13 +12,13 @@ from datetime import date
 
 from tumble.acceptance.conformity import judge_value
 from tumble.acceptance.limits import parse_limits
-from tumble.calibration.compare import Comparison
 from tumble.errors import InputError
 from tumble.registry.series import latest_comparison, past_of, series_of
 from tumble.registry.store import rows
 from tumble.registry.store.connect import Registry
 from tumble.registry.trend import Trend, forecast, trend_of
 from tumble.registry.types import Forecast, LimitsRecord, Record
+from tumble.use.compare import Comparison
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

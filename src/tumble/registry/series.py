@@ -15,17 +15,17 @@ from datetime import datetime
 
 from tumble.acceptance.conformity import Verdict, verdict_at
 from tumble.acceptance.limits import parse_limits
-from tumble.calibration.calibration_file import Calibration, calibration_of
-from tumble.calibration.compare import Comparison, compare_calibrations
-from tumble.calibration.coverage import by_gravity
-from tumble.calibration.shared_errors import by_priors, of_time_base
-from tumble.calibration.type_spread import KnownLaunches, TypeSpread, known_launches
 from tumble.errors import InputError
 from tumble.recording.session import Site
 from tumble.registry.records import records
 from tumble.registry.store import rows
 from tumble.registry.store.connect import Registry
 from tumble.registry.types import Record, State
+from tumble.result.calibration import Calibration, calibration_of
+from tumble.result.coverage import by_gravity
+from tumble.result.shared_errors import by_priors, of_time_base
+from tumble.run.type_spread import KnownLaunches, TypeSpread, known_launches
+from tumble.use.compare import Comparison, compare_calibrations
 
 Past = Sequence[tuple[Record, Calibration]]
 """The records of a device that are in force with what is in their files, in the order in which they were performed."""

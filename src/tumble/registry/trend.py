@@ -18,11 +18,11 @@ a normal distribution.
 The u_i are without the uncertainty of gravity where all calibrations used the same stated gravity, without that of the
 time base where all state the same, and without what only priors say of the device: with g_i what one standard
 uncertainty of these changes in y_i, u_i² is less by |g_i|² and more by |g_i − ḡ|², for what is the same every time is
-no part of a drift, nor of a change between two that share it (`tumble.calibration.shared_errors`). The level of the
+no part of a drift, nor of a change between two that share it (`tumble.result.shared_errors`). The level of the
 line has |ḡ|² in its variance. A parameter of which no more than its prior is known has neither τ nor drift.
 
-A change has the expanded uncertainty U = t(ν) u with ν by Welch and Satterthwaite (`tumble.calibration.coverage`).
-Whether the last one is beyond chance says the comparison of the two calibrations (`tumble.calibration.compare`).
+A change has the expanded uncertainty U = t(ν) u with ν by Welch and Satterthwaite (`tumble.result.coverage`).
+Whether the last one is beyond chance says the comparison of the two calibrations (`tumble.use.compare`).
 
 Source: Mandel & Paule, Anal. Chem. 42 (1970) 1194, for τ; JCGM 100 (GUM) G.4 for t; ISO 13528, 9.7 for E_n.
 
@@ -49,11 +49,11 @@ from itertools import pairwise
 import numpy as np
 from scipy import special
 
-from tumble.calibration.coverage import apart, expanded_of, shared_gravity, welch_satterthwaite
-from tumble.calibration.shared_errors import shared_time_base
 from tumble.methods.least_squares import scatter_of
 from tumble.registry.series import Series, SeriesPoint
 from tumble.registry.types import Forecast
+from tumble.result.coverage import apart, expanded_of, shared_gravity, welch_satterthwaite
+from tumble.result.shared_errors import shared_time_base
 from tumble.units import Array
 
 YEAR = timedelta(days=365.25)

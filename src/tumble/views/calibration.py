@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tumble.calibration.calibrate import ITERATED_METHODS
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.coverage import without_expanded
-from tumble.calibration.further import (
+from tumble.diagnosis.site_gravity import gravity_said
+from tumble.inference.estimate import Fit
+from tumble.result.calibration import Calibration
+from tumble.result.coverage import without_expanded
+from tumble.result.further import (
     BY_PRIOR,
     decided_by_priors,
     group_lines,
@@ -25,10 +26,9 @@ from tumble.calibration.further import (
     predicted,
     verdicts,
 )
-from tumble.calibration.launches import difference_percent
-from tumble.calibration.results import Parameter
-from tumble.diagnosis.site_gravity import gravity_said
-from tumble.inference.estimate import Fit
+from tumble.result.parts import Parameter
+from tumble.run.calibrate import ITERATED_METHODS
+from tumble.run.launches import difference_percent
 from tumble.sensors.parameters import sensor_kind
 from tumble.units import engineering
 from tumble.views.blocks import Block, Items, Table, Text, table

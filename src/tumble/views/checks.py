@@ -8,15 +8,15 @@ from dataclasses import asdict
 
 import numpy as np
 
-from tumble.calibration.apply import RestResidual
-from tumble.calibration.check import FieldCheck
-from tumble.calibration.compare import Comparison
-from tumble.calibration.results import fits_content
-from tumble.calibration.verify import Verification
 from tumble.methods.field_check import CHANCE
+from tumble.result.parts import fits_content
 from tumble.selftest import SelftestRecord
 from tumble.sensors.parameters import group_name, group_of, positions_by_group
 from tumble.units import G_STANDARD, engineering, two_digits
+from tumble.use.apply import RestResidual
+from tumble.use.check import FieldCheck
+from tumble.use.compare import Comparison
+from tumble.use.verify import Verification
 from tumble.views.blocks import Block, Table, Text, table, texts
 from tumble.views.numbers import cells, probability_text, units_of_values
 from tumble.views.render.data import Content, fields, rows

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from tumble.calibration.observed import Observed
 from tumble.reduction.observations import Observations
+from tumble.run.observed import Observed
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS, BoolArray
 from tumble.views.blocks import Block, Items, Table, Text, table
 from tumble.views.render.data import Content, fields, rows

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from tumble.calibration.quiet_samples import RecordedNoise
+    from tumble.run.quiet_samples import RecordedNoise
 
 _COLUMNS = ("sensor", "noise", "symbol", "value", "u (k=1)", "unit")
 

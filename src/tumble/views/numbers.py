@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Protocol, TypeVar
 
-from tumble.calibration.results import Parameter
+from tumble.result.parts import Parameter
 from tumble.sensors.parameters import group_name, shown_in
 from tumble.units import engineering, rounded
 from tumble.views.blocks import Table, table

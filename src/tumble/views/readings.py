@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.calibration.from_readings import ReadingsCalibration, paper_form
-from tumble.calibration.further import group_lines, linear_parameters, predicted
-from tumble.calibration.readings_table import Nominal
 from tumble.methods.ellipsoid_fit import TRIAD, EllipsoidFit
+from tumble.result.further import group_lines, linear_parameters, predicted
+from tumble.run.from_readings import ReadingsCalibration, paper_form
+from tumble.run.readings_table import Nominal
 from tumble.sensors.frames import Convention, frame_of
 from tumble.units import engineering
 from tumble.views.blocks import Block, Items, Table, Text, table

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from tumble.calibration.observed import Observed
-    from tumble.calibration.results import RestResult, TurnResult
+    from tumble.result.parts import RestResult, TurnResult
+    from tumble.run.observed import Observed
 
 _RESTS, _TURNS = "#e3e8ee", "#f6e3d6"
 """Colours of the spans of rests and turns."""

@@ -7,17 +7,17 @@ from collections.abc import Collection, Container, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from tumble.acceptance.conformity import RULE, LimitJudgement, Verdict
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.compare import Comparison
-from tumble.calibration.coverage import expanded_of as expanded_uncertainty
-from tumble.calibration.results import Parameter
 from tumble.registry.adding import logs_of
 from tumble.registry.monitor import Monitored
 from tumble.registry.series import SeriesPoint
 from tumble.registry.trend import Change, Trend
 from tumble.registry.types import LimitsRecord, Record
+from tumble.result.calibration import Calibration
+from tumble.result.coverage import expanded_of as expanded_uncertainty
+from tumble.result.parts import Parameter
 from tumble.sensors.parameters import beyond_linear, group_name
 from tumble.units import two_digits
+from tumble.use.compare import Comparison
 from tumble.views.blocks import Block, Items, Table, Text, Tone, table
 from tumble.views.checks import judged_lines
 from tumble.views.numbers import Units, cells, device_name, limit_cell, shown_units, units_of_values

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from tumble.calibration.observed import Observed, Progress, inspect_session
 from tumble.diagnosis.carried_vertical import fitting_gyro_unit, fitting_time_unit, misses_by_unit
 from tumble.drafting.draft import Draft
 from tumble.drafting.hypotheses.rests_and_turns import (
@@ -30,6 +29,7 @@ from tumble.errors import TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO
 from tumble.recording.columns.scales import ScaleMatch, matched
 from tumble.reduction.observations import Observations
+from tumble.run.observed import Observed, Progress, inspect_session
 from tumble.units import DEGREE, GYRO_UNITS
 
 _LOW_RATES = 10, 12.5, 20, 25, 26, 50, 51.2, 52, 60, 62.5, 64, 100, 102.4, 104, 119, 120, 125, 128, 200, 204.8, 208

@@ -8,10 +8,10 @@ from typing import Literal
 
 from tumble.acceptance.certificate import RELATES, STATES, Certificate, Party
 from tumble.acceptance.conformity import RULE
-from tumble.calibration.calibration_file import Calibration
 from tumble.documents import check_regular
 from tumble.errors import InputError
 from tumble.recording.circumstances import Circumstances
+from tumble.result.calibration import Calibration
 from tumble.views.blocks import Letterhead, Signature
 from tumble.views.numbers import fixed, significant
 

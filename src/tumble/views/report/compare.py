@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.coverage import expanded
-from tumble.calibration.further import further_parameters, linear_parameters
-from tumble.calibration.results import Parameter
 from tumble.errors import CalibrationError
+from tumble.result.calibration import Calibration
+from tumble.result.coverage import expanded
+from tumble.result.further import further_parameters, linear_parameters
+from tumble.result.parts import Parameter
 from tumble.views.blocks import Block, Figure, Section, Table, Text, section
 from tumble.views.numbers import NONE, shown_units, to_digits_of, with_expanded
 from tumble.views.report import figures

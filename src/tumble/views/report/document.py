@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from tumble.acceptance.certificate import Certificate, check_certificate, recorded_on
 from tumble.acceptance.conformity import RESULTS, LimitJudgement, Result, Verdict, verdicts
 from tumble.acceptance.limits import Limits
-from tumble.calibration import further
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.coverage import remarks
-from tumble.calibration.further import left_by_matrix, left_said
 from tumble.errors import InputError
+from tumble.result import further
+from tumble.result.calibration import Calibration
+from tumble.result.coverage import remarks
+from tumble.result.further import left_by_matrix, left_said
 from tumble.views.blocks import Block, Document, Facts, Items, Part, Section, Text, Tone, section
 from tumble.views.numbers import NONE, device_name
 from tumble.views.registry import TONES

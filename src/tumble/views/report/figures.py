@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.coverage import expanded
-from tumble.calibration.further import by_group, linear_parameters
-from tumble.calibration.results import Parameter, RestResult, SensorsAtRest, TurnResult
 from tumble.inference.estimate import FIT_SIGMAS
+from tumble.result.calibration import Calibration
+from tumble.result.coverage import expanded
+from tumble.result.further import by_group, linear_parameters
+from tumble.result.parts import Parameter, RestResult, SensorsAtRest, TurnResult
 from tumble.sensors.parameters import within_group
 from tumble.units import Array, engineering
 from tumble.views.numbers import raised, shown_units

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.results import Parameter, RestResult
-from tumble.calibration.temperature_curves import (
+from tumble.result.calibration import Calibration
+from tumble.result.parts import Parameter, RestResult
+from tumble.result.temperature_curves import (
     Range,
     changing,
     curve,

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.results import Launch, Readings, RestResult, SensorsAtRest, TurnResult
 from tumble.diagnosis.site_gravity import against_normal
 from tumble.errors import ProgrammeError
 from tumble.inference.estimate import Fit
 from tumble.programme.positions import Position, from_attitudes
 from tumble.programme.sheet_words import short_code
 from tumble.recording.session import Site
+from tumble.result.calibration import Calibration
+from tumble.result.parts import Launch, Readings, RestResult, SensorsAtRest, TurnResult
 from tumble.rotation import unit_vector
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, G_STANDARD, Array, engineering

@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.acceptance.conformity import RESULTS, LimitJudgement
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.coverage import expanded
-from tumble.calibration.further import (
+from tumble.result.accepted import WORDS, accepted_kinds
+from tumble.result.calibration import Calibration
+from tumble.result.coverage import expanded
+from tumble.result.further import (
     SENSORS,
     by_group,
     decided_by_priors,
@@ -23,8 +24,7 @@ from tumble.calibration.further import (
     other_factors,
     verdicts,
 )
-from tumble.calibration.half import WORDS, accepted_kinds
-from tumble.calibration.results import Parameter
+from tumble.result.parts import Parameter
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import group_name, variable_of
 from tumble.units import Array, engineering

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tumble.calibration.calibration_file import Calibration, calibration_of, read_calibration, text_and_name
 from tumble.errors import InputError, needs_extra
 from tumble.files import FilePath, whole_file
+from tumble.result.calibration import Calibration, calibration_of, read_calibration, text_and_name
 
 if TYPE_CHECKING:
     from tumble.views.report.document import Source

@@ -31,15 +31,6 @@ from typing import Any
 import numpy as np
 
 from tumble.brief import Brief
-from tumble.calibration.calibrate import grade_of, provenance_of
-from tumble.calibration.calibration_file import Calibration, calibration_from
-from tumble.calibration.coverage import by_gravity, shared_gravity
-from tumble.calibration.from_estimate import readings_of_session, reference_of, references_of
-from tumble.calibration.half import accepted_accelerometers
-from tumble.calibration.observed import inspect_session, observations_for_calibration
-from tumble.calibration.results import Parameter
-from tumble.calibration.thermometers import check_thermometers
-from tumble.calibration.type_spread import KnownLaunches, known_launches
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Outcome
@@ -52,10 +43,19 @@ from tumble.recording.circumstances import Circumstances
 from tumble.recording.session import Session, Site
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
+from tumble.result.accepted import accepted_accelerometers
+from tumble.result.calibration import Calibration, calibration_from
+from tumble.result.coverage import by_gravity, shared_gravity
+from tumble.result.parts import Parameter
+from tumble.run.calibrate import grade_of, provenance_of
+from tumble.run.from_estimate import readings_of_session, reference_of, references_of
+from tumble.run.observed import inspect_session, observations_for_calibration
+from tumble.run.type_spread import KnownLaunches, known_launches
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_of, sensor_kind, shown_in, to_temperature, usual_sizes, variable_of
 from tumble.units import Array
+from tumble.use.thermometers import check_thermometers
 
 _FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
 _RAW = ("count", "V")

@@ -35,14 +35,6 @@ from pathlib import Path
 import numpy as np
 
 from tumble.brief import Brief
-from tumble.calibration.calibrate import grade_of
-from tumble.calibration.calibration_file import Calibration, calibration_from
-from tumble.calibration.case import Verticals, verticals_of
-from tumble.calibration.half import accepted_accelerometers
-from tumble.calibration.observed import inspect_session
-from tumble.calibration.readings_table import read_table
-from tumble.calibration.results import Readings
-from tumble.calibration.thermometers import check_thermometers
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Fit
@@ -50,12 +42,20 @@ from tumble.inference.variables import sensors_at
 from tumble.methods.least_squares import sigmas
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
+from tumble.result.accepted import accepted_accelerometers
+from tumble.result.calibration import Calibration, calibration_from
+from tumble.result.parts import Readings
+from tumble.run.calibrate import grade_of
+from tumble.run.case import Verticals, verticals_of
+from tumble.run.observed import inspect_session
+from tumble.run.readings_table import read_table
 from tumble.sensors.frames import Convention, frame_of, triad_axes
 from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import LINEAR, Variable, group_name, sensor_kind
 from tumble.units import ZERO_CELSIUS, Array, engineering
+from tumble.use.thermometers import check_thermometers
 
 CHANCE = 0.01
 """How often a good calibration is refused."""

@@ -26,11 +26,6 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from tumble.calibration.calibration_file import Calibration, calibration_from
-from tumble.calibration.correction import at_one_point, corrected, true_force, true_rate
-from tumble.calibration.half import accepted_accelerometers, accepted_part
-from tumble.calibration.observed import inspect_session
-from tumble.calibration.thermometers import check_thermometers
 from tumble.errors import InputError, LogError
 from tumble.files import FilePath
 from tumble.inference.variables import sensors_at
@@ -47,10 +42,15 @@ from tumble.recording.session_file import session_from
 from tumble.recording.text.clock import times_of
 from tumble.recording.writer import write_tables
 from tumble.reduction.rests.thermometer import followed
+from tumble.result.accepted import accepted_accelerometers, accepted_part
+from tumble.result.calibration import Calibration, calibration_from
+from tumble.result.correction import at_one_point, corrected, true_force, true_rate
+from tumble.run.observed import inspect_session
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import groups, positions_by_group
 from tumble.units import ZERO_CELSIUS, Array, Unit
+from tumble.use.thermometers import check_thermometers
 
 _SLICE = 1 << 14
 """Rows that are corrected at a time: what is made of them on the way fits the cache of a core."""

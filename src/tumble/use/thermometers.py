@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration
 from tumble.errors import InputError
 from tumble.recording.session import Session
+from tumble.result.calibration import Calibration
 
 
 def check_thermometers(calibration: Calibration, session: Session) -> None:

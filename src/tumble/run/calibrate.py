@@ -13,12 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from tumble import __version__
-from tumble.calibration.calibration_file import Calibration, read_calibration
-from tumble.calibration.from_estimate import result_of, without_result
-from tumble.calibration.half import accepted_kinds
-from tumble.calibration.notes import bridged_in
-from tumble.calibration.observed import Progress, inspected, observations_for_calibration
-from tumble.calibration.with_magnetometer import with_magnetometer
 from tumble.diagnosis.linear_model import judged, left_out, taken_as_nothing
 from tumble.diagnosis.undetermined import one_attitude
 from tumble.errors import CalibrationError, InputError
@@ -36,6 +30,12 @@ from tumble.recording.log import Log
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
+from tumble.result.accepted import accepted_kinds
+from tumble.result.calibration import Calibration, read_calibration
+from tumble.run.from_estimate import result_of, without_result
+from tumble.run.notes import bridged_in
+from tumble.run.observed import Progress, inspected, observations_for_calibration
+from tumble.run.with_magnetometer import with_magnetometer
 from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.grades import guessed_grade

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.field_dip import exchanged_columns
-from tumble.calibration.results import Parameter
 from tumble.methods.magnetometer import NAMES as MAGNETOMETER_NAMES
 from tumble.methods.magnetometer import magnetometer
 from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
+from tumble.result.calibration import Calibration
+from tumble.result.parts import Parameter
+from tumble.run.field_dip import exchanged_columns
 
 
 def with_magnetometer(calibration: Calibration, session: Session, observations: Observations) -> Calibration:

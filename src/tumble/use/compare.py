@@ -4,9 +4,9 @@ With d = second − first, how the second differs from the first or what has cha
 
     u(d)² = u₁² + u₂² − 2 Σ g₁ g₂,    U(d) = t₉₅.₄₅(ν) u(d),    E_n = d / U(d)
 
-(ISO/IEC 17043, annex B, with ν of Welch and Satterthwaite in place of k = 2: `tumble.calibration.coverage`). g₁ and g₂
+(ISO/IEC 17043, annex B, with ν of Welch and Satterthwaite in place of k = 2: `tumble.result.coverage`). g₁ and g₂
 are what one standard uncertainty of what both share changes in each, gravity, the time base and what only priors say
-of the device (`tumble.calibration.shared_errors`): the error of these is no part of a difference. |E_n| ≤ 1 is
+of the device (`tumble.result.shared_errors`): the error of these is no part of a difference. |E_n| ≤ 1 is
 agreement of a parameter. One honest value in twenty-two lies beyond, so that of 21 parameters one or two may. All m
 agree where chance makes the largest of them in CHANCE of all comparisons or oftener: Bonferroni, Student's t.
 
@@ -26,14 +26,14 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc, stdtr
 
 from tumble.brief import Brief
-from tumble.calibration.calibration_file import Calibration, calibration_from, text_of
-from tumble.calibration.coverage import UNLEARNED, apart, expanded_of, remarks, welch_satterthwaite
-from tumble.calibration.foreign import IMU_TK, KALIBR, foreign_calibration, is_foreign
-from tumble.calibration.results import Parameter
-from tumble.calibration.shared_errors import shared_errors
 from tumble.errors import InputError
 from tumble.files import FilePath
+from tumble.result.calibration import Calibration, calibration_from, text_of
+from tumble.result.coverage import UNLEARNED, apart, expanded_of, remarks, welch_satterthwaite
+from tumble.result.parts import Parameter
+from tumble.result.shared_errors import shared_errors
 from tumble.units import Array
+from tumble.use.foreign import IMU_TK, KALIBR, foreign_calibration, is_foreign
 
 CHANCE = 0.01
 """How often the largest difference of two calibrations that agree is called one."""

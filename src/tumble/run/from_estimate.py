@@ -6,13 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration, SensingAxes
-from tumble.calibration.case import CaseAlignment, estimate_in
-from tumble.calibration.coverage import MANY_DEGREES, with_degrees
-from tumble.calibration.notes import case_found, one_rate, unchecked
-from tumble.calibration.over_temperature import over_temperature
-from tumble.calibration.rests_and_turns import rest_results, turn_results
-from tumble.calibration.results import Parameter, Readings
 from tumble.diagnosis.site_gravity import gravity_doubted
 from tumble.diagnosis.undetermined import faces_alone
 from tumble.diagnosis.verdict import verdict
@@ -20,6 +13,13 @@ from tumble.inference.estimate import Estimate, Outcome
 from tumble.recording.session import Channels, Session
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests import exclusion
+from tumble.result.calibration import Calibration, SensingAxes
+from tumble.result.coverage import MANY_DEGREES, with_degrees
+from tumble.result.parts import Parameter, Readings
+from tumble.run.case import CaseAlignment, estimate_in
+from tumble.run.notes import case_found, one_rate, unchecked
+from tumble.run.over_temperature import over_temperature
+from tumble.run.rests_and_turns import rest_results, turn_results
 from tumble.sensors.frames import Frame, convert
 from tumble.sensors.parameters import sensor_kind
 from tumble.units import ZERO_CELSIUS, IntArray

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from tumble.brief import Brief
-from tumble.calibration.observed import Progress, inspect_session
 from tumble.errors import InputError, SessionError
 from tumble.files import FilePath
 from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.session import Session
 from tumble.recording.session_file import SESSION_FILE, session_from, session_of
 from tumble.reduction.noise.allan_deviation import Panel, allan_deviation, identify
+from tumble.run.observed import Progress, inspect_session
 from tumble.units import Array
 
 _IN_MEMORY_BYTES = 1 << 26

@@ -13,8 +13,8 @@ from itertools import chain
 
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.results import Parameter, RestResult, stated_factor
+from tumble.result.calibration import Calibration
+from tumble.result.parts import Parameter, RestResult, stated_factor
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array
 

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tumble.calibration.results import Parameter
 from tumble.inference.prediction import Prediction, directions
+from tumble.result.parts import Parameter
 from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind, shown_in
 from tumble.units import G_STANDARD, engineering, two_digits
 
 if TYPE_CHECKING:
-    from tumble.calibration.calibration_file import Calibration
+    from tumble.result.calibration import Calibration
 
 WIDENED = 1.05
 """From here on a prior counts as widened."""

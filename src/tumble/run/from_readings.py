@@ -24,22 +24,6 @@ from scipy.special import ndtri
 
 from tumble import __version__
 from tumble.brief import Brief
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.case import estimate_in
-from tumble.calibration.from_estimate import learned_in, parameters_of
-from tumble.calibration.readings_grade import AT_REST, guessed_grade, residual_of
-from tumble.calibration.readings_table import (
-    THE_FIELD,
-    Nominal,
-    ReadingsTable,
-    Sensor,
-    plain_units,
-    read_table,
-    sizes_seen,
-)
-from tumble.calibration.readings_table import nominal as nominal_of
-from tumble.calibration.results import Parameter, Readings
-from tumble.calibration.table_positions import TablePositions, positions_of
 from tumble.diagnosis.observability import Refusal, undetermined
 from tumble.errors import InputError
 from tumble.files import FilePath
@@ -49,6 +33,22 @@ from tumble.methods.ellipsoid_fit import TRIAD, EllipsoidFit, fit_ellipsoid
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
+from tumble.result.calibration import Calibration
+from tumble.result.parts import Parameter, Readings
+from tumble.run.case import estimate_in
+from tumble.run.from_estimate import learned_in, parameters_of
+from tumble.run.readings_grade import AT_REST, guessed_grade, residual_of
+from tumble.run.readings_table import (
+    THE_FIELD,
+    Nominal,
+    ReadingsTable,
+    Sensor,
+    plain_units,
+    read_table,
+    sizes_seen,
+)
+from tumble.run.readings_table import nominal as nominal_of
+from tumble.run.table_positions import TablePositions, positions_of
 from tumble.sensors.frames import Convention, Frame, convert, frame_of
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.parameters import usual_sizes, variable_of
@@ -56,7 +56,7 @@ from tumble.units import Array, engineering
 from tumble.usual_setup import MOVE, ON_TABLE
 
 if TYPE_CHECKING:
-    from tumble.calibration.calibrate import Terms
+    from tumble.run.calibrate import Terms
 
 SCATTER_LIMIT = {"accel": 1e-3, "gyro": 1e-3, "mag": 2e-2}
 """Scatter of the positions, in parts of the modulus, above which a triad does not follow the model. Near steel the

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import polars as pl
 
-    from tumble.calibration.calibration_file import Calibration
+    from tumble.result.calibration import Calibration
 
 _COLUMNS = ("name", "value", "u", "unit", "deviation", "run_to_run", "k", "dof", "prior", "learned")
 

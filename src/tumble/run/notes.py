@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tumble.calibration.case import CaseAlignment
 from tumble.inference.estimate import Estimate
 from tumble.recording.rows.gaps import Gap
 from tumble.reduction.observations import Observations
+from tumble.run.case import CaseAlignment
 from tumble.sensors.parameters import group_name
 from tumble.units import DEGREE
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from tumble.calibration.correction import true_force, true_rate
-from tumble.calibration.given_temperatures import given_temperatures
 from tumble.errors import InputError
 from tumble.recording.arrays import Temperatures, numbers_of
+from tumble.result.correction import true_force, true_rate
+from tumble.result.given_temperatures import given_temperatures
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.model import Block
 from tumble.units import Array

@@ -3,7 +3,7 @@
 The uncertainty of the mean covers what the launches know of themselves and the instability between them: the mean of
 their covariances over L, or on the diagonal the variance from launch to launch over L where that is larger. The
 uncertainty of gravity is common to all launches of a site, and what is wrong with a prior or the time base to all
-launches: they are taken out of either and do not average out (`tumble.calibration.coverage`).
+launches: they are taken out of either and do not average out (`tumble.result.coverage`).
 """
 
 from __future__ import annotations
@@ -17,14 +17,6 @@ from typing import TypeVar, get_args
 
 import numpy as np
 
-from tumble.calibration.calibrate import DEFAULT_METHOD, Method, Terms, calibrate, provenance_of
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.coverage import by_gravity, degrees_of_mean, shared_gravity
-from tumble.calibration.observed import Progress
-from tumble.calibration.results import Launch, Parameter
-from tumble.calibration.same_recording import Means, check_recordings
-from tumble.calibration.shared_errors import by_priors
-from tumble.calibration.type_spread import TypeSpread, pooled
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.inference.common_errors import by_time_base, clocked
@@ -36,6 +28,14 @@ from tumble.recording.circumstances import AirConditions, Circumstances
 from tumble.recording.log import Log
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
+from tumble.result.calibration import Calibration
+from tumble.result.coverage import by_gravity, degrees_of_mean, shared_gravity
+from tumble.result.parts import Launch, Parameter
+from tumble.result.shared_errors import by_priors
+from tumble.run.calibrate import DEFAULT_METHOD, Method, Terms, calibrate, provenance_of
+from tumble.run.observed import Progress
+from tumble.run.same_recording import Means, check_recordings
+from tumble.run.type_spread import TypeSpread, pooled
 from tumble.sensors.frames import Convention, Frame, frame_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel

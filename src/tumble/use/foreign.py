@@ -26,11 +26,11 @@ from pathlib import Path
 
 import numpy as np
 
-from tumble.calibration.calibration_file import Calibration, text_of
-from tumble.calibration.results import Parameter
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Outcome
+from tumble.result.calibration import Calibration, text_of
+from tumble.result.parts import Parameter
 from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
 from tumble.sensors.parameters import group_of
 from tumble.units import Array

@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from tumble.calibration.results import Launch, fits_content, member_content, parameter_content
 from tumble.inference.estimate import GroupFinding
 from tumble.recording.autopilot import sensors_content
 from tumble.recording.circumstances import circumstances_content
+from tumble.result.parts import Launch, fits_content, member_content, parameter_content
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import group_name, sensor_kind, within_group, within_kind
 
 if TYPE_CHECKING:
-    from tumble.calibration.calibration_file import Calibration
+    from tumble.result.calibration import Calibration
 
 FORMAT = 1
 

@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.calibration.readings_table import ReadingsTable
 from tumble.errors import InputError
+from tumble.run.readings_table import ReadingsTable
 from tumble.units import Array, IntArray
 
 _SHOWN = 3

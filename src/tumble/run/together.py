@@ -14,13 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from tumble.calibration.calibrate import estimated, provenance_of, systematic_of
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.from_estimate import result_of, without_result
-from tumble.calibration.launches import circumstances_of_all
-from tumble.calibration.observed import Progress, inspect_session, observations_in_parts
-from tumble.calibration.results import Member, Parameter
-from tumble.calibration.same_recording import Means, check_recordings
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome, OwnEstimate
@@ -31,6 +24,13 @@ from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
+from tumble.result.calibration import Calibration
+from tumble.result.parts import Member, Parameter
+from tumble.run.calibrate import estimated, provenance_of, systematic_of
+from tumble.run.from_estimate import result_of, without_result
+from tumble.run.launches import circumstances_of_all
+from tumble.run.observed import Progress, inspect_session, observations_in_parts
+from tumble.run.same_recording import Means, check_recordings
 from tumble.sensors.frames import Frame
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS, IntArray

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from tumble.calibration.results import Launch, Parameter
 from tumble.errors import CalibrationError
 from tumble.inference.estimate import Outcome
+from tumble.result.parts import Launch, Parameter
 from tumble.sensors.model import SensorKind
 from tumble.sensors.parameters import sensor_kind
 from tumble.units import Array
 
 if TYPE_CHECKING:
-    from tumble.calibration.calibration_file import Calibration
+    from tumble.result.calibration import Calibration
 
 _Value = TypeVar("_Value")
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.calibration.results import RestResult, SensorsAtRest, TurnResult
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
+from tumble.result.parts import RestResult, SensorsAtRest, TurnResult
 from tumble.sensors.model import Block
 from tumble.units import ZERO_CELSIUS, Array
 

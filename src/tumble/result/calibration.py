@@ -18,12 +18,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from tumble.calibration.calibration_content import FORMAT, content_of
-from tumble.calibration.coverage import with_degrees
-from tumble.calibration.data_frames import pandas_frame, polars_frame
-from tumble.calibration.further import headline
-from tumble.calibration.reframed import reframed
-from tumble.calibration.results import (
+from tumble.documents import json_of, shown, text_of_document
+from tumble.errors import CalibrationError, InputError
+from tumble.files import FilePath, whole_file
+from tumble.inference.estimate import Fit, GroupFinding, HyperparameterEstimate, Integral, Outcome, ProcessBias
+from tumble.inference.prediction import Prediction
+from tumble.recording.autopilot import AutopilotSensor, sensors_from
+from tumble.recording.circumstances import UNKNOWN, Circumstances, circumstances_from
+from tumble.recording.session import Site
+from tumble.result.calibration_content import FORMAT, content_of
+from tumble.result.coverage import with_degrees
+from tumble.result.data_frames import pandas_frame, polars_frame
+from tumble.result.frames import reframed
+from tumble.result.further import headline
+from tumble.result.parts import (
     Launch,
     Member,
     Parameter,
@@ -40,14 +48,6 @@ from tumble.calibration.results import (
     site_from,
     turn_from,
 )
-from tumble.documents import json_of, shown, text_of_document
-from tumble.errors import CalibrationError, InputError
-from tumble.files import FilePath, whole_file
-from tumble.inference.estimate import Fit, GroupFinding, HyperparameterEstimate, Integral, Outcome, ProcessBias
-from tumble.inference.prediction import Prediction
-from tumble.recording.autopilot import AutopilotSensor, sensors_from
-from tumble.recording.circumstances import UNKNOWN, Circumstances, circumstances_from
-from tumble.recording.session import Site
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.frames import frame_of, triad_axes
 from tumble.sensors.model import Block, SensorKind, SensorModel
@@ -266,7 +266,7 @@ class Calibration(Mapping[str, Parameter]):
         if not any(judged):
             reasons = "; ".join(self.outcome.reasons)
             raise CalibrationError(f"calibration: expected accepted accelerometers or gyros, found: {reasons}")
-        from tumble.calibration.corrected_readings import corrected_readings  # slow to import, as the formats of logs
+        from tumble.result.corrected_readings import corrected_readings  # slow to import, as the formats of logs
 
         force, rate = corrected_readings(self.compensator, accel, gyro, dt=dt, temperature=temperature)
         return (np.full_like(force, np.nan) if self.accel is None else force), rate
@@ -393,7 +393,7 @@ def calibration_of(text: str, name: str) -> Calibration:
         raise _no_calibration(name, error) from error
     if isinstance(content, dict) and content.get("format", FORMAT) != FORMAT:
         raise CalibrationError(f"{name}: expected format {FORMAT}, found {shown(content['format'])}")
-    from tumble.calibration.calibration_keys import check_keys  # slow to import, and needed to read alone
+    from tumble.result.calibration_keys import check_keys  # slow to import, and needed to read alone
 
     check_keys(content, name)
     return _from_content(content)

@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tumble.calibration.coverage import by_gravity, shared_gravity
 from tumble.inference.common_errors import by_time_base, clocked
+from tumble.result.coverage import by_gravity, shared_gravity
 from tumble.sensors.parameters import Variable, variable_of
 from tumble.units import Array
 
 if TYPE_CHECKING:
-    from tumble.calibration.calibration_file import Calibration
-    from tumble.calibration.results import Parameter
+    from tumble.result.calibration import Calibration
+    from tumble.result.parts import Parameter
 
 GRAVITY, TIME_BASE, PRIORS = "gravity", "the time base", "what only priors say"
 

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 from scipy.special import fdtrc
 
 if TYPE_CHECKING:
-    from tumble.calibration.calibration_file import Calibration
+    from tumble.result.calibration import Calibration
 
 UNLIKE = 1e-3
 """A device is not like its type where chance makes it as unstable less often."""

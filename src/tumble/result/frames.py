@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tumble.calibration.coverage import degrees_through
-from tumble.calibration.results import Launch, Parameter
+from tumble.result.coverage import degrees_through
+from tumble.result.parts import Launch, Parameter
 from tumble.sensors.frames import Frame, Framed, carried_further, convert, frame_of, triad_axes
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
@@ -17,7 +17,7 @@ from tumble.sensors.parameters import LINEAR, group_name
 from tumble.units import Array
 
 if TYPE_CHECKING:
-    from tumble.calibration.calibration_file import Calibration
+    from tumble.result.calibration import Calibration
 
 _VARIABLES = ("time", "temperature", "temperature²")
 _LINEAR = frozenset(group.name for group in LINEAR)
