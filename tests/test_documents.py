@@ -78,7 +78,7 @@ def test_a_turn_between_rests_that_are_not_there_is_named() -> None:
     [
         ("parameters/2/value", "much", "found 'much' in place of a number at parameters[3].value"),
         ("parameters/2/value", 10**400, "found a number without measure in place of a number at parameters[3].value"),
-        ("parameters/2/value", 1e300, "parameters[3]: expected a number of at most 1e+60 in size, found 1e+300"),
+        ("parameters/2/value", 1e300, "parameters[3].value: expected a number of at most 1e+60 in size, found 1e+300"),
         ("parameters/2/u", 1e-300, "parameters[3]: expected zero or a number from 1e-60 to 1e+60, found 1e-300"),
         ("parameters", None, "found null in place of a list at parameters"),
         ("parameters", {}, "found a table in place of a list at parameters"),

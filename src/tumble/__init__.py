@@ -24,7 +24,9 @@ Symbols used as names where an equation is printed
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
+
+from tumble.result.shown import Views, shown_by
 
 if TYPE_CHECKING:
     from tumble.campaigns.run import CampaignResult as CampaignResult
@@ -224,6 +226,9 @@ if not TYPE_CHECKING:  # with it type checkers would take any name for one of th
         if name not in _PUBLIC:
             raise AttributeError(f"module 'tumble' has no attribute {name!r}")
         return getattr(import_module(f"tumble.{_PUBLIC[name]}"), name)
+
+
+shown_by(lambda: cast("Views", import_module("tumble.views.calibration")))
 
 
 def __dir__() -> list[str]:

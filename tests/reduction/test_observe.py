@@ -24,7 +24,7 @@ from tumble.reduction.observations import Observations, observe
 from tumble.reduction.rests.matching import Match
 from tumble.reduction.rests.segmentation import RestSpan, find_rests
 from tumble.reduction.turns.turn_samples import TurnSamples
-from tumble.reduction.turns.turns import rotations_of_independent, turn_samples
+from tumble.reduction.turns.turns import rotations_of_independent
 from tumble.rotation import rotation_matrix, tangent_basis
 from tumble.sensors.model import Block, SensorModel
 from tumble.simulation.recording import Recording, record

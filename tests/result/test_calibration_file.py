@@ -210,7 +210,7 @@ def test_all_that_a_calibration_can_hold_is_read_as_it_was_written(calibration: 
     assert again.content() == whole.content()
     assert again.circumstances == again.launches[0].circumstances == recorded
     assert (again.imu, again.sample_rate, again.together) == (whole.imu, 399.7, whole.together)
-    assert again.content()["temperature"] == {"reference": 25.0, "range": (20.0, 33.0), "lag": 1e-4}
+    assert again.content()["temperature"] == {"reference": 25.0, "range": [20.0, 33.0], "lag": 1e-4}
 
 
 def test_a_session_without_gyros_gives_the_accelerometer_parameters(session: Path, tmp_path: Path) -> None:

@@ -24,10 +24,10 @@ from tumble.result.coverage import (
     degrees_through,
     expanded,
     expanded_of,
-    remarks,
     welch_satterthwaite,
     with_degrees,
 )
+from tumble.result.further import remarks
 from tumble.result.parts import coverage_factor
 from tumble.run.from_readings import calibrate_table
 from tumble.run.readings_table import ReadingsTable, read_table

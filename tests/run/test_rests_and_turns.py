@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tumble.errors import InputError
-from tumble.run.rests_and_turns import rest_results
+from tumble.run.from_estimate import rest_results
 
 
 def test_a_fit_that_ran_away_is_refused() -> None:

@@ -17,7 +17,8 @@ from tumble.commands.arguments import EXISTING_FOLDER, FILE, JSON, option, say, 
 def inspect(session: Path, picture: Path | None, as_json: bool) -> None:
     """Show the rests and turns found in SESSION, and what was rejected and why."""
     from tumble.run.observed import inspect_session
-    from tumble.views.inspection import inspection_blocks, inspection_data, plot
+    from tumble.views.inspection import inspection_blocks, inspection_data
+    from tumble.views.recording_picture import plot
 
     observed = inspect_session(session, progress=with_progress)
     if picture is not None:

@@ -53,7 +53,7 @@ def plan(
                 "--positions: expected none with --over-temperature, found one; plan the positions first"
             )
         from tumble.planning.over_temperature import Chamber, plan_over_temperature, wanted_over_temperature
-        from tumble.simulation.chamber import chamber_sessions
+        from tumble.simulation.temperature_profile import chamber_sessions
         from tumble.views.planning import short_over_temperature, thermal_plan_blocks, thermal_plan_data
 
         wishes_over_temperature = wanted_over_temperature(wanted)

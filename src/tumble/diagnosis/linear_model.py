@@ -14,8 +14,8 @@ takes A⁺ B φ for parameters:
 The groups stay at nothing, so that −φ is their error. With it the corrected force in the attitudes of the rests is as
 well known as the fit has it, and in others as badly as the groups allow.
 
-This is docs/mathematics.md (36) with usual sizes; the columns are those of Eq. (12) of the turntable paper, for any
-number of sensors.
+This is docs/explanation/mathematics.md (36) with usual sizes; the columns are those of Eq. (12) of the turntable paper,
+for any number of sensors.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 """What the unknowns of an estimate leave of its residuals and of the columns of causes, at a cost that is linear in the
-number of rests: docs/mathematics.md (36).
+number of rests: docs/explanation/mathematics.md (36).
 
 Columns A_c are appended to the parameters, without a prior, and everything is eliminated once. Of the triangle
 

@@ -19,7 +19,7 @@ it is faster than the samples, and against the gyros' differences it has a scale
 Its noise is that which the residuals show in each class of samples. As the classes are made by these residuals, they
 tell of n − 6 directions at once what is left: information is (1 − 2/(n − 6))² of that of known variances (Tyler 1987).
 
-The equation is docs/mathematics.md (12).
+The equation is docs/explanation/mathematics.md (12).
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ its gyros and of a turn have the weight
 
     w = (ν + q)/(ν + χ²)
 
-each for itself, taken again at every linearisation: docs/mathematics.md (30). Those whose weight falls below
-LEAST_WEIGHT are left out, by number; the estimate is that of all others, which have their whole weight.
+each for itself, taken again at every linearisation: docs/explanation/mathematics.md (30). Those whose weight falls
+below LEAST_WEIGHT are left out, by number; the estimate is that of all others, which have their whole weight.
 """
 
 from __future__ import annotations

@@ -55,11 +55,11 @@ REST_MODES = {"accel": "readings of the accelerometers at rest", "gyro": "readin
 class Components:
     """Components of variance beside the noise within rests, as standard deviations: of the readings at rest of the
     accelerometers (m/s²) and gyros (rad/s) from rest to rest; of the rotations (rad) and velocities (m/s) of turns; of
-    the integrals (rad) of gyros beyond the rotation of the body; c of docs/mathematics.md (18), the error of the
-    integral over a jump between samples in parts of its size times the interval; the error of a rotation in parts of
-    what `aliased` samples would make it, and that of what gyros say beyond it in the same parts. Then the in-run bias
-    of each kind, a stationary Gauss–Markov process: its standard deviation and correlation time (s). By how many times
-    the scatter at rest and the in-run bias of a sensor are larger than those of its kind is `unlike` (n,),
+    the integrals (rad) of gyros beyond the rotation of the body; c of docs/explanation/mathematics.md (18), the error
+    of the integral over a jump between samples in parts of its size times the interval; the error of a rotation in
+    parts of what `aliased` samples would make it, and that of what gyros say beyond it in the same parts. Then the
+    in-run bias of each kind, a stationary Gauss–Markov process: its standard deviation and correlation time (s). By how
+    many times the scatter at rest and the in-run bias of a sensor are larger than those of its kind is `unlike` (n,),
     accelerometers before gyros; 1 where empty."""
 
     accel: float = 0.0

@@ -1,4 +1,5 @@
-"""In-run bias: the bias of every sensor is a Gauss–Markov process in time, docs/mathematics.md (19) and (25).
+"""In-run bias: the bias of every sensor is a Gauss–Markov process in time, docs/explanation/mathematics.md (19) and
+(25).
 
 The bias of a sensor at rest k is b + σ β_k, b its parameter, β a stationary chain of unit variance:
 

@@ -1,4 +1,5 @@
-"""The posterior with the hyperparameters integrated out, by importance sampling: docs/mathematics.md, section 11.
+"""The posterior with the hyperparameters integrated out, by importance sampling: docs/explanation/mathematics.md,
+section 11.
 
 Integrated is over the elements of φ that matter: along which, a standard deviation either way, a parameter of the
 linear model moves by more than NOTICED of its u, or its u by as much. The others stay at the maximum. Points φ_i are of

@@ -2,7 +2,7 @@
 
 Everything else is linear, or nearly so, once the lag is known, which multiplies the coefficients over temperature: the
 likelihood has several minima over it, where the temperature hardly bends none that Gauss–Newton finds. So the estimate
-holds the likeliest lag, and in the end its probability is summed over a grid: docs/mathematics.md (35).
+holds the likeliest lag, and in the end its probability is summed over a grid: docs/explanation/mathematics.md (35).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The joint likelihood of everything a session contains: what is unknown, its residuals and their noise.
 
 Unknowns: the parameters θ of the instrument, local gravity g, and the attitude L (body → geographic) of every rest.
-Minimised is the sum of squares, each over its covariance (docs/mathematics.md, sections 1 to 5), of
+Minimised is the sum of squares, each over its covariance (docs/explanation/mathematics.md, sections 1 to 5), of
 
     ŷ − Σ_b K_b(θ) β_b(f, ω)                   at rest, of both blocks: f = g u, u = Lᵀ e_U; ω = Lᵀ Ω
     log( C(θ) L_jᵀ e^{−[Ω×]T} L_i )            the turn from rest i to rest j, resolved in the body at its start
@@ -462,7 +462,7 @@ def _noise_of_session(problem: Problem) -> Noise:
 
 
 def _turn_noise(problem: Problem) -> Array:
-    """Covariance (K, t, t) of the rows of the turns: docs/mathematics.md (16), without what rotations do to
+    """Covariance (K, t, t) of the rows of the turns: docs/explanation/mathematics.md (16), without what rotations do to
     velocities."""
     turns, readings = problem.observations.turns, problem.observations.turn_readings
     assert turns is not None

@@ -6,7 +6,7 @@ is linear, or nearly so, given φ (`tumble.inference.hyperparameters`). Maximise
     ℓ(φ) = ln p(φ) − ½ [rᵀV⁻¹r + x̂ᵀP₀x̂ + ln |V| − ln |P₀| + 2 Σ ln |diag R|]
 
 the logarithm of the posterior of φ with x integrated out, r being the residuals at x̂(φ) (`tumble.inference.step`):
-docs/mathematics.md (23), (28) and (29).
+docs/explanation/mathematics.md (23), (28) and (29).
 
     x   Gauss–Newton: x ← x + argmin over the rows linearised at x. Turns are integrated again about the current
         parameters wherever the second-order effect of the change since counts.

@@ -5,8 +5,8 @@ stood on faces alone. What a user has of a calibration is the corrected specific
 
     u_f² = ⅓ Σ_p mean over directions u of J_p(u) Σ J_p(u)ᵀ                                                     (27)
 
-docs/mathematics.md (27), with J_p the derivative of the reading of accelerometer p at g u; and likewise the corrected
-rate, at the rates of the session's turns about any axis, in any attitude.
+docs/explanation/mathematics.md (27), with J_p the derivative of the reading of accelerometer p at g u; and likewise the
+corrected rate, at the rates of the session's turns about any axis, in any attitude.
 """
 
 from __future__ import annotations

@@ -6,9 +6,10 @@ change ΔK of the coefficients of a reading turns C into exp([φ×]) C and adds 
     φ = −P_pb ΔK_pb,    ΔV = −Q_pb ΔK_pb,    P = Φ_ijb s_jp,    Q = Ψ_ijb s_jp of gyros, Φ_ijb s_jp of accelerometers
     (9)
 
-for every function b of every sensor p. Lever arms and delays enter V by the columns of docs/mathematics.md (10) and
-(11); and φ where gyros feel the specific force, which is known from readings that are late and taken elsewhere: by the
-same columns with to_rate G s_p, G the g-sensitivity, in place of s_p. Velocities feel it as if it grew with time.
+for every function b of every sensor p. Lever arms and delays enter V by the columns of docs/explanation/mathematics.md
+(10) and (11); and φ where gyros feel the specific force, which is known from readings that are late and taken
+elsewhere: by the same columns with to_rate G s_p, G the g-sensitivity, in place of s_p. Velocities feel it as if it
+grew with time.
 """
 
 from __future__ import annotations

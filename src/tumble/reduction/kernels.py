@@ -1,4 +1,4 @@
-"""Compiled loops over samples. Each has a plain twin in tests/naive.py that says the same in NumPy.
+"""Compiled loops over samples. Each has a plain twin in tests/support/naive.py that says the same in NumPy.
 
 This is Python, and runs as it stands. When tumble is built, Cython and a compiler of C make a module of machine code of
 it, which Python imports in its place. Lines that begin with `# C: ` tell Cython which functions become functions of C,

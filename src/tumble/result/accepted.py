@@ -7,19 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from tumble.errors import CalibrationError
-from tumble.inference.estimate import Outcome
-from tumble.result.parts import Launch, Parameter
-from tumble.sensors.model import SensorKind
+from tumble.inference.estimate import Judgement, Outcome
+from tumble.result.calibration import Calibration
+from tumble.result.parts import Launch
+from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import sensor_kind
-from tumble.units import Array
-
-if TYPE_CHECKING:
-    from tumble.result.calibration import Calibration
 
 _Value = TypeVar("_Value")
 
@@ -46,12 +43,12 @@ def accepted_part(calibration: Calibration, name: str | None = None) -> Calibrat
 
 def accepted_kinds(calibration: Calibration) -> tuple[SensorKind, ...]:
     """The kinds of sensors that a calibration has and whose values may be used."""
-    kinds: list[SensorKind] = []
-    if calibration.accel is not None and calibration.outcome.accel.accepted:
-        kinds.append("accel")
-    if calibration.gyro is not None and calibration.outcome.gyro.accepted:
-        kinds.append("gyro")
-    return tuple(kinds)
+    outcome = calibration.outcome
+    known: tuple[tuple[SensorKind, SensorModel | None, Judgement], ...] = (
+        ("accel", calibration.accel, outcome.accel),
+        ("gyro", calibration.gyro, outcome.gyro),
+    )
+    return tuple(kind for kind, model, judgement in known if model is not None and judgement.accepted)
 
 
 def accepted_accelerometers(calibration: Calibration, wanted_by: str) -> Calibration:
@@ -69,18 +66,27 @@ def accepted_accelerometers(calibration: Calibration, wanted_by: str) -> Calibra
 def _alone(calibration: Calibration, kind: SensorKind) -> Calibration:
     """The sensors of one kind, with what belongs to no kind."""
     other: SensorKind = "gyro" if kind == "accel" else "accel"
-    outcome = calibration.outcome
-    own, refused = (outcome.accel, outcome.gyro) if kind == "accel" else (outcome.gyro, outcome.accel)
-    parameters, covariance = _without(other, calibration.parameters, calibration.covariance)
-    prediction = calibration.prediction
+    outcome, prediction = calibration.outcome, calibration.prediction
+    without: dict[str, Any] = {other: None}
+    kept, refused = (outcome.accel, outcome.gyro) if kind == "accel" else (outcome.gyro, outcome.accel)
+
+    def of_kind(by_kind: Mapping[str, _Value]) -> dict[str, _Value]:
+        return {name: value for name, value in by_kind.items() if name != other}
+
+    def estimates(result: Calibration | Launch) -> dict[str, Any]:
+        at = [i for i, p in enumerate(result.parameters) if sensor_kind(p.name) != other]
+        return {
+            "parameters": tuple(result.parameters[i] for i in at),
+            "covariance": None if result.covariance is None else result.covariance[np.ix_(at, at)],
+            "fits": {name: fit for name, fit in result.fits.items() if name not in _FITS[other]},
+        }
+
     return replace(
         calibration,
-        parameters=parameters,
-        covariance=covariance,
-        accel=calibration.accel if kind == "accel" else None,
-        gyro=calibration.gyro if kind == "gyro" else None,
+        **estimates(calibration),
+        **without,
         outcome=Outcome(
-            remarks=own.remarks,
+            remarks=kept.remarks,
             unobservable=tuple(name for name in outcome.unobservable if sensor_kind(name) != other),
         ),
         absent=(f"{WORDS[other]} are absent, they were not accepted: {refused.reasons[0]}",),
@@ -88,38 +94,13 @@ def _alone(calibration: Calibration, kind: SensorKind) -> Calibration:
             {name: value for name, value in step.items() if sensor_kind(name) != other}
             for step in calibration.iterations
         ),
-        rests=tuple(
-            replace(rest, accel=None) if kind == "gyro" else replace(rest, gyro=None) for rest in calibration.rests
-        ),
+        rests=tuple(replace(rest, **without) for rest in calibration.rests),
         turns=() if kind == "accel" else calibration.turns,
-        fits={name: fit for name, fit in calibration.fits.items() if name not in _FITS[other]},
-        readings=_of_kind(calibration.readings, other),
-        launches=tuple(_launch_alone(launch, other) for launch in calibration.launches),
+        readings=of_kind(calibration.readings),
+        launches=tuple(replace(launch, **estimates(launch)) for launch in calibration.launches),
         groups=tuple(group for group in calibration.groups if sensor_kind(group.name) != other),
         prediction=None if prediction is None or kind == "gyro" else replace(prediction, rate_u=None),
-        references=_of_kind(calibration.references, other),
-        thermometers=_of_kind(calibration.thermometers, other),
-        imu=_of_kind(calibration.imu, other),
+        references=of_kind(calibration.references),
+        thermometers=of_kind(calibration.thermometers),
+        imu=of_kind(calibration.imu),
     )
-
-
-def _launch_alone(launch: Launch, other: SensorKind) -> Launch:
-    parameters, covariance = _without(other, launch.parameters, launch.covariance)
-    return replace(
-        launch,
-        parameters=parameters,
-        covariance=covariance,
-        fits={name: fit for name, fit in launch.fits.items() if name not in _FITS[other]},
-    )
-
-
-def _of_kind(by_kind: Mapping[str, _Value], other: SensorKind) -> dict[str, _Value]:
-    return {name: value for name, value in by_kind.items() if name != other}
-
-
-def _without(
-    other: SensorKind, parameters: tuple[Parameter, ...], covariance: Array | None
-) -> tuple[tuple[Parameter, ...], Array | None]:
-    """The parameters that are not of a kind of sensor, with their covariance."""
-    at = [i for i, p in enumerate(parameters) if sensor_kind(p.name) != other]
-    return tuple(parameters[i] for i in at), None if covariance is None else covariance[np.ix_(at, at)]

@@ -1,8 +1,7 @@
-"""The calibration of a device, and the file that keeps it.
+"""The calibration of a device: data, the file that keeps them, and what they correct.
 
-The file is JSON as the contract of the project defines it: parameters in SI and radians with standard uncertainties and
-covariance, the matrices and biases that apply them, the outcome with its reasons, and where it all came from. It is
-written whole or not at all.
+What the file has of it stands in `tumble.result.file`; `Calibration.tables` and `calibration_of` are the way there and
+back. It is written whole or not at all.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,40 +17,40 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from tumble.documents import json_of, shown, text_of_document
-from tumble.errors import CalibrationError, InputError
+from tumble.documents import json_of, text_of_document
+from tumble.errors import CalibrationError, InputError, MissingExtraError
 from tumble.files import FilePath, whole_file
 from tumble.inference.estimate import Fit, GroupFinding, HyperparameterEstimate, Integral, Outcome, ProcessBias
 from tumble.inference.prediction import Prediction
-from tumble.recording.autopilot import AutopilotSensor, sensors_from
-from tumble.recording.circumstances import UNKNOWN, Circumstances, circumstances_from
+from tumble.recording.autopilot import AutopilotSensor, sensors_content, sensors_from
+from tumble.recording.circumstances import UNKNOWN, Circumstances, circumstances_content, circumstances_from
 from tumble.recording.session import Site
-from tumble.result.calibration_content import FORMAT, content_of
+from tumble.result.correction import corrected_readings
 from tumble.result.coverage import with_degrees
-from tumble.result.data_frames import pandas_frame, polars_frame
-from tumble.result.frames import reframed
-from tumble.result.further import headline
-from tumble.result.parts import (
-    Launch,
-    Member,
-    Parameter,
-    Readings,
-    RestResult,
-    TurnResult,
-    covariance_from,
-    fits_from,
-    member_from,
-    optional,
-    parameter_from,
-    readings_from,
-    rest_from,
-    site_from,
-    turn_from,
+from tumble.result.file import (
+    FORMAT,
+    AutopilotTable,
+    CalibrationFile,
+    CircumstancesTable,
+    DeviceTable,
+    FitTable,
+    GroupTable,
+    IncrementTable,
+    IterationTable,
+    LaunchTable,
+    OutcomeTable,
+    SensorTable,
+    TemperatureTable,
+    no_calibration,
+    parsed,
 )
+from tumble.result.frames import Turned, increments_in, turned, with_spread
+from tumble.result.parts import Launch, Member, Parameter, Readings, RestResult, TurnResult
+from tumble.result.shown import views
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.frames import frame_of, triad_axes
 from tumble.sensors.model import Block, SensorKind, SensorModel
-from tumble.sensors.parameters import sensor_kind, within_group
+from tumble.sensors.parameters import group_name, sensor_kind, within_group, within_kind
 from tumble.units import Array
 
 if TYPE_CHECKING:
@@ -207,38 +206,51 @@ class Calibration(Mapping[str, Parameter]):
         """Of the device, the method and where it is from."""
         return hash((self.serial, self.method, self.frame, *sorted(self.provenance.items())))
 
+    @property
+    def headline(self) -> str:
+        """The device, the method, how many parameters, and whether it was accepted, in a line."""
+        several = f" of {len(self.launches)} launches" if self.launches else ""
+        count, verdict = len(self.parameters), self.outcome.verdict
+        return f"Calibration of {self.serial}: {self.method}{several}, {count} parameters, {verdict}"
+
     def __repr__(self) -> str:
-        """The device, the method, how many parameters, and whether it was accepted."""
-        return f"<{headline(self)}>"
+        """The headline."""
+        return f"<{self.headline}>"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the headline, the reasons and the table of parameters."""
-        from tumble.views.calibration import as_html
-
-        return as_html(self)
+        return views().as_html(self)
 
     def table(self) -> str:
         """The parameters in the field's units, with standard and expanded uncertainty (k = 2), as plain text; where
         there are such, with coverage factor, degrees of freedom, prior and learned fraction."""
-        from tumble.views.calibration import as_text
-
-        return as_text(self)
-
-    def to_polars(self) -> pl.DataFrame:
-        """The parameters as a polars frame, a row each, in SI: name, value, u, unit, deviation, run_to_run, and
-        the coverage factor k, dof, prior and learned."""
-        return polars_frame(self)
-
-    def to_pandas(self) -> pd.DataFrame:
-        """The same as a pandas frame. Raises MissingExtraError without pandas."""
-        return pandas_frame(self)
+        return views().as_text(self)
 
     def plot(self, axes: Axes) -> None:
         """Draw the residual of every rest, |corrected reading| − g, on matplotlib axes, and the scatter between rests
         as a band; without rests the parameters in units of their uncertainty, hollow where a prior gives it."""
-        from tumble.views.calibration import draw
+        views().draw(self, axes)
 
-        draw(self, axes)
+    def to_polars(self) -> pl.DataFrame:
+        """The parameters as a polars frame, a row each, in SI: name, value, u, unit, deviation, run_to_run, and
+        the coverage factor k, dof, prior and learned."""
+        import polars as pl
+
+        schema = {name: pl.String if name in ("name", "unit") else pl.Float64 for name in _COLUMNS}
+        return pl.DataFrame(self._columns(), schema=schema)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The same as a pandas frame. Raises MissingExtraError without pandas."""
+        try:
+            import pandas as pd
+        except ModuleNotFoundError as error:
+            raise MissingExtraError(
+                "a pandas frame needs pandas; install it with: pip install pandas, or take to_polars()"
+            ) from error
+        return pd.DataFrame(self._columns())
+
+    def _columns(self) -> dict[str, list[Any]]:
+        return {name: [getattr(parameter, name) for parameter in self.parameters] for name in _COLUMNS}
 
     def apply(
         self,
@@ -266,8 +278,6 @@ class Calibration(Mapping[str, Parameter]):
         if not any(judged):
             reasons = "; ".join(self.outcome.reasons)
             raise CalibrationError(f"calibration: expected accepted accelerometers or gyros, found: {reasons}")
-        from tumble.result.corrected_readings import corrected_readings  # slow to import, as the formats of logs
-
         force, rate = corrected_readings(self.compensator, accel, gyro, dt=dt, temperature=temperature)
         return (np.full_like(force, np.nan) if self.accel is None else force), rate
 
@@ -285,9 +295,35 @@ class Calibration(Mapping[str, Parameter]):
         if missing:
             raise CalibrationError(f"frame {frame!r}: expected all parameters, found {', '.join(missing)} missing")
         try:
-            return reframed(self, frame_of(frame))
+            return self._turned(frame)
         except InputError as error:
             raise CalibrationError(str(error)) from error
+
+    def _turned(self, frame: str) -> Calibration:
+        """A complete calibration of triads in another frame."""
+        assert self.accel is not None
+        accel = Block(kind="accel", axes=triad_axes(self.accel.matrix))
+        gyro = None if self.gyro is None else Block(kind="gyro", axes=triad_axes(self.gyro.matrix))
+
+        def in_frame(result: Calibration | Launch) -> Turned:
+            frames = frame_of(self.frame), frame_of(frame)
+            return turned((accel, gyro), frames, result.parameters, result.covariance)
+
+        mean, launches = in_frame(self), [in_frame(launch) for launch in self.launches]
+        return replace(
+            self,
+            frame=frame,
+            parameters=with_spread(mean, launches),
+            covariance=mean.covariance,
+            accel=mean.framed.accel,
+            gyro=mean.framed.gyro,
+            process_bias=(),
+            iterations=tuple(increments_in(mean, [p.name for p in self.parameters], step) for step in self.iterations),
+            launches=tuple(
+                replace(launch, parameters=each.parameters, covariance=each.covariance)
+                for launch, each in zip(self.launches, launches, strict=True)
+            ),
+        )
 
     def write(self, path: FilePath, *, force: bool = False) -> None:
         """Write the calibration file, whole or not at all. An existing calibration file is replaced only if it came
@@ -327,13 +363,109 @@ class Calibration(Mapping[str, Parameter]):
                 "--out for another file"
             )
 
-    def content(self) -> dict[str, Any]:
-        """What the calibration file holds."""
-        return content_of(self)
-
     def text(self) -> str:
         """The text of the calibration file."""
         return json.dumps(self.content(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+    def content(self) -> dict[str, Any]:
+        """What the calibration file holds, as JSON has it."""
+        return self.tables().model_dump(mode="json", warnings=False)
+
+    def tables(self) -> CalibrationFile:
+        """What the calibration file holds, as `tumble.result.file` describes it."""
+        lag = [p.value for p in self.parameters if p.name == "temperature.lag"]
+        return CalibrationFile.model_construct(
+            **_same(self, CalibrationFile),
+            **_written(self),
+            format=FORMAT,
+            device=DeviceTable.model_construct(
+                serial=self.serial, model=self.model, imu=AutopilotTable.model_validate(sensors_content(self.imu))
+            ),
+            accel=self._sensor_table("accel", self.accel, "m/s^2"),
+            gyro=self._sensor_table("gyro", self.gyro, "rad/s"),
+            mag=self._sensor_table("mag", self.mag, self["mag.bias.x"].unit if self.mag is not None else ""),
+            outcome=OutcomeTable.model_validate(self.outcome.content(), strict=False),
+            groups=tuple(map(GroupTable.of, self.groups)),
+            temperature=TemperatureTable.model_construct(
+                reference=self.reference_temperature,
+                range=self.temperature_range,
+                thermometers=self.thermometers,
+                references=self.references,
+                lag=lag[0] if lag else None,
+            ),
+            iterations=tuple(
+                IterationTable.model_construct(
+                    parameters=tuple(IncrementTable.model_construct(name=n, increment=v) for n, v in step.items())
+                )
+                for step in self.iterations
+            ),
+            session=_circumstances_table(self.circumstances),
+            launches=tuple(
+                LaunchTable.model_construct(
+                    **_same(launch, LaunchTable),
+                    **_written(launch),
+                    circumstances=_circumstances_table(launch.circumstances),
+                )
+                for launch in self.launches
+            ),
+        )
+
+    def _sensor_table(self, kind: str, model: SensorModel | None, unit: str) -> SensorTable | None:
+        """The model of a kind of sensor, and beside it the values of the groups beyond it."""
+        if model is None:
+            return None
+        further: dict[str, Any] = {}
+        for group in self.groups:
+            members = [p for p in self.parameters if group_name(p.name) == group.name]
+            if group.kept and sensor_kind(group.name) == kind and members:
+                values = {within_group(p.name) or within_kind(p.name): p.value for p in members}
+                further[within_kind(group.name)] = values
+        return SensorTable.model_construct(matrix=model.matrix.tolist(), bias=model.bias.tolist(), unit=unit, **further)
+
+
+_COLUMNS = ("name", "value", "u", "unit", "deviation", "run_to_run", "k", "dof", "prior", "learned")
+_OTHERWISE = {
+    "covariance",
+    "accel",
+    "gyro",
+    "mag",
+    "outcome",
+    "groups",
+    "iterations",
+    "fits",
+    "launches",
+    "circumstances",
+}
+"""What a calibration and its file have under one name but in another form."""
+
+
+def _same(result: Calibration | Launch, table: type[CalibrationFile | LaunchTable]) -> dict[str, Any]:
+    """What a result and its table have alike."""
+    names = {each.name for each in fields(result)} & set(table.model_fields) - _OTHERWISE
+    return {name: getattr(result, name) for name in names}
+
+
+def _written(result: Calibration | Launch) -> dict[str, Any]:
+    """What a result and each of its launches have in another form in the file."""
+    return {
+        "covariance": None if result.covariance is None else result.covariance.tolist(),
+        "fits": {name: FitTable.of(fit) for name, fit in result.fits.items()},
+    }
+
+
+def _read(table: CalibrationFile | LaunchTable, result: type[Calibration | Launch]) -> dict[str, Any]:
+    """What a result and each of its launches have of their tables."""
+    names = {each.name for each in fields(result)} & set(type(table).model_fields) - _OTHERWISE
+    fits, size = {name: fit.fit for name, fit in table.fits.items()}, len(table.parameters)
+    return {name: getattr(table, name) for name in names} | {
+        "parameters": with_degrees(table.parameters, fits),
+        "covariance": None if table.covariance is None else np.array(table.covariance, float).reshape(size, size),
+        "fits": fits,
+    }
+
+
+def _circumstances_table(circumstances: Circumstances) -> CircumstancesTable:
+    return CircumstancesTable.model_validate(circumstances_content(circumstances), strict=False)
 
 
 def _nominal_axes(model: SensorModel) -> Array:
@@ -382,135 +514,32 @@ def text_of(path: Path) -> str:
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:  # not UTF-8
-        raise _no_calibration(str(path), error) from error
+        raise no_calibration(str(path), error) from error
 
 
 def calibration_of(text: str, name: str) -> Calibration:
     """The calibration of the text of a file; in messages the file is called `name`."""
-    try:
-        content = json_of(text)
-    except ValueError as error:
-        raise _no_calibration(name, error) from error
-    if isinstance(content, dict) and content.get("format", FORMAT) != FORMAT:
-        raise CalibrationError(f"{name}: expected format {FORMAT}, found {shown(content['format'])}")
-    from tumble.result.calibration_keys import check_keys  # slow to import, and needed to read alone
-
-    check_keys(content, name)
-    return _from_content(content)
-
-
-def _no_calibration(name: str, error: ValueError) -> CalibrationError:
-    return CalibrationError(f"{name}: expected a calibration file of tumble, found {error}")
-
-
-def _from_content(content: Mapping[str, Any]) -> Calibration:
-    """A calibration from the content of a file that was checked."""
-
-    def model(part: Mapping[str, Any] | None) -> SensorModel | None:
-        if part is None:
-            return None
-        return SensorModel(matrix=np.array(part["matrix"], float), bias=np.array(part["bias"], float))
-
-    temperature = content.get("temperature", {})
-    parameters = with_degrees(map(parameter_from, content["parameters"]), fits_from(content))
+    file = parsed(text, name)
+    temperature = file.temperature
+    accel, gyro, mag = (None if table is None else table.model for table in (file.accel, file.gyro, file.mag))
     return Calibration(
-        serial=content["device"]["serial"],
-        model=content["device"]["model"],
-        method=content["method"],
-        frame=content["frame"],
-        parameters=parameters,
-        covariance=covariance_from(content["covariance"], len(parameters)),
-        accel=model(content["accel"]),
-        gyro=model(content["gyro"]),
-        mag=model(content.get("mag")),
-        outcome=_outcome_from(content["outcome"]),
-        groups=tuple(_group_from(group) for group in content.get("groups", ())),
-        hyperparameters=tuple(_hyperparameter_from(each) for each in content.get("hyperparameters", ())),
-        integral=optional(_integral_from, content.get("integral")),
-        process_bias=tuple(_process_bias_from(each) for each in content.get("process_bias", ())),
-        prediction=optional(_prediction_from, content.get("prediction")),
-        axes={kind: tuple(tuple(map(float, axis)) for axis in axes) for kind, axes in content.get("axes", {}).items()},
-        reference_temperature=optional(float, temperature.get("reference")),
-        thermometers={kind: tuple(of) for kind, of in temperature.get("thermometers", {}).items()},
-        references={kind: tuple(map(float, of)) for kind, of in temperature.get("references", {}).items()},
-        measured_between=optional(_pair, temperature.get("range")),
-        imu=sensors_from(content["device"].get("imu", {})),
-        sample_rate=optional(float, content.get("sample_rate")),
-        clock_u=float(content.get("clock_u", 0.0)),
-        iterations=tuple({p["name"]: float(p["increment"]) for p in i["parameters"]} for i in content["iterations"]),
-        rests=tuple(map(rest_from, content["rests"])),
-        turns=tuple(map(turn_from, content.get("turns", ()))),
-        fits=fits_from(content),
-        site=site_from(content),
-        circumstances=circumstances_from(content.get("session", {})),
-        programme=content.get("programme"),
-        readings={kind: readings_from(each) for kind, each in content.get("readings", {}).items()},
-        notes=tuple(content.get("notes", ())),
-        launches=tuple(map(_launch_from, content.get("launches", ()))),
-        together=tuple(map(member_from, content.get("together", ()))),
-        absent=tuple(content.get("absent", ())),
-        provenance=dict(content["provenance"]),
-    )
-
-
-def _launch_from(content: Mapping[str, Any]) -> Launch:
-    return Launch(
-        session=content["session"],
-        parameters=with_degrees(map(parameter_from, content["parameters"]), fits_from(content)),
-        covariance=covariance_from(content["covariance"], len(content["parameters"])),
-        log_sha256=content.get("log_sha256", ""),
-        site=site_from(content),
-        circumstances=circumstances_from(content.get("circumstances", {})),
-        rests=tuple(map(rest_from, content.get("rests", ()))),
-        turns=tuple(map(turn_from, content.get("turns", ()))),
-        fits=fits_from(content),
-    )
-
-
-def _pair(content: list[float]) -> tuple[float, float]:
-    low, high = map(float, content)
-    return low, high
-
-
-def _outcome_from(content: Mapping[str, Any]) -> Outcome:
-    """The outcome of the file; before there were verdicts it had reasons alone."""
-    if "verdict" in content:
-        return Outcome.from_content(content)
-    return Outcome(
-        reasons=tuple(content["reasons"]),
-        unobservable=tuple(content.get("unobservable", ())),
-    )
-
-
-def _group_from(content: Mapping[str, Any]) -> GroupFinding:
-    return GroupFinding(
-        name=content["name"],
-        kept=bool(content["kept"]),
-        prior=float(content["prior"]),
-        widened=float(content["prior_widened"]),
-        learned=tuple(map(float, content["learned"])),
-    )
-
-
-def _hyperparameter_from(content: Mapping[str, Any]) -> HyperparameterEstimate:
-    """Something that the model did not know about itself."""
-    sizes = {key: float(content[key]) for key in ("value", "low", "high", "usual")}
-    return HyperparameterEstimate(name=content["name"], unit=content["unit"], words=content["words"], **sizes)
-
-
-def _integral_from(content: Mapping[str, Any]) -> Integral:
-    """How the posterior was integrated."""
-    return Integral(points=content["points"], effective=float(content["effective"]), pareto=float(content["pareto"]))
-
-
-def _process_bias_from(content: Mapping[str, Any]) -> ProcessBias:
-    """A bias as the mean of its process."""
-    return ProcessBias(name=content["name"], **{key: float(content[key]) for key in ("value", "u", "next_u")})
-
-
-def _prediction_from(content: Mapping[str, Any]) -> Prediction:
-    return Prediction(
-        force_u=float(content["force_u"]),
-        rate_u=optional(float, content["rate_u"]),
-        at_rate=optional(float, content["at_rate"]),
+        **_read(file, Calibration),
+        serial=file.device.serial,
+        model=file.device.model,
+        imu=sensors_from(file.device.imu.model_dump()),
+        accel=accel,
+        gyro=gyro,
+        mag=mag,
+        outcome=file.outcome.outcome,
+        groups=tuple(group.finding for group in file.groups),
+        reference_temperature=temperature.reference,
+        thermometers=temperature.thermometers,
+        references=temperature.references,
+        measured_between=temperature.range,
+        iterations=tuple({p.name: p.increment for p in step.parameters} for step in file.iterations),
+        circumstances=circumstances_from(file.session.model_dump()),
+        launches=tuple(
+            Launch(**_read(launch, Launch), circumstances=circumstances_from(launch.circumstances.model_dump()))
+            for launch in file.launches
+        ),
     )

@@ -6,11 +6,16 @@ corrected and multiplied again: the mean over an interval is taken for what the 
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Mapping
 
+import numpy as np
+import numpy.typing as npt
+
+from tumble.errors import InputError
+from tumble.recording.arrays import Temperatures, celsius_of, check_kinds, numbers_of
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.fixed_point import central_differences
-from tumble.sensors.model import SensorModel
+from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array
 
 LONGEST_STEP = 3.5
@@ -58,13 +63,96 @@ def _column(dt: Array | None) -> Array:
     return np.ones(1) if dt is None else dt[:, None]
 
 
-def at_one_point(compensator: Compensator, readings: Array, rate: Array, time: Array, interval: float) -> Array:
-    """Readings (N, n) of accelerometers, m/s², moved to the last one by the rate (N, 3), rad/s, at times (N,), s. Where
-    the rate of a sample or of a neighbour is not known, they stay where they are."""
-    return compensator.at_one_point(readings, rate, angular_acceleration(rate, time, interval))
-
-
 def angular_acceleration(rate: Array, time: Array, interval: float) -> Array:
     """ω̇ (N, 3), rad/s², by central differences of the rate (N, 3), one-sided at both ends; not a number where the
     neighbours are too far apart."""
     return central_differences(rate, time, LONGEST_STEP * interval)
+
+
+# -------------------- readings that a user gives --------------------
+
+
+def corrected_readings(
+    compensator: Compensator,
+    accel: npt.ArrayLike,
+    gyro: npt.ArrayLike | None,
+    *,
+    dt: npt.ArrayLike | None,
+    temperature: Temperatures | None,
+) -> tuple[Array, Array | None]:
+    """Specific force and angular rate (..., 3) of readings (..., n), see `Calibration.apply`. Raises InputError."""
+    force_readings = _checked(compensator.accel, "accel", accel, dt)
+    shape = force_readings.shape[:-1]
+    steps, celsius = _intervals(dt, shape), given_temperatures(temperature, compensator, shape)
+    flat = force_readings.reshape(-1, compensator.accel.size)
+    force = true_force(compensator, flat, dt=steps, temperature=celsius["accel"])
+    felt = force.reshape(*shape, 3)
+    if gyro is None:
+        return felt, None
+    rate_readings = _checked(compensator.gyro, "gyro", gyro, dt)
+    assert compensator.gyro is not None
+    if rate_readings.shape[:-1] != shape and not (compensator.linear and dt is None):
+        raise InputError(
+            f"gyro readings: expected as many samples as of the accelerometers, {shape}, found the shape "
+            f"{rate_readings.shape}"
+        )
+    turned = rate_readings.reshape(-1, compensator.gyro.size)
+    force = force if steps is None else force / steps[:, None]
+    rate = true_rate(compensator, turned, force, dt=steps, temperature=celsius["gyro"])
+    return felt, rate.reshape(*rate_readings.shape[:-1], 3)
+
+
+def _checked(block: Block | None, kind: str, given: npt.ArrayLike, dt: npt.ArrayLike | None) -> Array:
+    """Readings of a kind of sensors, one number for each sensor and sample."""
+    readings = numbers_of(kind, given, increments=dt is not None)
+    if block is None:
+        raise InputError(f"{kind} readings: expected none, for the calibration has no {kind}, found some")
+    sensors = block.size
+    if readings.shape[-1:] != (sensors,):
+        raise InputError(
+            f"{kind} readings: expected {sensors} numbers a sample, one for each sensor of the calibration, found an "
+            f"array of shape {readings.shape}"
+        )
+    return readings
+
+
+def _intervals(given: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array | None:
+    """An interval for each sample, flat; one for all of them is repeated."""
+    if given is None:
+        return None
+    numbers = numbers_of("dt", given)
+    if numbers.shape not in ((), shape):
+        raise InputError(f"dt: expected a number for each sample, {shape}, found the shape {numbers.shape}")
+    if not (numbers > 0.0).all():
+        raise InputError(f"dt: expected intervals above 0 s, found {numbers.min():g}")
+    return np.ravel(np.broadcast_to(numbers, shape))
+
+
+def given_temperatures(
+    given: Temperatures | None, compensator: Compensator, shape: tuple[int, ...]
+) -> dict[str, Array | None]:
+    """Temperatures (N, n) or (N, 1), °C, of the "accel" and "gyro" of samples of a shape (...), N together: of all
+    sensors (...), or by kind, (...) or (..., n), K. Raises InputError for others, and for one thermometer where the
+    calibration has several."""
+    sizes = {block.kind: block.size for block in (compensator.accel, compensator.gyro) if block is not None}
+    if given is None:
+        return dict.fromkeys(sizes)
+    if isinstance(given, Mapping):
+        check_kinds(given, sizes)
+        return {kind: _by_sample(f"temperature of {kind}", given[kind], shape, n) for kind, n in sizes.items()}
+    if compensator.several_thermometers:
+        raise InputError(
+            "temperature: expected those of the thermometers of the calibration by kind of sensors, "
+            f"{{{', '.join(f'{kind!r}: …' for kind in sizes)}}}, found one array"
+        )
+    every = _by_sample("temperature", given, shape, 1)
+    return dict.fromkeys(sizes, every)
+
+
+def _by_sample(what: str, given: npt.ArrayLike, shape: tuple[int, ...], sensors: int) -> Array:
+    numbers = numbers_of(what, given)
+    if numbers.shape in ((), shape):
+        numbers = np.broadcast_to(numbers, shape)[..., None]
+    elif numbers.shape != (*shape, sensors):
+        raise InputError(f"{what}: expected a number for each sample, {shape}, found the shape {numbers.shape}")
+    return celsius_of(numbers.reshape(-1, numbers.shape[-1]))

@@ -40,7 +40,6 @@ from tumble.units import Array
 
 if TYPE_CHECKING:
     from tumble.recording.session import Site
-    from tumble.result.calibration import Calibration
 
 UNLEARNED = 1e-9
 """Of a variance: where what others do not share is so little, it is none."""
@@ -50,16 +49,11 @@ PROBABILITY = 0.9545
 MANY_DEGREES = 1e5
 """Degrees of freedom from which on a u counts as known."""
 
-UNSEEN = 0.05
-"""A scatter could be there unseen where chance would hide it in more than this part of all sessions."""
-
 MOST_NAMED = 6
 """Parameters without U that are named one by one."""
 
 COUNTED = 4.0
 """cᵀ C⁻¹ c above which a covariance is taken not to have the uncertainty of gravity."""
-
-_KINDS = {"accel": "accelerometers", "gyro": "gyros", "mag": "magnetometer"}
 
 
 def degrees_of_freedom(parameter: Parameter) -> float:
@@ -174,24 +168,6 @@ def shared_gravity(first: Site | None, second: Site | None) -> bool:
     return (first.gravity, first.gravity_u) == (second.gravity, second.gravity_u) and first.gravity_u > 0.0
 
 
-def remarks(calibration: Calibration) -> tuple[str, ...]:
-    """Of which parameters no U is stated; and, for each kind of sensor whose U is of known noise although few residuals
-    could have shown a scatter, how large one may be there unseen."""
-    found = list(without_expanded(calibration.parameters))
-    if calibration.launches:
-        return tuple(found)
-    for kind, sensors in _KINDS.items():
-        groups = [fit for name, fit in calibration.fits.items() if name.startswith(kind) and fit.degrees > 0.0]
-        hidden = max(((_hidden(fit), fit.degrees) for fit in groups if fit.scatter == 0.0), default=(0.0, 0.0))
-        if hidden[0] > 1.0:
-            found.append(
-                f"no scatter of the {sensors} was detected, with {hidden[1]:.2g} degrees of freedom to show one: U "
-                f"covers the noise within rests and turns; a scatter of up to {hidden[0]:.2g} times that noise may be "
-                "there unseen"
-            )
-    return tuple(found)
-
-
 def without_expanded(parameters: Sequence[Parameter]) -> Iterator[str]:
     """Of which parameters no U is stated, their u having too few degrees of freedom."""
     few = {p.name: p.dof for p in parameters if p.dof is not None and p.k is None}
@@ -201,12 +177,6 @@ def without_expanded(parameters: Sequence[Parameter]) -> Iterator[str]:
             f"no U is stated of {named}: {min(few.values()):.1g} degrees of freedom stand behind u, fewer than one; "
             "more rests or turns would give them"
         )
-
-
-def _hidden(fit: Fit) -> float:
-    """The largest scatter, in units of the noise, that leaves so small a chi-square in UNSEEN of all cases."""
-    least = 2.0 * float(special.gammaincinv(0.5 * fit.degrees, UNSEEN))
-    return sqrt(max(fit.chi_square / least - 1.0, 0.0))
 
 
 def _of_fits(fits: Mapping[str, Fit], name: str) -> float | None:

@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tumble.result.coverage import degrees_through
-from tumble.result.parts import Launch, Parameter
-from tumble.sensors.frames import Frame, Framed, carried_further, convert, frame_of, triad_axes
+from tumble.result.parts import Parameter
+from tumble.sensors.frames import Frame, Framed, carried_further, convert
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import LINEAR, group_name
 from tumble.units import Array
-
-if TYPE_CHECKING:
-    from tumble.result.calibration import Calibration
 
 _VARIABLES = ("time", "temperature", "temperature²")
 _LINEAR = frozenset(group.name for group in LINEAR)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _TurnedFurther:
+class Turned:
     """Parameters in the new frame: those of the linear model, and the derivative (r, r) of the `rest` after them with
     the same before, which also takes their values there."""
 
@@ -34,40 +30,13 @@ class _TurnedFurther:
     covariance: Array | None
 
 
-def reframed(calibration: Calibration, frame: Frame) -> Calibration:
-    """A complete calibration in another frame."""
-    assert calibration.accel is not None
-    accel = Block(kind="accel", axes=triad_axes(calibration.accel.matrix))
-    gyro = None
-    if calibration.gyro is not None:
-        gyro = Block(kind="gyro", axes=triad_axes(calibration.gyro.matrix))
-
-    def turned(of: Calibration | Launch) -> _TurnedFurther:
-        return _turned((accel, gyro), (frame_of(calibration.frame), frame), of.parameters, of.covariance)
-
-    mean, launches = turned(calibration), [turned(launch) for launch in calibration.launches]
-    return replace(
-        calibration,
-        frame=frame,
-        parameters=_with_spread(mean, launches),
-        covariance=mean.covariance,
-        accel=mean.framed.accel,
-        gyro=mean.framed.gyro,
-        process_bias=(),
-        iterations=tuple(_increments(calibration, mean, step) for step in calibration.iterations),
-        launches=tuple(
-            replace(launch, parameters=each.parameters, covariance=each.covariance)
-            for launch, each in zip(calibration.launches, launches, strict=True)
-        ),
-    )
-
-
-def _turned(
+def turned(
     blocks: tuple[Block, Block | None],
     frames: tuple[Frame, Frame],
     parameters: tuple[Parameter, ...],
     covariance: Array | None,
-) -> _TurnedFurther:
+) -> Turned:
+    """Parameters with their covariance taken from the first of two frames to the second."""
     own = len([p for p in parameters if group_name(p.name) in _LINEAR])
     rest = parameters[own:]
     framed = convert(
@@ -94,7 +63,7 @@ def _turned(
         replace(p, value=float(value), u=each, deviation=None, learned=_learned(p, each), dof=dof)
         for p, value, each, dof in zip(rest, values, u[len(linear) :], _degrees(carry, rest), strict=True)
     )
-    return _TurnedFurther(framed=framed, carry=carry, parameters=linear + after, covariance=covariance)
+    return Turned(framed=framed, carry=carry, parameters=linear + after, covariance=covariance)
 
 
 def _degrees(jacobian: Array, before: tuple[Parameter, ...]) -> list[float | None]:
@@ -120,7 +89,7 @@ def _carry(blocks: tuple[Block, Block | None], names: list[str], Q: Array) -> Ar
     return out
 
 
-def _with_spread(mean: _TurnedFurther, launches: list[_TurnedFurther]) -> tuple[Parameter, ...]:
+def with_spread(mean: Turned, launches: list[Turned]) -> tuple[Parameter, ...]:
     """The parameters of the mean with the standard deviation from launch to launch."""
     if not launches:
         return mean.parameters
@@ -130,9 +99,9 @@ def _with_spread(mean: _TurnedFurther, launches: list[_TurnedFurther]) -> tuple[
     )
 
 
-def _increments(calibration: Calibration, mean: _TurnedFurther, step: Mapping[str, float]) -> dict[str, float]:
-    """The increments of an iteration in the new frame."""
-    before = np.array([step.get(p.name, 0.0) for p in calibration.parameters])
-    own = len(before) - len(mean.carry)
-    after = np.concatenate([mean.framed.jacobian @ before[:own], mean.carry @ before[own:]])
+def increments_in(mean: Turned, names: Sequence[str], step: Mapping[str, float]) -> dict[str, float]:
+    """The increments of an iteration of the parameters of these names, in the new frame."""
+    before = np.array([step.get(name, 0.0) for name in names])
+    linear = len(before) - len(mean.carry)
+    after = np.concatenate([mean.framed.jacobian @ before[:linear], mean.carry @ before[linear:]])
     return dict(zip((p.name for p in mean.parameters), after.tolist(), strict=True))

@@ -7,17 +7,18 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from math import sqrt
 
 import numpy as np
+from scipy import special
 
+from tumble.inference.estimate import Fit
 from tumble.inference.prediction import Prediction, directions
+from tumble.result.calibration import Calibration
+from tumble.result.coverage import without_expanded
 from tumble.result.parts import Parameter
 from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind, shown_in
 from tumble.units import G_STANDARD, engineering, two_digits
-
-if TYPE_CHECKING:
-    from tumble.result.calibration import Calibration
 
 WIDENED = 1.05
 """From here on a prior counts as widened."""
@@ -27,7 +28,10 @@ OPEN = 2.0
 """The u of single biases over that of the corrected specific force from which on they are open singly."""
 OTHER_THAN_TWO = 0.05
 """Coverage factors this far from 2 are shown."""
+UNSEEN = 0.05
+"""A scatter could be there unseen where chance would hide it in more than this part of all sessions."""
 SENSORS = {"accel": "accelerometer", "gyro": "gyro", "mag": "magnetometer"}
+_KINDS = {"accel": "accelerometers", "gyro": "gyros", "mag": "magnetometer"}
 _NAME = re.compile(
     r"(?P<kind>accel|gyro|mag)\.(?:axis\.(?P<pair>[xyz]{2})|(?P<what>bias|scale|axis)\."
     r"(?:(?P<letter>[xyz])|(?P<number>\d+))(?:\.(?P<angle>[12]))?)"
@@ -63,13 +67,6 @@ class GroupLine:
             return ""
         low, high = (f"{100.0 * fraction:.0f}" for fraction in self.learned)
         return f"{low} %" if low == high else f"{low}–{high} %"
-
-
-def headline(calibration: Calibration) -> str:
-    """The device, the method, how many parameters, and whether it was accepted, in a line."""
-    several = f" of {len(calibration.launches)} launches" if calibration.launches else ""
-    count, verdict = len(calibration.parameters), calibration.outcome.verdict
-    return f"Calibration of {calibration.serial}: {calibration.method}{several}, {count} parameters, {verdict}"
 
 
 def described(name: str) -> str:
@@ -229,3 +226,27 @@ def left_said(left: LeftByMatrix) -> str:
     turned, per = engineering("rad/s", left.at_rate)
     rate = two_digits(left.at_rate / turned)
     return f"{said}, and by {shown('rad/s', left.rate, left.rate_rms)} at {rate} {per} in 1 g"
+
+
+def remarks(calibration: Calibration) -> tuple[str, ...]:
+    """Of which parameters no U is stated; and, for each kind of sensor whose U is of known noise although few residuals
+    could have shown a scatter, how large one may be there unseen."""
+    found = list(without_expanded(calibration.parameters))
+    if calibration.launches:
+        return tuple(found)
+    for kind, sensors in _KINDS.items():
+        groups = [fit for name, fit in calibration.fits.items() if name.startswith(kind) and fit.degrees > 0.0]
+        hidden = max(((_hidden(fit), fit.degrees) for fit in groups if fit.scatter == 0.0), default=(0.0, 0.0))
+        if hidden[0] > 1.0:
+            found.append(
+                f"no scatter of the {sensors} was detected, with {hidden[1]:.2g} degrees of freedom to show one: U "
+                f"covers the noise within rests and turns; a scatter of up to {hidden[0]:.2g} times that noise may be "
+                "there unseen"
+            )
+    return tuple(found)
+
+
+def _hidden(fit: Fit) -> float:
+    """The largest scatter, in units of the noise, that leaves so small a chi-square in UNSEEN of all cases."""
+    least = 2.0 * float(special.gammaincinv(0.5 * fit.degrees, UNSEEN))
+    return sqrt(max(fit.chi_square / least - 1.0, 0.0))

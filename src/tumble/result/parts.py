@@ -1,24 +1,59 @@
-"""What a calibration consists of: parameters, rests, turns, launches and fits, and how the calibration file has them.
+"""What a calibration consists of: parameters, rests, turns, readings, launches, sessions together.
 
-Each part has a dataclass and a function that reads it from the content of a file; further keys may be there or not.
+Each is a plain dataclass; the annotations beyond the types are what `tumble.result.file` holds a file to.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import date, datetime
 from math import erfc, inf, isfinite, sqrt
-from typing import Any, TypeVar
+from typing import Annotated, Any
 
-import numpy as np
+from pydantic import AfterValidator, Field, PlainSerializer
 from scipy.special import stdtrit
 
+from tumble.documents import shown
 from tumble.inference.estimate import Fit
 from tumble.recording.circumstances import UNKNOWN, Circumstances
 from tumble.recording.session import Site
+from tumble.recording.session.table import LONGEST_NAME
+from tumble.sensors.parameters import is_parameter
 from tumble.units import Array
 
-_Value = TypeVar("_Value")
+MOST_PARAMETERS = 1000
+LARGEST, LEAST = 1e60, 1e-60
+"""No number of a file is larger, and no uncertainty that is not zero is smaller."""
+
+
+def _is_name(text: str) -> str:
+    if not text.strip() or not text.isprintable() or len(text) > LONGEST_NAME:
+        raise ValueError(f"expected 1 to {LONGEST_NAME} printable characters, found {shown(text[:40])}")
+    return text
+
+
+def is_size(number: float) -> float:
+    """A number that may be a standard uncertainty. Raises ValueError for another."""
+    if not (number == 0.0 or LEAST <= number <= LARGEST):
+        raise ValueError(f"expected zero or a number from {LEAST:g} to {LARGEST:g}, found {number:g}")
+    return number
+
+
+def _is_date(text: str) -> str:
+    try:
+        datetime.fromisoformat(text) if "T" in text else date.fromisoformat(text)
+    except ValueError:
+        raise ValueError(f"expected a date, or a date with a time, found {shown(text)}") from None
+    return text
+
+
+Name = Annotated[str, AfterValidator(_is_name)]
+Size = Annotated[float, AfterValidator(is_size)]
+Positive = Annotated[float, Field(gt=0.0), AfterValidator(is_size)]
+Count = Annotated[int, Field(ge=0, le=10**9)]
+IsoDate = Annotated[str, AfterValidator(_is_date)]
+Vector = Annotated[tuple[float, ...], Field(max_length=MOST_PARAMETERS)]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -27,15 +62,15 @@ class Parameter:
     systematic (passport) calibration, with the deviation from it; for the mean of several launches with the standard
     deviation from launch to launch."""
 
-    name: str
+    name: Name
     value: float
-    u: float | None
-    unit: str
+    u: float | None = None
+    unit: Name
     deviation: float | None = None
-    run_to_run: float | None = None
-    dof: float | None = None
+    run_to_run: Size | None = None
+    dof: Size | None = None
     """Degrees of freedom with which u was estimated; None where the noise is known."""
-    prior: float | None = None
+    prior: Positive | None = None
     """Standard deviation of what was known before, where that is of any weight."""
     learned: float | None = None
     """How much of the prior's variance the session has taken off, 0 to 1."""
@@ -46,6 +81,32 @@ class Parameter:
         FEWEST_DEGREES."""
         return stated_factor(self.dof)
 
+
+def _is_known(parameter: Parameter) -> Parameter:
+    if not is_parameter(parameter.name):
+        raise ValueError(
+            f"expected parameters that this version of tumble knows, found {shown(parameter.name)}: without it "
+            "readings would be corrected wrongly; read the file with the version that wrote it"
+        )
+    if not isfinite(parameter.value) or not 0.0 <= (parameter.u or 0.0) < inf:
+        raise ValueError(
+            f"{parameter.name}: expected a finite value and a u of 0 or more, found {parameter.value} and {parameter.u}"
+        )
+    is_size(parameter.u or 0.0)
+    return parameter
+
+
+def parameter_content(parameter: Parameter) -> dict[str, Any]:
+    """A parameter as the file has it: what is None is left out, but for u and the prior."""
+    always = {key: getattr(parameter, key) for key in ("name", "value", "u", "unit", "prior", "k")}
+    others = {key: getattr(parameter, key) for key in ("deviation", "run_to_run", "learned", "dof")}
+    return always | {key: value for key, value in others.items() if value is not None}
+
+
+Parameters = Annotated[
+    tuple[Annotated[Parameter, AfterValidator(_is_known), PlainSerializer(parameter_content)], ...],
+    Field(max_length=MOST_PARAMETERS),
+]
 
 FEWEST_DEGREES = 0.99
 """Degrees of freedom without which no U is stated, those of two readings, one, but for its rounding: t is then beyond
@@ -72,9 +133,9 @@ class Readings:
     columns: tuple[str, ...]
     unit: str
     increments: bool
-    scale: tuple[float, ...]
-    offset: tuple[float, ...]
-    row_u: tuple[float, ...] = ()
+    scale: Vector
+    offset: Vector
+    row_u: Vector = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -82,10 +143,16 @@ class SensorsAtRest:
     """Of each of n sensors over a rest, SI: mean reading, density of its noise (unit/√Hz) and drift, its change; and
     the temperature of its thermometer, °C, where they have some."""
 
-    mean: tuple[float, ...]
-    noise: tuple[float, ...]
-    drift: tuple[float, ...]
-    temperature: tuple[float, ...] = ()
+    mean: Vector
+    noise: Vector
+    drift: Vector
+    temperature: Vector = ()
+
+
+def _of_equal_length(sensors: SensorsAtRest) -> SensorsAtRest:
+    if not len(sensors.mean) == len(sensors.noise) == len(sensors.drift):
+        raise ValueError("expected as many means as noises and drifts, one for each sensor, found others")
+    return sensors
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -93,21 +160,21 @@ class RestResult:
     """A rest as used: times (s), residual |corrected reading| − g (m/s²) and how many sigmas it is from the fit; the
     code of its attitude in the programme, what its sensors read, and the temperature (°C), where there are such."""
 
-    file: int
+    file: Count = 0
     start: float
     stop: float
     residual: float
-    sigmas: float
+    sigmas: float = 0.0
     attitude: str | None = None
-    accel: SensorsAtRest | None = None
-    gyro: SensorsAtRest | None = None
+    accel: Annotated[SensorsAtRest, AfterValidator(_of_equal_length)] | None = None
+    gyro: Annotated[SensorsAtRest, AfterValidator(_of_equal_length)] | None = None
     temperature: float | None = None
 
     @property
     def temperatures(self) -> tuple[float, ...]:
         """Those of its sensors, °C, the accelerometers first; that of the rest where they are not known apart."""
-        own = sum((sensors.temperature for sensors in (self.accel, self.gyro) if sensors is not None), ())
-        return own or (() if self.temperature is None else (self.temperature,))
+        of_sensors = sum((sensors.temperature for sensors in (self.accel, self.gyro) if sensors is not None), ())
+        return of_sensors or (() if self.temperature is None else (self.temperature,))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -115,8 +182,8 @@ class TurnResult:
     """A turn from one rest to another (from 0) as used: its duration (s), its angle as the calibrated gyros saw it and
     as the programme has it (rad, 0 … π; None where there is none) and how many sigmas it is from the fit."""
 
-    first: int
-    last: int
+    first: Count
+    last: Count
     duration: float
     angle: float | None
     programmed: float | None
@@ -146,165 +213,9 @@ class Member:
 
     session: str
     log_sha256: str
-    rests: int
-    turns: int
+    rests: Count
+    turns: Count
     temperatures: tuple[float, float]
-    parameters: tuple[Parameter, ...] = ()
-    date: str | None = None
+    parameters: Parameters = ()
+    date: IsoDate | None = None
     """When it was recorded, ISO 8601."""
-
-
-def member_content(member: Member) -> dict[str, Any]:
-    """A session of several as the file has it."""
-    return {
-        "session": member.session,
-        "log_sha256": member.log_sha256,
-        "rests": member.rests,
-        "turns": member.turns,
-        "temperatures": list(member.temperatures),
-        "parameters": [parameter_content(p) for p in member.parameters],
-        "date": member.date,
-    }
-
-
-def member_from(content: Mapping[str, Any]) -> Member:
-    """A session of several of the file."""
-    low, high = map(float, content["temperatures"])
-    return Member(
-        session=content["session"],
-        log_sha256=content["log_sha256"],
-        rests=int(content["rests"]),
-        turns=int(content["turns"]),
-        temperatures=(low, high),
-        parameters=tuple(map(parameter_from, content["parameters"])),
-        date=content.get("date"),
-    )
-
-
-def parameter_content(parameter: Parameter) -> dict[str, Any]:
-    """A parameter as the file has it."""
-    content = {"name": parameter.name, "value": parameter.value, "u": parameter.u, "unit": parameter.unit}
-    more = {
-        "deviation": parameter.deviation,
-        "run_to_run": parameter.run_to_run,
-        "learned": parameter.learned,
-        "dof": parameter.dof,
-    }
-    content |= {"prior": parameter.prior, "k": parameter.k}
-    return content | {key: value for key, value in more.items() if value is not None}
-
-
-def fits_content(fits: Mapping[str, Fit]) -> dict[str, Any]:
-    """Fits as the file has them."""
-    return {
-        name: {
-            "chi_square": f.chi_square,
-            "degrees": f.degrees,
-            "probability": f.probability,
-            "scatter": f.scatter,
-            "unit": f.scatter_unit,
-        }
-        for name, f in fits.items()
-    }
-
-
-def optional(read: Callable[[Any], _Value], value: Any) -> _Value | None:
-    """What is read from a value, or None where that is null."""
-    return None if value is None else read(value)
-
-
-def parameter_from(content: Mapping[str, Any]) -> Parameter:
-    """A parameter of the file."""
-    return Parameter(
-        name=content["name"],
-        value=float(content["value"]),
-        u=optional(float, content.get("u")),
-        unit=content["unit"],
-        deviation=optional(float, content.get("deviation")),
-        run_to_run=optional(float, content.get("run_to_run")),
-        dof=optional(float, content.get("dof")),
-        prior=optional(float, content.get("prior")),
-        learned=optional(float, content.get("learned")),
-    )
-
-
-def rest_from(content: Mapping[str, Any]) -> RestResult:
-    """A rest of the file."""
-    return RestResult(
-        file=int(content.get("file", 0)),
-        start=float(content["start"]),
-        stop=float(content["stop"]),
-        residual=float(content["residual"]),
-        sigmas=float(content.get("sigmas", 0.0)),
-        attitude=content.get("attitude"),
-        accel=optional(_at_rest, content.get("accel")),
-        gyro=optional(_at_rest, content.get("gyro")),
-        temperature=optional(float, content.get("temperature")),
-    )
-
-
-def _at_rest(content: Mapping[str, Any]) -> SensorsAtRest:
-    keys = ("mean", "noise", "drift", "temperature")
-    return SensorsAtRest(**{key: tuple(map(float, content.get(key, ()))) for key in keys})
-
-
-def turn_from(content: Mapping[str, Any]) -> TurnResult:
-    """A turn of the file."""
-    return TurnResult(
-        first=int(content["first"]),
-        last=int(content["last"]),
-        duration=float(content["duration"]),
-        angle=optional(float, content["angle"]),
-        programmed=optional(float, content["programmed"]),
-        sigmas=float(content["sigmas"]),
-    )
-
-
-def fits_from(content: Mapping[str, Any]) -> dict[str, Fit]:
-    """The fits of the file or of one of its launches."""
-    return {
-        name: Fit(
-            chi_square=float(f["chi_square"]),
-            degrees=float(f["degrees"]),
-            scatter=float(f["scatter"]),
-            scatter_unit=f["unit"],
-        )
-        for name, f in content.get("fits", {}).items()
-    }
-
-
-def site_from(content: Mapping[str, Any]) -> Site | None:
-    """The site of the file or of one of its launches, where it has one."""
-    site = content.get("site")
-    if site is None:
-        return None
-    return Site(
-        latitude=optional(float, site["latitude"]),
-        height=float(site["height"]),
-        gravity=float(site["gravity"]),
-        gravity_u=float(site["gravity_u"]),
-        field=optional(float, site.get("field")),
-        gravity_is_unit=bool(site.get("gravity_is_unit", False)),
-    )
-
-
-def readings_from(content: Mapping[str, Any]) -> Readings:
-    """What the readings of sensors are, from the file."""
-    return Readings(
-        columns=tuple(content["columns"]),
-        unit=content["unit"],
-        increments=bool(content["increments"]),
-        scale=tuple(map(float, content["scale"])),
-        offset=tuple(map(float, content["offset"])),
-        row_u=tuple(map(float, content.get("row_u", ()))),
-    )
-
-
-def covariance_from(rows: list[list[float]] | None, size: int) -> Array | None:
-    """A covariance of `size` parameters, where the file has one. Raises ValueError for another shape."""
-    if rows is None:
-        return None
-    matrix = np.array(rows, dtype=float)
-    if matrix.shape != (size, size) and not size == matrix.size == 0:
-        raise ValueError(f"a covariance of shape {matrix.shape} for {size} parameters")
-    return matrix.reshape(size, size)

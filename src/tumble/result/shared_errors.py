@@ -12,18 +12,15 @@ With g₁ and g₂ what one standard uncertainty of such a source changes in eit
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tumble.inference.common_errors import by_time_base, clocked
+from tumble.result.calibration import Calibration
 from tumble.result.coverage import by_gravity, shared_gravity
+from tumble.result.parts import Parameter
 from tumble.sensors.parameters import Variable, variable_of
 from tumble.units import Array
-
-if TYPE_CHECKING:
-    from tumble.result.calibration import Calibration
-    from tumble.result.parts import Parameter
 
 GRAVITY, TIME_BASE, PRIORS = "gravity", "the time base", "what only priors say"
 

@@ -33,9 +33,9 @@ from tumble.reduction.observations import Observations
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.run.from_estimate import result_of, without_result
+from tumble.run.magnetometer import with_magnetometer
 from tumble.run.notes import bridged_in
 from tumble.run.observed import Progress, inspected, observations_for_calibration
-from tumble.run.with_magnetometer import with_magnetometer
 from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.grades import guessed_grade
@@ -116,15 +116,23 @@ def calibrate(
     """
     if terms not in get_args(Terms):
         raise InputError(f"terms: expected {' or '.join(get_args(Terms))}, found {terms!r}")
-    session = _given(session, readings).without(without)
+    if session is None and "accel" in readings:
+        given = session_of_arrays(**readings)
+    elif session is None or readings:
+        found = ", ".join(readings) or "nothing"
+        beside = "" if session is None else " beside a session"
+        raise InputError(f"calibrate: expected a session or readings accel=…, found {found}{beside}")
+    else:
+        given = session_from(session)
+    given = given.without(without)
     estimator = _estimator(method, iterations)
-    Convention(frame=frame, block=session.accel_block)
+    Convention(frame=frame, block=given.accel_block)
     known: Terms = terms if method in WITH_ALL_TERMS else "linear"
-    made = _calibrated(session, method, estimator, frame, known, progress)
-    if not session.excluded:
+    made = _calibrated(given, method, estimator, frame, known, progress)
+    if not given.excluded:
         return made
     try:
-        whole = _calibrated(replace(session, excluded=()), method, estimator, frame, known, progress).outcome
+        whole = _calibrated(replace(given, excluded=()), method, estimator, frame, known, progress).outcome
     except InputError as error:  # a rest too many for the programme, such as a knocked one
         whole = Outcome(reasons=(str(error),))
     return _beside_all(made, whole)
@@ -133,19 +141,19 @@ def calibrate(
 def _beside_all(made: Calibration, whole: Outcome) -> Calibration:
     """A calibration from a part of a recording beside the outcome of the whole, which counts: what is accepted without
     some rests only is a choice, and no u contains it."""
-    said = f"with what was left out: {whole.verdict}" + (f": {'; '.join(whole.reasons)}" if whole.reasons else "")
-    own = made.outcome
+    of_whole = f"with what was left out: {whole.verdict}" + (f": {'; '.join(whole.reasons)}" if whole.reasons else "")
+    outcome = made.outcome
     chosen = [kind for kind in accepted_kinds(made) if not (whole.accel if kind == "accel" else whole.gyro).accepted]
     if not chosen:
-        return replace(made, notes=(*made.notes, said))
-    remark = f"accepted without what was left out only, a choice of which u contains nothing; {said}"
+        return replace(made, notes=(*made.notes, of_whole))
+    remark = f"accepted without what was left out only, a choice of which u contains nothing; {of_whole}"
     return replace(
         made,
         outcome=replace(
-            own,
-            remarks=(*own.remarks, remark),
-            of_accel=own.of_accel if "gyro" in chosen else (*own.of_accel, remark),
-            of_gyro=own.of_gyro if "accel" in chosen else (*own.of_gyro, remark),
+            outcome,
+            remarks=(*outcome.remarks, remark),
+            of_accel=outcome.of_accel if "gyro" in chosen else (*outcome.of_accel, remark),
+            of_gyro=outcome.of_gyro if "accel" in chosen else (*outcome.of_gyro, remark),
         ),
     )
 
@@ -160,47 +168,28 @@ def _calibrated(
 ) -> Calibration:
     """The calibration from what a session does not leave out."""
     systematic = systematic_of(session)
-    found: tuple[Estimate, Observations] | Outcome
     with ThreadPoolExecutor(max_workers=1) as beside:
         observed = inspected(session, progress, beside)
-        observations = observations_for_calibration(observed)
-        if isinstance(observations, Outcome):
-            found = observations
-        else:
-            found = estimated(session, observations, estimator, systematic, terms)
+        taken = observations_for_calibration(observed)
+        estimate = taken if isinstance(taken, Outcome) else estimated(session, taken, estimator, systematic, terms)
     provenance, bridged = provenance_of(observed.sha256), (*bridged_in(observed.gaps), *observed.segmentation.unused())
-    if isinstance(found, Outcome):
-        made = without_result(session, method, found, provenance, bridged)
+    if isinstance(estimate, Outcome):
+        made = without_result(session, method, estimate, provenance, bridged)
     else:
-        made = result_of(session, *found, systematic, frame, provenance, bridged)
-        made = replace(with_magnetometer(made, session, found[1]), sample_rate=observed.rate)
-    if observed.gyro_faults and not isinstance(found, Outcome):
-        made = replace(made, outcome=_without_gyros(made.outcome, session, observed.gyro_faults))
-    for said in (*made.notes, *made.outcome.remarks, *made.outcome.reasons):
-        _LOG.info("%s: %s", session.name, said)
+        made = result_of(session, *estimate, systematic, frame, provenance, bridged)
+        made = replace(with_magnetometer(made, session, estimate[1]), sample_rate=observed.rate)
+        if faults := observed.gyro_faults:  # the accelerometers were calibrated alone
+            outcome, names = made.outcome, () if session.gyro_block is None else session.gyro_block.names
+            outcome = replace(
+                outcome,
+                reasons=(*outcome.reasons, *faults),
+                of_gyro=(*outcome.of_gyro, *faults),
+                unobservable=(*outcome.unobservable, *names),
+            )
+            made = replace(made, outcome=outcome)
+    for sentence in (*made.notes, *made.outcome.remarks, *made.outcome.reasons):
+        _LOG.info("%s: %s", session.name, sentence)
     return replace(made, circumstances=observed.circumstances)
-
-
-def _without_gyros(outcome: Outcome, session: Session, faults: tuple[str, ...]) -> Outcome:
-    """The outcome of accelerometers that were calibrated alone, because something spoils the gyros."""
-    names = () if session.gyro_block is None else session.gyro_block.names
-    return replace(
-        outcome,
-        reasons=(*outcome.reasons, *faults),
-        of_gyro=(*outcome.of_gyro, *faults),
-        unobservable=(*outcome.unobservable, *names),
-    )
-
-
-def _given(session: Session | FilePath | None, readings: Mapping[str, Any]) -> Session:
-    """The session that is given, by itself or as readings."""
-    if session is None and "accel" in readings:
-        return session_of_arrays(**readings)
-    if session is None or readings:
-        found = ", ".join(readings) or "nothing"
-        beside = "" if session is None else " beside a session"
-        raise InputError(f"calibrate: expected a session or readings accel=…, found {found}{beside}")
-    return session_from(session)
 
 
 def _estimator(method: str, iterations: int | None) -> Callable[[Observations], Estimate]:
@@ -274,41 +263,31 @@ def estimated(
     """The estimate and what it was made from, or why there is none."""
     by_clock = clocked(session.log.time_base_u, session.log.increments)
     observations = with_grade(session, observations, terms)
-    notes, unstamped = observations.notes + _time_base(session, by_clock), session.log.unstamped
+    notes = observations.notes
+    if session.log.clock_u is None and by_clock:
+        notes += (
+            f"no uncertainty of the time base is stated: {1e6 * session.log.time_base_u:.0f} ppm, as of a crystal, "
+            f"are in the u of {' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact",
+        )
+    unstamped = session.log.unstamped
     observations = replace(observations, start=start, notes=notes, by_clock=by_clock, unstamped=unstamped)
     try:
         with np.errstate(over="ignore"):  # damaged samples, of which it breaks down
-            estimate = _with_time_base(method(observations), observations)
+            estimate = method(observations)
+        change = by_time_base(estimate.names, by_clock)
+        if estimate.method != "joint" and change.any():  # the method joint counts it itself
+            estimate = replace(estimate, covariance=estimate.covariance + np.outer(change, change))
         if terms == "full" and estimate.method == "joint":
             return estimate, observations
         if terms == "full":
-            return judged(estimate, observations, observations), replace(
-                observations, notes=(*notes, *taken_as_nothing(estimate))
-            )
+            estimate = judged(estimate, observations, observations)
+            return estimate, replace(observations, notes=(*notes, *taken_as_nothing(estimate)))
         whole = with_grade(session, observations, "full")
         estimate = judged(estimate, observations, whole)
         return estimate, replace(observations, notes=notes + left_out(estimate, observations, whole))
     except np.linalg.LinAlgError as error:
         broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
         return Outcome(reasons=(one_attitude(observations) or broken,))
-
-
-def _time_base(session: Session, by_clock: Mapping[str, float]) -> tuple[str, ...]:
-    """That an uncertainty of the time base is in u which nobody has stated, as a note."""
-    if session.log.clock_u is not None or not by_clock:
-        return ()
-    return (
-        f"no uncertainty of the time base is stated: {1e6 * session.log.time_base_u:.0f} ppm, as of a crystal, are in "
-        f"the u of {' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact",
-    )
-
-
-def _with_time_base(estimate: Estimate, observations: Observations) -> Estimate:
-    """An estimate with the uncertainty of the time base, which the method joint counts itself."""
-    change = by_time_base(estimate.names, observations.by_clock)
-    if estimate.method == "joint" or not change.any():
-        return estimate
-    return replace(estimate, covariance=estimate.covariance + np.outer(change, change))
 
 
 def provenance_of(log_sha256: str) -> dict[str, str]:

@@ -43,12 +43,13 @@ from tumble.run.readings_table import (
     Nominal,
     ReadingsTable,
     Sensor,
+    TablePositions,
     plain_units,
+    positions_of,
     read_table,
     sizes_seen,
 )
 from tumble.run.readings_table import nominal as nominal_of
-from tumble.run.table_positions import TablePositions, positions_of
 from tumble.sensors.frames import Convention, Frame, convert, frame_of
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.parameters import usual_sizes, variable_of

@@ -7,9 +7,8 @@ nothing is turned says how biases change with its temperature and nothing else.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,6 @@ from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome, OwnEstimate
 from tumble.inference.joint import joint
 from tumble.recording.log import Log
-from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
@@ -28,12 +26,12 @@ from tumble.result.calibration import Calibration
 from tumble.result.parts import Member, Parameter
 from tumble.run.calibrate import estimated, provenance_of, systematic_of
 from tumble.run.from_estimate import result_of, without_result
-from tumble.run.launches import circumstances_of_all
-from tumble.run.observed import Progress, inspect_session, observations_in_parts
+from tumble.run.launches import circumstances_of_all, digest_of_all
+from tumble.run.observed import Observed, Progress, inspect_session, observations_in_parts
 from tumble.run.same_recording import Means, check_recordings
 from tumble.sensors.frames import Frame
 from tumble.sensors.model import Block
-from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS, IntArray
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS
 
 SAME_GRAVITY = 1e-6  # m/s²
 SAME_LATITUDE = 1e-9  # rad
@@ -41,20 +39,8 @@ SELDOM = 1e-3
 """Residuals are more than noise where chance alone would make them so large less often."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _ReducedSession:
-    """A session, the SHA-256 of its log, its gaps, what is left of it, and when it was recorded."""
-
-    session: Session
-    sha256: str
-    gaps: tuple[Gap, ...]
-    observations: Observations
-    numbers: IntArray
-    date: str | None
-
-    @property
-    def name(self) -> str:
-        return Path(self.session.name).name or self.session.name
+_Reduced = tuple[Session, Member, Observations]
+"""A session, what is said of it, and what is taken of its log."""
 
 
 def calibrate_together(
@@ -83,52 +69,39 @@ def calibrate_together(
         raise InputError("frame: expected accelerometer, paper or symmetric of several sessions, found 'case'")
     described = [session_from(session) for session in sessions]
     _check_alike(described)
-    systematic, reduced, faults = systematic_of(described[0]), list[_ReducedSession](), list[str]()
-    circumstances = []
+    first, systematic = described[0], systematic_of(described[0])
+    reduced: list[_Reduced] = []
+    numbers, circumstances, faults = [], [], []
     for session in described:
-        seen = inspect_session(session, progress=progress)
-        circumstances.append(seen.circumstances)
-        found = observations_in_parts(seen)
-        if isinstance(found, Outcome):
-            faults += [f"{Path(session.name).name}: {reason}" for reason in found.reasons]
-            continue
-        observations, numbers = found
-        reduced.append(
-            _ReducedSession(
-                session=session,
-                sha256=seen.sha256,
-                gaps=seen.gaps,
-                observations=observations,
-                numbers=numbers,
-                date=seen.circumstances.date,
-            )
-        )
-    provenance = provenance_of(_digest(reduced))
+        observed = inspect_session(session, progress=progress)
+        circumstances.append(observed.circumstances)
+        taken = observations_in_parts(observed)
+        if isinstance(taken, Outcome):
+            faults += [f"{_name(session)}: {reason}" for reason in taken.reasons]
+        else:
+            reduced.append((session, _member(observed, taken[0]), taken[0]))
+            numbers.append(taken[1])
+    provenance = provenance_of(digest_of_all(member.log_sha256 for _, member, _ in reduced))
     if faults:
-        return without_result(described[0], "joint", Outcome(reasons=tuple(faults)), provenance)
+        return without_result(first, "joint", Outcome(reasons=tuple(faults)), provenance)
     _check_logs(reduced)
-    whole = joined([each.observations for each in reduced], _names(reduced), [each.numbers for each in reduced])
-    estimate = estimated(described[0], whole, joint, systematic, "full")
+    names = [member.session for _, member, _ in reduced]
+    whole = joined([observations for _, _, observations in reduced], names, numbers)
+    estimate = estimated(first, whole, joint, systematic, "full")
     if isinstance(estimate, Outcome):
-        return without_result(described[0], "joint", estimate, provenance)
-    made = result_of(described[0], *estimate, systematic, frame, provenance)
-    notes = (*made.notes, *(note for each in reduced for note in _notes(each)))
+        return without_result(first, "joint", estimate, provenance)
+    made = result_of(first, *estimate, systematic, frame, provenance)
     return replace(
         made,
         outcome=_with_scatter(made.outcome, estimate[0]),
         circumstances=circumstances_of_all(circumstances),
-        notes=notes,
-        together=tuple(_members(reduced, estimate[0].own)),
+        notes=(*made.notes, *(note for _, member, observations in reduced for note in _notes(member, observations))),
+        together=tuple(_with_own(member, estimate[0].own, s) for s, (_, member, _) in enumerate(reduced)),
     )
 
 
-def _names(reduced: Sequence[_ReducedSession]) -> list[str]:
-    return [each.name for each in reduced]
-
-
-def _digest(reduced: Sequence[_ReducedSession]) -> str:
-    """The SHA-256 of those of all logs."""
-    return hashlib.sha256("\n".join(each.sha256 for each in reduced).encode()).hexdigest()
+def _name(session: Session) -> str:
+    return Path(session.name).name or session.name
 
 
 # What sessions must have in common
@@ -166,12 +139,9 @@ def _same(block: Block | None, other: Block | None) -> bool:
 
 def _same_place(session: Session, other: Session) -> bool:
     a, b = session.site, other.site
-    latitudes = a.latitude is b.latitude if None in (a.latitude, b.latitude) else _near(a.latitude, b.latitude)
-    return latitudes and abs(a.gravity - b.gravity) < SAME_GRAVITY
-
-
-def _near(a: float | None, b: float | None) -> bool:
-    return a is not None and b is not None and abs(a - b) < SAME_LATITUDE
+    if a.latitude is None or b.latitude is None:
+        return a.latitude is b.latitude and abs(a.gravity - b.gravity) < SAME_GRAVITY
+    return abs(a.latitude - b.latitude) < SAME_LATITUDE and abs(a.gravity - b.gravity) < SAME_GRAVITY
 
 
 def _place(session: Session) -> str:
@@ -180,11 +150,11 @@ def _place(session: Session) -> str:
     return f"{said} and gravity {session.site.gravity:.6f} m/s^2"
 
 
-def _check_logs(reduced: Sequence[_ReducedSession]) -> None:
-    check_recordings([(each.session.name, each.sha256, _means(each.observations)) for each in reduced])
-    for each in reduced:
-        if each.observations.rests.temperature is None:
-            raise InputError(f"{each.session.name}: expected temperatures in the log, found none that are numbers")
+def _check_logs(reduced: Sequence[_Reduced]) -> None:
+    check_recordings([(session.name, member.log_sha256, _means(each)) for session, member, each in reduced])
+    for session, _, observations in reduced:
+        if observations.rests.temperature is None:
+            raise InputError(f"{session.name}: expected temperatures in the log, found none that are numbers")
 
 
 def _means(observations: Observations) -> Means:
@@ -197,42 +167,41 @@ def _means(observations: Observations) -> Means:
 # What is said
 
 
-def _members(reduced: Sequence[_ReducedSession], own: OwnEstimate | None) -> Iterator[Member]:
-    """The sessions with what each has of its own."""
-    for s, each in enumerate(reduced):
-        rests, turns = each.observations.rests, each.observations.turns
-        assert rests.temperature is not None
-        low, high = rests.temperature.min() - ZERO_CELSIUS, rests.temperature.max() - ZERO_CELSIUS
-        parameters = () if own is None else zip(own.names, own.units, own.values[s], own.u[s], own.priors, strict=True)
-        yield Member(
-            session=each.name,
-            log_sha256=each.sha256,
-            rests=len(rests),
-            turns=0 if turns is None else int((turns.duration > 0.0).sum()),
-            temperatures=(float(low), float(high)),
-            parameters=tuple(
-                Parameter(
-                    name=name,
-                    value=float(value),
-                    u=float(u),
-                    unit=unit,
-                    prior=float(prior),
-                    learned=float(np.clip(1.0 - (u / prior) ** 2, 0.0, 1.0)),
-                )
-                for name, unit, value, u, prior in parameters
-            ),
-            date=each.date,
-        )
+def _member(observed: Observed, observations: Observations) -> Member:
+    """A session without what it has of its own."""
+    rests, turns = observations.rests, observations.turns
+    celsius = np.full(1, np.nan) if rests.temperature is None else rests.temperature - ZERO_CELSIUS
+    return Member(
+        session=_name(observed.session),
+        log_sha256=observed.sha256,
+        rests=len(rests),
+        turns=0 if turns is None else int((turns.duration > 0.0).sum()),
+        temperatures=(float(celsius.min()), float(celsius.max())),
+        date=observed.circumstances.date,
+    )
 
 
-def _notes(each: _ReducedSession) -> Iterator[str]:
+def _with_own(member: Member, own: OwnEstimate | None, s: int) -> Member:
+    """A session with what it, the number s, has of its own."""
+    if own is None:
+        return member
+    learned = np.clip(1.0 - (own.u[s] / own.priors) ** 2, 0.0, 1.0)
+    numbers = np.column_stack([own.values[s], own.u[s], own.priors, learned]).tolist()
+    parameters = tuple(
+        Parameter(name=name, value=value, u=u, unit=unit, prior=prior, learned=part)
+        for name, unit, (value, u, prior, part) in zip(own.names, own.units, numbers, strict=True)
+    )
+    return replace(member, parameters=parameters)
+
+
+def _notes(member: Member, observations: Observations) -> Iterator[str]:
     """What there is to say of a session."""
-    turns, rests = each.observations.turns, each.observations.rests
+    turns, rests = observations.turns, observations.rests
     if turns is None or not (turns.duration > 0.0).any():
         parts = f", taken in {len(rests)} parts" if len(rests) > 1 else ""
         yield (
-            f"{each.name}: nothing is turned{parts}: it says how the biases that gravity and the Earth's rate show in "
-            "this position change with temperature, and of scale factors nothing"
+            f"{member.session}: nothing is turned{parts}: it says how the biases that gravity and the Earth's rate "
+            "show in this position change with temperature, and of scale factors nothing"
         )
 
 

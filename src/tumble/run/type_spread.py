@@ -19,12 +19,10 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from scipy.special import fdtrc
 
-if TYPE_CHECKING:
-    from tumble.result.calibration import Calibration
+from tumble.result.calibration import Calibration
 
 UNLIKE = 1e-3
 """A device is not like its type where chance makes it as unstable less often."""

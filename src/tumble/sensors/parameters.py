@@ -11,7 +11,8 @@ change no reading at rest: lever arms and delays act in a turn alone, and are na
 Everything that deals with parameters loops over this table: estimation, bounds, planning, simulation, frames, the
 calibration file, terminal, report, registry and limits. A further group is one entry.
 
-The groups are those of docs/mathematics.md (1) and (2); their usual sizes those of data sheets of each class.
+The groups are those of docs/explanation/mathematics.md (1) and (2); their usual sizes those of data sheets of each
+class.
 """
 
 from __future__ import annotations

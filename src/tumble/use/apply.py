@@ -16,7 +16,7 @@ time, as in `log`, less the samples that are missing in it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, pairwise
@@ -37,14 +37,14 @@ from tumble.recording.log import open_log
 from tumble.recording.log_source import LogSource, rows_of_numbers
 from tumble.recording.readers import source_of
 from tumble.recording.rows.gaps import side_by_side
-from tumble.recording.session import Channels, LogSpec, Magnetometer, Session
+from tumble.recording.session import Channels, LogSpec, Session
 from tumble.recording.session_file import session_from
 from tumble.recording.text.clock import times_of
 from tumble.recording.writer import write_tables
 from tumble.reduction.rests.thermometer import followed
 from tumble.result.accepted import accepted_accelerometers, accepted_part
 from tumble.result.calibration import Calibration, calibration_from
-from tumble.result.correction import at_one_point, corrected, true_force, true_rate
+from tumble.result.correction import angular_acceleration, corrected, true_force, true_rate
 from tumble.run.observed import inspect_session
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.model import Block, SensorModel
@@ -70,7 +70,8 @@ class _Correction:
     def written(self) -> Channels:
         """What the corrected columns are: in the log's own unit, with its nominal scale and offset, where the names of
         the columns say it, else in SI."""
-        if self.copied or self._unit_is_named:
+        named = {unit_of_name(self.kind, column) for column in self.channels.columns}
+        if self.copied or named == {self.channels.unit_name}:
             return self.channels
         sensors, (rate, increment) = len(self.channels.columns), SI.get(self.kind, (self.channels.unit_name,) * 2)
         return replace(
@@ -82,18 +83,8 @@ class _Correction:
         )
 
     @property
-    def _unit_is_named(self) -> bool:
-        """Whether the name of every column says the log's unit."""
-        said = {unit_of_name(self.kind, column) for column in self.channels.columns}
-        return said == {self.channels.unit_name}
-
-    @property
     def increments(self) -> bool:
         return self.channels.unit.kind == "increment"
-
-    @property
-    def along_body(self) -> bool:
-        return np.array_equal(self.channels.axes, np.eye(3))
 
     @property
     def added(self) -> tuple[str, ...]:
@@ -111,44 +102,15 @@ class _Correction:
         """The columns of corrected vectors (N, 3)."""
         if self.copied:
             return {}
-        perfect = true if self.along_body else true @ self.channels.axes.T
+        along_body = np.array_equal(self.channels.axes, np.eye(3))
+        perfect = true if along_body else true @ self.channels.axes.T
         out = dict(zip(self.channels.columns, self.written.from_si(perfect).T, strict=True))
         return out | dict(zip(self.added, true.T, strict=False))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Piece:
-    """Rows of a log: readings (N, n), SI, by kind of sensor, times (N,), s, from any start, the intervals (N,) of
-    increments, s, and temperatures (N, T), °C, of the thermometers; the last two None where nothing needs them."""
-
-    readings: Mapping[str, Array]
-    time: Array
-    dt: Array | None
-    temperature: Array | None
-
-    def part(self, rows: slice) -> _Piece:
-        """Some of the rows."""
-        return _Piece(
-            readings={kind: values[rows] for kind, values in self.readings.items()},
-            time=self.time[rows],
-            dt=None if self.dt is None else self.dt[rows],
-            temperature=None if self.temperature is None else self.temperature[rows],
-        )
-
-    @staticmethod
-    def joined(pieces: Sequence[_Piece]) -> _Piece:
-        """The rows of several pieces of one log."""
-
-        def every(arrays: Iterable[Array | None]) -> Array | None:
-            present = [array for array in arrays if array is not None]
-            return np.concatenate(present) if present else None
-
-        return _Piece(
-            readings={kind: np.concatenate([p.readings[kind] for p in pieces]) for kind in pieces[0].readings},
-            time=np.concatenate([p.time for p in pieces]),
-            dt=every(p.dt for p in pieces),
-            temperature=every(p.temperature for p in pieces),
-        )
+_Rows = dict[str, Array]
+"""Rows of a log: readings (N, n), SI, under the kind of sensor, "time" (N,), s, from any start, and where something
+needs them the intervals "dt" (N,) of increments, s, and "temperature" (N, T), °C, of the thermometers."""
 
 
 def apply_to_session(
@@ -176,7 +138,10 @@ def apply_to_session(
     parts = _parts(calibration, session)
     log = open_log(session)
     write_tables(path, _tables(session, parts, calibration.compensator, 1.0 / log.rate))
-    return _described(session, parts, path)
+    written = {part.kind: part.written for part in parts}
+    spec = replace(session.log, files=(path.resolve(),), dialect=None)
+    accel, gyro = written.get("accel", spec.accel), written.get("gyro", spec.gyro)
+    return description_of(replace(session, log=replace(spec, accel=accel, gyro=gyro)))
 
 
 def applied(calibration: Calibration | FilePath, session: Session | FilePath) -> tuple[str, ...]:
@@ -207,14 +172,6 @@ def applied(calibration: Calibration | FilePath, session: Session | FilePath) ->
     return tuple(out)
 
 
-def _described(session: Session, parts: tuple[_Correction, ...], out: Path) -> dict[str, Any]:
-    """The description of the corrected log."""
-    channels = {part.kind: part.written for part in parts}
-    spec = replace(session.log, files=(out.resolve(),), dialect=None)
-    accel, gyro = channels.get("accel", spec.accel), channels.get("gyro", spec.gyro)
-    return description_of(replace(session, log=replace(spec, accel=accel, gyro=gyro)))
-
-
 def _parts(calibration: Calibration, session: Session) -> tuple[_Correction, ...]:
     """What is to be corrected; the calibration is that of the session's device."""
     if calibration.serial != session.device.serial:
@@ -228,7 +185,22 @@ def _parts(calibration: Calibration, session: Session) -> tuple[_Correction, ...
     if session.log.gyro is not None and (calibration.gyro is not None or not calibration.absent):
         parts.append(_part("gyro", calibration.gyro, session.log.gyro, session))
     if session.log.magnetometer is not None and calibration.mag is not None:
-        parts.append(_magnetometer_part(calibration, calibration.mag, session.log.magnetometer, session))
+        given, unit = session.log.magnetometer, calibration["mag.bias.x"].unit
+        if given.unit != unit:
+            raise InputError(
+                f"{session.name}: log.magnetometer.unit: expected that of the calibration, {unit!r}, found "
+                f"{given.unit!r}; calibrate in the unit of the log"
+            )
+        channels = Channels(
+            columns=given.columns,
+            unit=Unit(factor=1.0, kind="rate"),
+            unit_name=unit,
+            scale=np.ones(3),
+            offset=np.zeros(3),
+            axes=np.eye(3),
+            range=None,
+        )
+        parts.append(_Correction(kind="mag", channels=channels, model=calibration.mag))
     return tuple(parts)
 
 
@@ -242,27 +214,6 @@ def _part(kind: str, model: SensorModel | None, channels: Channels, session: Ses
     return _Correction(kind=kind, channels=channels, model=model)
 
 
-def _magnetometer_part(
-    calibration: Calibration, model: SensorModel, given: Magnetometer, session: Session
-) -> _Correction:
-    unit = calibration["mag.bias.x"].unit
-    if given.unit != unit:
-        raise InputError(
-            f"{session.name}: log.magnetometer.unit: expected that of the calibration, {unit!r}, found "
-            f"{given.unit!r}; calibrate in the unit of the log"
-        )
-    channels = Channels(
-        columns=given.columns,
-        unit=Unit(factor=1.0, kind="rate"),
-        unit_name=unit,
-        scale=np.ones(3),
-        offset=np.zeros(3),
-        axes=np.eye(3),
-        range=None,
-    )
-    return _Correction(kind="mag", channels=channels, model=model)
-
-
 def _tables(
     session: Session, parts: tuple[_Correction, ...], compensator: Compensator, interval: float
 ) -> Iterator[pl.DataFrame]:
@@ -273,14 +224,15 @@ def _tables(
         source = source_of(file, session.log.dialect)
         reader = _Reader(path=source.path, session=session, parts=parts, compensator=compensator, interval=interval)
         slices = chain.from_iterable(t.iter_slices(_SLICE) for t in one_ahead(_rows(source, parts, session.log)))
-        pieces = ((table, reader.piece(table)) for table in slices)
-        for table, piece, own in _with_neighbours(pieces) if moved else _alone(pieces):
+        pieces = ((table, reader.read(table)) for table in slices)
+        alone = ((table, rows, slice(None)) for table, rows in pieces)
+        for table, rows, own in _with_neighbours(pieces) if moved else alone:
             names = table.columns if names is None else names
             if table.columns != names:
                 raise LogError(
                     f"{source.path}: expected the columns of the first file, {', '.join(names)}; write them alike"
                 )
-            true = _true(compensator, piece, parts, session, interval if moved else None)
+            true = _true(compensator, rows, parts, session, interval if moved else None)
             new = {name: c for part in parts for name, c in part.columns(true[part.kind][own]).items()}
             yield _with_columns(table, new)
 
@@ -297,43 +249,37 @@ def _is_moved(session: Session, compensator: Compensator) -> bool:
     return session.log.gyro is not None and compensator.gyro is not None and bool(np.any(compensator.levers))
 
 
-_Window = tuple[pl.DataFrame, _Piece, slice]
-"""A table, its rows perhaps with others before and after them, and where its own are."""
-
-
-def _alone(pieces: Iterable[tuple[pl.DataFrame, _Piece]]) -> Iterator[_Window]:
-    for table, piece in pieces:
-        yield table, piece, slice(None)
-
-
-def _with_neighbours(pieces: Iterable[tuple[pl.DataFrame, _Piece]]) -> Iterator[_Window]:
-    """Tables, and their rows with the one before and the one after them, where there is one."""
-    before: list[_Piece] = []
-    for (table, piece), following in pairwise(chain((p for p in pieces if p[0].height), [None])):  # type: ignore[misc]  # None comes last
-        after = [] if following is None else [following[1].part(slice(0, 1))]
+def _with_neighbours(pieces: Iterable[tuple[pl.DataFrame, _Rows]]) -> Iterator[tuple[pl.DataFrame, _Rows, slice]]:
+    """Tables, their rows with the one before and the one after them, where there is one, and where their own are."""
+    before: list[_Rows] = []
+    for (table, rows), following in pairwise(chain((p for p in pieces if p[0].height), [None])):  # type: ignore[misc]  # None comes last
+        after = [] if following is None else [{key: each[:1] for key, each in following[1].items()}]
+        around = [*before, rows, *after]
         own = slice(len(before), len(before) + table.height)
-        yield table, _Piece.joined([*before, piece, *after]), own
-        before = [piece.part(slice(-1, None))]
+        yield table, {key: np.concatenate([each[key] for each in around]) for key in rows}, own
+        before = [{key: each[-1:] for key, each in rows.items()}]
 
 
 def _true(
-    compensator: Compensator, piece: _Piece, parts: tuple[_Correction, ...], session: Session, interval: float | None
+    compensator: Compensator, rows: _Rows, parts: tuple[_Correction, ...], session: Session, interval: float | None
 ) -> dict[str, Array]:
     """True vectors (N, 3) by kind of sensor, increments where the readings are; of accelerometers with lever arms, at
     the last one, where the usual `interval`, s, is given."""
-    dt = {part.kind: piece.dt if part.increments else None for part in parts}
-    accel, warmth = piece.readings["accel"], _by_sensor(piece.temperature, session.accel_block)
-    true = {part.kind: corrected(part.model, piece.readings["mag"]) for part in parts if part.kind == "mag"}
+    dt = {part.kind: rows["dt"] if part.increments else None for part in parts}
+    accel, warmth = rows["accel"], _by_sensor(rows.get("temperature"), session.accel_block)
+    true = {part.kind: corrected(part.model, rows["mag"]) for part in parts if part.kind == "mag"}
     true["accel"] = true_force(compensator, accel, dt=dt["accel"], temperature=warmth)
     if "gyro" not in dt:
         return true
-    gyro, force = piece.readings["gyro"], _a_second(true["accel"], dt["accel"])
-    of_gyros = _by_sensor(piece.temperature, session.gyro_block)
+    gyro, force = rows["gyro"], _a_second(true["accel"], dt["accel"])
+    of_gyros = _by_sensor(rows.get("temperature"), session.gyro_block)
     true["gyro"] = true_rate(compensator, gyro, force, dt=dt["gyro"], temperature=of_gyros)
     if interval is None:
         return true
     rate = _a_second(true["gyro"], dt["gyro"])
-    moved = at_one_point(compensator, _a_second(accel, dt["accel"]), rate, piece.time, interval)
+    moved = compensator.at_one_point(
+        _a_second(accel, dt["accel"]), rate, angular_acceleration(rate, rows["time"], interval)
+    )
     force = true_force(compensator, moved, temperature=warmth)
     true["accel"] = force if dt["accel"] is None else force * dt["accel"][:, None]
     true["gyro"] = true_rate(compensator, gyro, force, dt=dt["gyro"], temperature=of_gyros)
@@ -366,17 +312,16 @@ class _Reader:
     warmth: Array | None = None
     behind: Array | None = None
 
-    def piece(self, table: pl.DataFrame) -> _Piece:
+    def read(self, table: pl.DataFrame) -> _Rows:
         """What the rows of a table hold."""
+        rows = {part.kind: part.readings(table) for part in self.parts}
         increments = any(part.increments for part in self.parts)
-        timed = increments or _is_moved(self.session, self.compensator)
-        time = self._times(table) if timed else np.zeros(table.height)
-        return _Piece(
-            readings={part.kind: part.readings(table) for part in self.parts},
-            time=time,
-            dt=self._intervals(time) if increments else None,
-            temperature=self._temperatures(table),
-        )
+        if increments or _is_moved(self.session, self.compensator):
+            rows["time"] = self._times(table)
+        if increments:
+            rows["dt"] = self._intervals(rows["time"])
+        celsius = self._temperatures(table)
+        return rows if celsius is None else rows | {"temperature": celsius}
 
     @property
     def _regular(self) -> bool:
@@ -384,7 +329,7 @@ class _Reader:
 
     def _times(self, table: pl.DataFrame) -> Array:
         self.rows += table.height
-        if self.session.log.time is None or self.session.log.regular:
+        if self.session.log.time is None or self._regular:
             return self.interval * np.arange(self.rows - table.height, self.rows, dtype=float)
         with rows_of_numbers(self.path):
             return times_of(table[self.session.log.time], self.session.log)

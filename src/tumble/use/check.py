@@ -29,12 +29,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from tumble.brief import Brief
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Outcome
-from tumble.inference.hyperparameters import Components
 from tumble.inference.prediction import prediction
 from tumble.inference.variables import variables_of
 from tumble.methods.field_check import ChangedParameter, CheckResult, KnownBefore, field_check
@@ -46,7 +46,6 @@ from tumble.reduction.observations import Observations
 from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.coverage import by_gravity, shared_gravity
-from tumble.result.parts import Parameter
 from tumble.run.calibrate import grade_of, provenance_of
 from tumble.run.from_estimate import readings_of_session, reference_of, references_of
 from tumble.run.observed import inspect_session, observations_for_calibration
@@ -54,7 +53,6 @@ from tumble.run.type_spread import KnownLaunches, known_launches
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_of, sensor_kind, shown_in, to_temperature, usual_sizes, variable_of
-from tumble.units import Array
 from tumble.use.thermometers import check_thermometers
 
 _FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
@@ -150,7 +148,8 @@ def check_calibration(
     observations = observations_for_calibration(observed)
     if isinstance(observations, Outcome):
         raise InputError(f"{session.name}: expected rests to check with, found {'; '.join(observations.reasons)}")
-    observations = _seen_by(own, observations)
+    if own.gyro is None and observations.gyro_block is not None:
+        observations = observations.of_accelerometers()
     grade, guessed_from = grade_of(session, observations)
     known = known_before(own, observations, grade, session.device.prior, launches)
     result = field_check(observations, known)
@@ -206,12 +205,6 @@ def _check_given(calibration: Calibration, session: Session) -> None:
             )
 
 
-def _seen_by(calibration: Calibration, observations: Observations) -> Observations:
-    """The observations of the sensors that the calibration has."""
-    with_gyros = calibration.gyro is not None or observations.gyro_block is None
-    return observations if with_gyros else observations.of_accelerometers()
-
-
 def _launches(calibration: Calibration, others: Sequence[KnownLaunches]) -> tuple[KnownLaunches, ...]:
     """The launches behind a calibration and those of other ones of its device, each once."""
     own = known_launches(calibration)
@@ -254,92 +247,67 @@ def known_before(
     """Parameters and covariance at the check by the calibration, in the frame `accelerometer`, Eq. (1), of a device of
     which `launches` of other calibrations are known."""
     usual = usual_sizes(grade, data_sheet)
-    blocks = observations.accel_block, observations.gyro_block
-    instrument = Instrument.of(*blocks, set(usual), variables_of(observations))
-    values, own = _calibrated(calibration, instrument, usual)
-    gravity = observations.site.gravity_u
-    whole = np.zeros((len(values) + 1,) * 2)
-    whole[0, 0], whole[1:, 1:] = gravity**2, own
-    root = np.array([0.0, *_inverse_degrees(calibration, instrument)]) ** 0.25
-    turned_on, inverse_degrees = _turned_on(calibration, instrument, grade, _launches(calibration, launches))
-    if shared_gravity(calibration.site, observations.site):
-        change = by_gravity(calibration.parameters, calibration.covariance, calibration.site)
-        by_name = {p.name: c for p, c in zip(calibration.parameters, change.tolist(), strict=True)}
-        whole[0, 1:] = whole[1:, 0] = gravity * np.array([by_name.get(name, 0.0) for name in instrument.names])
-    J = np.eye(len(whole))
-    J[1:, 1:] = _to_temperature(calibration, observations, instrument)
-    known = J @ whole @ J.T
-    return KnownBefore(
-        instrument=instrument,
-        values=J[1:, 1:] @ values,
-        covariance=known + np.diag(np.append(0.0, turned_on)),
-        doubt=root[:, None] * known * root + np.diag(np.append(0.0, turned_on * np.sqrt(inverse_degrees))),
-        components=_components(calibration, grade),
+    instrument = Instrument.of(
+        observations.accel_block, observations.gyro_block, set(usual), variables_of(observations)
     )
+    names, linear = instrument.names, instrument.names[: instrument.linear_count]
 
-
-def _calibrated(calibration: Calibration, instrument: Instrument, usual: Mapping[str, float]) -> tuple[Array, Array]:
-    """Values (m,) and covariance (m, m) of an instrument's parameters by the calibration at its own temperature."""
-    found = {p.name: i for i, p in enumerate(calibration.parameters) if variable_of(p.name) != "time"}
-    missing = [name for name in instrument.names[: instrument.linear_count] if name not in found]
+    # Σ with the uncertainty of gravity before it: by the calibration, and of the usual size what it does not have
+    places = {p.name: i for i, p in enumerate(calibration.parameters) if variable_of(p.name) != "time"}
+    missing = [name for name in linear if name not in places]
     if missing or calibration.covariance is None:
         raise InputError(
             f"calibration of {calibration.serial!r}: expected the parameters of the session's sensors, found none of "
             f"{', '.join(missing)}; check with recordings of the same device"
         )
-    values, covariance = np.zeros(len(instrument.names)), np.zeros((len(instrument.names),) * 2)
-    for name, members in instrument.members.items():
-        covariance[members, members] = usual[name] ** 2 * np.eye(members.stop - members.start)
-    at = [i for i, name in enumerate(instrument.names) if name in found]
-    of = [found[instrument.names[i]] for i in at]
-    parameters = [calibration.parameters[i] for i in of]
-    values[at] = [p.value for p in parameters]
-    covariance[np.ix_(at, at)] = calibration.covariance[np.ix_(of, of)]
-    return values, covariance
+    values, whole = np.zeros(len(names)), np.zeros((len(names) + 1,) * 2)
+    gravity, covariance = observations.site.gravity_u, whole[1:, 1:]
+    whole[0, 0] = gravity**2
+    for group, members in instrument.members.items():
+        covariance[members, members] = usual[group] ** 2 * np.eye(members.stop - members.start)
+    at = [i for i, name in enumerate(names) if name in places]
+    chosen = [places[names[i]] for i in at]
+    values[at] = [calibration.parameters[i].value for i in chosen]
+    covariance[np.ix_(at, at)] = calibration.covariance[np.ix_(chosen, chosen)]
+    if shared_gravity(calibration.site, observations.site):
+        change = by_gravity(calibration.parameters, calibration.covariance, calibration.site)
+        by_name = {p.name: c for p, c in zip(calibration.parameters, change.tolist(), strict=True)}
+        whole[0, 1:] = whole[1:, 0] = gravity * np.array([by_name.get(name, 0.0) for name in names])
 
+    # at the temperature of the session
+    now, J = references_of(observations), np.eye(len(whole))
+    if calibration.reference_temperature is not None and now:
+        here = replace(calibration, references=now)
+        warmer = [here.reference_of(name) - calibration.reference_of(name) for name in names]
+        J[1:, 1:] = to_temperature(names, np.array(warmer))
+    known = J @ whole @ J.T
 
-def _inverse_degrees(calibration: Calibration, instrument: Instrument) -> list[float]:
-    """1/ν of the calibrated u of an instrument's parameters; 0 where it is known."""
-    found = {p.name: 1.0 / p.dof for p in calibration.parameters if p.dof is not None}
-    return [found.get(name, 0.0) for name in instrument.names]
-
-
-def _to_temperature(calibration: Calibration, observations: Observations, instrument: Instrument) -> Array:
-    """The matrix (m, m) that takes parameters from the temperature of the calibration to that of the session."""
-    now = references_of(observations)
-    if calibration.reference_temperature is None or not now:
-        return np.eye(len(instrument.names))
-    here = replace(calibration, references=now)
-    warmer = [here.reference_of(name) - calibration.reference_of(name) for name in instrument.names]
-    return to_temperature(instrument.names, np.array(warmer))
-
-
-def _turned_on(
-    calibration: Calibration, instrument: Instrument, grade: str, launches: Sequence[KnownLaunches]
-) -> tuple[Array, Array]:
-    """Variances (m,) by which parameters change from the calibration to another power-on, and 1/ν of each, Eq. (2)."""
-    names = instrument.names[: instrument.linear_count]
-    # the values of a single launch are as far from the mean; u of several together has what they change by
+    # s² and 1/ν_s of another power-on, Eq. (2); a single launch is as far from the mean of all as the one checked,
+    # while u of several together has what they change by
     single = len(calibration.launches) < 2 and not calibration.together
-    variance, inverse_degrees = np.zeros((2, len(instrument.names)))
-    for i, name in enumerate(names):
-        usual = spread_of(TURN_ON[grade], name) ** 2
-        known = [(each.degrees, each.variances[name][0]) for each in launches if name in each.variances]
-        degrees = sum(count for count, _ in known)
-        own = sum(count * between for count, between in known) / max(degrees, 1)
-        pooled = (USUAL_DEGREES * usual + degrees * own) / (USUAL_DEGREES + degrees)
-        variance[i] = max(own, pooled) * (2.0 if single else 1.0)
+    others = _launches(calibration, launches)
+    turned_on, inverse_degrees = np.zeros((2, len(whole)))
+    for i, name in enumerate(linear, 1):
+        seen = [(each.degrees, each.variances[name][0]) for each in others if name in each.variances]
+        degrees = sum(count for count, _ in seen)
+        own = sum(count * between for count, between in seen) / max(degrees, 1)
+        pooled = USUAL_DEGREES * spread_of(TURN_ON[grade], name) ** 2 + degrees * own
+        pooled /= USUAL_DEGREES + degrees
+        turned_on[i] = max(own, pooled) * (2.0 if single else 1.0)
         if degrees:
             inverse_degrees[i] = 1.0 / degrees if own > pooled else 1.0 / (USUAL_DEGREES + degrees)
-    return variance, inverse_degrees
 
-
-def _components(calibration: Calibration, grade: str) -> Components:
-    """The scatter of the rests and turns of the calibration, and the in-run instability of the grade."""
-    scatter: dict[str, Any] = {
-        name: calibration.fits[fit].scatter for name, fit in _FITS.items() if fit in calibration.fits
-    }
-    return replace(components_of(GRADES[grade].noise), **scatter)
+    inverse = {p.name: 1.0 / p.dof for p in calibration.parameters if p.dof is not None}
+    N = np.array([0.0, *(inverse.get(name, 0.0) for name in names)]) ** 0.25
+    fits = calibration.fits
+    scatter: dict[str, Any] = {name: fits[fit].scatter for name, fit in _FITS.items() if fit in fits}
+    return KnownBefore(
+        instrument=instrument,
+        values=J[1:, 1:] @ values,
+        covariance=known + np.diag(turned_on),
+        doubt=N[:, None] * known * N + np.diag(turned_on * np.sqrt(inverse_degrees)),
+        components=replace(components_of(GRADES[grade].noise), **scatter),
+    )
 
 
 # The updated calibration
@@ -348,18 +316,24 @@ def _components(calibration: Calibration, grade: str) -> Components:
 def _updated(check: FieldCheck) -> Calibration:
     """The calibration by the check, at the temperature of the check."""
     before, result, instrument = check.calibration, check.result, check.instrument
-    kept = [p for p in before.parameters if variable_of(p.name) != "time" and p.name in instrument.names]
-    others = [p for p in before.parameters if sensor_kind(p.name) == "mag"]
-    at = [instrument.names.index(p.name) for p in kept]
-    u = np.sqrt(np.diag(result.covariance))
-    changed = {change.name for change in result.changes}
-    parameters = tuple(
-        _moved_to(p, float(result.values[i]), float(u[i]), by_check=p.name in changed)
-        for p, i in zip(kept, at, strict=True)
-    )
-    rate = None if before.prediction is None else before.prediction.at_rate
+    assert before.covariance is not None
+    u, changed = np.sqrt(np.diag(result.covariance)), {change.name for change in result.changes}
+    parameters, at = [], []
+    for p in before.parameters:
+        if variable_of(p.name) == "time" or p.name not in instrument.names:
+            continue
+        i = instrument.names.index(p.name)
+        learned, own_u = p.learned, float(u[i])
+        if p.prior is not None and learned is not None:
+            learned = min(max(1.0 - (own_u / p.prior) ** 2, 0.0), 1.0)
+        dof = None if p.name in changed else p.dof  # what is of the check alone has none of the calibration
+        value = float(result.values[i])
+        parameters.append(replace(p, value=value, u=own_u, deviation=None, run_to_run=None, dof=dof, learned=learned))
+        at.append(i)
+    others = [i for i, p in enumerate(before.parameters) if sensor_kind(p.name) == "mag"]  # took no part
     gyro = instrument.gyro
-    known = before.reference_temperature is not None
+    warm = before.reference_temperature is not None
+    at_rate = None if before.prediction is None else before.prediction.at_rate
     return Calibration(
         # the device and its sensors
         serial=before.serial,
@@ -378,15 +352,15 @@ def _updated(check: FieldCheck) -> Calibration:
         mag=before.mag,
         measured_between=before.temperature_range,
         # what the check says
-        parameters=(*parameters, *others),
-        covariance=_with_others(before, others, result.covariance[np.ix_(at, at)]),
+        parameters=(*parameters, *(before.parameters[i] for i in others)),
+        covariance=block_diag(result.covariance[np.ix_(at, at)], before.covariance[np.ix_(others, others)]),
         accel=instrument.model(instrument.accel, result.values),
         gyro=None if gyro is None else instrument.model(gyro, result.values),
         prediction=None
         if before.site is None
-        else prediction(instrument, result.values, result.covariance, gravity=before.site.gravity, rate=rate),
-        reference_temperature=check.temperature if known else None,
-        references=check.references if known else {},
+        else prediction(instrument, result.values, result.covariance, gravity=before.site.gravity, rate=at_rate),
+        reference_temperature=check.temperature if warm else None,
+        references=check.references if warm else {},
         site=before.site if before.site == check.site else None,
         circumstances=check.circumstances,
         sample_rate=check.sample_rate,
@@ -396,23 +370,6 @@ def _updated(check: FieldCheck) -> Calibration:
             "calibrated_log_sha256": before.provenance.get("log_sha256", "unknown"),
         },
     )
-
-
-def _moved_to(parameter: Parameter, value: float, u: float, *, by_check: bool) -> Parameter:
-    """A parameter after the check; what is of the check alone has no degrees of freedom of the calibration."""
-    learned = parameter.learned
-    if parameter.prior is not None and learned is not None:
-        learned = min(max(1.0 - (u / parameter.prior) ** 2, 0.0), 1.0)
-    dof = None if by_check else parameter.dof
-    return replace(parameter, value=value, u=u, deviation=None, run_to_run=None, dof=dof, learned=learned)
-
-
-def _with_others(before: Calibration, others: list[Parameter], covariance: Array) -> Array:
-    """The covariance with that of parameters which took no part."""
-    assert before.covariance is not None
-    index = [i for i, p in enumerate(before.parameters) if p in others]
-    apart = np.zeros((len(covariance), len(index)))
-    return np.block([[covariance, apart], [apart.T, before.covariance[np.ix_(index, index)]]])
 
 
 def _how(check: FieldCheck) -> str:

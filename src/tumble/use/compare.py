@@ -29,7 +29,8 @@ from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.result.calibration import Calibration, calibration_from, text_of
-from tumble.result.coverage import UNLEARNED, apart, expanded_of, remarks, welch_satterthwaite
+from tumble.result.coverage import UNLEARNED, apart, expanded_of, welch_satterthwaite
+from tumble.result.further import remarks
 from tumble.result.parts import Parameter
 from tumble.result.shared_errors import shared_errors
 from tumble.units import Array

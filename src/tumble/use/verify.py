@@ -33,6 +33,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy import special
 
 from tumble.brief import Brief
 from tumble.errors import CalibrationError, InputError
@@ -120,7 +121,9 @@ class Verification(Brief):
 
 
 def positions_of(given: Session | FilePath, calibration: Calibration) -> Positions:
-    """The positions of a session, its folder, or a table of readings. Raises as `rests_of` and `positions_of_table`.
+    """The positions of a session, its folder, or a table of readings. The sensors of a
+    session follow their thermometers with the calibration's lag. Raises InputError where nothing rests, and as
+    `positions_of_table`.
 
     >>> import tumble
     >>> request = tumble.Setup.of(grade="mems", positions=12)
@@ -136,24 +139,18 @@ def positions_of(given: Session | FilePath, calibration: Calibration) -> Positio
             f"{session.name}: expected a session of device {calibration.serial!r}, which was calibrated, found "
             f"{session.device.serial!r}"
         )
-    if calibration.accel is None:
-        return rests_of(session)
-    check_thermometers(calibration, session)
-    return rests_of(session, calibration.compensator.lag)
-
-
-def rests_of(session: Session, lag: float = 0.0) -> Positions:
-    """Every rest of a session, the sensors following their thermometers with a lag, s. Raises InputError where there is
-    none."""
-    found = inspect_session(session)
-    observations = found.observations
-    if observations is None or found.faults:
-        said = found.faults[0] if found.faults else "no rests; look at it with `tumble inspect`"
-        raise InputError(f"{session.name}: expected rests to verify with, found {said}")
+    if calibration.accel is not None:
+        check_thermometers(calibration, session)
+    seen = inspect_session(session)
+    observations = seen.observations
+    if observations is None or seen.faults:
+        fault = seen.faults[0] if seen.faults else "no rests; look at it with `tumble inspect`"
+        raise InputError(f"{session.name}: expected rests to verify with, found {fault}")
     rests, celsius = observations.rests, None
     if rests.temperatures is not None:
-        at_rest = sensors_at(observations, rests.temperatures, lag)
-        celsius = at_rest[:, observations.accel_block.thermometer] - ZERO_CELSIUS
+        lag = 0.0 if calibration.accel is None else calibration.compensator.lag
+        celsius = sensors_at(observations, rests.temperatures, lag)[:, observations.accel_block.thermometer]
+        celsius = celsius - ZERO_CELSIUS
     return Positions(
         block=observations.accel_block,
         readings=rests.accel,
@@ -164,7 +161,7 @@ def rests_of(session: Session, lag: float = 0.0) -> Positions:
         ),
         gravity=session.site.gravity,
         gravity_u=session.site.gravity_u,
-        sha256=found.sha256,
+        sha256=seen.sha256,
         celsius=celsius,
         grade=grade_of(session, observations)[0],
     )
@@ -234,25 +231,32 @@ def verify_calibration(calibration: Calibration | FilePath, check: Positions | S
     """
     calibration = accepted_accelerometers(calibration_from(calibration), VERIFIED)
     positions = check if isinstance(check, Positions) else positions_of(check, calibration)
-    seen = verticals(calibration, positions)
+    seen, by_parameters = _seen(calibration, positions)
     assert calibration.accel is not None
-    own = calibration.provenance.get("log_sha256") == positions.sha256
     if any(launch.log_sha256 == positions.sha256 for launch in calibration.launches):
         raise InputError(
             f"calibration of {calibration.serial!r}: expected positions that did not take part in it, or those of its "
             f"only session, found one of its {len(calibration.launches)} launches; verify with another session"
         )
-    fit = _accelerometer_fit(calibration)
+    fit, J = _accelerometer_fit(calibration), by_parameters
     across = seen.direction[:, None, :] @ calibration.accel.inverse()
     noise = positions.covariance + fit.scatter**2 * np.eye(positions.block.size)
     variance = (across @ noise @ np.swapaxes(across, 1, 2))[:, 0, 0]
-    by_parameters = _length_by_parameters(calibration, positions, seen)
-    known = np.einsum("im,mk,ik->i", by_parameters, seen.parameter_covariance, by_parameters)
+    known = np.einsum("im,mk,ik->i", J, seen.parameter_covariance, J)
     difference = positions.gravity - np.linalg.norm(_force(calibration, positions), axis=1)
-    if own:
-        untold = _untold(calibration, positions, by_parameters)
-        known = np.maximum(known - untold - positions.gravity_u**2, 0.0)
-        return _left_out(positions, difference, variance, (known, untold), fit)
+    if calibration.provenance.get("log_sha256") == positions.sha256:  # the calibration's own: each is left out in turn
+        untold = _untold(calibration, positions, J)
+        left = 1.0 - np.maximum(known - untold - positions.gravity_u**2, 0.0) / variance
+        left = np.where(left > NOTHING_LEFT, left, np.nan)  # nothing else determines it
+        u = np.sqrt(variance * left + untold)
+        return Verification(
+            labels=positions.labels,
+            difference=difference / left,
+            u=u / left,
+            sigmas=sigmas(difference / u, fit.degrees, fit.scatter > 0.0),
+            limit=_limit(len(left), np.inf),
+            left_out=True,
+        )
     same_gravity = calibration.site is not None and (
         (calibration.site.gravity, calibration.site.gravity_u) == (positions.gravity, positions.gravity_u)
     )
@@ -266,79 +270,51 @@ def verify_calibration(calibration: Calibration | FilePath, check: Positions | S
         sigmas=np.abs(difference) / u,
         limit=_limit(len(u), fit.degrees / by_scatter**2 if by_scatter > 0.0 else np.inf),  # Welch–Satterthwaite
         left_out=False,
-        by_turn_on=_by_turn_on(calibration, positions, seen, difference, variance, by_gravity),
-    )
-
-
-def _by_turn_on(
-    calibration: Calibration,
-    positions: Positions,
-    seen: Verticals,
-    difference: Array,
-    variance: Array,
-    by_gravity: float,
-) -> bool:
-    """Whether Δg (N,) are no larger than by chance, all together, with what turning on again usually changes in the
-    linear parameters between two power-ons; never where the grade is not known."""
-    if positions.grade is None:
-        return False
-    from scipy.special import chdtri, fdtri
-
-    J, fit = _length_by_parameters(calibration, positions, seen), _accelerometer_fit(calibration)
-    turned_on, known = np.zeros(len(seen.parameter_covariance)), seen.parameter_covariance
-    names = positions.block.names
-    turned_on[: len(names)] = [2.0 * spread_of(TURN_ON[positions.grade], name) ** 2 for name in names]
-    V = np.diag(variance) + J @ (known + np.diag(turned_on)) @ J.T + by_gravity
-    N = len(difference)
-    square = float(difference @ np.linalg.solve(V, difference))
-    if fit.scatter == 0.0 or np.isinf(fit.degrees):
-        return square < float(chdtri(N, CHANCE))
-    return square / N < float(fdtri(N, fit.degrees, 1.0 - CHANCE))
-
-
-def _untold(calibration: Calibration, positions: Positions, by_parameters: Array) -> Array:
-    """The part (N,) of the variance of the force in the calibration's own positions that comes from parameters of which
-    they have told nothing: given these, the force is as well known as the fit has it."""
-    names, covariance = _accelerometer_names(calibration, positions), calibration.covariance
-    untold = [i for i, p in enumerate(calibration.parameters) if p.learned == 0.0]
-    if covariance is None or not untold:
-        return np.zeros(len(by_parameters))
-    at = [i for i, p in enumerate(calibration.parameters) if p.name in names]
-    moved = by_parameters @ covariance[np.ix_(at, untold)]
-    return np.asarray(np.einsum("ik,ki->i", moved, np.linalg.solve(covariance[np.ix_(untold, untold)], moved.T)))
-
-
-def _left_out(
-    positions: Positions, difference: Array, variance: Array, known: tuple[Array, Array], fit: Fit
-) -> Verification:
-    """Each of the calibration's own positions without itself; nan where nothing else determines it. `known`: the
-    variances of the force there by the fit, and by what it leaves out."""
-    of_fit, untold = known
-    left = 1.0 - of_fit / variance
-    left = np.where(left > NOTHING_LEFT, left, np.nan)
-    normalised = difference / np.sqrt(variance * left + untold)
-    return Verification(
-        labels=positions.labels,
-        difference=difference / left,
-        u=np.sqrt(variance * left + untold) / left,
-        sigmas=sigmas(normalised, fit.degrees, fit.scatter > 0.0),
-        limit=_limit(len(left), np.inf),
-        left_out=True,
+        by_turn_on=_by_turn_on(positions, seen, J, difference, np.diag(variance) + by_gravity, fit),
     )
 
 
 def _limit(count: int, degrees: float) -> float:
     """What the largest of `count` ratios exceeds in CHANCE of all cases."""
-    from scipy.special import ndtri, stdtrit
-
     tail = 1.0 - 0.5 * CHANCE / count
-    return float(ndtri(tail) if np.isinf(degrees) else stdtrit(degrees, tail))
+    return float(special.ndtri(tail) if np.isinf(degrees) else special.stdtrit(degrees, tail))
+
+
+def _by_turn_on(positions: Positions, seen: Verticals, J: Array, difference: Array, variance: Array, fit: Fit) -> bool:
+    """Whether Δg (N,), of the `variance` (N, N) without the calibration, are no larger than by chance, all together,
+    with what turning on again usually changes in the linear parameters between two power-ons; never where the grade is
+    not known."""
+    if positions.grade is None:
+        return False
+    names, turned_on = positions.block.names, np.zeros(len(seen.parameter_covariance))
+    turned_on[: len(names)] = [2.0 * spread_of(TURN_ON[positions.grade], name) ** 2 for name in names]
+    V = variance + J @ (seen.parameter_covariance + np.diag(turned_on)) @ J.T
+    N, square = len(difference), float(difference @ np.linalg.solve(V, difference))
+    if fit.scatter == 0.0 or np.isinf(fit.degrees):
+        return square < float(special.chdtri(N, CHANCE))
+    return square / N < float(special.fdtri(N, fit.degrees, 1.0 - CHANCE))
+
+
+def _untold(calibration: Calibration, positions: Positions, J: Array) -> Array:
+    """The part (N,) of the variance of the force in the calibration's own positions that comes from parameters of which
+    they have told nothing: given these, the force is as well known as the fit has it."""
+    names, covariance = _accelerometer_names(calibration, positions), calibration.covariance
+    untold = [i for i, p in enumerate(calibration.parameters) if p.learned == 0.0]
+    if covariance is None or not untold:
+        return np.zeros(len(J))
+    at = [i for i, p in enumerate(calibration.parameters) if p.name in names]
+    moved = J @ covariance[np.ix_(at, untold)]
+    return np.asarray(np.einsum("ik,ki->i", moved, np.linalg.solve(covariance[np.ix_(untold, untold)], moved.T)))
 
 
 def verticals(calibration: Calibration, positions: Positions) -> Verticals:
     """Where the vertical was in the calibration's frame in every position, with its covariance, for the relation of two
     blocks (`case.relate`). Raises as `verify_calibration`."""
-    calibration = accepted_accelerometers(calibration, VERIFIED)
+    return _seen(accepted_accelerometers(calibration, VERIFIED), positions)[0]
+
+
+def _seen(calibration: Calibration, positions: Positions) -> tuple[Verticals, Array]:
+    """The verticals, and the derivative (N, m) of |true| with the parameters of the accelerometers."""
     assert calibration.accel is not None
     names = _accelerometer_names(calibration, positions)
     force = _force(calibration, positions)
@@ -347,7 +323,8 @@ def verticals(calibration: Calibration, positions: Positions) -> Verticals:
     known = np.zeros((len(index), len(index)))
     if calibration.covariance is not None:
         known = calibration.covariance[np.ix_(index, index)]
-    return verticals_of(calibration.accel, force, change, positions.covariance, known)
+    seen = verticals_of(calibration.accel, force, change, positions.covariance, known)
+    return seen, -np.einsum("ik,kp,ipm->im", seen.direction, calibration.accel.inverse(), change)
 
 
 def _force(calibration: Calibration, positions: Positions) -> Array:
@@ -406,10 +383,3 @@ def _change(calibration: Calibration, positions: Positions, force: Array) -> Arr
         warmer = positions.celsius - calibration.reference_temperature
         every[:, :, changed] = (warmer ** _OVER_TEMPERATURE[variable])[:, :, None] * every[:, :, base]
     return np.concatenate([own, every[:, :, instrument.linear_count :]], axis=2)
-
-
-def _length_by_parameters(calibration: Calibration, positions: Positions, seen: Verticals) -> Array:
-    """Derivative (N, m) of |true| with the parameters of the accelerometers."""
-    assert calibration.accel is not None
-    change = _change(calibration, positions, _force(calibration, positions))
-    return np.asarray(-np.einsum("ik,kp,ipm->im", seen.direction, calibration.accel.inverse(), change))

@@ -20,7 +20,6 @@ from tumble.result.further import (
     BY_PRIOR,
     decided_by_priors,
     group_lines,
-    headline,
     linear_parameters,
     other_factors,
     predicted,
@@ -321,7 +320,7 @@ def as_html(calibration: Calibration) -> str:
 def _short(calibration: Calibration) -> list[Block]:
     outcome = calibration.outcome
     said, notes = (*outcome.reasons, *outcome.remarks), tuple(f"note: {note}" for note in calibration.notes)
-    blocks: list[Block] = [Text(text=headline(calibration)), *([Items(items=said)] if said else [])]
+    blocks: list[Block] = [Text(text=calibration.headline), *([Items(items=said)] if said else [])]
     return [*blocks, whole_table(calibration), *([Items(items=notes)] if notes else [])]
 
 
@@ -336,7 +335,7 @@ def draw(calibration: Calibration, axes: Axes) -> None:
         _draw_residuals(calibration, axes)
     else:
         _draw_parameters(calibration, axes)
-    axes.set_title(headline(calibration), fontsize="medium")
+    axes.set_title(calibration.headline, fontsize="medium")
 
 
 def _draw_residuals(calibration: Calibration, axes: Axes) -> None:

@@ -13,7 +13,7 @@ forces change between the instants at which the sensors are read. So the sums ar
 sample: of its n − 6 quietest directions, once what varies with the rates is taken out.
 
 Had the angular acceleration been integrated by parts, n − 3 combinations would be left; as an unknown of every sample
-it takes three of them, and no derivative of a noisy rate is needed: docs/mathematics.md (12).
+it takes three of them, and no derivative of a noisy rate is needed: docs/explanation/mathematics.md (12).
 """
 
 from __future__ import annotations

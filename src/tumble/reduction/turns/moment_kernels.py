@@ -255,7 +255,7 @@ def _regress(gyros: Array, accels: Array, count: int, rows: Array) -> float:
 # C:     e=double, dt=double, before=double)
 # C: cdef void _step(Py_ssize_t count, double[:, ::1] rows) noexcept nogil
 def _step(count: int, rows: Array) -> None:
-    """With primes for the sample before, docs/mathematics.md (6), the quaternions exp([φ×]/4) and the moves
+    """With primes for the sample before, docs/explanation/mathematics.md (6), the quaternions exp([φ×]/4) and the moves
 
     φ = Δθ + Δθ'×Δθ/12,   Δv + φ×(φ×Δv)/24 + (Δθ'×Δv + Δv'×Δθ)/12"""
     for i in range(count):

@@ -5,9 +5,9 @@ rate ω and specific force f of the body and the thirteen regressors β = (1, ω
 
     Φ_ijb = ∫ C_ij β_b dt,     Ψ_jb = ∫ Φ_jb × dV  (b < 7),     W_ij,kl = ∫ C_ij ω_k ω_l dt,     V = ∫ C f dt,
 
-which together with C and the sweep ∫ (C[ω×])_im f_l dt are the statistic of the turn: docs/mathematics.md (8). Let
-sensor p read a_pᵀω or a_pᵀf plus Σ_m θ_m Σ_b w_pbm β_b, and let s_p be column p of the left inverse with which the
-readings were compensated. Then a group of parameters is the constant array w alone:
+which together with C and the sweep ∫ (C[ω×])_im f_l dt are the statistic of the turn: docs/explanation/mathematics.md
+(8). Let sensor p read a_pᵀω or a_pᵀf plus Σ_m θ_m Σ_b w_pbm β_b, and let s_p be column p of the left inverse with which
+the readings were compensated. Then a group of parameters is the constant array w alone:
 
     gyros           ∂φ = −Φ_ijb s_jp w_pbm,   ∂V = −Ψ_ijb s_jp w_pbm                                    (9)
     accelerometers  ∂V = −Φ_ijb s_jp w_pbm
@@ -137,7 +137,7 @@ class Moments:
     body_accel: Array
     """∫ |a_p·f| dt, ∫ (a_p·f)³ dt (K, 2, m)."""
     jumps: Array
-    """Σ Δt² |f − f'|² (K,), m²/s², with f' of the sample before: docs/mathematics.md (18)."""
+    """Σ Δt² |f − f'|² (K,), m²/s², with f' of the sample before: docs/explanation/mathematics.md (18)."""
 
     def __len__(self) -> int:
         return len(self.C)
@@ -187,8 +187,8 @@ def integrate(
     compensation: Compensation | Sequence[Compensation],
     own: OwnAxes = NO_OWN_AXES,
 ) -> Moments:
-    """Moments of turns by the step about the middle attitude (docs/mathematics.md (6)), with one compensation or one
-    for each; every batch
+    """Moments of turns by the step about the middle attitude (docs/explanation/mathematics.md (6)), with one
+    compensation or one for each; every batch
     holds at most one piece of a turn, in order of time.
 
     Errors of arithmetic are below 1e-12 while a sample turns by less than 0.5 rad."""

@@ -45,8 +45,8 @@ class Turns:
     M (K, 3, 3, 3) rad and B (K, 3, 3) s, the covariance (K, 3, 3) of the rotation from gyro noise, rad², and
     `arising` (K,), when in the turn it arose: `ColouredNoise.arising`; the covariance (K, 3, 3) of the velocity
     increment from accelerometer noise, m²/s², and `jumps` (K,), m²/s², the sum of the squares of what the force jumps
-    by from sample to sample times the interval, docs/mathematics.md (18). All are resolved in the non-rotating frame
-    that is the body at the start of the turn. `aliased` (K,), rad², is the variance of the rotation
+    by from sample to sample times the interval, docs/explanation/mathematics.md (18). All are resolved in the
+    non-rotating frame that is the body at the start of the turn. `aliased` (K,), rad², is the variance of the rotation
     if what changes in the rate from sample to sample were independent, which it is in samples that are no means."""
 
     first: IntArray
@@ -209,7 +209,7 @@ def _tear(before: RestSpan, after: RestSpan, gaps: tuple[Gap, ...]) -> Gap | Non
 
 def velocity_floor(moments: Moments, samples: IntArray) -> Array:
     """Standard deviation (K,), m/s, of the velocities of turns of so many samples (K,) from rounding and from the error
-    of the integration, which is of third order in the angle of a step (docs/mathematics.md (6))."""
+    of the integration, which is of third order in the angle of a step (docs/explanation/mathematics.md (6))."""
     mean_square = (moments.body_rates[:, [0, 3, 5]]).sum(axis=1) * moments.T
     step = np.sqrt(mean_square) / np.maximum(samples, 1)
     return np.asarray(VELOCITY_FLOOR + VELOCITY_STEP * np.linalg.norm(moments.V, axis=1) * step**3)

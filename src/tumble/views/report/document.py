@@ -12,8 +12,7 @@ from tumble.acceptance.limits import Limits
 from tumble.errors import InputError
 from tumble.result import further
 from tumble.result.calibration import Calibration
-from tumble.result.coverage import remarks
-from tumble.result.further import left_by_matrix, left_said
+from tumble.result.further import left_by_matrix, left_said, remarks
 from tumble.views.blocks import Block, Document, Facts, Items, Part, Section, Text, Tone, section
 from tumble.views.numbers import NONE, device_name
 from tumble.views.registry import TONES

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from tumble.acceptance.conformity import RULE, LimitJudgement, Verdict
 from tumble.acceptance.limits import Limits
 from tumble.result.calibration import Calibration
-from tumble.result.coverage import remarks
+from tumble.result.further import remarks
 from tumble.units import engineering
 from tumble.views.blocks import Block, Items, Section, Text, table
 from tumble.views.numbers import Units, cells, limit_cell, shown_units
