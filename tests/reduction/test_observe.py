@@ -23,6 +23,7 @@ from tumble.reduction.blocks.reducer import Reducer, Reduction
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.rests.matching import Match
 from tumble.reduction.rests.segmentation import RestSpan, find_rests
+from tumble.reduction.turns import turn_samples
 from tumble.reduction.turns.turn_samples import TurnSamples
 from tumble.reduction.turns.turns import rotations_of_independent
 from tumble.rotation import rotation_matrix, tangent_basis
