@@ -1,6 +1,6 @@
 """Is the posterior of the joint method what a sampler finds? Yes: means and u are those of a Metropolis sampler.
 
-The joint method integrates over what the model does not know about itself, φ, by 128 points of a fixed sequence
+The joint method integrates over what the model does not know about itself, φ, by 64 points of a fixed sequence
 (`tumble.inference.integral`). Here φ is sampled by a random walk instead (Metropolis, with the steps of Haario's
 adaptation while it burns in), all elements of it at once, and at every draw gravity and the parameters have their exact
 conditional mean and covariance, so that of them nothing is left to chance. Compared are, of every parameter of the
@@ -19,14 +19,10 @@ from pathlib import Path
 import numpy as np
 
 from tumble.inference.estimate import Outcome
-from tumble.inference.hyperparameters import components_of, sized
-from tumble.inference.in_run import of_session
-from tumble.inference.integral import posterior
+from tumble.inference.integral import conditional, posterior
 from tumble.inference.likelihood import NO_PRIOR, Problem, instruments_of
-from tumble.inference.linearisation import with_priors
 from tumble.inference.maximum import Maximum, maximum
 from tumble.inference.start import start_of
-from tumble.inference.step import deviance, joined, tell
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.run.observed import inspect_session, observations_for_calibration
@@ -48,24 +44,6 @@ class Compared:
     u: float
     effective: float
     accepted: float
-
-
-def conditional(fitted: Maximum, phi: Array) -> tuple[float, Array, Array]:
-    """ℓ at φ, and the mean and covariance of gravity and the parameters given it."""
-    problem, at = sized(fitted.free, fitted.entries, phi), fitted.at
-    rows = with_priors(at.rows, problem, at.point, at.about)
-    told = tell(problem, rows, at.noise.weights(components_of(fitted.entries, phi, problem.sensors)))
-    known, q, biases = joined(problem, rows, told), len(problem.own_known), 1 + problem.biases
-    prior = sum(h.prior(p)[0] for h, p in zip(fitted.entries, phi.tolist(), strict=True))
-    change, covariance = known.parameters.copy(), known.roots[0][q:] @ known.roots[0][q:].T
-    if told.process is not None and len(problem.parts) == 1:
-        more, by, apart = of_session(told, np.concatenate([known.own[0], known.parameters]))
-        to_session = np.eye(len(change))
-        to_session[biases] += by[:, q:]
-        change[biases] += more
-        covariance = to_session @ covariance @ to_session.T
-        covariance[np.ix_(biases, biases)] += apart
-    return prior - 0.5 * deviance(problem, told, known), change, covariance
 
 
 def sampled(fitted: Maximum, draws: int, seed: int) -> tuple[Array, Array, float]:

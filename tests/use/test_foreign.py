@@ -153,7 +153,7 @@ def test_the_command_shows_both(tmp_path: Path) -> None:
     (tmp_path / "acc").write_text(acc)
     (tmp_path / "gyro").write_text(gyro)
     done = CliRunner().invoke(
-        main, ["compare", str(tmp_path / "c.json"), str(tmp_path / "acc"), "--gyro", str(tmp_path / "gyro")]
+        main, ["compare", str(tmp_path / "c.json"), str(tmp_path / "acc"), "--gyro-file", str(tmp_path / "gyro")]
     )
     assert done.exit_code == 1
     assert "gyro.scale.z" in done.stdout

@@ -40,8 +40,9 @@ POINTS = 64
 MOST_PARAMETERS = 200
 """Of an array of more parameters the maximum alone is taken: priors and scatter matter least to it, and a point costs a
 hundred times as much."""
-KNOTS = (-5.0, -2.5, -1.0, 1.0, 2.0)
-"""Where ℓ is looked at along an element of φ, in standard deviations by its curvature."""
+KNOTS = (-1.0, 1.0, -5.0, -2.5, 2.0)
+"""Where ℓ is looked at along an element of φ, in standard deviations by its curvature, and in which order: after the
+first two an element that moves nothing is left."""
 FINE = 241
 """Points of the densities along the elements."""
 TAIL = 4.0
@@ -94,7 +95,7 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
             x = np.interp(special.ndtr(own), axis.cumulative, axis.phi)
             phi[:, axis.element] = x
             log_q += np.interp(x, axis.phi, axis.log_density) + 0.5 * own**2
-    every = [_at(fitted, own) for own in phi]
+    every = [conditional(fitted, own) for own in phi]
     weight, pareto = smoothed(np.array([value for value, *_ in every]) - log_q)
     steps, covariances = np.array([each[1] for each in every]), np.array([each[2] for each in every])
     mean = weight @ steps
@@ -140,7 +141,7 @@ def _axes(fitted: Maximum) -> tuple[list[_Axis], Array]:
         bend = best.information[i, i] if at_bound else fitted.curvature[i, i]
         size = 1.0 / np.sqrt(max(bend, h.prior(float(best.phi[i]))[2]))
         knots, matters, scores = [(0.0, 0.0, best.gradient[i])], False, list[Array]()
-        for away in (-1.0, 1.0, *KNOTS[:2], *KNOTS[4:]):
+        for away in KNOTS:
             if at_bound and away < 0.0:
                 continue
             phi = best.phi.copy()
@@ -191,7 +192,7 @@ def _axis(element: int, centre: float, knots: list[tuple[float, float, float]], 
     return _Axis(element=element, phi=centre + grid, log_density=log_density, cumulative=cumulative / cumulative[-1])
 
 
-def _at(fitted: Maximum, phi: Array) -> tuple[float, Array, Array, Array, Array]:
+def conditional(fitted: Maximum, phi: Array) -> tuple[float, Array, Array, Array, Array]:
     """ℓ at φ, and there the step of gravity and the parameters, its covariance, both with the biases of the session,
     and the step and covariance of the biases of the processes."""
     entries, free = fitted.entries, fitted.free

@@ -47,7 +47,7 @@ from tumble.units import Array, BoolArray
 
 MAX_ITERATIONS = 40
 """Linearisations at most."""
-BEYOND = 2.0
+BEYOND = 3.0
 """Times the usual: scatter or a size for which another maximum is looked for."""
 USELESS = {"turn": 0.3, "velocity": 3.0}
 """rad and m/s: the scatter of turns that say nothing."""
@@ -260,13 +260,15 @@ def likeliest(problem: Problem, at: At, iterations: int = MAX_ITERATIONS) -> Max
     blame; and groups far larger than usual, for scatter may take that of groups, which the readings then no longer
     show."""
     best = maximum(problem, at, iterations=iterations)
-    entries, phi = best.entries, best.best.phi
-    beyond = [h.value(p) > BEYOND * h.usual and h.place != "time" for h, p in zip(entries, phi.tolist(), strict=True)]
-    if not any(beyond) or problem.observations.turns is None:
+    entries, starts = best.entries, list[Array]()
+    far = {h.place for h, p in zip(entries, best.best.phi.tolist(), strict=True) if h.value(p) > BEYOND * h.usual}
+    if problem.observations.turns is None or not far - {"time"}:
         return best
-    useless = np.array([0.0 if h.bounded else np.log(USELESS.get(h.name, h.usual)) for h in entries])
-    wide = np.array([WIDE * h.within if h.place == "group" else h.centre for h in entries])
-    for phi in (useless, wide):
+    if far & {"scatter", "group"}:
+        starts.append(np.array([0.0 if h.bounded else np.log(USELESS.get(h.name, h.usual)) for h in entries]))
+    if any(h.place == "group" for h in entries):
+        starts.append(np.array([WIDE * h.within if h.place == "group" else h.centre for h in entries]))
+    for phi in starts:
         other = maximum(problem, at, phi, iterations)
         if other.converged and other.best.value > best.best.value:
             best = other

@@ -106,6 +106,7 @@ class TurnsAbout:
         return replace(about_turns, arrays=arrays)
 
     @staticmethod
+    @np.errstate(over="ignore", invalid="ignore")  # of turns of damaged samples, which are judged later
     def from_moments(
         moments: Moments,
         accel: Block,

@@ -90,7 +90,7 @@ class KeptLog:
         return self.source.place(row, column)
 
 
-@dataclass(kw_only=True, slots=True)
+@dataclass(kw_only=True, slots=True, eq=False)
 class _Kept:
     """Tables that were read, and those that are coming."""
 

@@ -31,8 +31,8 @@ from tumble.result.file import (
     FORMAT,
     AutopilotTable,
     CalibrationFile,
-    CircumstancesTable,
-    DeviceTable,
+    CircumstancesContent,
+    DeviceContent,
     FitTable,
     GroupTable,
     IncrementTable,
@@ -40,7 +40,7 @@ from tumble.result.file import (
     LaunchTable,
     OutcomeTable,
     SensorTable,
-    TemperatureTable,
+    TemperatureContent,
     no_calibration,
     parsed,
 )
@@ -378,7 +378,7 @@ class Calibration(Mapping[str, Parameter]):
             **_same(self, CalibrationFile),
             **_written(self),
             format=FORMAT,
-            device=DeviceTable.model_construct(
+            device=DeviceContent.model_construct(
                 serial=self.serial, model=self.model, imu=AutopilotTable.model_validate(sensors_content(self.imu))
             ),
             accel=self._sensor_table("accel", self.accel, "m/s^2"),
@@ -386,7 +386,7 @@ class Calibration(Mapping[str, Parameter]):
             mag=self._sensor_table("mag", self.mag, self["mag.bias.x"].unit if self.mag is not None else ""),
             outcome=OutcomeTable.model_validate(self.outcome.content(), strict=False),
             groups=tuple(map(GroupTable.of, self.groups)),
-            temperature=TemperatureTable.model_construct(
+            temperature=TemperatureContent.model_construct(
                 reference=self.reference_temperature,
                 range=self.temperature_range,
                 thermometers=self.thermometers,
@@ -464,8 +464,8 @@ def _read(table: CalibrationFile | LaunchTable, result: type[Calibration | Launc
     }
 
 
-def _circumstances_table(circumstances: Circumstances) -> CircumstancesTable:
-    return CircumstancesTable.model_validate(circumstances_content(circumstances), strict=False)
+def _circumstances_table(circumstances: Circumstances) -> CircumstancesContent:
+    return CircumstancesContent.model_validate(circumstances_content(circumstances), strict=False)
 
 
 def _nominal_axes(model: SensorModel) -> Array:

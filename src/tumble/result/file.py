@@ -118,7 +118,7 @@ class AutopilotTable(ImuTable, extra="ignore"):
     """Which sensors of an autopilot, where they are of one."""
 
 
-class DeviceTable(_Table):
+class DeviceContent(_Table):
     """The device."""
 
     optional = frozenset({"imu"})
@@ -209,7 +209,7 @@ class FitTable(_Table):
         return Fit(chi_square=self.chi_square, degrees=self.degrees, scatter=self.scatter, scatter_unit=self.unit)
 
 
-class TemperatureTable(_Table):
+class TemperatureContent(_Table):
     """At which temperatures parameters have their values and between which they were measured, °C, by which
     thermometers, and the lag behind these, s."""
 
@@ -242,7 +242,7 @@ class _AirTable(_Table):
     pressure_hPa: float | None = None  # noqa: N815
 
 
-class CircumstancesTable(_Table):
+class CircumstancesContent(_Table):
     """When, by whom, with what and in what air it was recorded."""
 
     date: IsoDate | None = None
@@ -251,7 +251,7 @@ class CircumstancesTable(_Table):
     equipment: tuple[str, ...] = ()
 
 
-_Circumstances = Annotated[CircumstancesTable, PlainSerializer(lambda table: table.model_dump(exclude_defaults=True))]
+_Circumstances = Annotated[CircumstancesContent, PlainSerializer(lambda table: table.model_dump(exclude_defaults=True))]
 
 
 def _check_site(site: Site) -> Site:
@@ -328,7 +328,7 @@ class LaunchTable(_ResultTable):
 
     session: str
     log_sha256: str = ""
-    circumstances: _Circumstances = CircumstancesTable()
+    circumstances: _Circumstances = CircumstancesContent()
 
 
 def _of_unit_length(axis: tuple[float, ...]) -> tuple[float, ...]:
@@ -354,7 +354,7 @@ class _HeadTable(_Table):
     """What the file begins with."""
 
     format: Literal[1]
-    device: DeviceTable
+    device: DeviceContent
     method: Name
     frame: Name
 
@@ -374,11 +374,11 @@ class CalibrationFile(_ResultTable, _HeadTable):
     )
     prediction: Annotated[Prediction, _sizes("force_u", "rate_u")] | None = None
     axes: dict[str, tuple[_Direction, ...]] = {}
-    temperature: TemperatureTable = TemperatureTable()
+    temperature: TemperatureContent = TemperatureContent()
     iterations: tuple[IterationTable, ...]
     sample_rate: Positive | None = None
     clock_u: Size = 0.0
-    session: _Circumstances = CircumstancesTable()
+    session: _Circumstances = CircumstancesContent()
     programme: str | None = None
     readings: dict[str, Annotated[Readings, AfterValidator(_check_scales)]] = {}
     rests: tuple[RestResult, ...] = Field(max_length=MOST_RESTS)
@@ -496,6 +496,8 @@ def _said(fault: Mapping[str, Any], content: Any) -> str:
     place = dotted(fault["loc"])[:80]
     if fault["type"] == "value_error":
         return f"{place}: {fault['ctx']['error']}".removeprefix(": ")
+    if fault["type"] == "json_invalid":
+        return f"expected a calibration file of tumble, found {fault['msg'].removeprefix('Invalid JSON: ')}"
     if fault["type"] == "missing" and isinstance(fault["loc"][-1], int):
         fault = {"type": "too_short", "loc": fault["loc"][:-1]}
         place = dotted(fault["loc"])[:80]

@@ -71,8 +71,9 @@ TURNED_ON = (
 
 VERIFIED = "positions at rest verify a calibration"
 
-NOTHING_LEFT = 1e-6
-"""1 − h below which nothing but the position itself determines what it is compared with."""
+NOTHING_LEFT = 0.05
+"""1 − h below which hardly anything but the position itself determines what it is compared with: h is the ratio of two
+variances that integrate over the scatter, and known to some hundredths."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

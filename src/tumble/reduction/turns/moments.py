@@ -219,23 +219,24 @@ def integrate(
             _kernels.integrate_pieces((rates, forces, intervals), where, by._kernel_model(), axes, sums)
         del pieces, rates, forces, intervals  # before the next are read
     Phi, body = products[:, :9].reshape(count, 3, 3, rows), products[:, 9]
-    Psi = _crossed(Phi[..., :moved_rows], V) - moved.reshape(count, 3, 3, moved_rows)
-    return Moments(
-        C=_matrices(attitude),
-        V=V,
-        Phi=np.concatenate([Phi[..., one], Phi[..., forces_2]], axis=-1),
-        Psi=Psi[..., one],
-        W=Phi[..., rates_2],
-        sweep=sweep[..., :3].reshape(count, 3, 3, 3),
-        Phi_gyro=Phi[..., of_gyros].reshape(count, 3, 3, 2, n),
-        Psi_gyro=Psi[..., of_gyros].reshape(count, 3, 3, 2, n),
-        Phi_accel=Phi[..., of_accels].reshape(count, 3, 3, 2, m),
-        body=np.hstack([body[:, one], body[:, forces_2]]),
-        body_rates=body[:, rates_2],
-        body_gyro=body[:, of_gyros].reshape(count, 2, n),
-        body_accel=body[:, of_accels].reshape(count, 2, m),
-        jumps=jumps,
-    )
+    with np.errstate(over="ignore", invalid="ignore"):  # of turns of damaged samples, which are judged later
+        Psi = _crossed(Phi[..., :moved_rows], V) - moved.reshape(count, 3, 3, moved_rows)
+        return Moments(
+            C=_matrices(attitude),
+            V=V,
+            Phi=np.concatenate([Phi[..., one], Phi[..., forces_2]], axis=-1),
+            Psi=Psi[..., one],
+            W=Phi[..., rates_2],
+            sweep=sweep[..., :3].reshape(count, 3, 3, 3),
+            Phi_gyro=Phi[..., of_gyros].reshape(count, 3, 3, 2, n),
+            Psi_gyro=Psi[..., of_gyros].reshape(count, 3, 3, 2, n),
+            Phi_accel=Phi[..., of_accels].reshape(count, 3, 3, 2, m),
+            body=np.hstack([body[:, one], body[:, forces_2]]),
+            body_rates=body[:, rates_2],
+            body_gyro=body[:, of_gyros].reshape(count, 2, n),
+            body_accel=body[:, of_accels].reshape(count, 2, m),
+            jumps=jumps,
+        )
 
 
 def _matrices(attitude: Array) -> Array:
