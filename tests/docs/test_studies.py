@@ -47,8 +47,6 @@ ANSWERS = {
 """What the last line of a study says."""
 FALLS_SHORT = {
     "metropolis.py": "u agrees with a sampler within 7 %, not 5 %",
-    "over_temperature.py": "not run since biases are processes",
-    "tuning.py": "not run since biases are processes",
 }
 
 
