@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import permutations, product
+from typing import Literal
 
 import numpy as np
 
@@ -154,18 +155,13 @@ def sense_faults(observations: Observations, session: Session, rate: float) -> l
     return faults or upside_down(observations, session)
 
 
-def fitting_gyro_unit(observations: Observations, session: Session, rate: float) -> str | None:
-    """The unit in which nominal gyros carry the vertical from rest to rest, where they do not in the one stated; None
-    where they do, or where no unit helps."""
+def fitting_unit(observations: Observations, session: Session, rate: float, of: Literal["gyro", "time"]) -> str | None:
+    """The unit of the gyros, or of the times, in which nominal gyros carry the vertical from rest to rest, where they
+    do not in the one stated; None where they do, or where no unit helps."""
     carrying = _Carrying.of(observations, session, rate)
-    return carrying.fitting_unit() if carrying is not None and carrying.evident else None
-
-
-def fitting_time_unit(observations: Observations, session: Session, rate: float) -> str | None:
-    """The unit of the times in which nominal gyros carry the vertical, where they do not in the one stated; None where
-    they do, or where no unit helps."""
-    carrying = _Carrying.of(observations, session, rate)
-    return carrying.fitting_time_unit() if carrying is not None and carrying.evident else None
+    if carrying is None or not carrying.evident:
+        return None
+    return carrying.fitting_unit() if of == "gyro" else carrying.fitting_time_unit()
 
 
 def misses_by_unit(observations: Observations, session: Session, rate: float) -> dict[str, float]:

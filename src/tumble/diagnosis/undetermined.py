@@ -117,7 +117,8 @@ def _weak(estimate: Estimate, observations: Observations, without: set[str]) -> 
     some = [i for i, name in enumerate(linear) if sensor_kind(name) not in without]
     spread = _spreads(linear, observations)[some]
     # what is common to all rests no further rest would show
-    common = [_by_gravity(name, observations.site) for name in estimate.names]
+    relative = observations.site.gravity_u / observations.site.gravity  # by which scale factors are uncertain together
+    common = [relative if group_name(name) == "accel.scale" else 0.0 for name in estimate.names]
     covariance = estimate.covariance - np.outer(common, common)
     if estimate.instrument is not None:
         covariance = covariance - common_covariance(observations, estimate.instrument)
@@ -149,11 +150,6 @@ def _resolution(estimate: Estimate, observations: Observations) -> float:
     if observations.turns is None or not len(observations.turns) or estimate.gyro is None:
         return tilt
     return max(tilt, typical(observations.turns.covariance, "gyro turns"))
-
-
-def _by_gravity(name: str, site: Site) -> float:
-    """By how much a parameter changes with gravity's standard uncertainty: scale factors are in its unit."""
-    return site.gravity_u / site.gravity if group_name(name) == "accel.scale" else 0.0
 
 
 def gravity_wanted(site: Site) -> tuple[str, ...]:

@@ -22,7 +22,6 @@ from tumble.inference.estimate import Estimate, Fit
 from tumble.methods.ellipsoid_fit import EllipsoidFit, fit_ellipsoid
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
-from tumble.units import Array
 
 
 def ellipsoid(observations: Observations) -> Estimate:
@@ -74,22 +73,18 @@ def estimate_of(found: EllipsoidFit, observations: Observations) -> Estimate:
     )
     if not observations.usual:
         return estimate
-    return with_left_out(estimate, left_out_of(observations, _sigma(found, observations)), gravity)
-
-
-def _sigma(found: EllipsoidFit, observations: Observations) -> Array:
-    """The standard deviations (N,) of the rests along the vertical that the fit has, infinite where it leaves them
-    out."""
+    # the standard deviations of the rests along the vertical that the fit has, infinite where it leaves them out
     up = unit_vector(found.model.apply(observations.rests.accel))
     variance = np.einsum("ip,ipq,iq->i", up, observations.rests.accel_covariance, up) + found.scatter**2
-    return np.where(found.used, np.sqrt(variance), np.inf)
+    sigma = np.where(found.used, np.sqrt(variance), np.inf)
+    return with_left_out(estimate, left_out_of(observations, sigma), gravity)
 
 
 def _refused(observations: Observations, refusal: Refusal) -> Estimate:
     """No parameter is determined: a part of them would be as wrong as the missing part allows."""
     if not len(refusal.null):
         raise np.linalg.LinAlgError(refusal.reason)
-    block, rests = observations.accel_block, observations.rests
+    block = observations.accel_block
     model = block.nominal()
     return Estimate(
         method="ellipsoid",
@@ -101,8 +96,8 @@ def _refused(observations: Observations, refusal: Refusal) -> Estimate:
         null=refusal.null,
         accel=model,
         gyro=None,
-        rest_residual=np.linalg.norm(model.apply(rests.accel), axis=1) - observations.site.gravity,
-        rest_sigmas=np.zeros(len(rests)),
+        rest_residual=np.linalg.norm(model.apply(observations.rests.accel), axis=1) - observations.site.gravity,
+        rest_sigmas=np.zeros(len(observations.rests)),
         turn_sigmas=np.empty(0),
         increments=(),
         fits={"accelerometers": Fit(chi_square=0.0, degrees=0.0, scatter=0.0, scatter_unit="m/s^2")},

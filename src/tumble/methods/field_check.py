@@ -117,10 +117,12 @@ def field_check(observations: Observations, known: KnownBefore) -> CheckResult:
     """What a session says of a calibration, see the module's docstring."""
     instrument, limits = known.instrument, limits_of(known.instrument.names)
     free, others = list[int](), list[dict[int, float]]()  # the changed parameters, and what is as likely instead
-    at, first = _started(observations, known), None
+    problem, point, about = _started(observations, known)
+    first = None
     while True:
         covariance = _freed(known.covariance, free, limits)
-        at, left = _iterated(at, known.components, covariance)
+        problem = replace(problem, prior=Prior(covariance=covariance))
+        point, about, left = _iterated(problem, point, about, known.components)
         tests = _Tests.of(left, covariance, known.doubt)
         seen = [j for j in range(instrument.linear_count) if j not in free and tests.u[j] < limits[j] / DETERMINED]
         candidates = np.array(seen, dtype=int)
@@ -173,14 +175,7 @@ def _freed(covariance: Array, free: list[int], limits: Array) -> Array:
 # The likelihood about the solution
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Where:
-    problem: Problem
-    point: Point
-    about: TurnsAbout | None
-
-
-def _started(observations: Observations, known: KnownBefore) -> _Where:
+def _started(observations: Observations, known: KnownBefore) -> tuple[Problem, Point, TurnsAbout | None]:
     """The calibrated parameters, and attitudes by them."""
     instrument, values = known.instrument, known.values
     start = dict(zip(instrument.names, values.tolist(), strict=True))
@@ -189,8 +184,7 @@ def _started(observations: Observations, known: KnownBefore) -> _Where:
     turns = observations.turns
     about = None if turns is None or not len(turns) else TurnsAbout.of(observations, instrument, values)
     attitudes = headings(problem, vertical, values, about)
-    point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes)
-    return _Where(problem=problem, point=point, about=about)
+    return problem, Point(values=values, gravity=observations.site.gravity, attitudes=attitudes), about
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -204,10 +198,10 @@ class _Left:
     degrees: int
 
 
-def _iterated(at: _Where, components: Components, covariance: Array) -> tuple[_Where, _Left]:
-    """Gauss–Newton with a covariance of the prior, and what the session's own rows leave at the end."""
-    problem = replace(at.problem, prior=Prior(covariance=covariance))
-    point, about = at.point, at.about
+def _iterated(
+    problem: Problem, point: Point, about: TurnsAbout | None, components: Components
+) -> tuple[Point, TurnsAbout | None, _Left]:
+    """Gauss–Newton, and what the session's own rows leave at the end."""
     for _ in range(MAX_ITERATIONS):
         rows = linearise(problem, point, about)
         step = solve(problem, rows, weights(problem, rows, components))
@@ -227,7 +221,7 @@ def _iterated(at: _Where, components: Components, covariance: Array) -> tuple[_W
         squares=session[-1, -1] ** 2,
         degrees=sum(each.shape[0] * each.shape[1] for each in told.whitened) - angles,
     )
-    return _Where(problem=problem, point=point, about=about), left
+    return point, about, left
 
 
 # Tests

@@ -48,33 +48,28 @@ def magnetometer(observations: Observations, unit: str) -> MagnetometerEstimate:
     """The parameters of a session's magnetometer, which reads in `unit`."""
     readings, site = observations.rests.magnetometer, observations.site
     assert readings is not None
-    field = _modulus(readings) if site.field is None else site.field
+    field = site.field
+    if field is None:  # with which the sensitivities are 1 in the geometric mean; 1 where there is no ellipsoid
+        algebraic = fit_many(readings[None])
+        field = float(np.cbrt(np.linalg.det(algebraic.models().matrix[0]))) if algebraic.found[0] else 1.0
     found = fit_ellipsoid(readings, modulus=field, covariance=observations.rests.magnetometer_covariance)
     if isinstance(found, Refusal):
         reason = f"magnetometer: {found.reason}; or leave [log.magnetometer] out"
         return MagnetometerEstimate(values=None, covariance=None, model=None, fits={}, reasons=(reason,), notes=())
+    reasons: tuple[str, ...] = ()
+    if found.scatter > SCATTER_LIMIT * field:
+        reasons = (
+            f"magnetometer: the rests scatter by {found.scatter:.3g} {unit}, more than {100 * SCATTER_LIMIT:g} % of "
+            "the field: the field is not the same in all of them; record away from steel, or leave "
+            "[log.magnetometer] out",
+        )
     return MagnetometerEstimate(
         values=found.values,
         covariance=found.covariance,
         model=found.model,
         fits={"magnetometer": found.fit(unit)},
-        reasons=_reasons(found, field, unit),
+        reasons=reasons,
         notes=_notes(found, observations, field, unit),
-    )
-
-
-def _modulus(readings: Array) -> float:
-    """The modulus with which the sensitivities are 1 in the geometric mean; 1 where there is no ellipsoid."""
-    found = fit_many(readings[None])
-    return float(np.cbrt(np.linalg.det(found.models().matrix[0]))) if found.found[0] else 1.0
-
-
-def _reasons(found: EllipsoidFit, field: float, unit: str) -> tuple[str, ...]:
-    if found.scatter <= SCATTER_LIMIT * field:
-        return ()
-    return (
-        f"magnetometer: the rests scatter by {found.scatter:.3g} {unit}, more than {100 * SCATTER_LIMIT:g} % of the "
-        "field: the field is not the same in all of them; record away from steel, or leave [log.magnetometer] out",
     )
 
 

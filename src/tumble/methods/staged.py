@@ -278,8 +278,19 @@ def estimate_gyros(observations: Observations, accel: Accelerometers) -> Gyros:
         return gyro_rows(observations, accel, observations.turns_about(block.model(at)), at, scatter)
 
     for again in range(3):
-        if again:
-            scatter = _found_scatter(rows_at(values, scatter), scatter, noises, spread)
+        if again:  # the scatter that explains the residuals of the rests, then that of the turns
+            rows = rows_at(values, scatter)
+            for name, noise in noises.items():
+                of = _GROUPS[name][0]
+
+                def residuals_at(
+                    trial: float, rows: GyroRows = rows, name: str = name, of: str = of, others: GyroScatter = scatter
+                ) -> Residuals:
+                    return rows.residuals(name, replace(others, **{of: trial}), spread)
+
+                size = float(np.sqrt(np.trace(noise, axis1=1, axis2=2).mean())) if len(noise) else 0.0
+                needed = getattr(scatter, of) > 0.0
+                scatter = replace(scatter, **{of: explaining(residuals_at, size, needed=needed)})
 
         def solution_at(at: Array, scatter: GyroScatter = scatter) -> Solution:
             return rows_at(at, scatter).solved(scatter, spread)[0]
@@ -302,19 +313,6 @@ def estimate_gyros(observations: Observations, accel: Accelerometers) -> Gyros:
         turn_sigmas=outliers["turns"],
         increments=increments,
     )
-
-
-def _found_scatter(rows: GyroRows, scatter: GyroScatter, noises: dict[str, Array], spread: Array) -> GyroScatter:
-    """The scatter that explains the residuals of the rests, then that of the turns, where they need one."""
-    for name, noise in noises.items():
-        of = _GROUPS[name][0]
-
-        def residuals_at(trial: float, name: str = name, of: str = of, others: GyroScatter = scatter) -> Residuals:
-            return rows.residuals(name, replace(others, **{of: trial}), spread)
-
-        start = float(np.sqrt(np.trace(noise, axis1=1, axis2=2).mean())) if len(noise) else 0.0
-        scatter = replace(scatter, **{of: explaining(residuals_at, start, needed=getattr(scatter, of) > 0.0)})
-    return scatter
 
 
 def gyro_rows(

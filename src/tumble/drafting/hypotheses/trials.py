@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tumble.diagnosis.carried_vertical import fitting_gyro_unit, fitting_time_unit, misses_by_unit
+from tumble.diagnosis.carried_vertical import fitting_unit, misses_by_unit
 from tumble.drafting.draft import Draft
 from tumble.drafting.hypotheses.rests_and_turns import (
     accel_scale,
@@ -81,7 +81,7 @@ class _Look:
         """The unit of the gyros that would fit better than the stated one."""
         found = self.observed
         return (
-            fitting_gyro_unit(found.trial, found.session, found.rate)
+            fitting_unit(found.trial, found.session, found.rate, "gyro")
             if found is not None and found.trial is not None and self.faults
             else None
         )
@@ -265,7 +265,7 @@ def _with_time_unit(draft: Draft, looks: _Looks) -> Draft:
     found = look.observed
     if not draft.time_guessed or not look.faults or found is None or found.trial is None:
         return draft
-    unit = fitting_time_unit(found.trial, found.session, found.rate)
+    unit = fitting_unit(found.trial, found.session, found.rate, "time")
     if unit is None:
         return draft
     before = draft.log.get("time_unit", "s")

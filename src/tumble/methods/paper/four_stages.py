@@ -119,48 +119,37 @@ def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCours
             f"method {method.name}: expected a programme with known positions and turns, such as rough-table, "
             "found none; give [programme] in session.toml or take the method staged"
         )
-    _check_sensors(observations, method)
-    nominal = np.array([programme.positions[k].vertical_b for k in position])
-    method.check(nominal)
-    if observations.gyro_block is None:
-        return ProgrammeCourse(
-            nominal=nominal, series=(), duration=np.empty(0), earth_rate=np.zeros(3), matrix=np.empty((0, 9))
-        )
-    _check_standing(nominal, method)
-    check_directions(programme)
-    return ProgrammeCourse(
-        nominal=nominal,
-        series=_recorded(observations, programme),
-        duration=np.empty(0) if observations.turns is None else observations.turns.duration,
-        earth_rate=_earth_rate(observations, method),
-        matrix=programme_matrix(programme)[0],
-    )
-
-
-def _check_sensors(observations: Observations, method: PaperMethod) -> None:
     for block in (observations.accel_block, observations.gyro_block):
         if block is not None and not block.triad:
             raise InputError(
                 f"method {method.name}: expected three sensors of a kind along the body axes, found {block.size} "
                 f"({block.kind}) with other directions; take the method staged"
             )
-
-
-def _check_standing(nominal: Array, method: PaperMethod) -> None:
+    nominal = np.array([programme.positions[k].vertical_b for k in position])
+    method.check(nominal)
+    if observations.gyro_block is None:
+        return ProgrammeCourse(
+            nominal=nominal, series=(), duration=np.empty(0), earth_rate=np.zeros(3), matrix=np.empty((0, 9))
+        )
     if not np.all(np.any(np.abs(nominal) > 1.0 - STANDING, axis=0)):
         raise ProgrammeError(
             f"method {method.name}: expected rests in which X, Y and Z each are vertical, found others in the "
             "programme; take the programme rough-table or the method staged"
         )
-
-
-def _earth_rate(observations: Observations, method: PaperMethod) -> Array:
+    check_directions(programme)
+    series = _recorded(observations, programme)
     if observations.site.latitude is None:
         raise SessionError(
             f"[site]: expected latitude_deg, from which the method {method.name} has the Earth's rate, found none; "
             "give it or take the method staged"
         )
-    return np.array(earth_rate(observations.site.latitude))
+    return ProgrammeCourse(
+        nominal=nominal,
+        series=series,
+        duration=np.empty(0) if observations.turns is None else observations.turns.duration,
+        earth_rate=np.array(earth_rate(observations.site.latitude)),
+        matrix=programme_matrix(programme)[0],
+    )
 
 
 def _recorded(observations: Observations, programme: Programme) -> tuple[Series, ...]:

@@ -78,12 +78,19 @@ def check_directions(programme: Programme) -> None:
     k takes up 2/π of them. The paper does not state the directions of its turns."""
     H_G, _ = programme_matrix(programme)
     rank = int(np.linalg.matrix_rank(H_G)) if len(H_G) else 0
-    described = "; ".join(_described(programme, series) for series in known_turns(programme)) or "none"
+    described = "; ".join(
+        ", ".join(
+            f"{'NUE'[int(np.argmax(np.abs(move.axis)))]}{move.angle / DEGREE:+.0f}"
+            for move in (programme.moves[k] for k in series)
+            if move.axis is not None and move.angle is not None
+        )
+        for series in known_turns(programme)
+    )
     advice = "take the programme rough-table or the method staged"
     if rank < 9:
         raise ProgrammeError(
             f"programme {programme.name}: expected known turns that determine nine gyro scale factors and angles, "
-            f"found {rank} from {described}; {advice}"
+            f"found {rank} from {described or 'none'}; {advice}"
         )
     leak = float(np.abs(accelerometer_leakage(programme)[:3, :3]).max())
     if leak > LEAK:
@@ -92,17 +99,6 @@ def check_directions(programme: Programme) -> None:
             f"scale factors, found {described}, which pass on {leak:.2f} of a bias in g; turn back the second time "
             "about the same axis, as in N+180, U+180, N-180"
         )
-
-
-def _described(programme: Programme, series: tuple[int, ...]) -> str:
-    """The turns of a series in the way of attitude codes: "N+180, U+180, N-180"."""
-    said = []
-    for move in (programme.moves[k] for k in series):
-        assert move.axis is not None
-        assert move.angle is not None
-        axis = "NUE"[int(np.argmax(np.abs(move.axis)))]
-        said.append(f"{axis}{move.angle / DEGREE:+.0f}")
-    return ", ".join(said)
 
 
 # The turns as they were
