@@ -13,6 +13,7 @@ from functools import lru_cache
 
 from tumble.recording.columns.patterns import (
     ACCEL,
+    ALL_UNITS,
     COUNTER,
     GYRO,
     INTERVAL,
@@ -26,6 +27,7 @@ from tumble.recording.columns.patterns import (
     in_words_of_the_table,
     score,
     sensor_kind,
+    unit_spelling,
 )
 from tumble.recording.columns.thermometers import of_sensors, thermometer
 from tumble.recording.formats.message import Sensors
@@ -37,14 +39,6 @@ _COUNTED = {"1": "x", "2": "y", "3": "z"}
 _DIRECTION = re.compile(
     r"roll|pitch|yaw|longitudinal|long|longit|forward|surge|lateral|lat|transverse|sway|vertical|vert|heave"
 )
-
-
-def _unit(text: str) -> str:
-    """A unit as `UNITS` has it: `m·s⁻²`, `m/sec^2` and `m / s²` are ms-2, m/s2 and m/s2."""
-    out = re.sub(
-        r"(?<!arc)sec", "s", text.lower().replace("μ", "µ").replace("⁻", "-").replace("²", "2").replace("¹", "1")
-    )
-    return re.sub(r"[*^·⋅{} ]|\.(?=s)", "", out)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -219,22 +213,19 @@ def _split(name: str) -> tuple[list[str], str]:
     name = in_words_of_the_table(name)
     bracketed = re.search(r"[\[(]\s*(?![xyzXYZ]\s*[\])])([^\])]*[^\])\d\s][^\])]*?)\s*[\])]", name)
     if bracketed:
-        return _words(name.replace(bracketed[0], " ")), _unit(bracketed[1])
+        return _words(name.replace(bracketed[0], " ")), unit_spelling(bracketed[1])
     behind = re.fullmatch(r"(.*\w)\s*(?:,\s*|\s/\s|\sin\s)([^,]+)", name)
-    if behind and _unit(behind[2]) in _ALL_UNITS:
-        return _words(behind[1]), _unit(behind[2])
+    if behind and unit_spelling(behind[2]) in ALL_UNITS:
+        return _words(behind[1]), unit_spelling(behind[2])
     words = _words(name)
     for count in (2, 1):
         unit = "_".join(words[-count:])
-        if len(words) > count and unit in _ALL_UNITS and _stands_for_itself(words[:-count]):
+        if len(words) > count and unit in ALL_UNITS and _stands_for_itself(words[:-count]):
             return words[:-count], unit
         inner = "_".join(words[-count - 1 : -1])
-        if len(words) > count + 1 and inner in _ALL_UNITS and len(inner) > 1 and words[-1] in _LETTERS:
+        if len(words) > count + 1 and inner in ALL_UNITS and len(inner) > 1 and words[-1] in _LETTERS:
             return [*words[: -count - 1], words[-1]], inner
     return words, ""
-
-
-_ALL_UNITS = frozenset(text for units in UNITS.values() for text in units if text != "t")
 
 
 def _stands_for_itself(words: list[str]) -> bool:
@@ -246,7 +237,7 @@ def _words(name: str) -> list[str]:
     """`AccX`: acc, x; `TimeUS`: time, us; `mag_uT`: mag, ut; `acc x-axis`: acc, x."""
     words: list[str] = []
     for token in re.split(r"[^A-Za-z0-9µ°²]+", name):
-        whole = token.lower() in _ALL_UNITS
+        whole = token.lower() in ALL_UNITS
         words += [token] if whole else re.split(r"(?<=[a-z])(?=[A-Z])", token)
     words = [word.lower() for word in words if word]
     said = [word for word in words if word != "axis"]

@@ -2,7 +2,7 @@
 
 A row of the table is a kind, a weight, a pattern of the name without its axis and unit, and units; it counts where the
 pattern is found and the unit is one of these. Rows of `LIKELY` and more say what a column is, and the greatest counts;
-smaller ones say which of several is meant, and add up. Units are spelt as `UNITS` has them, and words of other
+smaller ones say which of several is meant, and add up. Units are spelt as `UNITS` has them; words of other
 languages and of instruments are put into those of the table before.
 """
 
@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "mag", "time"
 INTERVAL, COUNTER, OTHER = "interval", "counter", "other"
@@ -58,6 +59,8 @@ SENSOR_WORDS: Mapping[str, re.Pattern[str]] = {
 }
 """Words for sensors in the names of files, and of rows."""
 
+ALL_UNITS = frozenset(text for units in UNITS.values() for text in units if text != "t")
+
 
 @dataclass(frozen=True, kw_only=False, slots=True)
 class Pattern:
@@ -81,6 +84,12 @@ def _spelt(kind: str, *units: str) -> list[str]:
 
 _ACCEL_ONLY = _spelt(ACCEL, "m/s^2", "g", "mg", "cm/s^2", "mm/s^2")
 _GYRO_ONLY = _spelt(GYRO, "rad/s", "deg/s", "mdeg/s", "0.1 deg/s", "deg/h")
+
+_UNITS_OF_OTHERS = frozenset((
+    "a", "ah", "ma", "mah", "w", "mw", "m", "km", "cm", "mm", "ft", "km/h", "kmh", "kph", "kts", "mph", "pa", "hpa",
+    "kpa", "bar", "mbar", "lux", "lx", "hz", "bpm", "ppm", "kg", "db", "dbm", "%",
+))  # fmt: skip
+"""Units that no sensor here has."""
 
 PATTERNS: tuple[Pattern, ...] = (
     _row(
@@ -130,9 +139,7 @@ PATTERNS: tuple[Pattern, ...] = (
         r"header_stamp|(^|_)stamp$|time_?stamp_?sample|elapsed_?realtime|since_?reboot|"
         r"(device|sensor|imu|chip|board)_?time",
     ),
-    _row(
-        INTERVAL, 8.0, r"(^|_)(d_?t|delta_?t|delta_?time|time_?delta|(sample_?)?interval)(_[munµ]?s(ec)?)?$"
-    ),
+    _row(INTERVAL, 8.0, r"(^|_)(d_?t|delta_?t|delta_?time|time_?delta|(sample_?)?interval)(_[munµ]?s(ec)?)?$"),
     _row(
         COUNTER, 8.0,
         r"(^|_)(packet_?counter|counter|cnt|n_samples|samples?|sample_?(no|number|index)|index|idx|row|seq)$",
@@ -143,13 +150,8 @@ PATTERNS: tuple[Pattern, ...] = (
         r"drift|(^|_)calib(_|$)|(^|_)(lat|lon|lng|alt|depth|height|position|location|pos)|vel(ocity)?(_|$)|press|baro|"
         r"status|(^|_)q[wxyz0-3]?$",
     ),
-    _row(OTHER, 7.0, "", _GYRO_ONLY),
-    _row(OTHER, 7.0, "", UNITS[MAGNETOMETER].keys() - UNITS[ACCEL].keys()),
-    _row(
-        OTHER, 7.0, "",
-        ("a", "ah", "ma", "mah", "m", "km", "cm", "mm", "km/h", "kmh", "kph", "kts", "mph", "ft", "pa", "hpa", "kpa",
-         "bar", "mbar", "w", "mw", "lux", "lx", "hz", "bpm", "ppm", "kg", "db", "dbm", "%"),
-    ),
+    # gyros are told by their names before
+    _row(OTHER, 7.0, "", {*_GYRO_ONLY, *(UNITS[MAGNETOMETER].keys() - UNITS[ACCEL].keys()), *_UNITS_OF_OTHERS}),
 )  # fmt: skip
 """The one table of what columns are."""
 
@@ -214,8 +216,6 @@ _PER_SECOND = (
     (re.compile(r"(?<![a-z])deg(ree)?s?[_ ]per[_ ]s(ec(ond)?)?$", re.IGNORECASE), "degps"),
     (re.compile(r"(?<![a-z])m(et(er|re)s?)?[_ ]per[_ ]s(ec(ond)?)?[_ ]?(2|squared)$", re.IGNORECASE), "mps2"),
 )
-
-
 _PATTERNS = (*((re.compile(pattern, re.IGNORECASE), word) for pattern, word in _WORDS), *_PER_SECOND)
 
 
@@ -225,3 +225,30 @@ def in_words_of_the_table(name: str) -> str:
     for pattern, word in _PATTERNS:
         name = pattern.sub(word, name)
     return name
+
+
+# -------------------- units --------------------
+
+
+def unit_spelling(text: str) -> str:
+    """A unit as `UNITS` has it: `m·s⁻²`, `m/sec^2` and `m / s²` are ms-2, m/s2 and m/s2."""
+    out = re.sub(
+        r"(?<!arc)sec", "s", text.lower().replace("μ", "µ").replace("⁻", "-").replace("²", "2").replace("¹", "1")
+    )
+    return re.sub(r"[*^·⋅{} ]|\.(?=s)", "", out)
+
+
+_NO_MEASURE = ("", "-", "1", "#", "°", "n/a", "na")
+
+
+@lru_cache(maxsize=4096)
+def is_unit(text: str) -> bool:
+    """Whether a cell in a line of units is one, of sensors or of something else.
+
+    >>> [is_unit(text) for text in ("m/s²", "рад/с", "seconds", "hPa", "-", "ax")]
+    [True, True, True, True, True, False]
+    """
+    plain, unit = text.strip().lower(), unit_spelling(in_words_of_the_table(text.strip()))
+    timed = plain in TIME_WORDS or plain in ("second", "sec", "с", "мс", "мкс")
+    other = unit in TEMPERATURE_WORDS or ((len(unit) > 1 or unit == "%") and unit in _UNITS_OF_OTHERS)
+    return timed or plain in _NO_MEASURE or unit in ALL_UNITS or other
