@@ -11,6 +11,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
 import polars as pl
 
 from tumble.errors import LogError
@@ -85,6 +86,16 @@ class LogSource(Protocol):
 
     def place(self, row: int, column: str | None = None) -> str:
         """File, data row and column as a message names them."""
+
+
+def first_numbers(source: LogSource, column: str, rows: int, *, clock: bool) -> Array:
+    """The first numbers of a column, at most `rows`, from the tables of a source."""
+    parts: list[Array] = [np.empty(0)]
+    for table, _ in source.tables([column], column if clock else None):
+        parts.append(table[column].to_numpy())
+        if sum(map(len, parts)) >= rows:
+            break
+    return np.concatenate(parts)[:rows]
 
 
 @contextmanager

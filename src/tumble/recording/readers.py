@@ -6,12 +6,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
 import polars as pl
 
 from tumble.documents import check_regular
 from tumble.errors import LogError, TumbleError
-from tumble.recording.log_source import LogSource, Unread, ending_of, readable
+from tumble.recording.log_source import LogSource, Unread, ending_of, first_numbers, readable
 from tumble.recording.samples import Samples
 from tumble.recording.table_log import TableLog, parquet_log
 from tumble.recording.text.dialect import Dialect
@@ -42,12 +41,7 @@ class KeptLog:
         return self.source.names
 
     def head(self, column: str, rows: int, *, clock: bool = False) -> Array:
-        parts: list[Array] = [np.empty(0)]
-        for table, _ in self.tables([column], column if clock else None):
-            parts.append(table[column].to_numpy())
-            if sum(map(len, parts)) >= rows:
-                break
-        return np.concatenate(parts)[:rows]
+        return first_numbers(self, column, rows, clock=clock)
 
     def first_date(self, column: str) -> str | None:
         return self.source.first_date(column)

@@ -7,7 +7,8 @@ import re
 from collections.abc import Sequence
 
 from tumble.drafting.dialects.spelling import LEAST_NUMBERS, Spelling, below_names, most_common
-from tumble.recording.text.dialect import UNIT_WORDS, Dialect
+from tumble.recording.columns.patterns import is_unit
+from tumble.recording.text.dialect import Dialect
 
 _LIST = re.compile(r"[\[(]([^\[\]()]*)[\])]")
 _AXES = ("_x", "_y", "_z")
@@ -68,7 +69,7 @@ def _units(cells: Sequence[str]) -> tuple[str, ...] | None:
     """The units behind the numbers of a row, of which three at least have one; None where it is no row of these."""
     measured = [_MEASURED.fullmatch(cell) for cell in cells]
     units = tuple((each[2] or "") if each else "?" for each in measured)
-    known = all(not unit or UNIT_WORDS.fullmatch(unit) for unit in units)
+    known = all(not unit or is_unit(unit) for unit in units)
     return units if known and sum(map(bool, units)) >= LEAST_NUMBERS else None
 
 

@@ -18,6 +18,8 @@ from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Any
 
+from tumble.recording.columns.patterns import is_unit
+
 LINE_BYTES = 1 << 20
 FIRST_ROWS = 5
 """By which it is found out whether a name is missing."""
@@ -238,17 +240,10 @@ _COUNTS = re.compile(
 )
 """Names of columns that number rows."""
 
-UNIT_WORDS = re.compile(
-    r"s|sec|seconds?|ms|us|µs|μs|ns|g|mg|m/s/s|m/s\W?[2²]?|m\W?s\W{0,3}[2²]|rad|rad/s(ec)?|rad\W?s\W{0,3}1|deg|"
-    r"deg/s(ec)?|dps|mdps|°/s|°/h|°|"
-    r"deg/h|lsb|counts?|raw|°?c|degc|ut|µt|μt|nt|gauss|-|1|#|hz|v|м/с\W?[2²]?|рад/с|град/с|°/с|с|мс|мкс|hpa|pa|k|%|n/?a",
-    re.IGNORECASE,
-)
-
 
 def _are_units(names: Sequence[str]) -> bool:
     """Whether all that stands in a line are units."""
-    return all(not name or UNIT_WORDS.fullmatch(_bare(name)) for name in names)
+    return all(not name or is_unit(_bare(name)) for name in names)
 
 
 def _bare(unit: str) -> str:

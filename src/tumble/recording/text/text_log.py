@@ -22,6 +22,7 @@ from tumble.errors import LogError
 from tumble.recording.log_source import (
     Kind,
     Unread,
+    first_numbers,
     in_column,
     readable,
     rows_of_numbers,
@@ -45,12 +46,7 @@ class TextLog:
     """Lines above the first data row."""
 
     def head(self, column: str, rows: int, *, clock: bool = False) -> Array:
-        found: list[Array] = [np.empty(0)]
-        for table, _ in self.tables([column], clock=column if clock else None):
-            found.append(table[column].to_numpy())
-            if sum(map(len, found)) >= rows:
-                break
-        return np.concatenate(found)[:rows]
+        return first_numbers(self, column, rows, clock=clock)
 
     def first_date(self, column: str) -> str | None:
         return date_of(self._cell(next(self.pieces(), b""), column))
