@@ -21,7 +21,7 @@ from tumble.run.from_readings import calibrate_table, paper_form
 from tumble.run.readings_grade import AT_REST
 from tumble.run.readings_table import ReadingsTable, read_table
 from tumble.sensors.grades import GRADES
-from tumble.sensors.parameters import usual_sizes
+from tumble.sensors.parameters import units_of, usual_sizes
 from tumble.units import DEGREE, G_STANDARD, Array
 
 HEADER = "ux,uy,uz"
@@ -79,7 +79,7 @@ def test_the_calibration_file_has_the_form_of_all_others(tmp_path: Path) -> None
     assert content["method"] == "ellipsoid"
     assert content["frame"] == "accelerometer"
     assert [p["name"] for p in content["parameters"][:9]] == list(TRIAD.names)
-    assert [p["unit"] for p in content["parameters"][:9]] == list(TRIAD.units)
+    assert [p["unit"] for p in content["parameters"][:9]] == list(units_of(TRIAD.names))
     assert [group["name"] for group in content["groups"]] == list(AT_REST)
     assert np.array(content["covariance"]).shape == (24, 24)
     assert content["gyro"] is None

@@ -15,6 +15,7 @@ from tumble.result.calibration import Calibration
 from tumble.result.parts import Parameter, RestResult
 from tumble.sensors.frames import Frame
 from tumble.sensors.model import Block
+from tumble.sensors.parameters import units_of
 from tumble.units import Array
 
 HEXAD = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.6, 0.8, 0], [0, 0.6, 0.8], [0.8, 0, 0.6]], dtype=float)
@@ -38,7 +39,7 @@ def calibration(
     if with_gyro:
         blocks.append(Block(kind="gyro", axes=np.eye(3) if gyro is None else gyro))
     names = [name for block in blocks for name in block.names]
-    units = [unit for block in blocks for unit in block.units]
+    units = units_of(names)
     spread = np.array([SPREAD[name.split(".")[1]] for name in names])
     values = spread * rng.uniform(-1.0, 1.0, len(names))
     mixing = np.eye(len(names)) + 0.2 * rng.standard_normal((len(names), len(names)))

@@ -14,11 +14,12 @@ from tumble.registry.store import rows
 from tumble.registry.store.connect import Registry
 from tumble.registry.types import LimitsRecord, Record
 from tumble.sensors.model import Block
+from tumble.sensors.parameters import units_of
 
 ACCEL = Block(kind="accel", axes=np.eye(3))
 GYRO = Block(kind="gyro", axes=np.eye(3))
 NAMES = (*ACCEL.names, *GYRO.names)
-UNITS = (*ACCEL.units, *GYRO.units)
+UNITS = units_of(NAMES)
 U = {"m/s^2": 1e-5, "1": 2e-6, "rad": 3e-6, "rad/s": 1e-7}
 """Standard uncertainties by SI unit, where a test gives none."""
 

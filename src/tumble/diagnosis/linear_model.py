@@ -35,7 +35,7 @@ from tumble.inference.prediction import prediction
 from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis, unit_vector
 from tumble.sensors.instrument import Instrument, functions
-from tumble.sensors.parameters import FORCE, positions_by_group, shown_in
+from tumble.sensors.parameters import FORCE, positions_by_group, shown_in, units_of
 from tumble.units import Array
 
 _NOTHING = 1e-9
@@ -81,7 +81,7 @@ def left_out(estimate: Estimate, observations: Observations, whole: Observations
     for name, at in positions_by_group(block.names).items():
         by, known = float(np.sqrt((moved[at] ** 2).mean())), float(np.sqrt((u[at] ** 2).mean()))
         if by > known:
-            size, unit = shown_in(name, block.units[at[0]], by)
+            size, unit = shown_in(name, units_of(block.names)[at[0]], by)
             sizes.append(f"{_WORDS[name]} by {by / size:.2g} {unit}")
     if not sizes:
         return ()

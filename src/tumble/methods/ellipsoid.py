@@ -22,6 +22,7 @@ from tumble.inference.estimate import Estimate, Fit
 from tumble.methods.ellipsoid_fit import EllipsoidFit, fit_ellipsoid
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
+from tumble.sensors.parameters import units_of
 
 
 def ellipsoid(observations: Observations) -> Estimate:
@@ -56,7 +57,7 @@ def estimate_of(found: EllipsoidFit, observations: Observations) -> Estimate:
     estimate = Estimate(
         method="ellipsoid",
         names=block.names,
-        units=block.units,
+        units=units_of(block.names),
         values=found.values,
         covariance=covariance,
         observable=np.ones(9, dtype=bool),
@@ -89,7 +90,7 @@ def _refused(observations: Observations, refusal: Refusal) -> Estimate:
     return Estimate(
         method="ellipsoid",
         names=block.names,
-        units=block.units,
+        units=units_of(block.names),
         values=np.zeros(9),
         covariance=np.zeros((9, 9)),
         observable=np.zeros(9, dtype=bool),

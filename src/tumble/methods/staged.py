@@ -44,7 +44,7 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.turns.turns import Turns
 from tumble.rotation import onto_body, rotation_matrix, skew, tangent_basis, unit_vector
 from tumble.sensors.model import SensorModel, beyond_body
-from tumble.sensors.parameters import limits_of
+from tumble.sensors.parameters import limits_of, units_of
 from tumble.units import Array
 
 
@@ -55,7 +55,7 @@ def staged(observations: Observations) -> Estimate:
     estimate = Estimate(
         method="staged",
         names=block.names,
-        units=block.units,
+        units=units_of(block.names),
         values=accel.values,
         covariance=accel.covariance,
         observable=accel.solution.observable,
@@ -78,7 +78,7 @@ def staged(observations: Observations) -> Estimate:
     return replace(
         estimate,
         names=block.names + gyro_block.names,
-        units=block.units + gyro_block.units,
+        units=units_of(block.names + gyro_block.names),
         values=np.concatenate([accel.values, gyro.values]),
         covariance=np.block([[accel.covariance, gyro.by_accel.T], [gyro.by_accel, gyro.solution.covariance]]),
         observable=np.concatenate([estimate.observable, gyro.solution.observable]),

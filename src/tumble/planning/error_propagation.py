@@ -42,6 +42,7 @@ from tumble.methods.paper.scalar import scalar_rows
 from tumble.programme.positions import Programme
 from tumble.rotation import rotation_matrix, rotation_vector_near, unit_vector
 from tumble.sensors.model import Block, triad_model
+from tumble.sensors.parameters import units_of
 from tumble.units import Array, IntArray
 
 _N, _E = 0, 2
@@ -53,7 +54,7 @@ _GYRO = Block(kind="gyro", axes=np.eye(3))
 NAMES = _ACCEL.names + _GYRO.names
 """The 21 parameters, in the order of the calibration file."""
 
-NAME_UNITS = _ACCEL.units + _GYRO.units
+NAME_UNITS = units_of(NAMES)
 """The SI unit of each of `NAMES`."""
 
 BudgetedMethod = Literal["sequential", "scalar", "staged"]

@@ -37,6 +37,7 @@ from tumble.errors import InputError
 from tumble.rotation import skew
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
+from tumble.sensors.parameters import units_of
 from tumble.units import Array, IntArray
 
 Frame = Literal["accelerometer", "case", "paper", "symmetric"]
@@ -103,12 +104,6 @@ class Convention:
             return self.block.names
         angles = (f"{self.block.kind}.axis.{angle}" for angle in self._angles)
         return (*self.block.names[: 2 * self.block.size], *angles)
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """SI units of the parameters, in the order of `names`."""
-        n = self.block.size
-        return self.block.units[: 2 * n] + ("rad",) * (len(self.names) - 2 * n)
 
     def parameters(self, model: SensorModel) -> Array:
         """Parameter values of a sensor model given in this frame, in the order of `names`."""
@@ -302,10 +297,11 @@ def convert(
         covariance = jacobian @ covariance @ jacobian.T
         if alignment is not None and target == "case" and source != "case":
             covariance = covariance + by_turning @ alignment.covariance @ by_turning.T
+    names = tuple(name for convention, *_ in blocks for name in convention.names)
     return Framed(
         frame=target,
-        names=tuple(name for convention, *_ in blocks for name in convention.names),
-        units=tuple(unit for convention, *_ in blocks for unit in convention.units),
+        names=names,
+        units=units_of(names),
         values=np.concatenate([convention.parameters(model) for convention, model, *_ in blocks]),
         covariance=covariance,
         accel=after,

@@ -29,6 +29,7 @@ from tumble.sensors.parameters import (
     Variable,
     groups,
     positions_by_group,
+    units_of,
 )
 from tumble.units import Array, IntArray
 
@@ -70,8 +71,7 @@ class Instrument:
     @cached_property
     def units(self) -> tuple[str, ...]:
         """SI units of all parameters."""
-        further = tuple(group.unit for group in self.further for _ in group.names(self.block(group)))
-        return self.accel.units + (self.gyro.units if self.gyro is not None else ()) + further
+        return units_of(self.names)
 
     @cached_property
     def thermometers(self) -> IntArray:

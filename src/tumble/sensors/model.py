@@ -31,7 +31,6 @@ _FREE_PAIRS: dict[SensorKind, tuple[str, ...]] = {"accel": ("yx", "zx", "zy"), "
 _LEANING = {"xy": (0, 0), "xz": (0, 1), "yx": (1, 1), "yz": (1, 0), "zx": (2, 0), "zy": (2, 1)}
 """Of a triad the sensor that an angle is of, and whether it leans towards the next axis, 0, or the one before, 1."""
 _EACH, _NEXT, _BEFORE = np.arange(3), np.array([1, 2, 0]), np.array([2, 0, 1])
-_BIAS_UNIT: dict[SensorKind, str] = {"accel": "m/s^2", "gyro": "rad/s"}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -153,12 +152,6 @@ class Block:
     def thermometer(self) -> IntArray:
         """The number of the thermometer of each channel (n,)."""
         return np.array(self.thermometers or self.size * (0,), dtype=np.int64)
-
-    @cached_property
-    def units(self) -> tuple[str, ...]:
-        """SI units of the parameters, in the order of `names`."""
-        n = self.size
-        return (_BIAS_UNIT[self.kind],) * n + ("1",) * n + ("rad",) * (len(self.names) - 2 * n)
 
     def nominal(self) -> SensorModel:
         """The model of perfect sensors."""

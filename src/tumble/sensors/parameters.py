@@ -349,6 +349,12 @@ def group_name(parameter: str) -> str:
     return ".".join([stem, *(parts[-1:] if parts[-1] in _ENDINGS.values() else [])])
 
 
+def units_of(parameters: Iterable[str]) -> tuple[str, ...]:
+    """SI units of parameters."""
+    by_group = {group.name: group.unit for group in groups()}
+    return tuple(by_group[group_name(parameter)] for parameter in parameters)
+
+
 def sensor_kind(parameter: str) -> str:
     """The kind of sensor of a parameter: "accel" of "accel.bias.x"."""
     return parameter.partition(".")[0]

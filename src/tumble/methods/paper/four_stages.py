@@ -50,7 +50,7 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.turns.turns import Turns
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, Block, SensorModel, triad_model, triad_parameters
-from tumble.sensors.parameters import group_name
+from tumble.sensors.parameters import group_name, units_of
 from tumble.units import Array
 
 MAX_PASSES = 30
@@ -387,7 +387,7 @@ def _estimate(launch: _SessionData, values: Array, derivative: Array, increments
     return Estimate(
         method=launch.method.name,
         names=launch.names,
-        units=tuple(unit for block in launch.blocks for unit in block.units),
+        units=units_of(launch.names),
         values=values,
         covariance=noise + np.outer(limit - values, limit - values),
         observable=np.ones(len(values), dtype=bool),
