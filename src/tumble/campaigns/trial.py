@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 
 from tumble.campaigns.engine import Row
-from tumble.campaigns.triads import fit_statics
+from tumble.campaigns.triads import PARAMETERS, fit_statics
 from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
 from tumble.inference.estimate import DETERMINED
@@ -33,7 +33,6 @@ from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.run.calibrate import ITERATED_METHODS, METHODS, Method, calibrate
-from tumble.sensors.grades import Spread
 from tumble.sensors.model import Block, triad_model
 from tumble.sensors.parameters import limits_of
 from tumble.simulation.observations import simulate_observations
@@ -147,8 +146,9 @@ def statics_rows(seed: int, number: int, cell: Cell) -> list[Row]:
     of the variances by the Cramér–Rao bound, and the part `covered.p` of the errors within 1.96 u."""
     rng = stream(seed, number)
     scenario = scenario_of(cell.setup, rng)
-    gravity, sigma = scenario.site.gravity, _of_a_mean(scenario)
-    truth = _drawn_triads(cell.setup.accel, rng)
+    gravity, noise, spread = scenario.site.gravity, scenario.noise, cell.setup.accel
+    sigma = float(np.hypot(noise.accel_white / np.sqrt(scenario.profile.rest), noise.accel_instability))  # of a mean
+    truth = np.repeat([spread.bias, spread.scale, spread.axis], 3) * rng.standard_normal((BLOCK, PARAMETERS))
     force = gravity * _verticals(scenario, rng)
     model = triad_model(truth[:, :3], truth[:, 3:6], truth[:, 6:])
     readings = force @ np.ascontiguousarray(np.swapaxes(model.matrix, 1, 2)) + model.bias[:, None]
@@ -171,19 +171,6 @@ def statics_rows(seed: int, number: int, cell: Cell) -> list[Row]:
         }
         row |= {f"{what}.{name}": float(v) for what, of in columns.items() for name, v in zip(NAMES, of, strict=False)}
     return [row]
-
-
-def _of_a_mean(scenario: Scenario) -> float:
-    """Standard deviation of the mean reading of a rest, m/s²."""
-    return float(
-        np.hypot(scenario.noise.accel_white / np.sqrt(scenario.profile.rest), scenario.noise.accel_instability)
-    )
-
-
-def _drawn_triads(spread: Spread, rng: np.random.Generator) -> Array:
-    """Parameters (BLOCK, 9) of accelerometer triads."""
-    spreads = np.repeat([spread.bias, spread.scale, spread.axis], 3)
-    return np.asarray(spreads * rng.standard_normal((BLOCK, len(spreads))))
 
 
 def _verticals(scenario: Scenario, rng: np.random.Generator) -> Array:

@@ -43,10 +43,9 @@ from tumble.inference.turns_about import TurnsAbout, own_axes, warms
 from tumble.methods.least_squares import Solution, least_squares
 from tumble.planning.expected_sizes import expected
 from tumble.planning.setup import Setup, check_setup
-from tumble.planning.steady_turns import inertial_turns, steady_moments
+from tumble.planning.steady_turns import inertial_turns, steady_moments, white_turns
 from tumble.recording.session import Site
 from tumble.reduction.blocks.tuning import USUAL
-from tumble.reduction.noise.coloured_noise import WHITE
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
 from tumble.reduction.turns.moments import Moments
@@ -406,16 +405,4 @@ def _turns(course: Course, setup: Setup, moments: Moments, still: Array | None) 
     T, noise = course.seconds if still is None else course.seconds + 2.0 * still, setup.noise
     rotation = noise.gyro_white**2 * T + TURN_FLOOR**2
     velocity = noise.accel_white**2 * T + VELOCITY_FLOOR**2
-    return Turns(
-        first=course.first,
-        last=course.first + 1,
-        duration=T,
-        C=moments.C,
-        M=moments.Phi[..., 1:4],
-        B=moments.Phi[..., 0],
-        covariance=rotation[:, None, None] * np.eye(3),
-        arising=np.full(len(moments), WHITE),
-        velocity_covariance=velocity[:, None, None] * np.eye(3),
-        jumps=moments.jumps,
-        aliased=np.zeros(len(moments)),
-    )
+    return white_turns(course.first, T, rotation[:, None, None] * np.eye(3), velocity, moments)

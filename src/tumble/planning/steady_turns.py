@@ -23,10 +23,12 @@ import numpy as np
 
 from tumble.earth import earth_rate
 from tumble.planning.setup import Setup
+from tumble.reduction.noise.coloured_noise import WHITE
 from tumble.reduction.turns.moments import REGRESSORS, Moments, OwnAxes
+from tumble.reduction.turns.turns import Turns
 from tumble.rotation import rotation_matrix, rotation_vector_near, skew
 from tumble.sensors.parameters import PAIRS
-from tumble.units import Array
+from tumble.units import Array, IntArray
 
 
 def inertial_turns(start: Array, end: Array, moves: Array, seconds: Array, latitude: float) -> Array:
@@ -36,6 +38,27 @@ def inertial_turns(start: Array, end: Array, moves: Array, seconds: Array, latit
     back = np.swapaxes(start, 1, 2)
     earth = rotation_matrix(seconds[:, None] * np.array(earth_rate(latitude)))
     return rotation_vector_near(back @ earth @ end, np.einsum("kij,kj->ki", back, moves))
+
+
+def white_turns(
+    first: IntArray, T: Array, covariance: Array, velocity_variance: Array, moments: Moments | None = None
+) -> Turns:
+    """Turns after the rests `first` (K,) in T (K,) s, with the covariances (K, 3, 3), rad², and variances (K,),
+    (m/s)², of white noise; of these moments, or not yet integrated."""
+    K = len(T)
+    return Turns(
+        first=first,
+        last=first + 1,
+        duration=T,
+        C=np.broadcast_to(np.eye(3), (K, 3, 3)) if moments is None else moments.C,
+        M=np.zeros((K, 3, 3, 3)) if moments is None else moments.Phi[..., 1:4],
+        B=np.zeros((K, 3, 3)) if moments is None else moments.Phi[..., 0],
+        covariance=covariance,
+        arising=np.full(K, WHITE),
+        velocity_covariance=velocity_variance[:, None, None] * np.eye(3),
+        jumps=np.zeros(K),
+        aliased=np.zeros(K),
+    )
 
 
 NODES = 24

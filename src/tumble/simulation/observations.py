@@ -29,9 +29,8 @@ import numpy.typing as npt
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError
-from tumble.planning.steady_turns import inertial_turns
+from tumble.planning.steady_turns import inertial_turns, white_turns
 from tumble.reduction.blocks.motion_samples import MotionSamples
-from tumble.reduction.noise.coloured_noise import WHITE
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
 from tumble.reduction.turns.turn_samples import AHEAD, TurnSamples
@@ -138,19 +137,8 @@ def _turns(
     spread = np.trace(to_force @ to_force.T) / 3.0
     step = np.linalg.norm(vector, axis=1) / SAMPLES
     floor = VELOCITY_FLOOR + VELOCITY_STEP * scenario.site.gravity * T * step**3
-    turns = Turns(
-        first=first,
-        last=first + 1,
-        duration=T,
-        C=np.broadcast_to(np.eye(3), (K, 3, 3)),
-        M=np.zeros((K, 3, 3, 3)),
-        B=np.zeros((K, 3, 3)),
-        covariance=gyro.white**2 * T[:, None, None] * _carried(vector, to_body @ to_body.T) + TURN_FLOOR**2 * np.eye(3),
-        arising=np.full(K, WHITE),
-        velocity_covariance=(accel.white**2 * T * spread + floor**2)[:, None, None] * np.eye(3),
-        jumps=np.zeros(K),
-        aliased=np.zeros(K),
-    )
+    covariance = gyro.white**2 * T[:, None, None] * _carried(vector, to_body @ to_body.T) + TURN_FLOOR**2 * np.eye(3)
+    turns = white_turns(first, T, covariance, accel.white**2 * T * spread + floor**2)
     variance = gyro.white**2 * T + TURN_FLOOR**2
     integrals = TurnReadings(
         integral=sampled[:, AHEAD:].sum(axis=1) * dt[:, None], covariance=variance[:, None, None] * np.eye(n)
