@@ -4,9 +4,8 @@
     python evidence/run.py 40 'lag*' clean-*  of some kinds
 
 Every recording is a line of `results.jsonl` (those that are there are not made again); the table says of each kind
-how many were accepted, accepted with scatter and refused, and of the 21 parameters of those accepted without a remark
-the rms of (value − truth)/u, the share beyond 3 u, the coverage of U (95 %) and the largest; of those with scatter
-the rms and the largest.
+how many were accepted, accepted with scatter and refused, and of the 21 parameters of those accepted without a remark,
+and of those with scatter, the rms of (value − truth)/u, the share beyond 3 u, the coverage of U (95 %) and the largest.
 """
 
 from __future__ import annotations
@@ -86,27 +85,26 @@ def tried(job: tuple[str, int]) -> dict[str, object]:
 
 
 def table(rows: list[dict[str, object]]) -> None:
-    """A line for each kind."""
+    """A line of Markdown for each kind: of those accepted, and of those with scatter, rms, share beyond 3 u, coverage
+    and the largest."""
     of_kind = defaultdict(list)
     for row in rows:
         of_kind[row["kind"]].append(row)
-    print("kind | N | accepted, with scatter, not | rms | beyond 3 u | covered | largest | with scatter: rms, largest")
-    print("---|---|---|---|---|---|---|---")
+    print("| kind | N | accepted, with scatter, not | accepted: rms, > 3 u, covered, largest | with scatter |")
+    print("|---|---|---|---|---|")
     for kind in (kind for kind in KINDS if kind in of_kind):
-        own = of_kind[kind]
-        by = {v: [r for r in own if r["verdict"] == v] for v in ("accepted", "accepted with scatter", "not accepted")}
-        cells = [kind, f"{len(own)}", ", ".join(f"{len(each)}" for each in by.values())]
+        every = of_kind[kind]
+        by = {v: [r for r in every if r["verdict"] == v] for v in ("accepted", "accepted with scatter", "not accepted")}
+        cells = [kind, f"{len(every)}", ", ".join(f"{len(each)}" for each in by.values())]
         for verdict in ("accepted", "accepted with scatter"):
             z = np.array([value for row in by[verdict] for value in row["z"].values()])
-            if not len(z):
-                cells += ["", "", "", ""] if verdict == "accepted" else [""]
-            elif verdict == "accepted":
+            if len(z):
                 covered = sum(row["covered"] for row in by[verdict]) / len(z)
-                cells += [f"{np.sqrt(np.mean(z**2)):.2f}", f"{100.0 * np.mean(np.abs(z) > 3.0):.1f} %"]
-                cells += [f"{100.0 * covered:.1f} %", f"{np.abs(z).max():.1f}"]
+                beyond, largest = 100.0 * np.mean(np.abs(z) > 3.0), np.abs(z).max()
+                cells.append(f"{np.sqrt(np.mean(z**2)):.2f}, {beyond:.1f} %, {100.0 * covered:.1f} %, {largest:.1f}")
             else:
-                cells += [f"{np.sqrt(np.mean(z**2)):.2f}, {np.abs(z).max():.1f}"]
-        print(" | ".join(cells))
+                cells.append("")
+        print(f"| {' | '.join(cells)} |")
 
 
 def main() -> None:
