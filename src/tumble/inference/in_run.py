@@ -6,9 +6,10 @@ The bias of a sensor at rest k is b + σ β_k, b its parameter, β a stationary 
     β_0 ~ N(0, 1),   β_{k+1} − ρ_k β_k ~ N(0, 1 − ρ_k²),   ρ_k = e^{−Δt/τ}
 
 Δt is the time between the middles of two rests; a recording that begins anew begins the chain anew. A turn has
-σ (β_k + β_{k+1})/2. The β_k are unknowns of the rests, their steps rows that join neighbouring rests as turns do, so
-that the elimination from rest to rest has them at a cost that is linear in rests. τ short makes a scatter from rest to
-rest, τ long a random walk, in which a drift is, and a warm-up of any shape.
+σ (β_k + β_{k+1})/2 or, where biases are anew at every rest and that is likelier, σ β_k or σ β_{k+1}. The β_k are
+unknowns of the rests, their steps rows that join neighbouring rests as turns do, so that the elimination from rest to
+rest has them at a cost that is linear in rests. τ short makes a scatter from rest to rest, τ long a random walk, in
+which a drift is, and a warm-up of any shape.
 
 The score is that of Fisher's identity, from moments of the states given the data: with e_k the steps over √(1 − ρ²),
 

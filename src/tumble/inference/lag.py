@@ -44,6 +44,7 @@ def maximum_with_lag(problem: Problem, at: At, iterations: int) -> tuple[Maximum
         return likeliest(problem, at, iterations), none
     held = _held(problem, 0.0)
     fitted = likeliest(held, At.of(held, at.point, at.about), iterations)
+    problem = replace(problem, bias_after=fitted.free.bias_after)
     tried = {0.0}
     for _ in range(LAG_ROUNDS):
         # by the φ that the lag before has led to, which may hide another one, and by the usual

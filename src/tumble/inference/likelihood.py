@@ -176,6 +176,8 @@ class Problem:
     """`measured` with every group of its usual size, and"""
     own_usual: Array = field(default_factory=lambda: np.zeros(0))
     """`own_known` likewise."""
+    bias_after: float = 0.5
+    """The share of the in-run bias of a turn that is that of the rest after it; the other is of the rest before."""
 
     @staticmethod
     def of(

@@ -38,7 +38,16 @@ from tumble.inference.fits import (
     student,
     weighted,
 )
-from tumble.inference.hyperparameters import SCATTER, Components, Hyperparameter, Noise, components_of, sized, table
+from tumble.inference.hyperparameters import (
+    REST_MODES,
+    SCATTER,
+    Components,
+    Hyperparameter,
+    Noise,
+    components_of,
+    sized,
+    table,
+)
 from tumble.inference.likelihood import Point, Problem, Rows, noise_of
 from tumble.inference.linearisation import linearise, with_priors
 from tumble.inference.step import Left, Step, left, scatter_score, solve
@@ -53,6 +62,8 @@ USELESS = {"turn": 0.3, "velocity": 3.0}
 """rad and m/s: the scatter of turns that say nothing."""
 WIDE = 3.0
 """Standard deviations of p: the sizes of groups that are looked for from above."""
+ANEW = 3.0
+"""s: a correlation time of biases that are anew at every rest."""
 STEPS = 6
 """Steps over φ at one linearisation at most."""
 CONVERGED = 1e-3
@@ -257,19 +268,34 @@ def maximum(
 def likeliest(problem: Problem, at: At, iterations: int = MAX_ITERATIONS) -> Maximum:
     """The likeliest of the maxima from several φ: the usual one and, where it leads to scatter or sizes far beyond the
     usual, turns which nothing is expected of, for where turns are spoilt, parameters and accelerometers may take the
-    blame; and groups far larger than usual, for scatter may take that of groups, which the readings then no longer
-    show."""
+    blame; groups far larger than usual, for scatter may take that of groups, which the readings then no longer show;
+    and, where rests scatter, biases that are anew at every rest, of which a turn has that of the rest before or that of
+    the rest after."""
     best = maximum(problem, at, iterations=iterations)
-    entries, starts = best.entries, list[Array]()
-    far = {h.place for h, p in zip(entries, best.best.phi.tolist(), strict=True) if h.value(p) > BEYOND * h.usual}
-    if problem.observations.turns is None or not far - {"time"}:
+    if problem.observations.turns is None:
         return best
+    entries = best.entries
+    sizes = {h.name: h.value(p) for h, p in zip(entries, best.best.phi.tolist(), strict=True)}
+    far = {h.place for h in entries if sizes[h.name] > BEYOND * h.usual}
+    starts = list[tuple[Problem, Array]]()
     if far & {"scatter", "group"}:
-        starts.append(np.array([0.0 if h.bounded else np.log(USELESS.get(h.name, h.usual)) for h in entries]))
-    if any(h.place == "group" for h in entries):
-        starts.append(np.array([WIDE * h.within if h.place == "group" else h.centre for h in entries]))
-    for phi in starts:
-        other = maximum(problem, at, phi, iterations)
+        useless = np.array([np.log(USELESS[h.name]) if h.name in USELESS else h.centre for h in entries])
+        starts.append((problem, useless))
+    if far - {"time"} and any(h.place == "group" for h in entries):
+        wide = np.array([WIDE * h.within if h.place == "group" else h.centre for h in entries])
+        starts.append((problem, wide))
+    if "in-run" in far or any(h.name in REST_MODES and sizes[h.name] > h.usual for h in entries):
+        anew = best.best.phi.copy()
+        for i, h in enumerate(entries):
+            if h.place == "time":
+                anew[i] = np.log(ANEW)
+            elif h.place == "in-run":
+                anew[i] = np.log(np.hypot(sizes[h.name], sizes.get(h.name.removesuffix("_in_run"), 0.0)))
+            elif h.name in REST_MODES:
+                anew[i] = h.centre
+        starts += [(replace(problem, bias_after=share), anew) for share in (0.0, 1.0)]
+    for of, start in starts:
+        other = maximum(of, at, start, iterations)
         if other.converged and other.best.value > best.best.value:
             best = other
     return best

@@ -188,8 +188,9 @@ def whitened_rows(problem: Problem, rows: Rows, weight: Weights, process: InRun 
     wide[:, :, 3 : 3 + n] = weight.rest[:, :, :n] * process.sigma
     wide_turn[:, :, :3], wide_turn[:, :, 3 + n : 6 + n] = turn[:, :, :3], turn[:, :, 3:6]
     wide_turn[:, :, 6 + 2 * n :] = turn[:, :, 6:]
-    wide_turn[:, :, 3 : 3 + n] = weight.turn @ rows.bias * (0.5 * process.sigma)
-    wide_turn[:, :, 6 + n : 6 + 2 * n] = wide_turn[:, :, 3 : 3 + n]
+    by_state = weight.turn @ rows.bias * process.sigma
+    wide_turn[:, :, 3 : 3 + n] = (1.0 - problem.bias_after) * by_state
+    wide_turn[:, :, 6 + n : 6 + 2 * n] = problem.bias_after * by_state
     return wide, wide_turn
 
 
