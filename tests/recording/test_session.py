@@ -17,10 +17,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tests.support import ROOT
+from tumble.documents import table_behind
 from tumble.errors import SessionError
 from tumble.programme.positions import BUILT_IN
 from tumble.recording.session import Session
-from tumble.recording.session.document import SessionDocument, table_behind
+from tumble.recording.session.document import SessionDocument
 from tumble.recording.session.log_tables import AccelTable, GyroTable
 from tumble.recording.session.table import SessionTable
 from tumble.recording.session_file import read_session, write_session
