@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands.arguments import EVERY, FILE, JSON, REGISTRY, end, option, out_option, say, show, warn
+from tumble.commands import ask, tell
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def _number(ctx: click.Context, parameter: click.Parameter, text: str | None) ->
     return None if text is None else int(text)
 
 
-@click.group()
+@click.group(epilog=ask.examples("tumble registry add imu-7/calibration.json", "tumble registry due"))
 def registry() -> None:
     """Devices, launches, calibrations and acceptance limits over years. Records are added, never changed."""
 
@@ -48,7 +48,7 @@ def _command(name: str) -> Callable[[Callable[..., None]], click.Command]:
             with extra_named():
                 function(*args, **options)
 
-        return registry.command(name)(REGISTRY(with_extra))
+        return registry.command(name)(ask.REGISTRY(with_extra))
 
     return made
 
@@ -61,18 +61,18 @@ def _whole_new_file(out: Path, what: str, lines: Callable[[], Any]) -> None:
         raise InputError(f"{out}: expected a new file for the {what}, found one that exists")
     with whole_file(out) as temporary, temporary.open("w", encoding="utf-8") as file:
         file.writelines(lines())
-    say(f"written to {out}")
+    tell.say(f"written to {out}")
 
 
 @_command("add")
-@click.argument("calibration", type=FILE)
-@option("--check", "Default: incoming the first time.", type=click.Choice(["incoming", "periodic"]))
-@option("--state", "Before or after an adjustment, if there is one.", type=click.Choice(["as-found", "as-left"]))
-@option("--date/day", "When it was performed; default: when recorded, or the file made.", **_DAY)
-@option("--supersedes", "The record that this one corrects.", metavar="NUMBER", callback=_number)
-@option("--reason", "Why it is corrected.")
-@JSON
-@EVERY
+@click.argument("calibration", type=ask.FILE)
+@ask.option("--check", "Default: incoming the first time.", type=click.Choice(["incoming", "periodic"]))
+@ask.option("--state", "Before or after an adjustment, if there is one.", type=click.Choice(["as-found", "as-left"]))
+@ask.option("--date/day", "When it was performed; default: when recorded, or the file made.", **_DAY)
+@ask.option("--supersedes", "The record that this one corrects.", metavar="NUMBER", callback=_number)
+@ask.option("--reason", "Why it is corrected.")
+@ask.JSON
+@ask.EVERY
 def add(
     calibration: Path,
     check: Any,
@@ -102,7 +102,7 @@ def add(
     with open_registry(place, create=True) as opened:
         added = add_to(opened, submission)
         said = "added as" if added.new else "the same calibration is there already:"
-        say(f"{said} record {added.record.number} in {opened.name}")
+        tell.say(f"{said} record {added.record.number} in {opened.name}")
         passed = _print_record(opened, added.record, as_json, every)
     sys.exit(0 if passed else 1)
 
@@ -113,7 +113,7 @@ def _print_record(opened: Registry, record: Record, as_json: bool, every: bool) 
     from tumble.views.registry import record_blocks, record_data
 
     verdict, calibration = verdict_of(opened, record), calibration_in(opened, record, record.frame)
-    show(
+    tell.show(
         as_json,
         lambda: record_data(record, calibration, verdict),
         lambda: record_blocks(record, calibration, verdict, every=every),
@@ -121,13 +121,13 @@ def _print_record(opened: Registry, record: Record, as_json: bool, every: bool) 
     if verdict is None or verdict.result == "pass":
         return True
     for reason in verdict.reasons():
-        warn(f"{verdict.occasion} check: {reason}")
+        tell.warn(f"{verdict.occasion} check: {reason}")
     return False
 
 
 @_command("list")
 @click.argument("serial", required=False)
-@JSON
+@ask.JSON
 def list_(serial: str | None, as_json: bool, place: str | None) -> None:
     """All devices with their latest record, or the records of the device SERIAL."""
     from tumble.registry.due import due as due_of
@@ -138,17 +138,17 @@ def list_(serial: str | None, as_json: bool, place: str | None) -> None:
     with open_registry(place) as opened:
         if serial is not None:
             found = records(opened, serial)
-            show(as_json, lambda: {"records": found}, lambda: [record_table(found)])
+            tell.show(as_json, lambda: {"records": found}, lambda: [record_table(found)])
             return
         latest = sorted(due_of(opened), key=lambda item: item.record.serial)
-        show(as_json, lambda: devices_data(latest), lambda: [device_table(latest)])
+        tell.show(as_json, lambda: devices_data(latest), lambda: [device_table(latest)])
 
 
 @_command("show")
 @click.argument("number", callback=_number)
-@out_option("Write the calibration file of the record, as it was added.")
-@JSON
-@EVERY
+@ask.out("Write the calibration file of the record, as it was added.")
+@ask.JSON
+@ask.EVERY
 def show_(number: int, out: Path | None, as_json: bool, every: bool, place: str | None) -> None:
     """The record NUMBER with the verdict on each parameter. Exit status 1 if it does not pass."""
     from tumble.registry.store.connect import open_registry
@@ -166,9 +166,9 @@ def show_(number: int, out: Path | None, as_json: bool, every: bool, place: str 
 @_command("trend")
 @click.argument("serial")
 @click.argument("parameter", required=False)
-@out_option("Draw control charts into this .html or .svg; needs matplotlib.")
-@JSON
-@EVERY
+@ask.out("Draw control charts into this .html or .svg; needs matplotlib.")
+@ask.JSON
+@ask.EVERY
 def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, every: bool, place: str | None) -> None:
     """Every parameter of the device SERIAL over its calibrations, or one PARAMETER in every calibration.
 
@@ -185,22 +185,22 @@ def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, e
         from tumble.views.control_chart import write_chart
 
         write_chart(out, found)
-        say(f"written to {out}")
-    show(
+        tell.say(f"written to {out}")
+    tell.show(
         as_json,
         lambda: trend_data(found),
         lambda: trend_blocks(found, every=every) if parameter is None else history_blocks(found),
     )
     changed = found.changed()
     if changed:
-        say(f"changed: {', '.join(changed)}")
+        tell.say(f"changed: {', '.join(changed)}")
     sys.exit(1 if changed else 0)
 
 
 @_command("limits")
 @click.argument("model", required=False)
-@click.argument("file", type=FILE, required=False)
-@JSON
+@click.argument("file", type=ask.FILE, required=False)
+@ask.JSON
 def limits(model: str | None, file: Path | None, as_json: bool, place: str | None) -> None:
     """Put the acceptance limits of FILE (TOML) in force for the device type MODEL.
 
@@ -218,14 +218,14 @@ def limits(model: str | None, file: Path | None, as_json: bool, place: str | Non
         if model is not None and given is not None:
             record, new = set_limits(opened, model, *given)
             said = "in force for" if new else "were in force already for"
-            say(f"limits {record.number} {said} {record.model} in {opened.name}")
+            tell.say(f"limits {record.number} {said} {record.model} in {opened.name}")
             return
         with opened.reading() as connection:
             every = every_limits(connection)
     in_force = {each.model: each for each in every}
     if model is not None and model not in in_force:
         raise InputError(f"type {model!r}: expected a device type with limits, found none for it")
-    show(
+    tell.show(
         as_json,
         lambda: limits_data(every if model is None else [in_force[model]], in_force),
         lambda: [limits_table(every, in_force)] if model is None else limits_blocks(in_force[model]),
@@ -233,8 +233,8 @@ def limits(model: str | None, file: Path | None, as_json: bool, place: str | Non
 
 
 @_command("due")
-@option("--on/day", "As on this day; default: today.", **_DAY)
-@JSON
+@ask.option("--on/day", "As on this day; default: today.", **_DAY)
+@ask.JSON
 def due(day: datetime | None, as_json: bool, place: str | None) -> None:
     """What is to be calibrated again, and when: by the calendar, or before where a drift may meet a limit.
 
@@ -249,15 +249,15 @@ def due(day: datetime | None, as_json: bool, place: str | None) -> None:
     today = datetime.now(UTC).date() if day is None else day.date()
     with open_registry(place) as opened:
         found = due_of(opened)
-    show(as_json, lambda: due_data(found, today), lambda: [due_table(found, today)])
+    tell.show(as_json, lambda: due_data(found, today), lambda: [due_table(found, today)])
     overdue = [item.record.serial for item in found if (item.day or date.max) < today]
-    end([f"overdue: {', '.join(overdue)}"] if overdue else [])
+    tell.end([f"overdue: {', '.join(overdue)}"] if overdue else [])
 
 
 @_command("export")
-@out_option("File to write; default: standard output.")
+@ask.out("File to write; default: standard output.")
 def export(out: Path | None, place: str | None) -> None:
-    """Everything in the registry as JSON lines."""
+    """Everything in the registry as ask.JSON lines."""
     from tumble.registry.exchange import export_lines
     from tumble.registry.store.connect import open_registry
 
@@ -270,7 +270,7 @@ def export(out: Path | None, place: str | None) -> None:
 
 
 @_command("import")
-@click.argument("file", type=FILE)
+@click.argument("file", type=ask.FILE)
 def import_(file: Path, place: str | None) -> None:
     """Add what FILE, an export, holds and the registry does not; nothing of a file that is no whole export."""
     from tumble.registry.exchange import import_export, read_export
@@ -279,4 +279,4 @@ def import_(file: Path, place: str | None) -> None:
     export = read_export(file)
     with open_registry(place, create=True) as opened:
         done = import_export(opened, export)
-        say(f"{done.added} calibrations added to {opened.name}, {done.known} were there already")
+        tell.say(f"{done.added} calibrations added to {opened.name}, {done.known} were there already")
