@@ -62,10 +62,9 @@ class Recorder:
             start = max(0, stop - _WRITE_BYTES)
             whole = os.pread(self._descriptor, stop - start, start).rfind(b"\n") + 1
             whole, stop = whole and start + whole, start
-        if whole < size:
-            if keep_rest:
-                self.refuse(os.pread(self._descriptor, min(size - whole, _WRITE_BYTES), whole))
-            os.ftruncate(self._descriptor, whole)
+        if whole < size and keep_rest:
+            self.refuse(os.pread(self._descriptor, min(size - whole, _WRITE_BYTES), whole))
+        os.ftruncate(self._descriptor, whole)
         return whole
 
     def append(self, lines: Iterable[str]) -> None:

@@ -63,7 +63,6 @@ class VirtualTable(LineSource):
         self._last_row: list[float] = []
 
     def skip_to(self, at: float) -> None:
-        """Go on after this time of the log, s."""
         self._sample = round(at * SAMPLE_RATE)
 
     def _near(self, attitude: Array) -> Array:
@@ -182,6 +181,3 @@ class VirtualTable(LineSource):
         left = 1.0 - (sample - first) / samples
         rate = -ROCKING * SAMPLE_RATE / samples if 0.0 <= left <= 1.0 else 0.0
         return rotation_matrix(ROCKING * min(max(left, 0.0), 1.0) * AXES["N"]), rate * AXES["N"]
-
-    def close(self) -> None:
-        """Nothing is open."""
