@@ -143,7 +143,6 @@ class _Commands(click.Group):
                     formatter.write_dl(list(group.items()))
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """The names of the commands."""
         del ctx
         return _NAMES
 

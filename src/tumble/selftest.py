@@ -53,7 +53,6 @@ class SelftestCase:
 
     @property
     def passed(self) -> bool:
-        """Whether the figure keeps its limits; one that is not a number does not."""
         return self.low <= self.figure <= self.high
 
 

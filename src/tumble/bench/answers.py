@@ -44,7 +44,6 @@ class Answers:
         self._open = None
 
     def again(self, fault: Fault | None, now: float) -> str:
-        """Leave out what is wrong, to take it again."""
         if fault is None:
             return "nothing is wrong"
         here = fault.kind in _HERE
@@ -59,7 +58,6 @@ class Answers:
         return "the first part is kept; go on to the next position"
 
     def going_on(self, fault: Fault | None) -> str:
-        """Leave everything in."""
         if fault is not None:
             self.answered.add(fault.key)
             return "noted; nothing is left out"
@@ -67,7 +65,6 @@ class Answers:
         return "going on"
 
     def leave_out_rest(self, number: str, rests: int) -> str:
-        """Leave out one of so many rests."""
         rest = whole_number(number)
         if rest is None or not 0 < rest <= rests:
             return f"expected the number of a rest from 1 to {rests}"
@@ -75,7 +72,6 @@ class Answers:
         return f"rest {rest} is left out"
 
     def take_back(self) -> str:
-        """Take in again what was left out last."""
         if not self._added:
             return "nothing was left out here"
         one = self._added.pop()

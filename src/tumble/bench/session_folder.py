@@ -141,7 +141,6 @@ def _without(text: str, one: Exclusion) -> str:
 
 
 def _content(folder: Path) -> dict[str, Any]:
-    """The tables of session.toml."""
     path = folder / SESSION_FILE
     return toml_of(text_of_document(path), str(path))
 

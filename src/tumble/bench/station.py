@@ -81,7 +81,6 @@ class Station:
         self.state = self._state()
 
     def _begin(self, folder: Path) -> None:
-        """Open the session of a folder, from its beginning."""
         self.folder = folder
         self.task = Task.of(session_folder.session_to_record(folder), self._wanted, self._grade)
         self._live = Live(self.task)
@@ -95,7 +94,6 @@ class Station:
     # -------------------- running --------------------
 
     def start(self) -> None:
-        """Begin to record and to follow."""
         self._record()
         self._thread.start()
 
@@ -120,7 +118,6 @@ class Station:
                 self.state = {**self.state, "message": said}
 
     def stop(self) -> None:
-        """End following and recording."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -219,7 +216,6 @@ class Station:
         return said
 
     def _answered(self, name: str, value: str) -> str:
-        """What came of a button, whatever it was."""
         try:
             return self._buttons[name](value)
         except (TumbleError, OSError) as error:

@@ -50,7 +50,6 @@ def option(name: str, says: str, default: Any = None, **settings: Any) -> _Optio
 
 
 def together(*options: _Option) -> _Option:
-    """Several options as one."""
 
     def with_all(command: _Command) -> _Command:
         for each in reversed(options):
@@ -80,17 +79,14 @@ def out(says: str, kind: click.Path = FILE, **settings: Any) -> _Option:
 
 
 def force(says: str = "Replace an existing file.") -> _Option:
-    """Whether a file is replaced."""
     return click.option("--force", is_flag=True, help=says)
 
 
 def programme(says: str, default: str | None = None) -> _Option:
-    """A built-in programme."""
     return option("--programme", says, default, shell_complete=programmes_like)
 
 
 def grade(default: str | None = usual_setup.GRADE, says: str = "") -> _Option:
-    """The grade of the instrument."""
     return option("--grade", f"navigation, tactical, mems or consumer{says}.", default, shell_complete=_grades_like)
 
 
@@ -102,12 +98,10 @@ def terms(default: str | None = "linear") -> _Option:
 
 
 def frame(frames: list[str] = FRAMES) -> _Option:
-    """The frame of a result."""
     return option("--frame", "Of the result.", frames[0], type=click.Choice(frames))
 
 
 def method(methods: list[str], default: str | list[str] | None, says: str, **settings: Any) -> _Option:
-    """How to estimate."""
     return option("--method", says, default, type=click.Choice(methods), **settings)
 
 

@@ -37,24 +37,30 @@ def registry() -> None:
     """Devices, launches, calibrations and acceptance limits over years. Records are added, never changed."""
 
 
-def _command(name: str) -> Callable[[Callable[..., None]], click.Command]:
-    """A command of the registry, with the option of where that is, and a line for the extra where it is missing."""
+def _command(name: str, *, opens: bool = True) -> Callable[[Callable[..., None]], click.Command]:
+    """A command of the registry, which it gets `opened`, or its `place` where that may be made first; with a line for
+    the extra where it is missing."""
 
     def made(function: Callable[..., None]) -> click.Command:
         @wraps(function)
-        def with_extra(*args: Any, **options: Any) -> None:
+        def in_registry(*args: Any, place: str | None, **options: Any) -> None:
             from tumble.registry.store.connect import extra_named
 
             with extra_named():
-                function(*args, **options)
+                from tumble.registry.store.connect import open_registry
 
-        return registry.command(name)(ask.REGISTRY(with_extra))
+                if not opens:
+                    function(*args, place=place, **options)
+                    return
+                with open_registry(place) as opened:
+                    function(*args, opened=opened, **options)
+
+        return registry.command(name)(ask.REGISTRY(in_registry))
 
     return made
 
 
 def _whole_new_file(out: Path, what: str, lines: Callable[[], Any]) -> None:
-    """Write lines into a new file."""
     from tumble.files import whole_file
 
     if out.exists():
@@ -64,7 +70,7 @@ def _whole_new_file(out: Path, what: str, lines: Callable[[], Any]) -> None:
     tell.say(f"written to {out}")
 
 
-@_command("add")
+@_command("add", opens=False)
 @click.argument("calibration", type=ask.FILE)
 @ask.option("--check", "Default: incoming the first time.", type=click.Choice(["incoming", "periodic"]))
 @ask.option("--state", "Before or after an adjustment, if there is one.", type=click.Choice(["as-found", "as-left"]))
@@ -128,20 +134,18 @@ def _print_record(opened: Registry, record: Record, as_json: bool, every: bool) 
 @_command("list")
 @click.argument("serial", required=False)
 @ask.JSON
-def list_(serial: str | None, as_json: bool, place: str | None) -> None:
+def list_(serial: str | None, as_json: bool, opened: Registry) -> None:
     """All devices with their latest record, or the records of the device SERIAL."""
     from tumble.registry.due import due as due_of
     from tumble.registry.records import records
-    from tumble.registry.store.connect import open_registry
     from tumble.views.registry_lists import device_table, devices_data, record_table
 
-    with open_registry(place) as opened:
-        if serial is not None:
-            found = records(opened, serial)
-            tell.show(as_json, lambda: {"records": found}, lambda: [record_table(found)])
-            return
-        latest = sorted(due_of(opened), key=lambda item: item.record.serial)
-        tell.show(as_json, lambda: devices_data(latest), lambda: [device_table(latest)])
+    if serial is not None:
+        found = records(opened, serial)
+        tell.show(as_json, lambda: {"records": found}, lambda: [record_table(found)])
+        return
+    latest = sorted(due_of(opened), key=lambda item: item.record.serial)
+    tell.show(as_json, lambda: devices_data(latest), lambda: [device_table(latest)])
 
 
 @_command("show")
@@ -149,17 +153,15 @@ def list_(serial: str | None, as_json: bool, place: str | None) -> None:
 @ask.out("Write the calibration file of the record, as it was added.")
 @ask.JSON
 @ask.EVERY
-def show_(number: int, out: Path | None, as_json: bool, every: bool, place: str | None) -> None:
+def show_(number: int, out: Path | None, as_json: bool, every: bool, opened: Registry) -> None:
     """The record NUMBER with the verdict on each parameter. Exit status 1 if it does not pass."""
-    from tumble.registry.store.connect import open_registry
     from tumble.registry.store.rows import file_of, record_of
 
-    with open_registry(place) as opened:
-        with opened.reading() as connection:
-            record, text = record_of(connection, number), file_of(connection, number)
-        if out is not None:
-            _whole_new_file(out, "calibration", lambda: [text])
-        passed = _print_record(opened, record, as_json, every)
+    with opened.reading() as connection:
+        record, text = record_of(connection, number), file_of(connection, number)
+    if out is not None:
+        _whole_new_file(out, "calibration", lambda: [text])
+    passed = _print_record(opened, record, as_json, every)
     sys.exit(0 if passed else 1)
 
 
@@ -169,18 +171,16 @@ def show_(number: int, out: Path | None, as_json: bool, every: bool, place: str 
 @ask.out("Draw control charts into this .html or .svg; needs matplotlib.")
 @ask.JSON
 @ask.EVERY
-def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, every: bool, place: str | None) -> None:
+def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, every: bool, opened: Registry) -> None:
     """Every parameter of the device SERIAL over its calibrations, or one PARAMETER in every calibration.
 
     Exit status 1 if the device has changed since the calibration before by more than chance makes, in a parameter or
     in all together, as `tumble compare` says it of both.
     """
     from tumble.registry.monitor import monitored
-    from tumble.registry.store.connect import open_registry
     from tumble.views.registry import history_blocks, trend_blocks, trend_data
 
-    with open_registry(place) as opened:
-        found = monitored(opened, serial, parameter)
+    found = monitored(opened, serial, parameter)
     if out is not None:
         from tumble.views.control_chart import write_chart
 
@@ -197,7 +197,7 @@ def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, e
     sys.exit(1 if changed else 0)
 
 
-@_command("limits")
+@_command("limits", opens=False)
 @click.argument("model", required=False)
 @click.argument("file", type=ask.FILE, required=False)
 @ask.JSON
@@ -235,7 +235,7 @@ def limits(model: str | None, file: Path | None, as_json: bool, place: str | Non
 @_command("due")
 @ask.option("--on/day", "As on this day; default: today.", **_DAY)
 @ask.JSON
-def due(day: datetime | None, as_json: bool, place: str | None) -> None:
+def due(day: datetime | None, as_json: bool, opened: Registry) -> None:
     """What is to be calibrated again, and when: by the calendar, or before where a drift may meet a limit.
 
     The most urgent first. Exit status 1 if anything is overdue.
@@ -243,12 +243,10 @@ def due(day: datetime | None, as_json: bool, place: str | None) -> None:
     from datetime import UTC, date, datetime
 
     from tumble.registry.due import due as due_of
-    from tumble.registry.store.connect import open_registry
     from tumble.views.registry_lists import due_data, due_table
 
     today = datetime.now(UTC).date() if day is None else day.date()
-    with open_registry(place) as opened:
-        found = due_of(opened)
+    found = due_of(opened)
     tell.show(as_json, lambda: due_data(found, today), lambda: [due_table(found, today)])
     overdue = [item.record.serial for item in found if (item.day or date.max) < today]
     tell.end([f"overdue: {', '.join(overdue)}"] if overdue else [])
@@ -256,20 +254,18 @@ def due(day: datetime | None, as_json: bool, place: str | None) -> None:
 
 @_command("export")
 @ask.out("File to write; default: standard output.")
-def export(out: Path | None, place: str | None) -> None:
-    """Everything in the registry as ask.JSON lines."""
+def export(out: Path | None, opened: Registry) -> None:
+    """Everything in the registry as JSON lines."""
     from tumble.registry.exchange import export_lines
-    from tumble.registry.store.connect import open_registry
 
-    with open_registry(place) as opened:
-        if out is not None:
-            _whole_new_file(out, "export", lambda: (f"{line}\n" for line in export_lines(opened)))
-            return
-        for line in export_lines(opened):
-            click.echo(line)
+    if out is not None:
+        _whole_new_file(out, "export", lambda: (f"{line}\n" for line in export_lines(opened)))
+        return
+    for line in export_lines(opened):
+        click.echo(line)
 
 
-@_command("import")
+@_command("import", opens=False)
 @click.argument("file", type=ask.FILE)
 def import_(file: Path, place: str | None) -> None:
     """Add what FILE, an export, holds and the registry does not; nothing of a file that is no whole export."""

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 
 def show(as_json: bool, data: Callable[[], dict[str, Any]], blocks: Callable[[], Iterable[Block]]) -> None:
-    """Print a result as data or as tables."""
     if as_json:
         from tumble.views.render.data import print_data
 

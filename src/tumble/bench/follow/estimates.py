@@ -52,7 +52,6 @@ class Estimates:
 
     @property
     def under_way(self) -> bool:
-        """Whether one is being made."""
         return self._future is not None
 
     def take(self) -> None:

@@ -214,5 +214,4 @@ def _warmed(progress: Progress, limit: float) -> Fault | None:
 
 
 def _degrees(angle: float) -> str:
-    """An angle to a degree, with its sign."""
     return f"{angle / DEGREE:+.0f}°".replace("-", "−")

@@ -44,7 +44,6 @@ class Live:
         self._begin(Clock(spec=task.session.log))
 
     def _begin(self, clock: Clock) -> None:
-        """Follow the log from its beginning."""
         self.now: Progress | None = None
         self.faults: deque[Fault] = deque(maxlen=_MOST_FAULTS)
         self.samples = self.lost = 0
@@ -58,7 +57,6 @@ class Live:
 
     @property
     def at(self) -> int:
-        """Bytes of the log that are read."""
         return self._follower.at
 
     @property

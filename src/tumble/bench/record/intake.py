@@ -53,7 +53,6 @@ class Intake:
             raise
 
     def start(self) -> None:
-        """Begin to listen."""
         self._thread.start()
 
     def _run(self) -> None:
@@ -84,7 +83,6 @@ class Intake:
             self._stop.wait(READ_SECONDS)
 
     def _take(self, data: bytes) -> None:
-        """Record what was received."""
         waited = bool(self.order.waiting)
         rows: list[str] = []
         if data or waited:
@@ -108,7 +106,6 @@ class Intake:
         return whole[:-1].decode("ascii").split("\n")
 
     def stop(self) -> None:
-        """Stop listening and leave a complete log."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()

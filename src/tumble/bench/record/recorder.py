@@ -97,7 +97,6 @@ class Recorder:
                 file.write(raw.rstrip(b"\n") + b"\n")
 
     def hold(self, lines: Iterable[str]) -> None:
-        """Keep rows that wait: these, and no others."""
         text = _text(lines)
         if text or self.held.exists():
             with self._troubled():

@@ -165,7 +165,6 @@ class Tcp(LineSource):
 
 
 def _bound(made: socket.socket, host: str, port: int, name: str) -> int:
-    """The port that a socket is bound to."""
     try:
         made.bind((host, port))
     except OSError as error:

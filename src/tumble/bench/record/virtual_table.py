@@ -82,7 +82,6 @@ class VirtualTable(LineSource):
 
     @property
     def moving(self) -> bool:
-        """Whether a turn is under way."""
         return self._sample < self._first + self._samples
 
     def turn(self, axis: str, degrees: float, *, rate: float = RATE) -> None:

@@ -75,7 +75,6 @@ def _in_browser(link: str) -> Iterator[None]:
 
 
 def _started(stations: Callable[[], Sequence[Station]], folders: Sequence[Path]) -> Sequence[Station]:
-    """Stations that record."""
     with ExitStack() as new:
         for folder in folders:
             if not folder.exists():

@@ -85,7 +85,6 @@ def listed(stations: Sequence[Station]) -> dict[str, Any]:
 
 
 def _among(stations: Sequence[Station], number: int) -> dict[str, Any]:
-    """What the page of a bench shows of all."""
     return {"bench": number, **listed(stations)}
 
 
