@@ -79,16 +79,13 @@ class Recorder:
                 del self._pending[:written]
             self.trouble = f"{self._lost} samples are lost, which the disk did not take" if self._lost else None
         except OSError as error:
-            if len(self._pending) > KEPT_BYTES:
-                self._lose(self._pending.rfind(b"\n", 0, KEPT_BYTES) + 1)
+            if len(self._pending) > KEPT_BYTES:  # what is behind the last whole line of so many bytes is given up
+                kept_bytes = self._pending.rfind(b"\n", 0, KEPT_BYTES) + 1
+                self._lost += self._pending.count(b"\n", kept_bytes)
+                del self._pending[kept_bytes:]
             kept = f"{len(self._pending) / 1e6:.1f} MB are kept in memory"
             lost = f", {self._lost} samples are lost" if self._lost else ""
             self.trouble = f"the disk takes nothing: {error.strerror}; {kept}{lost}"
-
-    def _lose(self, kept: int) -> None:
-        """Give up what waits for the disk behind so many bytes of it, the end of a line."""
-        self._lost += self._pending.count(b"\n", kept)
-        del self._pending[kept:]
 
     def refuse(self, raw: bytes) -> None:
         """Keep what was received and is no row of the log."""
@@ -137,7 +134,8 @@ class Recorder:
         line."""
         self._write()
         if self._pending:
-            self._lose(0)
+            self._lost += self._pending.count(b"\n")
+            self._pending.clear()
             self.trouble = f"{self._lost} samples are lost, which the disk did not take"
             with self._troubled():
                 self._whole_lines(keep_rest=False)
