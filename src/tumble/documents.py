@@ -35,6 +35,7 @@ _HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 _WIDTH = 60
 """Of a value in a message, characters."""
 _FAULTS_SHOWN = 3
+_LONGEST_PLACE = 80
 
 
 def whole_number(text: str) -> int | None:
@@ -132,13 +133,25 @@ _Model = TypeVar("_Model", bound="BaseModel")
 
 _EXPECTED = {
     "missing": "this key",
+    "float_type": "a number",
+    "finite_number": "a number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "bool_type": "true or false",
     "string_type": "a text",
     "string_too_short": "a text that is not empty",
     "string_pattern_mismatch": "a text, without spaces at its ends",
     "date_type": "a day without quotes, such as 2026-05-04",
+    "list_type": "a list",
     "tuple_type": "a list",
     "too_short": "a longer list",
+    "too_long": "a shorter list",
+    "dict_type": "a table",
+    "dataclass_type": "a table",
     "model_type": "a table",
+    "greater_than": "a larger number",
+    "greater_than_equal": "a larger number",
+    "less_than_equal": "a smaller number",
 }
 """What is expected of a key whose field has no description, by the type of the fault."""
 
@@ -159,38 +172,44 @@ def validated(
     raise error(f"{where}: {said}" if where else said)
 
 
-def faults_of(error: ValidationError, content: Mapping[str, Any], model: type[BaseModel]) -> list[str]:
-    """Every fault of a document once. What is expected of a key is the description of its field; of the elements of a
-    list of plain values the list is named."""
+def faults_of(error: ValidationError, content: Any, model: type[BaseModel]) -> list[str]:
+    """Every fault of a document once. What is expected of a key is the description of its field; where that has one,
+    it is named in place of the elements of its list."""
     faults: dict[tuple[int | str, ...], str] = {}
     for fault in error.errors(include_url=False):
+        kind, value, expected = fault["type"], content, ""
         key: tuple[int | str, ...] = ()
-        table, inner = model, table_behind(model)  # that of the last part of the key, and of its values if they are one
-        expected = ""
+        table: type[BaseModel] = model  # the innermost one of the way, and the one behind its last key, if that is one
+        inner: type[BaseModel] | None = model
         for part in fault["loc"]:
-            if isinstance(part, int) and inner is not None and key:
-                key += (part,)
+            if isinstance(part, int):
+                if (inner is None and expected) or not isinstance(value, list | tuple) or part >= len(value):
+                    kind = "too_short" if kind == "missing" else kind
+                    break
+                key, value = (*key, part), value[part]
                 continue
-            if inner is None or part not in inner.model_fields:
+            known = isinstance(value, Mapping) and part in value
+            if inner is not None and part in inner.model_fields:
+                table, field = inner, inner.model_fields[part]
+                expected, inner = field.description or "", table_behind(field.annotation)
+            elif inner is not None or not (known or kind == "missing"):  # an unknown key, or the choice of a union
+                value = key[-1] if part == "[key]" else value
                 break
-            table, field = inner, inner.model_fields[str(part)]
-            key, expected, inner = (*key, part), field.description or "", table_behind(field.annotation)
-        if fault["type"] == "extra_forbidden":
+            key, value = (*key, part), value[part] if known else None
+        place = dotted(key)[:_LONGEST_PLACE]
+        if kind == "extra_forbidden":
             unknown = str(fault["loc"][-1])
-            place = f"in [{dotted(key)}]" if key else "at the top level"
+            where = f"in [{place}]" if key else "at the top level"
             hint = did_you_mean(unknown, (inner or table).model_fields)
-            faults[(*key, unknown)] = f"unknown key '{unknown}' {place}{hint}"
-        elif fault["type"] == "value_error":
-            separator = "" if not key else ": " if inner is None else "."
-            faults[key] = f"{dotted(key)}{separator}{fault['ctx']['error']}"
+            faults[(*key, unknown)] = f"unknown key '{unknown}' {where}{hint}"
+        elif kind == "value_error":
+            said = str(fault["ctx"]["error"])  # of a table it may begin with one of its keys
+            separator = "" if not key else ": " if inner is None or said.startswith("expected") else "."
+            faults[key] = f"{place}{separator}{said}"
         else:
-            value: Any = content
-            if fault["type"] != "missing":
-                for part in key:
-                    value = value[part]
-            found = "none" if fault["type"] == "missing" else as_written(value)
-            expected = expected or fault.get("ctx", {}).get("expected") or _EXPECTED.get(fault["type"], fault["msg"])
-            faults.setdefault(key, f"{dotted(key)}: expected {expected}, found {found}")
+            expected = expected or _EXPECTED.get(kind) or fault.get("ctx", {}).get("expected") or fault["msg"]
+            found = "none" if kind == "missing" else as_written(value)
+            faults.setdefault(key, f"{place}: expected {expected}, found {found}")
     return list(faults.values())
 
 
@@ -209,5 +228,7 @@ def as_written(value: Any) -> str:
 
     if isinstance(value, Mapping):
         return "a table"
+    if isinstance(value, int) and abs(value) > 10**_WIDTH:
+        return shown(value)
     text = json.dumps(value, default=str, ensure_ascii=False)
     return text if len(text) <= _WIDTH else f"{text[: _WIDTH - 1]}…"
