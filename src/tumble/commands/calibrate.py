@@ -15,7 +15,6 @@ from tumble.errors import InputError
 
 if TYPE_CHECKING:
     from tumble.drafting.new_session import Given
-    from tumble.result.calibration import Calibration
     from tumble.run.calibrate import Method, Terms
     from tumble.run.type_spread import TypeSpread
     from tumble.sensors.frames import Frame
@@ -75,6 +74,7 @@ def calibrate(
     from tumble.run.launches import calibrate_launches
     from tumble.run.together import calibrate_together
     from tumble.simulation.session import read_truth
+    from tumble.simulation.temperature_profile import truth_at
     from tumble.views.calibration import calibration_blocks
 
     methods = tuple(dict.fromkeys(method))
@@ -95,7 +95,9 @@ def calibrate(
         )
     excluded = () if without is None else _numbers(without)
     true = None if truth is None else read_truth(truth)
-    is_log = any(value is not None for value in options.values()) or (len(sessions) == 1 and _is_log(sessions[0]))
+    is_log = any(value is not None for value in options.values()) or (
+        len(sessions) == 1 and sessions[0].is_file() and sessions[0].suffix != ".toml"
+    )
     with _session_of(sessions, ask.given_of(options)) if is_log else nullcontext(sessions) as folders:
         described = [read_session(folder).without(excluded) for folder in folders]
         if together:
@@ -109,7 +111,7 @@ def calibrate(
         result, *others = results
         target = out or Path(described[0].name) / "calibration.json"
         result.write(target, force=force)
-    known = None if true is None else _true_at(result, true)
+    known = None if true is None else truth_at(true, result.reference_temperature, result.reference_of)
     tell.show(
         as_json,
         lambda: result.content() | ({"others": [other.content() for other in others]} if others else {}),
@@ -120,13 +122,6 @@ def calibrate(
         for reason in other.outcome.reasons:
             tell.warn(f"{other.method}: not accepted: {reason}")
     tell.end(result.outcome.reasons, "not accepted: ")
-
-
-def _true_at(result: Calibration, true: dict[str, float]) -> dict[str, float]:
-    """True parameters at the temperatures at which a result has them."""
-    from tumble.simulation.temperature_profile import truth_at
-
-    return truth_at(true, result.reference_temperature, result.reference_of)
 
 
 def _numbers(text: str) -> tuple[int, ...]:
@@ -149,10 +144,6 @@ def _of_type(place: str, model: str | None, frame: Frame) -> TypeSpread:
 
         with open_registry(place) as opened:
             return type_spread(opened, model, frame)
-
-
-def _is_log(path: Path) -> bool:
-    return path.is_file() and path.suffix != ".toml"
 
 
 @contextmanager
