@@ -27,7 +27,7 @@ def test_the_reference_cases_pass_and_are_recorded_with_machine_versions_and_has
     assert record["source_sha256"].keys() == {
         path.relative_to(source.parent).as_posix()
         for path in source.parent.rglob("*")
-        if path.suffix in {".py", ".so", ".pyd"}
+        if path.suffix in {".py", ".pyi", ".so", ".pyd"}
     }
     again = CliRunner().invoke(main, ["selftest", "-o", str(tmp_path / "record.json")])
     assert (again.exit_code, again.stderr.count("\n")) == (2, 1)

@@ -11,7 +11,7 @@ import signal
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from importlib import import_module
@@ -35,7 +35,6 @@ class _Refused(click.ClickException):
     exit_code = 2
 
     def show(self, file: Any = None) -> None:
-
         click.echo(f"tumble: {one_line(self.message)}", file=file, err=True)
 
 
@@ -65,49 +64,57 @@ def _in_one_line() -> Iterator[None]:
 STUCK_SECONDS = 5.0
 """How long a command may take to notice that it is to end."""
 
-GROUPS = {
-    "From a recording to a calibration": (
-        "new", "inspect", "calibrate", "ellipsoid", "verify", "check", "compare", "apply", "noise", "bench",
-    ),
-    "Before anything is recorded": ("programme", "plan", "budget", "require", "simulate"),
-    "To pass on and to keep": ("report", "export", "registry"),
-    "Many at once": ("campaign", "fleet"),
-    "This installation": ("selftest",),
-}  # fmt: skip
-"""What commands are for."""
-
-EXAMPLES = {
-    "apply": ("tumble apply imu-7/calibration.json flight-12 -o corrected.parquet",),
-    "bench": (
-        "tumble bench imu-7 --listen udp:5005",
-        "tumble bench new --listen serial:/dev/ttyUSB0:115200 --serial A-7 --latitude 56.84",
-    ),
-    "budget": ("tumble budget --grade mems --table-error 0.5 --rest 10",),
-    "calibrate": (
-        "tumble calibrate imu-7",
-        "tumble calibrate LOG0007.TXT --latitude 56.84 --serial A-7",
-        "tumble calibrate monday tuesday --out A-7.json",
-        "tumble calibrate cold room hot --together --out A-7.json",
-        "tumble calibrate imu-7 --json",
-    ),
-    "campaign": ("tumble campaign methods.toml -o methods",),
-    "check": ("tumble check imu-7/calibration.json today -o today.json",),
-    "compare": ("tumble compare last-year.json imu-7/calibration.json",),
-    "ellipsoid": ("tumble ellipsoid positions.csv --unit g", "tumble ellipsoid compass.csv --sensor mag --unit uT"),
-    "export": ("tumble export imu-7/calibration.json --to px4 -o imu-7.params",),
-    "fleet": ("tumble fleet 'sessions/*' -o results",),
-    "inspect": ("tumble inspect imu-7",),
-    "new": ("tumble new imu-7 LOG0007.TXT --latitude 56.84 --serial A-7",),
-    "noise": ("tumble noise imu-7", "tumble noise still.csv --accel ax,ay,az --gyro gx,gy,gz --sample-rate 100"),
-    "plan": ("tumble plan --grade mems", "tumble plan --positions 12 --axes N,U"),
-    "programme": ("tumble programme cube-26 -o sheet.html",),
-    "registry": ("tumble registry add imu-7/calibration.json", "tumble registry due"),
-    "report": ("tumble report imu-7/calibration.json -o imu-7.pdf --limits limits.toml",),
-    "require": ("tumble require --want accel.scale=3.5ppm",),
-    "selftest": ("tumble selftest -o record.json",),
-    "simulate": ("tumble simulate launch --programme rough-table --seed 1",),
-    "verify": ("tumble verify imu-7/calibration.json check-session",),
+COMMANDS: Mapping[str, Mapping[str, str]] = {
+    "From a recording to a calibration": {
+        "new": "Write a commented session.toml for a log into FOLDER, and say what was guessed.",
+        "inspect": "Show the rests and turns found in SESSION, and what was rejected and why.",
+        "calibrate": "Calibrate the device of SESSION, a folder with session.toml and a log.",
+        "ellipsoid": (
+            "Calibrate a triad from READINGS.csv, a table of mean readings in nine or more positions "
+            "of any orientation."
+        ),
+        "verify": "Test whether CALIBRATION holds in check positions, by g − |corrected reading| in each of them.",
+        "check": "Test from a few rests of its device what has changed since CALIBRATION, and by how much.",
+        "compare": "Differences of two calibration files in units of their combined uncertainty, and E_n numbers.",
+        "apply": "Correct the recording of SESSION with CALIBRATION, a calibration file of the same device.",
+        "noise": (
+            "Allan deviation: the noise of every sensor, from the longest rest of SESSION or from all of a LOG at rest."
+        ),
+        "bench": "The live page: follow a recording, say what to do next, and calibrate at the end.",
+    },
+    "Before anything is recorded": {
+        "programme": "The operator's sheet of a built-in programme NAME or of a list of attitudes.",
+        "plan": (
+            "The least uncertainty a programme allows, the best next position, and better "
+            "programmes; over temperature with the time in a chamber."
+        ),
+        "budget": (
+            "Expected errors of a calibration before it is made, from the accuracy formulas, and the least possible."
+        ),
+        "require": (
+            "The table, the mounting and the rests that a wanted accuracy needs; what no table can give is named."
+        ),
+        "simulate": "Write a session with known truth (truth.json) into FOLDER.",
+    },
+    "To pass on and to keep": {
+        "report": "Report of a calibration, or of several of one device, in one file that needs nothing else.",
+        "export": "Write CALIBRATION, a calibration file, in the format of another program.",
+        "registry": "Devices, launches, calibrations and acceptance limits over years.",
+    },
+    "Many at once": {
+        "campaign": "Simulate and calibrate many times over the grid of FILE.toml.",
+        "fleet": "Calibrate all sessions that GLOB matches or MANIFEST lists, with a row for each.",
+    },
+    "This installation": {
+        "selftest": (
+            "Run the reference cases on this machine and compare them with published values, closed forms and truth."
+        ),
+    },
 }
+"""The commands by what they are for, each with the first sentence of its docstring: the list of them imports none."""
+
+_READING = (*COMMANDS["From a recording to a calibration"], *COMMANDS["Many at once"])
+_NAMES = [name for group in COMMANDS.values() for name in group]
 
 
 def first_sentence(command: click.Command) -> str:
@@ -130,10 +137,24 @@ class _Commands(click.Group):
         """The commands by what they are for, each with its first sentence."""
         del ctx
         with formatter.section("Commands"):
-            for title, names in GROUPS.items():
+            for title, group in COMMANDS.items():
                 formatter.write_text(title)
                 with formatter.indentation():
-                    formatter.write_dl([(name, first_sentence(self.commands[name])) for name in names])
+                    formatter.write_dl(list(group.items()))
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        del ctx
+        return _NAMES
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """A command, imported when it is first asked for."""
+        del ctx
+        if cmd_name in _NAMES and cmd_name not in self.commands:
+            command: click.Command = getattr(import_module(f"tumble.commands.{cmd_name}"), cmd_name)
+            for part in getattr(command, "commands", {}).values():
+                part.short_help = first_sentence(part)
+            self.add_command(command)
+        return self.commands.get(cmd_name)
 
     def make_context(self, *args: Any, **extra: Any) -> click.Context:
         with _in_one_line():
@@ -153,7 +174,7 @@ def main(context: click.Context, quiet: bool, verbose: bool) -> None:
     """Calibrate strapdown inertial measurement units on equipment that is not precise."""
     from tumble.recording.panic import COMMAND_LINE
 
-    if context.invoked_subcommand in (*GROUPS["From a recording to a calibration"], *GROUPS["Many at once"]):
+    if context.invoked_subcommand in _READING:
         check_address_space()
     if as_python() and not quiet:
         click.echo("tumble: the loops over samples are not compiled and run as plain Python, slowly", err=True)
@@ -211,11 +232,3 @@ def _say_what_it_took(seconds: float) -> None:
         most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
         said.append(f"at most {most / 1e6:.0f} MB")
     click.echo(", ".join(said), err=True)
-
-
-for command_name in (name for names in GROUPS.values() for name in names):
-    command: click.Command = getattr(import_module(f"tumble.commands.{command_name}"), command_name)
-    command.epilog = "\b\n" + "\n".join(("Examples:", *(f"  {line}" for line in EXAMPLES[command_name])))
-    for part in getattr(command, "commands", {}).values():
-        part.short_help = first_sentence(part)
-    main.add_command(command)

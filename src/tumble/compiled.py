@@ -6,7 +6,6 @@ another. hatch_build.py, which compiles, reads this file too; so it imports noth
 
 from __future__ import annotations
 
-import hashlib
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,6 +23,8 @@ LOOPS = (
 
 def source_hash(source: Path) -> str:
     """SHA-256 of what a module of LOOPS is compiled from."""
+    import hashlib
+
     return hashlib.sha256(source.read_bytes().replace(b"\r\n", b"\n")).hexdigest()
 
 

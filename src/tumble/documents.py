@@ -7,15 +7,18 @@ shown.
 
 from __future__ import annotations
 
-import json
 import re
-import tomllib
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, get_args
 
-from tumble.errors import InputError
+from tumble.errors import InputError, did_you_mean
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel, ValidationError
+
+# The parsers and pydantic are imported where they are used: the help of the command line needs none of them.
 
 LARGEST_DOCUMENT = 1 << 26
 """Bytes of a document that is read as a whole: 64 MB."""
@@ -29,6 +32,10 @@ _LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t
 _BEYOND_MEASURE = "a number or a nesting without measure"
 _WORDS = re.compile(rf"\S{{{_LONGEST_WORD + 1},}}")
 _HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
+_WIDTH = 60
+"""Of a value in a message, characters."""
+_FAULTS_SHOWN = 3
+_LONGEST_PLACE = 80
 
 
 def whole_number(text: str) -> int | None:
@@ -56,6 +63,8 @@ def text_of_document(path: Path) -> str:
 
 def toml_of(text: str, where: str, error: type[InputError] = InputError) -> dict[str, Any]:
     """The tables of a TOML text, `where` in messages. Raises an error of the class, one line."""
+    import tomllib
+
     if _LONG_KEY.search(text):
         raise error(f"{where}: expected keys of at most {_LONGEST_KEY} parts, found a longer one")
     try:
@@ -68,6 +77,8 @@ def toml_of(text: str, where: str, error: type[InputError] = InputError) -> dict
 
 def json_of(text: str) -> Any:
     """The content of a JSON text. Raises ValueError, one line, also for NaN and infinity."""
+    import json
+
     try:
         return json.loads(text, parse_constant=_no_number)
     except RecursionError:
@@ -80,7 +91,7 @@ def _no_number(name: str) -> NoReturn:
     raise ValueError(f"{name} in place of a number")
 
 
-def shown(value: object, width: int = 60) -> str:
+def shown(value: object, width: int = _WIDTH) -> str:
     """A value of a document as a message shows it: on one line, shortened."""
     if isinstance(value, dict | list):
         return "a table" if isinstance(value, dict) else f"a list of {len(value)}"
@@ -114,3 +125,110 @@ def one_line(text: str) -> str:
     line = plain(" ".join(text.split()))
     line = _WORDS.sub(lambda word: f"{word[0][:100]}…{word[0][-40:]}", line)
     return line if len(line) <= LONGEST_LINE else f"{line[: LONGEST_LINE - 1]}…"
+
+
+# -------------------- documents that a model of pydantic describes --------------------
+
+_Model = TypeVar("_Model", bound="BaseModel")
+
+_EXPECTED = {
+    "missing": "this key",
+    "float_type": "a number",
+    "finite_number": "a number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "a text",
+    "string_too_short": "a text that is not empty",
+    "string_pattern_mismatch": "a text, without spaces at its ends",
+    "date_type": "a day without quotes, such as 2026-05-04",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "too_short": "a longer list",
+    "too_long": "a shorter list",
+    "dict_type": "a table",
+    "dataclass_type": "a table",
+    "model_type": "a table",
+    "greater_than": "a larger number",
+    "greater_than_equal": "a larger number",
+    "less_than_equal": "a smaller number",
+}
+"""What is expected of a key whose field has no description, by the type of the fault."""
+
+
+def validated(
+    model: type[_Model], content: Mapping[str, Any], where: str = "", error: type[InputError] = InputError
+) -> _Model:
+    """A document as a model describes it. Raises an error of the class, one line with up to three faults, each as
+    "key: expected …, found …"; `where` stands before them."""
+    from pydantic import ValidationError
+
+    try:
+        return model.model_validate(content)
+    except ValidationError as fault:
+        faults = faults_of(fault, content, model)
+    more = [f"and {len(faults) - _FAULTS_SHOWN} more"] if len(faults) > _FAULTS_SHOWN else []
+    said = "; ".join(faults[:_FAULTS_SHOWN] + more)
+    raise error(f"{where}: {said}" if where else said)
+
+
+def faults_of(error: ValidationError, content: Any, model: type[BaseModel]) -> list[str]:
+    """Every fault of a document once. What is expected of a key is the description of its field; where that has one,
+    it is named in place of the elements of its list."""
+    faults: dict[tuple[int | str, ...], str] = {}
+    for fault in error.errors(include_url=False):
+        kind, value, expected = fault["type"], content, ""
+        key: tuple[int | str, ...] = ()
+        table: type[BaseModel] = model  # the innermost one of the way, and the one behind its last key, if that is one
+        inner: type[BaseModel] | None = model
+        for part in fault["loc"]:
+            if isinstance(part, int):
+                if (inner is None and expected) or not isinstance(value, list | tuple) or part >= len(value):
+                    kind = "too_short" if kind == "missing" else kind
+                    break
+                key, value = (*key, part), value[part]
+                continue
+            known = isinstance(value, Mapping) and part in value
+            if inner is not None and part in inner.model_fields:
+                table, field = inner, inner.model_fields[part]
+                expected, inner = field.description or "", table_behind(field.annotation)
+            elif inner is not None or not (known or kind == "missing"):  # an unknown key, or the choice of a union
+                value = key[-1] if part == "[key]" else value
+                break
+            key, value = (*key, part), value[part] if known else None
+        place = dotted(key)[:_LONGEST_PLACE]
+        if kind == "extra_forbidden":
+            unknown = str(fault["loc"][-1])
+            where = f"in [{place}]" if key else "at the top level"
+            hint = did_you_mean(unknown, (inner or table).model_fields)
+            faults[(*key, unknown)] = f"unknown key '{unknown}' {where}{hint}"
+        elif kind == "value_error":
+            said = str(fault["ctx"]["error"])  # of a table it may begin with one of its keys
+            separator = "" if not key else ": " if inner is None or said.startswith("expected") else "."
+            faults[key] = f"{place}{separator}{said}"
+        else:
+            expected = expected or _EXPECTED.get(kind) or fault.get("ctx", {}).get("expected") or fault["msg"]
+            found = "none" if kind == "missing" else as_written(value)
+            faults.setdefault(key, f"{place}: expected {expected}, found {found}")
+    return list(faults.values())
+
+
+def table_behind(annotation: Any) -> type[BaseModel] | None:
+    """The model that the values of a key are, or are lists of; None where they are none."""
+    from pydantic import BaseModel
+
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((table for part in get_args(annotation) if (table := table_behind(part)) is not None), None)
+
+
+def as_written(value: Any) -> str:
+    """A value as TOML has it, on one line, shortened."""
+    import json
+
+    if isinstance(value, Mapping):
+        return "a table"
+    if isinstance(value, int) and abs(value) > 10**_WIDTH:
+        return shown(value)
+    text = json.dumps(value, default=str, ensure_ascii=False)
+    return text if len(text) <= _WIDTH else f"{text[: _WIDTH - 1]}…"

@@ -47,9 +47,9 @@ class SelftestCase:
     name: str
     source: str
     figure: float
-    low: float
+    low: float = 0.0
     high: float
-    unit: str
+    unit: str = "1"
 
     @property
     def passed(self) -> bool:
@@ -71,20 +71,16 @@ class SelftestRecord:
 
     @property
     def passed(self) -> bool:
-        """Whether every case passed."""
         return all(case.passed for case in self.cases)
 
     def write(self, path: FilePath) -> None:
         """Write the record as JSON, whole or not at all; its last key is the SHA-256 of all before it."""
-        content = self._content()
+        content: dict[str, Any] = asdict(self)
+        content["cases"] = [asdict(case) | {"passed": case.passed} for case in self.cases]
+        content["passed"] = self.passed
         content["sha256"] = digest(content)
         with whole_file(Path(path)) as temporary:
             temporary.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-
-    def _content(self) -> dict[str, Any]:
-        content = asdict(self)
-        content["cases"] = [asdict(case) | {"passed": case.passed} for case in self.cases]
-        return content | {"passed": self.passed}
 
 
 def digest(content: dict[str, Any]) -> str:
@@ -121,15 +117,15 @@ def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lam
             "loops": compiled.words(),
         },
         versions={name: version(name) for name in LIBRARIES},
-        source_sha256=_sources(),
+        source_sha256=_source_hashes(),
         cases=tuple(cases),
     )
 
 
-def _sources() -> dict[str, str]:
+def _source_hashes() -> dict[str, str]:
     """The SHA-256 of every source file of the program, and of what is compiled of them."""
     package = Path(__file__).parent
-    paths = sorted(path for path in package.rglob("*") if path.suffix in (".py", ".so", ".pyd"))
+    paths = sorted(path for path in package.rglob("*") if path.suffix in (".py", ".pyi", ".so", ".pyd"))
     return {path.relative_to(package).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
 
@@ -139,12 +135,12 @@ def _sources() -> dict[str, str]:
 def _gravity() -> Iterator[SelftestCase]:
     """normal gravity at the equator and at the pole"""
     for place, latitude, published in (("equator", 0.0, 9.7803253359), ("pole", 90.0, 9.8321849379)):
-        yield _difference(
-            f"normal gravity at the {place}",
-            "WGS 84 (NIMA TR8350.2), derived constants",
-            normal_gravity(latitude * DEGREE, 0.0) - published,
-            1e-9,
-            "m/s^2",
+        yield SelftestCase(
+            name=f"normal gravity at the {place}",
+            source="WGS 84 (NIMA TR8350.2), derived constants",
+            figure=abs(normal_gravity(latitude * DEGREE, 0.0) - published),
+            high=1e-9,
+            unit="m/s^2",
         )
 
 
@@ -153,14 +149,13 @@ def _allan_deviation() -> Iterator[SelftestCase]:
     numbers = [1234567890]
     for _ in range(999):
         numbers.append(16807 * numbers[-1] % 2147483647)
-    found = allan_deviation(np.array(numbers)[:, None] / 2147483647, 1.0)
+    curve = allan_deviation(np.array(numbers)[:, None] / 2147483647, 1.0)
     for tau, published in ((1.0, 2.922319e-01), (10.0, 9.159953e-02)):
-        yield _difference(
-            f"overlapping Allan deviation at τ = {tau:g}",
-            "Riley, NIST SP 1065 (2008), 1000-point test suite",
-            float(found.deviation[found.tau == tau, 0][0]) - published,
-            1e-7,
-            "1",
+        yield SelftestCase(
+            name=f"overlapping Allan deviation at τ = {tau:g}",
+            source="Riley, NIST SP 1065 (2008), 1000-point test suite",
+            figure=abs(float(curve.deviation[curve.tau == tau, 0][0]) - published),
+            high=1e-7,
         )
 
 
@@ -168,17 +163,15 @@ def _cube() -> Iterator[SelftestCase]:
     """an accelerometer triad from 14 positions of a cube, without noise"""
     matrix = np.diag([-1.45, -1.43, -1.47]) @ np.array([[1.0, 6e-3, -2e-3], [0.0, 1.0, 4e-3], [0.0, 0.0, 1.0]])
     bias = np.array([0.003, -0.002, 0.001])
-    faces = np.vstack([np.eye(3), -np.eye(3)])
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3.0)
-    readings = np.vstack([faces, corners]) @ matrix.T + bias
+    readings = np.vstack([np.eye(3), -np.eye(3), corners]) @ matrix.T + bias
     fitted = fit_many(readings[None])
-    true = np.linalg.inv(matrix @ matrix.T)
-    yield _difference(
-        "ellipsoid through 14 positions: centre and quadratic form",
-        "closed form",
-        float(max(np.abs(fitted.centre[0] - bias).max(), np.abs(fitted.shape[0] - true).max())),
-        1e-12,
-        "1",
+    shape = np.linalg.inv(matrix @ matrix.T)
+    yield SelftestCase(
+        name="ellipsoid through 14 positions: centre and quadratic form",
+        source="closed form",
+        figure=float(max(np.abs(fitted.centre[0] - bias).max(), np.abs(fitted.shape[0] - shape).max())),
+        high=1e-12,
     )
 
 
@@ -191,7 +184,9 @@ def _noiseless() -> Iterator[SelftestCase]:
         calibration, truth = _simulated(setup)
         worst = max((abs(p.value - truth[p.name]) for p in calibration.parameters), default=np.inf)
         count = len(calibration.parameters)
-        yield _difference(f"{name}, no noise: worst of {count} parameters", "truth", worst, 1e-9, "SI")
+        yield SelftestCase(
+            name=f"{name}, no noise: worst of {count} parameters", source="truth", figure=worst, high=1e-9, unit="SI"
+        )
 
 
 def _noisy_table() -> Iterator[SelftestCase]:
@@ -204,19 +199,20 @@ def _noisy_table() -> Iterator[SelftestCase]:
         figure=float(np.sqrt(np.mean(z**2))),
         low=0.5,
         high=1.6,
-        unit="1",
     )
     with TemporaryDirectory() as folder:
         path = Path(folder) / "calibration.json"
         calibration.write(path)
         again = read_calibration(path)
     worst = max(abs(again[p.name].value - p.value) for p in calibration.parameters)
-    yield _difference("calibration file written and read: worst difference", "identity", worst, 0.0, "SI")
+    name = "calibration file written and read: worst difference"
+    yield SelftestCase(name=name, source="identity", figure=worst, high=0.0, unit="SI")
     assert calibration.accel is not None
     true = G_STANDARD * np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.6, 0.0, 0.8]])
     readings = true @ calibration.accel.matrix.T + calibration.accel.bias
     worst = float(np.abs(calibration.accel.apply(readings) - true).max())
-    yield _difference("readings of the model, corrected", "identity", worst, 1e-13 * G_STANDARD, "m/s^2")
+    name, high = "readings of the model, corrected", 1e-13 * G_STANDARD
+    yield SelftestCase(name=name, source="identity", figure=worst, high=high, unit="m/s^2")
 
 
 def _exchanged_columns() -> Iterator[SelftestCase]:
@@ -228,12 +224,7 @@ def _exchanged_columns() -> Iterator[SelftestCase]:
     exchanged = replace(session, log=replace(session.log, gyro=replace(gyro, columns=(y, x, z))))
     refused = not calibrate(exchanged, terms="linear").outcome.accepted
     yield SelftestCase(
-        name="exchanged gyro columns are refused",
-        source="must be 1",
-        figure=float(refused),
-        low=1.0,
-        high=1.0,
-        unit="1",
+        name="exchanged gyro columns are refused", source="must be 1", figure=float(refused), low=1.0, high=1.0
     )
 
 
@@ -247,7 +238,3 @@ def _drawn(setup: Setup) -> tuple[Session, Scenario]:
     """The session of a set-up in memory, and its scenario with the truth."""
     scenario = scenario_of(setup, np.random.default_rng(1), serial=f"{setup.instrument}-1")
     return session_in_memory(scenario, np.random.default_rng([1, 1])), scenario
-
-
-def _difference(name: str, source: str, difference: float, limit: float, unit: str) -> SelftestCase:
-    return SelftestCase(name=name, source=source, figure=abs(difference), low=0.0, high=limit, unit=unit)

@@ -186,9 +186,7 @@ def test_the_systematic_values_are_read_beside_the_limits_and_in_their_frame(tmp
     ):
         read_limits(file)
     write(passport, {"format": 1})
-    with pytest.raises(
-        InputError, match=r"limits.toml: systematic: expected a calibration file of tumble, found no key"
-    ):
+    with pytest.raises(InputError, match=r"limits.toml: systematic: device: expected this key, found none"):
         read_limits(file)
     with pytest.raises(InputError, match=r"none.toml: cannot be read: No such file"):
         read_limits(tmp_path / "none.toml")

@@ -48,10 +48,10 @@ def test_the_bench_that_wants_the_operator_is_next(benches: tuple[Bench, Bench])
     first.take(1)
     shown = listed(stations)
     assert shown["next"] == 1
-    assert shown["benches"][0]["said"] == "Turn now to position 2"
+    assert shown["benches"][0]["headline"] == "Turn now to position 2"
     first.take(2)
     each = listed(stations)["benches"][0]
-    assert (each["at"], each["of"]) == (3, 9)
+    assert (each["rest"]["number"], each["rest"]["of"]) == (3, 9)
     assert 7 * 4.0 < each["to_go"] < 7 * 90.0
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import pkgutil
 import re
 import shlex
 import shutil
@@ -24,8 +25,9 @@ import tomli_w
 from click.shell_completion import ShellComplete
 from click.testing import CliRunner, Result
 
+import tumble.commands
 from tumble import __version__
-from tumble.cli import EXAMPLES, GROUPS, first_sentence, main
+from tumble.cli import COMMANDS, first_sentence, main
 from tumble.planning.setup import Setup
 from tumble.run.observed import inspect_session
 from tumble.simulation.session import simulate_session
@@ -90,7 +92,10 @@ def commands(
     """Every command with the words that call it."""
     yield words, command
     if isinstance(command, click.Group):
-        for name, part in command.commands.items():
+        context = click.Context(command)
+        for name in command.list_commands(context):
+            part = command.get_command(context, name)
+            assert part is not None
             yield from commands(part, (*words, name))
 
 
@@ -110,7 +115,7 @@ def test_every_command_explains_itself_and_each_of_its_options(words: tuple[str,
 
 
 def test_the_commands_of_the_contract_are_there() -> None:
-    assert {"calibrate", "inspect", "simulate"} <= set(main.commands)
+    assert {"calibrate", "inspect", "simulate"} <= set(main.list_commands(click.Context(main)))
 
 
 def test_the_version_is_that_of_the_package() -> None:
@@ -676,22 +681,33 @@ def test_a_log_is_calibrated_without_a_session(sessions: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+LISTED = {name: says for group in COMMANDS.values() for name, says in group.items()}
+
+
+@pytest.mark.parametrize("name", LISTED)
 def test_examples_in_the_help_are_commands(name: str) -> None:
-    for line in EXAMPLES[name]:
+    lines = (dict(ALL)[(name,)].epilog or "").removeprefix("\b\nExamples:\n").splitlines()
+    assert lines
+    for line in lines:
         program, *words = shlex.split(line)
         assert program == "tumble"
         command: click.Command = main
         while isinstance(command, click.Group):
-            command = command.commands[words.pop(0)]
+            part = command.get_command(click.Context(command), words.pop(0))
+            assert part is not None
+            command = part
         with command.make_context(name, words):
             pass
 
 
-def test_every_command_has_its_group_and_afirst_sentence() -> None:
-    assert sorted(name for names in GROUPS.values() for name in names) == sorted(main.commands)
-    for command in main.commands.values():
-        assert f" {first_sentence(command)}" in f" {' '.join(run('--help').stdout.split())}"
+def test_every_command_is_listed_with_its_first_sentence() -> None:
+    modules = {module.name for module in pkgutil.iter_modules(tumble.commands.__path__)} - {"ask", "tell"}
+    assert modules == set(LISTED)
+    shown = " ".join(run("--help").stdout.split())
+    for words, command in ALL:
+        if len(words) == 1:
+            assert LISTED[words[0]] == first_sentence(command)
+            assert f" {first_sentence(command)}" in shown
 
 
 @pytest.mark.parametrize("width", [60, 80])

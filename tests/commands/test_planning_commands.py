@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from tumble.cli import main
-from tumble.commands.arguments import working
+from tumble.commands.tell import working
 from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD, quantity
 
 

@@ -300,11 +300,11 @@ def test_a_certificate_without_any_date_is_refused(tmp_path: Path) -> None:
             "country: expected two capital letters of ISO 3166-1, such as 'DE', found",
         ),
         ("end = 2026-05-05", "end = 2026-05-03", "expected a day not before the begin, 2026-05-04, found 2026-05-03"),
-        ("[[person]]", "[[persona]]", "unknown key 'persona'; did you mean 'person'?"),
+        ("[[person]]", "[[persona]]", "unknown key 'persona' at the top level; did you mean 'person'?"),
         ("begin =", "begin", "expected TOML"),
         ("end = 2026-05-05", 'state = "adjusted"', "state: expected 'as-found', 'as-left' or 'unchanged', found"),
         ("end = 2026-05-05", 'as_found = "before.json"', 'expected only with state = "as-left", found'),
-        ('code = "D-K-00000"', 'mark = "x"', "unknown key 'laboratory.mark'"),
+        ('code = "D-K-00000"', 'mark = "x"', "unknown key 'mark' in [laboratory]"),
     ],
 )
 def test_a_fault_of_the_certificate_file_is_named_in_one_line(tmp_path: Path, old: str, new: str, said: str) -> None:

@@ -15,14 +15,15 @@ import tomli_w
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from pydantic import BaseModel
 
 from tests.support import ROOT
+from tumble.documents import table_behind
 from tumble.errors import SessionError
 from tumble.programme.positions import BUILT_IN
 from tumble.recording.session import Session
-from tumble.recording.session.document import SessionDocument, table_behind
+from tumble.recording.session.document import SessionDocument
 from tumble.recording.session.log_tables import AccelTable, GyroTable
-from tumble.recording.session.table import SessionTable
 from tumble.recording.session_file import read_session, write_session
 from tumble.units import TIME_UNITS
 
@@ -578,8 +579,8 @@ def documented_examples() -> list[str]:
 
 def test_every_key_is_documented() -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
-    tables: dict[str, type[SessionTable]] = {"": SessionDocument}
-    waiting: list[type[SessionTable]] = [SessionDocument]
+    tables: dict[str, type[BaseModel]] = {"": SessionDocument}
+    waiting: list[type[BaseModel]] = [SessionDocument]
     while waiting:
         inner = {key: table_behind(field.annotation) for key, field in waiting.pop().model_fields.items()}
         tables |= {key: table for key, table in inner.items() if table is not None}

@@ -205,7 +205,7 @@ def change(path: str, value: object) -> Callable[[dict[str, Any]], None]:
         (change("device/serial", "A\0B"), "device.serial: expected 1 to 200 printable characters"),
         (change("device/serial", "A" * 201), "device.serial: expected 1 to 200 printable characters"),
         (change("device/model", "\ud800"), "expected a calibration file of tumble, found unexpected end of hex escape"),
-        (change("device/serial", 7), "expected a calibration file of tumble, found 7 in place of a text"),
+        (change("device/serial", 7), "device.serial: expected a text, found 7"),
         (change("provenance/created", "yesterday"), "provenance.created: expected a date such as 2026-03-31, found"),
         (change("provenance/created", "2999-01-01"), "expected a date that is past, found 2999-01-01; give date"),
         (change("provenance", {}), "provenance.created: expected a time, found none; give date"),

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.linalg import sqrtm
 
 from tumble.cli import main
-from tumble.commands.arguments import FRAMES as OFFERED
+from tumble.commands.ask import FRAMES as OFFERED
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session

@@ -21,13 +21,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
-from pydantic_core import ErrorDetails
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from tumble.acceptance.limits import Limits, limits_of
 from tumble.acceptance.schedule import Occasion
-from tumble.documents import is_plain, shown, text_of_document, toml_of
-from tumble.errors import InputError, did_you_mean
+from tumble.documents import is_plain, shown, text_of_document, toml_of, validated
+from tumble.errors import InputError
 
 if TYPE_CHECKING:
     from tumble.result.calibration import Calibration
@@ -52,7 +51,7 @@ def _without_control_characters(text: str) -> str:
 
 _Str = Annotated[str, AfterValidator(_without_control_characters)]
 _Text = Annotated[_Str, Field(pattern=r"^\S+(\s+\S+)*$")]
-_Country = Annotated[_Str, Field(pattern="^[A-Z]{2}$")]
+_Country = Annotated[_Str, Field(pattern="^[A-Z]{2}$", description="two capital letters of ISO 3166-1, such as 'DE'")]
 _Path = Annotated[_Str, Field(min_length=1)]
 
 _ACCREDITED = ("procedure", "traceability", "issued")
@@ -70,10 +69,12 @@ class Party(_CertificateTable):
     city: _Text
     country: _Country
     code: _Text | None = None
-    email: _Str | None = Field(default=None, pattern=r"^\S+$")
+    email: _Str | None = Field(default=None, pattern=r"^\S+$", description="an address without spaces")
     street: _Text | None = None
     postcode: _Text | None = None
-    logo: _Str | None = Field(default=None, pattern=r"^\S.*\.(svg|png)$")
+    logo: _Str | None = Field(
+        default=None, pattern=r"^\S.*\.(svg|png)$", description="the name of a picture, .svg or .png"
+    )
 
     @property
     def address(self) -> str:
@@ -209,7 +210,7 @@ def judged_by(certificate: Certificate) -> Limits | None:
 
 def read_certificate(path: Path) -> Certificate:
     """The administrative part of a certificate from its TOML file, and of the file of the laboratory that it names.
-    Paths are relative to the file they stand in. Raises InputError, one line with the first fault."""
+    Paths are relative to the file they stand in. Raises InputError, one line."""
     content = _parsed(path)
     named = content.get("laboratory")
     if isinstance(named, str):
@@ -219,39 +220,11 @@ def read_certificate(path: Path) -> Certificate:
     else:
         content["laboratory"] = _with_paths(named, "logo", path.parent)
     content = _with_paths(_with_paths(content, "as_found", path.parent), "limits", path.parent)
+    stated = {key: value for key, value in content.items() if value is not None}
     try:
-        return Certificate.model_validate({key: value for key, value in content.items() if value is not None})
-    except ValidationError as error:
-        faults = sorted(error.errors(include_url=False), key=lambda fault: fault["type"] != "extra_forbidden")
-        raise InputError(f"{path}: {_said(faults[0])}; see docs/howto/certificate.md") from None
-
-
-_PATTERNS: Mapping[str, str] = {
-    "country": "two capital letters of ISO 3166-1, such as 'DE'",
-    "email": "an address without spaces",
-    "logo": "the name of a picture, .svg or .png",
-}
-
-
-def _said(fault: ErrorDetails) -> str:
-    """What is wrong with a key of the file, as "key: expected …, found …"."""
-    *table, key = fault["loc"] or ("certificate",)
-    where, found = ".".join(map(str, (*table, key))), fault["input"]
-    match fault["type"]:
-        case "extra_forbidden":
-            return f"unknown key '{where}'{did_you_mean(str(key), {**Certificate.model_fields, **Party.model_fields})}"
-        case "missing":
-            return f"{where}: expected this key, found none"
-        case "value_error":
-            return f"{where}: {fault['ctx']['error']}" if fault["loc"] else str(fault["ctx"]["error"])
-        case "literal_error":
-            return f"{where}: expected {fault['ctx']['expected']}, found {found!r}"
-        case "string_pattern_mismatch":
-            return f"{where}: expected {_PATTERNS.get(str(key), 'a text, without spaces at its ends')}, found {found!r}"
-        case "date_type":
-            return f"{where}: expected a day without quotes, such as 2026-05-04, found {found!r}"
-        case _:
-            return f"{where}: {fault['msg']}, found {found!r}"
+        return validated(Certificate, stated, str(path))
+    except InputError as error:
+        raise InputError(f"{error}; see docs/howto/certificate.md") from None
 
 
 def _parsed(path: Path) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +17,8 @@ _HERE = ("knock", "movement")
 
 class Answers:
     """The answers of one session, written into the session.toml of its `folder`, which left out `before` what it did.
-    `go_on` says whether the operator wants more positions than are needed."""
+    `answered` are the keys of faults that are seen to; `go_on` says whether the operator wants more positions than are
+    needed."""
 
     def __init__(self, folder: Path, before: tuple[Exclusion, ...]) -> None:
         self.answered: set[tuple[str, int]] = set()
@@ -34,10 +34,6 @@ class Answers:
         ended = tuple(one for one in (*self._before, *self._added) if one != self._open)
         return ended if self._open is None else (*ended, replace(self._open, stop=math.inf))
 
-    def first_of(self, faults: Iterable[Fault]) -> Fault | None:
-        """The first fault that is not answered."""
-        return next((fault for fault in faults if fault.key not in self.answered), None)
-
     def moved(self, now: float) -> None:
         """End what is left out until the unit is moved."""
         if self._open is None:
@@ -48,24 +44,20 @@ class Answers:
         self._open = None
 
     def again(self, fault: Fault | None, now: float) -> str:
-        """Leave out what is wrong, to take it again."""
         if fault is None:
             return "nothing is wrong"
-        self.answered.add(fault.key)
         here = fault.kind in _HERE
-        self._leave_out(fault.start, now, fault.said, until_moved=not here)
+        self._leave_out(fault, fault.start, now, until_moved=not here)
         return "left out; hold still, this rest begins anew" if here else "left out; take it again"
 
     def keep_first(self, fault: Fault | None, now: float) -> str:
         """Leave out what is wrong and what follows it, and keep what was before."""
-        if fault is None or not fault.kept:
+        if fault is None or "keep_first" not in fault.choices:
             return "there is no first part"
-        self.answered.add(fault.key)
-        self._leave_out(fault.stop, now, fault.said, until_moved=True)
+        self._leave_out(fault, fault.stop, now, until_moved=True)
         return "the first part is kept; go on to the next position"
 
     def going_on(self, fault: Fault | None) -> str:
-        """Leave everything in."""
         if fault is not None:
             self.answered.add(fault.key)
             return "noted; nothing is left out"
@@ -73,7 +65,6 @@ class Answers:
         return "going on"
 
     def leave_out_rest(self, number: str, rests: int) -> str:
-        """Leave out one of so many rests."""
         rest = whole_number(number)
         if rest is None or not 0 < rest <= rests:
             return f"expected the number of a rest from 1 to {rests}"
@@ -81,7 +72,6 @@ class Answers:
         return f"rest {rest} is left out"
 
     def take_back(self) -> str:
-        """Take in again what was left out last."""
         if not self._added:
             return "nothing was left out here"
         one = self._added.pop()
@@ -89,8 +79,9 @@ class Answers:
         self._open = None if self._open == one else self._open
         return "taken back"
 
-    def _leave_out(self, start: float, now: float, reason: str, *, until_moved: bool) -> None:
-        one = Exclusion(start=start, stop=max(now, start + 1e-3), reason=reason)
+    def _leave_out(self, fault: Fault, start: float, now: float, *, until_moved: bool) -> None:
+        self.answered.add(fault.key)
+        one = Exclusion(start=start, stop=max(now, start + 1e-3), reason=fault.said)
         self._add(one)
         if until_moved:
             self._open = one

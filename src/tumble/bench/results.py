@@ -6,7 +6,6 @@ import subprocess
 import sys
 import tempfile
 import threading
-from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,43 +20,29 @@ if TYPE_CHECKING:
 
 CALIBRATION_FILE = "calibration.json"
 REPORT_FILE = "report.html"
-_VERDICTS = {0: True, 1: False}
-"""Whether a calibration is accepted, by the exit status of `tumble calibrate`; any other is no verdict."""
 _LOOK_SECONDS = 0.05
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Results:
-    """What has come of a session: whether its calibration is accepted, and the reasons; its parameters as `tumble
-    calibrate` shows them; the files that can be fetched, and what the registry said."""
+def shown(calibration: Calibration) -> dict[str, Any]:
+    """A calibration that is written, for the page: whether it is accepted, and the reasons; its parameters as `tumble
+    calibrate` shows them; the files that can be fetched, the formats that it may be exported to, and what the registry
+    says of it, nothing yet."""
+    from tumble.views.numbers import shown_units
 
-    accepted: bool
-    reasons: tuple[str, ...]
-    parameters: tuple[dict[str, Any], ...]
-    files: tuple[str, ...] = (CALIBRATION_FILE,)
-    registered: str = ""
-
-    @staticmethod
-    def of(calibration: Calibration) -> Results:
-        """Of a calibration that is written."""
-        from tumble.views.numbers import shown_units
-
-        outcome, units = calibration.outcome, shown_units(calibration.parameters)
-        rows = []
-        for each in calibration.parameters:
-            (size, unit), u = units[each.name], each.u or 0.0
-            value, last = rounded(each.value / size, u / size)
-            row = {"name": each.name, "group": group_name(each.name), "value": value, "u": last, "unit": unit}
-            rows.append(row | {"size": size, "u_si": each.u})
-        return Results(accepted=outcome.accepted, reasons=tuple(outcome.reasons), parameters=tuple(rows))
-
-    def with_file(self, name: str) -> Results:
-        """With one file more."""
-        return self if name in self.files else replace(self, files=(*self.files, name))
-
-    def shown(self) -> dict[str, Any]:
-        """For the page, with the formats that it may be exported to."""
-        return {**asdict(self), "formats": list(FROM_THE_CALIBRATION_ALONE)}
+    units, rows = shown_units(calibration.parameters), []
+    for each in calibration.parameters:
+        (size, unit), u = units[each.name], each.u or 0.0
+        value, last = rounded(each.value / size, u / size)
+        row = {"name": each.name, "group": group_name(each.name), "value": value, "u": last, "unit": unit}
+        rows.append(row | {"size": size, "u_si": each.u})
+    return {
+        "accepted": calibration.outcome.accepted,
+        "reasons": list(calibration.outcome.reasons),
+        "parameters": rows,
+        "files": [CALIBRATION_FILE],
+        "formats": list(FROM_THE_CALIBRATION_ALONE),
+        "registered": "",
+    }
 
 
 def calibrated(folder: Path, stopped: threading.Event) -> Calibration:
@@ -79,7 +64,7 @@ def _made(fresh: Path, *words: str, stopped: threading.Event) -> bool:
     """Whether a command of tumble accepts what it has written into a file, which is empty before it: in a process of
     its own, which leaves this one its time and gives back its memory, and is ended when the bench is `stopped`. No
     module of the folder it runs in is taken for one of Python's or of tumble's (-P). Raises CalibrationError with what
-    it says, for any end but with a verdict and a file."""
+    it says, for any end but with a verdict, the exit status 0 or 1, and a file."""
     command = [sys.executable, "-P", "-m", "tumble", *words]
     nowhere = subprocess.DEVNULL
     with (
@@ -93,11 +78,11 @@ def _made(fresh: Path, *words: str, stopped: threading.Event) -> bool:
         said.seek(0)
         lines = said.read().decode("utf-8", errors="replace").strip().splitlines()
     last = lines[-1].removeprefix("tumble: ") if lines else ""
-    if process.returncode not in _VERDICTS:
+    if process.returncode not in (0, 1):
         raise CalibrationError(last or f"{words[0]}: it was ended with the status {process.returncode}")
     if not fresh.stat().st_size:
         raise CalibrationError(f"{words[0]}: it has ended without a result; {last}")
-    return _VERDICTS[process.returncode]
+    return process.returncode == 0
 
 
 def report_of(folder: Path, stopped: threading.Event) -> str:

@@ -4,29 +4,20 @@
 from __future__ import annotations
 
 import hashlib
+import math
+from dataclasses import asdict
 
 import numpy as np
 
 from tumble.bench.follow.faults import Fault
-from tumble.bench.follow.rests import (
-    SHORTEST_REST,
-    Blocks,
-    Judged,
-    Progress,
-    Rest,
-    attitude_now,
-    nearest_positions,
-    scatter_now,
-    turned_between,
-    verticals,
-)
-from tumble.bench.follow.wishes import Task, better_by
-from tumble.bench.state import Answer, EstimateShown, PositionShown, RestNumber, Screen, State, Trace
-from tumble.programme.positions import ANY_MOVE, Move
+from tumble.bench.follow.rests import SHORTEST_REST, Blocks, Progress, attitude_now, nearest_positions, verticals
+from tumble.bench.follow.wishes import Task
+from tumble.bench.state import Answer, EstimateShown, PositionShown, Screen, State, Trace
+from tumble.programme.positions import ANY_MOVE
 from tumble.programme.sheet_pictures import ghost
 from tumble.programme.sheet_words import move_text, points_of, signed_angle
 from tumble.reduction.rests.rests import drift
-from tumble.units import DEGREE, G_STANDARD, ZERO_CELSIUS, Array
+from tumble.units import DEGREE, G_STANDARD, ZERO_CELSIUS
 from tumble.usual_setup import MOVE
 
 STILL_TURNING = 3.0 * DEGREE
@@ -38,6 +29,11 @@ _TRACE = 600
 FORESEEN = 9.0
 """Times as long as a rest has lasted: u is known to some 20 % from its beginning, and its square, which is what it will
 take, to half of that time; further ahead no time is told."""
+_MORE = 5
+"""Rests of which it is said how much better they would make the estimate: by the root of their number."""
+
+WAITING: Screen = {"screen": "waiting", "headline": "Waiting for data", "fault": None}
+"""The screen while there is too little to see rests in."""
 
 
 def screen(
@@ -49,18 +45,19 @@ def screen(
     shown: Screen
     if fault is not None:
         shown = {"screen": "fault", "headline": "Not good", **_where(task, progress, fault.place)}
-        shown["fault"] = {"kind": fault.kind, "said": fault.said, "at": fault.start, "choices": list(fault.choices)}
+        shown["fault"] = asdict(fault)
     elif not taken:
         shown = {"screen": "waiting", "headline": "Waiting for rest", **_where(task, progress)}
     elif current is not None and not progress.judged[-1].enough:
-        shown = _at_rest(task, progress, current, progress.judged[-1])
+        shown = _at_rest(task, progress)
     elif complete or (current is not None and estimate is not None and estimate["enough"] and not go_on):
         shown = _done(task, taken, estimate, complete=complete)
     else:
         shown = _turn(task, progress)
+    limit = math.inf if progress.limits is None else progress.limits.scatter
     always: Screen = {
         "seconds": progress.now,
-        "scatter": {"now": scatter_now(blocks), "limit": progress.limits.scatter},
+        "scatter": {"now": float(np.sqrt(blocks.force[-10:].var(axis=0).sum())), "limit": limit},
         "sphere": {
             "taken": [group[-1].vertical.tolist() for group in progress.groups],
             "gains": None if estimate is None else estimate["gains"],
@@ -84,36 +81,28 @@ def _to_go(task: Task, progress: Progress) -> float | None:
     begun[0] = max(begun[0], groups[0][-1].stop - rest)
     each = float(np.median([rest + MOVE, *np.diff(begun)]))
     further = max(0, task.positions - len(groups))
-    ahead = each if further else rest
-    return (
-        max(0.0, groups[-1][0].start + ahead - progress.now) + max(0, further - 1) * each + (rest if further else 0.0)
-    )
-
-
-# -------------------- the position --------------------
+    since = progress.now - groups[-1][0].start
+    return max(0.0, each - since) + (further - 1) * each + rest if further else max(0.0, rest - since)
 
 
 def _where(task: Task, progress: Progress, place: int | None = None) -> Screen:
     """Which position the unit is in, or is to be in: that of this place in the course, from 0, or the present one."""
     at = len(progress.groups) - (1 if progress.lasts else 0) if place is None else place
-    index = _index(task, progress.groups, at)
+    index = _index(task, progress, at)
     return {"rest": {"number": at + 1, "of": task.positions}, "position": _position(task, progress, index, at)}
 
 
-def _index(task: Task, groups: list[list[Rest]], at: int) -> int | None:
+def _index(task: Task, progress: Progress, at: int) -> int | None:
     """The position of the programme that group `at` is, or is to be."""
-    programme = task.programme
-    if programme is None:
+    programme, rests = task.programme, [group[-1] for group in progress.groups]
+    if programme is None or (programme.ordered and at >= len(programme.positions)):
         return None
     if programme.ordered:
-        return at if at < len(programme.positions) else None
-    if not groups:
-        return 0
-    units = verticals([group[-1] for group in groups], programme, task.session.site.gravity)
-    seen = nearest_positions(programme, units)
-    if at < len(seen):
-        return seen[at]
-    return next((k for k in range(len(programme.positions)) if k not in seen), None)
+        return at
+    seen: list[int | None] = []
+    if rests:
+        seen = nearest_positions(programme, verticals(rests, programme, task.session.site.gravity))
+    return seen[at] if at < len(seen) else next((k for k in range(len(programme.positions)) if k not in seen), None)
 
 
 def _position(task: Task, progress: Progress, index: int | None, at: int) -> PositionShown | None:
@@ -134,12 +123,9 @@ def _position(task: Task, progress: Progress, index: int | None, at: int) -> Pos
     }
 
 
-# -------------------- at rest --------------------
-
-
-def _at_rest(task: Task, progress: Progress, current: Rest, judged: Judged) -> Screen:
-    where, wanted, seconds = _where(task, progress), task.wanted, current.stop - current.start
-    of = f" of {task.positions}" if task.positions else ""
+def _at_rest(task: Task, progress: Progress) -> Screen:
+    current, judged, wanted = progress.groups[-1][-1], progress.judged[-1], task.wanted
+    where, seconds = _where(task, progress), current.stop - current.start
     drifted = float(np.abs(drift([progress.blocks.force[current.first : current.last]])).max())
     foreseen = judged.left is not None and judged.left <= FORESEEN * seconds
     where["rest"] |= {
@@ -153,26 +139,24 @@ def _at_rest(task: Task, progress: Progress, current: Rest, judged: Judged) -> S
         "settling": judged.accel is not None and drifted > _SETTLING * judged.accel,
         "nothing_more": judged.nothing_more,
     }
+    of = f" of {task.positions}" if task.positions else ""
     return {"screen": "rest", "headline": f"At rest {where['rest']['number']}{of}: hold still", **where}
 
 
-# -------------------- under way --------------------
-
-
 def _turn(task: Task, progress: Progress) -> Screen:
+    """Under way: how far the turn has gone, rad, about the axis of the programme's turn where there is one."""
     blocks, last, at = progress.blocks, progress.groups[-1][-1], len(progress.groups)
-    index = _index(task, progress.groups, at)
-    move = ANY_MOVE if index is None else task.move(index)
-    turned = turned_between(blocks, last.last, len(blocks), last.rate)
-    rate = None
+    index = _index(task, progress, at)
+    turn, turned, rate = task.turn_b(index), progress.turned, None
+    done = None if turned is None else float(np.linalg.norm(turned) if turn is None else turned @ turn[0])
+    angle = None if turn is None else turn[1]
     if blocks.rate is not None and last.rate is not None:
         rate = float(np.linalg.norm(blocks.rate[-3:].mean(axis=0) - last.rate))
-    done = None if turned is None else _done_of(task, move, index, turned)
-    full = None if task.session.log.gyro is None else task.session.log.gyro.range
     arrived = False
     if done is not None and rate is not None and rate < STILL_TURNING and progress.calm_from is None:
-        arrived = abs(done - move.angle) < NEARLY if move.angle is not None else done > 2.0 * NEARLY
+        arrived = abs(done - angle) < NEARLY if angle is not None else done > 2.0 * NEARLY
     label = "to any new position" if index is None else f"to position {index + 1}"
+    full = None if task.session.log.gyro is None else task.session.log.gyro.range
     return {
         "screen": "turn",
         "headline": "Hold still: the unit is not yet at rest" if arrived else f"Turn now {label}",
@@ -181,30 +165,22 @@ def _turn(task: Task, progress: Progress) -> Screen:
         "early": "" if progress.judged[-1].enough else f"rest {at} was left before the wanted u",
         "turn": {
             "done": None if done is None else done / DEGREE,
-            "angle": None if move.angle is None else move.angle / DEGREE,
+            "angle": None if angle is None else angle / DEGREE,
             "rate": None if rate is None else rate / DEGREE,
             "full_scale": None if full is None else full / DEGREE,
         },
     }
 
 
-def _done_of(task: Task, move: Move, index: int | None, turned: Array) -> float:
-    """How far, rad, a turn has gone: about the axis of the programme's turn where there is one."""
-    if task.programme is None or not index or move.axis is None:
-        return float(np.linalg.norm(turned))
-    return float(turned @ (task.programme.positions[index - 1].matrix.T @ move.axis))
-
-
-# -------------------- done --------------------
-
-
 def _done(task: Task, taken: int, estimate: EstimateShown | None, *, complete: bool) -> Screen:
     """`complete`: all positions of the programme are taken. `missed` are the groups whose wanted u is not reached, None
     where no estimate has all the rests."""
-    known = estimate is not None and estimate["rests"] >= taken
-    missed = [group["group"] for group in estimate["groups"] if not group["enough"]] if estimate and known else None
+    missed = None
+    if estimate is not None and estimate["rests"] >= taken:
+        missed = [group["group"] for group in estimate["groups"] if not group["enough"]]
     if estimate is not None and estimate["enough"]:
-        said = f"All wanted u reached at rest {taken}; five more would make it {better_by(taken):.1f} times better"
+        better = math.sqrt((taken + _MORE) / taken)
+        said = f"All wanted u reached at rest {taken}; five more would make it {better:.1f} times better"
     elif missed:
         said = f"All {taken} positions taken; not reached: {', '.join(missed)}"
     else:
@@ -246,17 +222,26 @@ def answers(state: State) -> list[Answer]:
     if state["calibrating"]:
         return []
     named: dict[str, tuple[str, str]] = {}
-    ended, usual = state["received"]["ended"], ""
-    stopped = state["can_record"] and not state["listening"] and not ended
+    fault, ended, usual = state["fault"], state["received"]["ended"], ""
     if state["result"] is not None:
         if state["can_record"] and not ended:
             named["resume"] = "Record on", "in the same folder; this result is dropped"
-    elif stopped:
+    elif state["can_record"] and not state["listening"] and not ended:
         named["resume"] = "Record on", "in the same folder, where it stopped"
         named["calibrate"] = "Calibrate", "what is recorded so far"
         usual = "resume"
-    elif state["fault"] is not None:
-        named, usual = _answers_to(state)
+    elif fault is not None:
+        position = state.get("position")
+        label, says = _LEFT_OUT.get(fault["kind"], ("Leave this out", ""))
+        wanted = f"position {position['number']}" if position else "a new position"
+        each = {
+            "again": (label, says.format(wanted=wanted)),
+            "keep_first": ("Keep the first part", "the rest ends at the knock; go on to the next position"),
+            "anew": ("Record this unit anew", "in a folder of its own beside this one"),
+            "go_on": ("Go on", _GOING_ON.get(fault["kind"], "nothing is left out: where the page is wrong")),
+        }
+        named = {name: each[name] for name in fault["choices"]}
+        usual = _FIRST.get(fault["kind"], fault["choices"][0])
     elif state["screen"] == "done":
         named["calibrate"] = "Stop and calibrate", "recording ends"
         if not state["complete"]:
@@ -266,27 +251,11 @@ def answers(state: State) -> list[Answer]:
         named["calibrate"] = "Calibrate", "the source has ended"
         usual = "calibrate"
     if state["result"] is None and state["estimate"] and "calibrate" not in named:
-        rest: RestNumber = state.get("rest") or {"number": 0, "of": None}
+        rest = state.get("rest") or {"number": 0, "of": None}
         of, number = rest["of"], rest["number"]
         short = f"; {of - number + 1} of {of} positions are not taken" if of and number <= of else ""
         named["calibrate"] = "Stop and calibrate", f"recording ends{short}"
     return [{"do": do, "label": label, "says": says, "primary": do == usual} for do, (label, says) in named.items()]
-
-
-def _answers_to(state: State) -> tuple[dict[str, tuple[str, str]], str]:
-    """The buttons for what is wrong, and the usual one."""
-    fault, position = state["fault"], state.get("position")
-    assert fault is not None
-    kind, choices = fault["kind"], fault["choices"]
-    wanted = f"position {position['number']}" if position else "a new position"
-    label, says = _LEFT_OUT.get(kind, ("Leave this out", ""))
-    each = {
-        "again": (label, says.format(wanted=wanted)),
-        "keep_first": ("Keep the first part", "the rest ends at the knock; go on to the next position"),
-        "anew": ("Record this unit anew", "in a folder of its own beside this one"),
-        "go_on": ("Go on", _GOING_ON.get(kind, "nothing is left out: where the page is wrong")),
-    }
-    return {name: each[name] for name in choices}, _FIRST.get(kind, choices[0])
 
 
 # -------------------- beside the state --------------------

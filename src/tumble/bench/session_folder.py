@@ -124,33 +124,27 @@ def begin_next(folder: Path, serial: str) -> Path:
 def leave_out(folder: Path, one: Exclusion, instead_of: Exclusion | None = None) -> None:
     """Add a table [[exclude]] at the end of session.toml, or put it in the place of one added before; whatever else is
     in the file stays as it is."""
-    text = text_of_document(folder / SESSION_FILE)
-    if instead_of is not None:
-        text = _without(text, instead_of)
-    _write(folder, text.rstrip("\n") + "\n" + _table(one))
+    _rewrite(folder, "" if instead_of is None else _table(instead_of), _table(one))
 
 
 def take_back(folder: Path, one: Exclusion) -> None:
     """Take a table [[exclude]] out of session.toml that was added to it."""
-    _write(folder, _without(text_of_document(folder / SESSION_FILE), one))
+    _rewrite(folder, _table(one), "")
 
 
-def _without(text: str, one: Exclusion) -> str:
-    before, _, after = text.rpartition(_table(one))
-    return before + after
-
-
-def _content(folder: Path) -> dict[str, Any]:
-    """The tables of session.toml."""
+def _rewrite(folder: Path, old: str, new: str) -> None:
+    """Take a table out of session.toml and put another at its end."""
     path = folder / SESSION_FILE
-    return toml_of(text_of_document(path), str(path))
-
-
-def _write(folder: Path, text: str) -> None:
-    path = folder / SESSION_FILE
+    before, _, after = text_of_document(path).rpartition(old) if old else (text_of_document(path), "", "")
+    text = f"{before}{after}".rstrip("\n") + "\n" + new
     toml_of(text, str(path))
     with whole_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def _content(folder: Path) -> dict[str, Any]:
+    path = folder / SESSION_FILE
+    return toml_of(text_of_document(path), str(path))
 
 
 def _table(one: Exclusion) -> str:

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from typing import Any, Literal, TypedDict
 
-ScreenName = Literal["waiting", "rest", "turn", "done", "fault"]
-
 
 class Received(TypedDict):
     """What was wrong with what has come: rows `refused`, the last one for this reason `why`, `late` and `repeated`;
@@ -20,9 +18,6 @@ class Received(TypedDict):
     repeated: int
     ended: bool
     trouble: list[str]
-
-
-NOTHING_RECEIVED: Received = {"refused": 0, "why": "", "late": 0, "repeated": 0, "ended": False, "trouble": []}
 
 
 class Recorded(Received):
@@ -82,25 +77,12 @@ class PositionShown(TypedDict):
     ghost: dict[str, Any] | None
 
 
-class FaultShown(TypedDict):
-    """What is wrong, since when, and the commands that answer it."""
-
-    kind: str
-    said: str
-    at: float
-    choices: list[str]
-
-
-class RestNumber(TypedDict):
-    """Which rest of how many."""
+class RestShown(TypedDict, total=False):
+    """Which rest of how many; of one that lasts: for how long, how much longer, u of its mean (µg, °/h) and what is
+    wanted, its drift (µg)."""
 
     number: int
     of: int | None
-
-
-class RestShown(RestNumber, total=False):
-    """A rest that lasts: for how long, how much longer, u of its mean (µg, °/h) and what is wanted, its drift (µg)."""
-
     seconds: float
     left: float | None
     u: float | None
@@ -122,11 +104,12 @@ class TurnShown(TypedDict):
 
 
 class Screen(TypedDict, total=False):
-    """What to do now. On every screen but the first `waiting`: `seconds` … `to_go`."""
+    """What to do now; the `fault` has the fields of a `follow.faults.Fault`. On every screen but the first `waiting`:
+    `seconds` … `to_go`."""
 
-    screen: ScreenName
+    screen: Literal["waiting", "rest", "turn", "done", "fault"]
     headline: str
-    fault: FaultShown | None
+    fault: dict[str, Any] | None
     rest: RestShown
     position: PositionShown | None
     turn: TurnShown
@@ -141,7 +124,7 @@ class Screen(TypedDict, total=False):
 
 
 class State(Screen, total=False):
-    """All that the page shows of a bench."""
+    """All that the page shows of a bench; the `result` as `results.shown` makes it."""
 
     unit: dict[str, str | None]
     session: str
@@ -159,28 +142,6 @@ class State(Screen, total=False):
     excluded: int
     table: bool
     answers: list[Answer]
-
-
-WAITING: Screen = {"screen": "waiting", "headline": "Waiting for data", "fault": None}
-"""The screen while there is too little to see rests in."""
-
-
-class Listed(TypedDict):
-    """A bench in the list of several: how far it is, and the time to go, s, where that is known."""
-
-    number: int
-    unit: dict[str, str | None]
-    session: str
-    screen: ScreenName
-    said: str
-    headline: str
-    at: int
-    of: int | None
-    left: float | None
-    to_go: float | None
-    result: dict[str, Any] | None
-    source: str
-    trouble: list[str]
 
 
 class Trace(TypedDict):

@@ -12,8 +12,8 @@ import logging
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from tumble.bench import results, screens, session_folder
 from tumble.bench.answers import Answers
@@ -22,11 +22,10 @@ from tumble.bench.follow.faults import Fault, faults_of_rests
 from tumble.bench.follow.live import Live
 from tumble.bench.follow.rests import Progress
 from tumble.bench.follow.wishes import Task, Wanted
-from tumble.bench.record.intake import Intake
+from tumble.bench.record.intake import NOTHING_RECEIVED, Intake
 from tumble.bench.record.sources import LineSource
 from tumble.bench.record.virtual_table import VirtualTable
-from tumble.bench.results import Results
-from tumble.bench.state import NOTHING_RECEIVED, WAITING, State, Trace
+from tumble.bench.state import State, Trace
 from tumble.errors import TumbleError
 
 log = logging.getLogger(__name__)
@@ -82,13 +81,12 @@ class Station:
         self.state = self._state()
 
     def _begin(self, folder: Path) -> None:
-        """Open the session of a folder, from its beginning."""
         self.folder = folder
         self.task = Task.of(session_folder.session_to_record(folder), self._wanted, self._grade)
         self._live = Live(self.task)
         self._answers = Answers(folder, self.task.session.excluded)
         self._estimates = Estimates(self.task, self._worker)
-        self._results: Results | None = None
+        self._result: dict[str, Any] | None = None
         self._busy = self._message = ""
         self._wrong: tuple[str, int] | None = None
         self._taken = 0
@@ -96,7 +94,6 @@ class Station:
     # -------------------- running --------------------
 
     def start(self) -> None:
-        """Begin to record and to follow."""
         self._record()
         self._thread.start()
 
@@ -114,15 +111,13 @@ class Station:
         while not self._stop.wait(STEP_SECONDS):
             try:
                 self.step()
+            except OSError as error:
+                self.state = {**self.state, "message": f"{self.folder}: cannot be read: {error.strerror}"}
             except Exception as error:
-                if isinstance(error, OSError):
-                    message = f"{self.folder}: cannot be read: {error.strerror}"
-                else:
-                    message = _said_of(error, "the page stands still; what is received is recorded")
-                self.state = {**self.state, "message": message}
+                said = _said_of(error, "the page stands still; what is received is recorded")
+                self.state = {**self.state, "message": said}
 
     def stop(self) -> None:
-        """End following and recording."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -140,32 +135,22 @@ class Station:
     # -------------------- the state --------------------
 
     def _state(self) -> State:
-        header = self._header()
-        progress = self._live.progress(self._answers.excluded)
-        if progress is None or self._live.now is None:
-            shown = WAITING
-        else:
+        progress, shown = self._live.now, screens.WAITING
+        if progress is not None and progress.limits is not None:
             if progress.calm_from is None:
                 self._answers.moved(progress.now)
             fault = self._fault(progress)
-            self._estimates.ask(self._live.now, progress, self._answers.excluded)
+            self._estimates.ask(progress, self._answers.excluded)
             shown = screens.screen(self.task, progress, fault, self._estimates.shown, go_on=self._answers.go_on)
             wrong, taken = None if fault is None else fault.key, len(progress.groups)
             if wrong not in (None, self._wrong) or taken > self._taken:
                 self._message = ""  # which was of what was wrong before, or of the position before
             self._wrong, self._taken = wrong, taken
-        state: State = {**header, **shown, "message": self._message}
-        state["answers"] = screens.answers(state)
-        return state
-
-    def _fault(self, progress: Progress) -> Fault | None:
-        """The first fault that is not answered."""
-        return self._answers.first_of([*self._live.faults, *faults_of_rests(self.task, progress)])
-
-    def _header(self) -> State:
         intake, live, device, programme = self.intake, self._live, self.task.session.device, self.task.programme
         source = "recording has stopped" if self._listen is not None else "the log of another program"
-        return {
+        state: State = {
+            **shown,
+            "answers": [],
             "unit": {"serial": device.serial, "model": device.model},
             "session": self.folder.name,
             "listening": intake is not None and not intake.ended,
@@ -182,11 +167,29 @@ class Station:
             "wanted": dict(self.task.wanted.group),
             "estimate": self._estimates.shown,
             "estimating": self._estimates.under_way,
-            "result": None if self._results is None else self._results.shown(),
+            "result": self._result,
             "calibrating": self._busy == _LONG["calibrate"],
             "excluded": len(self._answers.excluded),
-            "table": intake is not None and isinstance(intake.source, VirtualTable),
+            "table": self._table is not None,
+            "message": self._message,
         }
+        state["answers"] = screens.answers(state)
+        return state
+
+    def _fault(self, progress: Progress) -> Fault | None:
+        """The first fault that is not answered."""
+        faults = (*self._live.faults, *faults_of_rests(self.task, progress))
+        return next((fault for fault in faults if fault.key not in self._answers.answered), None)
+
+    def _present_fault(self) -> tuple[Fault | None, float]:
+        """What is wrong with the log as it was read last, and the time until which it was read, s."""
+        progress = self._live.now
+        return (None, 0.0) if progress is None else (self._fault(progress), progress.now)
+
+    @property
+    def _table(self) -> VirtualTable | None:
+        source = None if self.intake is None else self.intake.source
+        return source if isinstance(source, VirtualTable) else None
 
     # -------------------- the buttons --------------------
 
@@ -201,9 +204,9 @@ class Station:
                 excluded = self._answers.excluded
                 self._message = self._answered(name, value)
                 if self._answers.excluded != excluded:
-                    self._results = None  # which was of what was left out before
+                    self._result = None  # which was of what was left out before
                 return self._message
-            if name != "calibrate" and self._results is None:
+            if name != "calibrate" and self._result is None:
                 return "nothing is calibrated yet"
             self._busy = _LONG[name]
             self._message = f"{self._busy} …"
@@ -213,18 +216,12 @@ class Station:
         return said
 
     def _answered(self, name: str, value: str) -> str:
-        """What came of a button, whatever it was."""
         try:
             return self._buttons[name](value)
         except (TumbleError, OSError) as error:
             return " ".join(str(error).split())
         except Exception as error:
             return _said_of(error, f"{name}: not done")
-
-    def _present_fault(self) -> tuple[Fault | None, float]:
-        """What is wrong with the log as it was read last, and the time until which it was read, s."""
-        progress = self._live.progress(self._answers.excluded)
-        return (None, 0.0) if progress is None else (self._fault(progress), progress.now)
 
     def _stop_recording(self) -> str:
         """Stop recording; that it is so, and what of it the disk has not taken."""
@@ -237,7 +234,7 @@ class Station:
     def _resume(self) -> str:
         if self.intake is None:
             self._record()
-            self._results = None
+            self._result = None
         return "recording goes on"
 
     def _next_unit(self, given: str) -> str:
@@ -253,28 +250,28 @@ class Station:
         return f"next unit: {serial}"
 
     def _turn_table(self, what: str) -> str:
-        if self.intake is None or not isinstance(self.intake.source, VirtualTable):
+        if self._table is None:
             return "there is no virtual table"
-        self.intake.source.told(what)
+        self._table.told(what)
         return ""
 
     def _calibrate(self) -> str:
         """Stop recording and calibrate. Whatever comes of it, an earlier result is none of this."""
         with self._guard:
-            stopped, self._results = self._stop_recording(), None
-        self._results = Results.of(results.calibrated(self.folder, self._stop))
-        said = "calibrated: accepted" if self._results.accepted else "calibrated: not accepted"
+            stopped, self._result = self._stop_recording(), None
+        self._result = results.shown(results.calibrated(self.folder, self._stop))
+        said = "calibrated: accepted" if self._result["accepted"] else "calibrated: not accepted"
         return f"{said}; {stopped}" if ":" in stopped else said
 
     def _register(self) -> str:
         said = results.registered(self.folder, self._registry)
-        if self._results is not None:
-            self._results = replace(self._results, registered=said)
+        if self._result is not None:
+            self._result = {**self._result, "registered": said}
         return said
 
     def _written(self, name: str) -> str:
-        if self._results is not None:
-            self._results = self._results.with_file(name)
+        if self._result is not None:
+            self._result = {**self._result, "files": list(dict.fromkeys([*self._result["files"], name]))}
         return f"written: {name}"
 
     # -------------------- what is fetched beside the state --------------------
@@ -291,7 +288,7 @@ class Station:
 
     def file(self, name: str) -> Path | None:
         """A result that can be fetched."""
-        return self.folder / name if self._results is not None and name in self._results.files else None
+        return self.folder / name if self._result is not None and name in self._result["files"] else None
 
 
 def _said_of(error: Exception, what: str) -> str:

@@ -25,12 +25,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, cast
 
 import polars as pl
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from tumble.campaigns.engine import Executor, Job, Progress, Row, run
 from tumble.campaigns.trial import NAMES, Cell, Source, session_rows, statics_rows
-from tumble.documents import text_of_document, toml_of
-from tumble.errors import InputError, did_you_mean
+from tumble.documents import text_of_document, toml_of, validated
+from tumble.errors import InputError
 from tumble.planning.bounds import instrument_of
 from tumble.planning.setup import Terms
 from tumble.programme.positions import BUILT_IN
@@ -41,7 +41,6 @@ from tumble.usual_setup import GRADE, INSTABILITY_TIME, LATITUDE_DEG, MOUNTING_E
 ESTIMATORS = (*METHODS, *ITERATED_METHODS)
 TERMS: tuple[Terms, ...] = ("linear", "full")
 MOST_TASKS = 10_000_000
-_FAULTS_SHOWN = 3
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -119,12 +118,7 @@ def read_campaign(path: Path) -> Campaign:
 
 def campaign_of(content: Mapping[str, Any]) -> Campaign:
     """The campaign of a file's content. Raises InputError with up to three faults."""
-    try:
-        document = _CampaignKeys.model_validate(content)
-    except ValidationError as error:
-        faults = list(dict.fromkeys(_fault(fault, content) for fault in error.errors(include_url=False)))
-        more = [f"and {len(faults) - _FAULTS_SHOWN} more"] if len(faults) > _FAULTS_SHOWN else []
-        raise InputError("; ".join(faults[:_FAULTS_SHOWN] + more)) from None
+    document = validated(_CampaignKeys, content)
     grid = document.grid
     return Campaign(
         kind=document.kind,
@@ -137,28 +131,6 @@ def campaign_of(content: Mapping[str, Any]) -> Campaign:
         ),
         definition={"campaign": document.model_dump()},
     )
-
-
-def _fault(fault: Any, content: Mapping[str, Any]) -> str:
-    """A fault as "key: expected …, found …"."""
-    if fault["type"] == "value_error":
-        return str(fault["ctx"]["error"])
-    table: type[BaseModel] = _CampaignKeys
-    value: Any = content
-    keys: list[str] = []
-    for part in fault["loc"]:
-        if part not in table.model_fields:
-            if fault["type"] == "extra_forbidden":
-                where = "in [grid]" if keys else "at the top level"
-                return f"unknown key '{part}' {where}{did_you_mean(part, table.model_fields)}"
-            break
-        keys.append(part)
-        value = value.get(part) if isinstance(value, Mapping) else None
-        if part == "grid":
-            table = _GridKeys
-    expected = (_GridKeys if len(keys) > 1 else _CampaignKeys).model_fields[keys[-1]].description
-    found = "none" if fault["type"] == "missing" else json.dumps(value, default=str, ensure_ascii=False)
-    return f"{'.'.join(keys)}: expected {expected}, found {found}"
 
 
 class _CampaignTable(BaseModel):
@@ -208,9 +180,9 @@ class _GridKeys(_CampaignTable):
             names = cast("dict[str, Any]", axis.json_schema_extra)["names"]
             for name in getattr(self, key):
                 if names is not None and name not in names:
-                    raise ValueError(f"grid.{key}: expected {axis.description}, found {json.dumps(name)}")
+                    raise ValueError(f"{key}: expected {axis.description}, found {json.dumps(name)}")
         if {"programme", "positions"} <= self.model_fields_set:
-            raise ValueError("grid.positions: expected no grid.programme with it, found both; leave one out")
+            raise ValueError("positions: expected no grid.programme with it, found both; leave one out")
         return self
 
 

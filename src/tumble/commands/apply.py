@@ -6,14 +6,14 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, FILE, force_option, out_option, say
+from tumble.commands import ask, tell
 
 
-@click.command()
-@click.argument("calibration", type=FILE)
-@click.argument("session", type=EXISTING_FOLDER)
-@out_option("File to write: .csv or .parquet.", required=True)
-@force_option()
+@click.command(epilog=ask.examples("tumble apply imu-7/calibration.json flight-12 -o corrected.parquet"))
+@click.argument("calibration", type=ask.FILE)
+@click.argument("session", type=ask.PATH)
+@ask.out("File to write: .csv or .parquet.", required=True)
+@ask.force()
 @click.option("--verify", is_flag=True, help="Print the residuals |f| − g of the rests before and after.")
 def apply(calibration: Path, session: Path, out: Path, force: bool, verify: bool) -> None:
     """Correct the recording of SESSION with CALIBRATION, a calibration file of the same device.
@@ -30,8 +30,8 @@ def apply(calibration: Path, session: Path, out: Path, force: bool, verify: bool
     described.check_new(out, force=force)
     residuals = rest_residuals(calibration, described) if verify else ()
     apply_to_session(calibration, described, out, force=force)
-    say(f"written to {out}")
+    tell.say(f"written to {out}")
     for sentence in applied(calibration, described):
-        say(sentence)
+        tell.say(sentence)
     if verify:
         print_blocks(residual_table(residuals))

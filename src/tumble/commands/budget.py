@@ -6,27 +6,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands.arguments import (
-    BUDGETED_METHODS,
-    JSON,
-    method_option,
-    option,
-    say,
-    setup_of,
-    setup_options,
-    show,
-    working,
-)
+from tumble.commands import ask, tell
 
 if TYPE_CHECKING:
     from tumble.planning.budget import PlannedMethod
 
 
-@click.command()
-@setup_options(terms=None)
-@method_option(["joint", *BUDGETED_METHODS], None, "Repeat; default: joint, of the linear model all.", multiple=True)
-@option("--iterations", "Passes of the methods.", 2, type=click.IntRange(1, 5))
-@JSON
+@click.command(epilog=ask.examples("tumble budget --grade mems --table-error 0.5 --rest 10"))
+@ask.setup(None)
+@ask.method(["joint", *ask.BUDGETED_METHODS], None, "Repeat; default: joint, of the linear model all.", multiple=True)
+@ask.option("--iterations", "Passes of the methods.", 2, type=click.IntRange(1, 5))
+@ask.JSON
 def budget(method: tuple[PlannedMethod, ...], iterations: int, as_json: bool, **options: Any) -> None:
     """Expected errors of a calibration before it is made, from the accuracy formulas, and the least possible."""
     from tumble.planning.bounds import bound
@@ -36,13 +26,13 @@ def budget(method: tuple[PlannedMethod, ...], iterations: int, as_json: bool, **
     methods = method
     if not methods:
         linear = options["noiseless"] or options["terms"] == "linear"
-        methods = tuple(BUDGETED_METHODS) if linear else ()
+        methods = tuple(ask.BUDGETED_METHODS) if linear else ()
         methods = methods if options["noiseless"] else ("joint", *methods)
     options["terms"] = options["terms"] or ("full" if methods == ("joint",) else "linear")
-    setup = setup_of(options)
-    with working("planning"):
+    setup = ask.setup_of(options)
+    with tell.working("planning"):
         expected = budget(setup, methods=methods, iterations=iterations)
         least = None if options["noiseless"] else bound(setup)
-    show(as_json, lambda: budget_data(expected, least), lambda: [budget_table(expected, least)])
+    tell.show(as_json, lambda: budget_data(expected, least), lambda: [budget_table(expected, least)])
     for remark in expected.remarks:
-        say(f"note: {remark}")
+        tell.say(f"note: {remark}")

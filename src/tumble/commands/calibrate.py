@@ -10,58 +10,41 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands.arguments import (
-    EVERY,
-    EXISTING_FOLDER,
-    FILE,
-    JSON,
-    LATITUDE,
-    LOG_OPTIONS,
-    METHOD_NAMES,
-    SERIAL,
-    end,
-    force_option,
-    frame_option,
-    given_of,
-    known_launches_option,
-    method_option,
-    option,
-    out_option,
-    say,
-    show,
-    terms_option,
-    warn,
-    with_progress,
-)
+from tumble.commands import ask, tell
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
     from tumble.drafting.new_session import Given
-    from tumble.result.calibration import Calibration
     from tumble.run.calibrate import Method, Terms
     from tumble.run.type_spread import TypeSpread
     from tumble.sensors.frames import Frame
 
 
-@click.command()
-@click.argument("sessions", metavar="SESSION...", type=EXISTING_FOLDER, nargs=-1, required=True)
-@method_option(METHOD_NAMES, METHOD_NAMES[:1], "How to estimate; given again: another method beside it.", multiple=True)
-@option("--iterations", "Passes of sequential and scalar; default 2.", type=click.IntRange(min=1))
-@frame_option()
-@terms_option("full")
-@option("--without", "Rests to leave out, by their numbers in the result, such as 3,7.", metavar="N,N")
-@click.option("--together", is_flag=True, help="Several sessions, at other temperatures, as one estimate.")
-@out_option("Calibration file to write; default: calibration.json in the session folder.")
-@force_option("Replace a calibration file that came from another log or method.")
-@option("--truth", "truth.json of a simulated session: show true values beside the result.", type=FILE)
-@SERIAL
-@LATITUDE
-@LOG_OPTIONS
-@known_launches_option(
-    "Several launches: their instability together with that of all devices of the type in a registry."
+@click.command(
+    epilog=ask.examples(
+        "tumble calibrate imu-7",
+        "tumble calibrate LOG0007.TXT --latitude 56.84 --serial A-7",
+        "tumble calibrate monday tuesday --out A-7.json",
+        "tumble calibrate cold room hot --together --out A-7.json",
+        "tumble calibrate imu-7 --json",
+    )
 )
-@JSON
-@EVERY
+@click.argument("sessions", metavar="SESSION...", type=ask.PATH, nargs=-1, required=True)
+@ask.method(ask.METHOD_NAMES, ask.METHOD_NAMES[:1], "How to estimate; again: another method beside it.", multiple=True)
+@ask.option("--iterations", "Passes of sequential and scalar; default 2.", type=click.IntRange(min=1))
+@ask.frame()
+@ask.terms("full")
+@ask.option("--without", "Rests to leave out, by their numbers in the result, such as 3,7.", metavar="N,N")
+@click.option("--together", is_flag=True, help="Several sessions, at other temperatures, as one estimate.")
+@ask.out("Calibration file to write; default: calibration.json in the session folder.")
+@ask.force("Replace a calibration file that came from another log or method.")
+@ask.option("--truth", "truth.json of a simulated session: show true values beside the result.", type=ask.FILE)
+@ask.SERIAL
+@ask.LATITUDE
+@ask.LOG
+@ask.known_launches("Several launches: their instability together with that of all devices of the type in a registry.")
+@ask.JSON
+@ask.EVERY
 def calibrate(
     sessions: tuple[Path, ...],
     method: tuple[Method, ...],
@@ -91,6 +74,7 @@ def calibrate(
     from tumble.run.launches import calibrate_launches
     from tumble.run.together import calibrate_together
     from tumble.simulation.session import read_truth
+    from tumble.simulation.temperature_profile import truth_at
     from tumble.views.calibration import calibration_blocks
 
     methods = tuple(dict.fromkeys(method))
@@ -105,42 +89,39 @@ def calibrate(
         )
     if without is not None and len(sessions) > 1:
         raise InputError("--without: expected one session, whose rests are numbered, found several; use [[exclude]]")
-    if together and (list(methods) != METHOD_NAMES[:1] or iterations is not None or terms != "full"):
+    if together and (list(methods) != ask.METHOD_NAMES[:1] or iterations is not None or terms != "full"):
         raise InputError(
-            f"--together: expected the method {METHOD_NAMES[0]!r} with all terms and no iterations, found others"
+            f"--together: expected the method {ask.METHOD_NAMES[0]!r} with all terms and no iterations, found others"
         )
     excluded = () if without is None else _numbers(without)
     true = None if truth is None else read_truth(truth)
-    is_log = any(value is not None for value in options.values()) or (len(sessions) == 1 and _is_log(sessions[0]))
-    with _session_of(sessions, given_of(options)) if is_log else nullcontext(sessions) as folders:
+    is_log = any(value is not None for value in options.values()) or (
+        len(sessions) == 1 and sessions[0].is_file() and sessions[0].suffix != ".toml"
+    )
+    with _session_of(sessions, ask.given_of(options)) if is_log else nullcontext(sessions) as folders:
         described = [read_session(folder).without(excluded) for folder in folders]
         if together:
-            results = [calibrate_together(described, frame=frame, progress=with_progress)]
+            results = [calibrate_together(described, frame=frame, progress=tell.with_progress)]
         else:
             alike = None if known_launches is None else _of_type(known_launches, described[0].device.model, frame)
             words: dict[str, Any] = {"iterations": iterations, "frame": frame, "terms": terms, "alike": alike}
-            results = [calibrate_launches(described, method=each, progress=with_progress, **words) for each in methods]
+            results = [
+                calibrate_launches(described, method=each, progress=tell.with_progress, **words) for each in methods
+            ]
         result, *others = results
         target = out or Path(described[0].name) / "calibration.json"
         result.write(target, force=force)
-    known = None if true is None else _true_at(result, true)
-    show(
+    known = None if true is None else truth_at(true, result.reference_temperature, result.reference_of)
+    tell.show(
         as_json,
         lambda: result.content() | ({"others": [other.content() for other in others]} if others else {}),
         lambda: calibration_blocks(result, known, others, every=every),
     )
-    say(f"written to {target}")
+    tell.say(f"written to {target}")
     for other in others:
         for reason in other.outcome.reasons:
-            warn(f"{other.method}: not accepted: {reason}")
-    end(result.outcome.reasons, "not accepted: ")
-
-
-def _true_at(result: Calibration, true: dict[str, float]) -> dict[str, float]:
-    """True parameters at the temperatures at which a result has them."""
-    from tumble.simulation.temperature_profile import truth_at
-
-    return truth_at(true, result.reference_temperature, result.reference_of)
+            tell.warn(f"{other.method}: not accepted: {reason}")
+    tell.end(result.outcome.reasons, "not accepted: ")
 
 
 def _numbers(text: str) -> tuple[int, ...]:
@@ -165,10 +146,6 @@ def _of_type(place: str, model: str | None, frame: Frame) -> TypeSpread:
             return type_spread(opened, model, frame)
 
 
-def _is_log(path: Path) -> bool:
-    return path.is_file() and path.suffix != ".toml"
-
-
 @contextmanager
 def _session_of(logs: Sequence[Path], given: Given) -> Iterator[list[Path]]:
     """The folder of a session made of a log, of which this is said; it is there no more where the block fails."""
@@ -188,10 +165,12 @@ def _session_of(logs: Sequence[Path], given: Given) -> Iterator[list[Path]]:
             f"(tumble calibrate {folder}), or remove it to make it anew"
         )
     with nothing_left(folder) as output:
-        draft, faults = written_session(output, logs[0], replace(given, serial=given.serial or name), with_progress)
+        draft, faults = written_session(
+            output, logs[0], replace(given, serial=given.serial or name), tell.with_progress
+        )
         for sentence in draft.said:
-            say(sentence)
+            tell.say(sentence)
         for fault in faults:
-            warn(f"look at this: {fault}")
-        say(f"kept in {folder / 'session.toml'}")
+            tell.warn(f"look at this: {fault}")
+        tell.say(f"kept in {folder / 'session.toml'}")
         yield [folder]

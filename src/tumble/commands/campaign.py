@@ -7,13 +7,13 @@ from typing import Any
 
 import click
 
-from tumble.commands.arguments import CLUSTER, FILE, SHOWN, end, say, task_progress, warn
+from tumble.commands import ask, tell
 from tumble.errors import TumbleError
 
 
-@click.command()
-@click.argument("file", metavar="FILE.toml", type=FILE)
-@CLUSTER
+@click.command(epilog=ask.examples("tumble campaign methods.toml -o methods"))
+@click.argument("file", metavar="FILE.toml", type=ask.FILE)
+@ask.CLUSTER
 def campaign(file: Path, out: Path, **place: Any) -> None:
     """Simulate and calibrate many times over the grid of FILE.toml.
 
@@ -25,18 +25,20 @@ def campaign(file: Path, out: Path, **place: Any) -> None:
     from tumble.views.campaign import plot, summary_blocks
     from tumble.views.render.terminal import print_blocks
 
-    with task_progress("trials", out) as progress:
+    with tell.task_progress("trials", out) as progress:
         result = campaign(file, out, progress=progress, **place)
     print_blocks(*summary_blocks(result.lines))
     short = {(*line.point.values(), line.method): line for line in result.lines if line.why}
-    for line in list(short.values())[:SHOWN]:
+    for line in list(short.values())[: tell.SHOWN]:
         where = ", ".join([*(f"{axis} {line.point[axis]}" for axis in varying(result.lines)), line.method])
-        warn(f"{where}: {line.trials - line.accepted} of {line.trials} not accepted or failed, the first: {line.why}")
+        tell.warn(
+            f"{where}: {line.trials - line.accepted} of {line.trials} not accepted or failed, the first: {line.why}"
+        )
     written = [result.rows.name, result.summary.name]
     try:
         plot(result.lines, out / "rms.svg")
         written.append("rms.svg")
     except TumbleError as error:
-        say(f"not drawn: {error}")
-    say(f"written to {out}: {', '.join(written)}")
-    end([] if any(line.accepted for line in result.lines) else ["not accepted: none of the trials"])
+        tell.say(f"not drawn: {error}")
+    tell.say(f"written to {out}: {', '.join(written)}")
+    tell.end([] if any(line.accepted for line in result.lines) else ["not accepted: none of the trials"])

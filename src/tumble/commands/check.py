@@ -7,29 +7,19 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tumble.commands.arguments import (
-    EXISTING_FOLDER,
-    FILE,
-    JSON,
-    end,
-    force_option,
-    known_launches_option,
-    out_option,
-    say,
-    show,
-)
+from tumble.commands import ask, tell
 
 if TYPE_CHECKING:
     from tumble.run.type_spread import KnownLaunches
 
 
-@click.command()
-@click.argument("calibration", type=FILE)
-@click.argument("session", type=EXISTING_FOLDER)
-@out_option("Write the calibration, updated by the check, into this file.")
-@force_option("Replace an existing file whatever it is.")
-@known_launches_option("Judge by how much the device changes from launch to launch, by its calibrations in a registry.")
-@JSON
+@click.command(epilog=ask.examples("tumble check imu-7/calibration.json today -o today.json"))
+@click.argument("calibration", type=ask.FILE)
+@click.argument("session", type=ask.PATH)
+@ask.out("Write the calibration, updated by the check, into this file.")
+@ask.force("Replace an existing file whatever it is.")
+@ask.known_launches("Judge by how much the device changes from launch to launch, by its calibrations in a registry.")
+@ask.JSON
 def check(
     calibration: Path, session: Path, out: Path | None, force: bool, known_launches: str | None, as_json: bool
 ) -> None:
@@ -57,9 +47,9 @@ def check(
     written = out is not None and found.result.explained
     if out is not None and written:
         found.updated().write(out, force=force)
-    show(as_json, lambda: field_check_data(found), lambda: field_check_blocks(found))
+    tell.show(as_json, lambda: field_check_data(found), lambda: field_check_blocks(found))
     for note in found.notes:
-        say(f"note: {note}")
+        tell.say(f"note: {note}")
     if written:
-        say(f"written to {out}")
-    end(found.reasons, "changed: ")
+        tell.say(f"written to {out}")
+    tell.end(found.reasons, "changed: ")

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import FILE, JSON, end, option, say, show
+from tumble.commands import ask, tell
 
 
-@click.command()
-@click.argument("first", type=FILE)
-@click.argument("second", type=FILE)
-@option("--gyro-file", "SECOND is the file of the accelerometers of imu_tk: that of its gyros.", type=FILE)
-@JSON
+@click.command(epilog=ask.examples("tumble compare last-year.json imu-7/calibration.json"))
+@click.argument("first", type=ask.FILE)
+@click.argument("second", type=ask.FILE)
+@ask.option("--gyro-file", "SECOND is the file of the accelerometers of imu_tk: that of its gyros.", type=ask.FILE)
+@ask.JSON
 def compare(first: Path, second: Path, gyro_file: Path | None, as_json: bool) -> None:
     """Differences of two calibration files in units of their combined uncertainty, and E_n numbers.
 
@@ -25,9 +25,9 @@ def compare(first: Path, second: Path, gyro_file: Path | None, as_json: bool) ->
     from tumble.views.checks import comparison_blocks, comparison_data
 
     found = compare_calibrations(first, second, gyro=gyro_file)
-    show(as_json, lambda: comparison_data(found), lambda: comparison_blocks(found))
+    tell.show(as_json, lambda: comparison_data(found), lambda: comparison_blocks(found))
     for remark in found.remarks:
-        say(f"note: {remark}")
+        tell.say(f"note: {remark}")
     if found.missing:
-        say(f"note: only one of them has {', '.join(found.missing)}")
-    end([] if found.agree else ["different: by more than chance and their uncertainties make"])
+        tell.say(f"note: only one of them has {', '.join(found.missing)}")
+    tell.end([] if found.agree else ["different: by more than chance and their uncertainties make"])

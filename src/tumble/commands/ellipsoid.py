@@ -7,47 +7,36 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands.arguments import (
-    FILE,
-    FRAMES,
-    GRAVITY,
-    JSON,
-    SERIAL,
-    end,
-    force_option,
-    frame_option,
-    grade_option,
-    option,
-    out_option,
-    say,
-    show,
-    terms_option,
-)
+from tumble.commands import ask, tell
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
     from tumble.units import Array
 
 
-@click.command()
-@click.argument("readings", metavar="READINGS.csv", type=FILE)
-@option("--unit", "Of the readings: V, count, g, m/s^2; others: see --sensor.", "V")
-@option("--scale", "Nominal output per unit, signed by polarity; default: from the readings.", metavar="K|K,K,K")
-@option("--scale-per", "Unit that the scale is per: g (default) or m/s^2.")
-@GRAVITY
-@option("--gravity-u", "Its standard uncertainty; default: 3e-4, of gravity from a latitude.", type=float)
-@option("--position/positions", "Where up roughly was in position N; repeat.", multiple=True, metavar="N=X,Y,Z")
-@option("--sensor", "What they are.", "accel", type=click.Choice(["accel", "gyro", "mag"]))
-@option("--modulus", "gyro: rate of the table; mag: the field; in --unit or --scale-per.", type=float)
-@option("--modulus-u", "Its standard uncertainty; default: scale factors are relative to it.", type=float)
-@option("--rows-per-position", "Rows of one position after another.", 1, type=int)
-@grade_option(None, "; default: guessed from biases and residuals")
-@terms_option("full")
-@frame_option([frame for frame in FRAMES if frame != "case"])
-@SERIAL
-@out_option("Calibration file; default: READINGS.calibration.json beside the table.")
-@force_option("Replace a calibration file that came from another table or method.")
-@JSON
+@click.command(
+    epilog=ask.examples(
+        "tumble ellipsoid positions.csv --unit g", "tumble ellipsoid compass.csv --sensor mag --unit uT"
+    )
+)
+@click.argument("readings", metavar="READINGS.csv", type=ask.FILE)
+@ask.option("--unit", "Of the readings: V, count, g, m/s^2; others: see --sensor.", "V")
+@ask.option("--scale", "Nominal output per unit, signed by polarity; default: from the readings.", metavar="K|K,K,K")
+@ask.option("--scale-per", "Unit that the scale is per: g (default) or m/s^2.")
+@ask.GRAVITY
+@ask.option("--gravity-u", "Its standard uncertainty; default: 3e-4, of gravity from a latitude.", type=float)
+@ask.option("--position/positions", "Where up roughly was in position N; repeat.", multiple=True, metavar="N=X,Y,Z")
+@ask.option("--sensor", "What they are.", "accel", type=click.Choice(["accel", "gyro", "mag"]))
+@ask.option("--modulus", "gyro: rate of the table; mag: the field; in --unit or --scale-per.", type=float)
+@ask.option("--modulus-u", "Its standard uncertainty; default: scale factors are relative to it.", type=float)
+@ask.option("--rows-per-position", "Rows of one position after another.", 1, type=int)
+@ask.grade(None, "; default: guessed from biases and residuals")
+@ask.terms("full")
+@ask.frame([frame for frame in ask.FRAMES if frame != "case"])
+@ask.SERIAL
+@ask.out("Calibration file; default: READINGS.calibration.json beside the table.")
+@ask.force("Replace a calibration file that came from another table or method.")
+@ask.JSON
 def ellipsoid(
     readings: Path,
     scale: str | None,
@@ -68,9 +57,9 @@ def ellipsoid(
     result = calibrate_table(readings, scale=nominal, known=dict(map(_position, positions)), **options)
     target = out or readings.with_suffix(".calibration.json")
     result.calibration.write(target, force=force)
-    show(as_json, result.calibration.content, lambda: readings_blocks(result))
-    say(f"written to {target}")
-    end(result.calibration.outcome.reasons, "not accepted: ")
+    tell.show(as_json, result.calibration.content, lambda: readings_blocks(result))
+    tell.say(f"written to {target}")
+    tell.end(result.calibration.outcome.reasons, "not accepted: ")
 
 
 def _numbers(option: str, text: str) -> list[float]:

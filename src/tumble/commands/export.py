@@ -7,20 +7,20 @@ from typing import Any
 
 import click
 
-from tumble.commands.arguments import CERTIFICATE, EXISTING_FOLDER, FILE, force_option, option, out_option, say
+from tumble.commands import ask, tell
 from tumble.errors import InputError
 from tumble.export import FORMATS
 
 
-@click.command()
-@click.argument("calibration", type=FILE)
-@option("--to", "What to write.", type=click.Choice(list(FORMATS)), required=True)
-@out_option("File to write.", required=True)
-@option("--noise", "kalibr: noise from this session's longest rest.", metavar="SESSION", type=EXISTING_FOLDER)
-@CERTIFICATE
-@option("--imu", "px4, ardupilot, also thermal: of the N-th IMU, from 1.", metavar="N", type=int)
-@option("--sensor-ids", "px4-thermal: the numbers in CAL_ACC0_ID and CAL_GYRO0_ID.", metavar="ACCEL,GYRO")
-@force_option()
+@click.command(epilog=ask.examples("tumble export imu-7/calibration.json --to px4 -o imu-7.params"))
+@click.argument("calibration", type=ask.FILE)
+@ask.option("--to", "What to write.", type=click.Choice(list(FORMATS)), required=True)
+@ask.out("File to write.", required=True)
+@ask.option("--noise", "kalibr: noise from this session's longest rest.", metavar="SESSION", type=ask.PATH)
+@ask.CERTIFICATE
+@ask.option("--imu", "px4, ardupilot, also thermal: of the N-th IMU, from 1.", metavar="N", type=int)
+@ask.option("--sensor-ids", "px4-thermal: the numbers in CAL_ACC0_ID and CAL_GYRO0_ID.", metavar="ACCEL,GYRO")
+@ask.force()
 def export(calibration: Path, to: str, out: Path, sensor_ids: str | None, force: bool, **given: Any) -> None:
     """Write CALIBRATION, a calibration file, in the format of another program.
 
@@ -36,6 +36,6 @@ def export(calibration: Path, to: str, out: Path, sensor_ids: str | None, force:
     exported = export_calibration(calibration, to, sensor_ids=ids, **given)
     with whole_file(out) as temporary:
         temporary.write_bytes(exported.content)
-    say(f"written to {out}")
+    tell.say(f"written to {out}")
     for loss in exported.losses:
-        say(f"note: {loss}")
+        tell.say(f"note: {loss}")

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands.arguments import CLUSTER, JSON, METHOD_NAMES, SHOWN, method_option, say, task_progress, warn
+from tumble.commands import ask, tell
 
 if TYPE_CHECKING:
     from tumble.run.calibrate import Method
 
 
-@click.command()
+@click.command(epilog=ask.examples("tumble fleet 'sessions/*' -o results"))
 @click.argument("sessions", metavar="GLOB|MANIFEST")
-@method_option(METHOD_NAMES, METHOD_NAMES[0], "How to estimate.")
-@JSON
-@CLUSTER
+@ask.method(ask.METHOD_NAMES, ask.METHOD_NAMES[0], "How to estimate.")
+@ask.JSON
+@ask.CLUSTER
 def fleet(sessions: str, method: Method, as_json: bool, out: Path, **place: Any) -> None:
     """Calibrate all sessions that GLOB matches or MANIFEST lists, with a row for each.
 
@@ -28,7 +28,7 @@ def fleet(sessions: str, method: Method, as_json: bool, out: Path, **place: Any)
     from tumble.campaigns.run import fleet
     from tumble.views.render.data import print_data
 
-    with task_progress("sessions", out) as progress:
+    with tell.task_progress("sessions", out) as progress:
         result = fleet(sessions, out, method=method, progress=progress, **place)
     ended = result.tally
     outcomes = {"not accepted": ended.refused, "failed": ended.failed}
@@ -43,9 +43,9 @@ def fleet(sessions: str, method: Method, as_json: bool, out: Path, **place: Any)
         for how, sessions_why in outcomes.items()
         for session, why in sessions_why.items()
     ]
-    for line in said[:SHOWN]:
-        warn(line)
-    if len(said) > SHOWN:
-        say(f"and {len(said) - SHOWN} more, in the columns reasons and error of the rows")
-    say(f"written to {result.rows}")
+    for line in said[: tell.SHOWN]:
+        tell.warn(line)
+    if len(said) > tell.SHOWN:
+        tell.say(f"and {len(said) - tell.SHOWN} more, in the columns reasons and error of the rows")
+    tell.say(f"written to {result.rows}")
     sys.exit(1 if said else 0)

@@ -7,29 +7,18 @@ from typing import Any
 
 import click
 
-from tumble.commands.arguments import (
-    EXISTING_FOLDER,
-    LATITUDE,
-    LOG_OPTIONS,
-    SERIAL,
-    given_of,
-    option,
-    programme_option,
-    say,
-    warn,
-    with_progress,
-)
+from tumble.commands import ask, tell
 
 
-@click.command()
-@click.argument("folder", type=EXISTING_FOLDER)
-@click.argument("more", metavar="[LOG]...", nargs=-1, type=EXISTING_FOLDER)
-@option("--log", "The recording: a log, a folder, a pattern, a bag.", type=EXISTING_FOLDER, multiple=True)
-@SERIAL
-@LATITUDE
-@LOG_OPTIONS
-@programme_option("Built-in programme that was gone through.")
-@option("--message", "Topic or message of a recording, where there are several.", metavar="NAME")
+@click.command(epilog=ask.examples("tumble new imu-7 LOG0007.TXT --latitude 56.84 --serial A-7"))
+@click.argument("folder", type=ask.PATH)
+@click.argument("more", metavar="[LOG]...", nargs=-1, type=ask.PATH)
+@ask.option("--log", "The recording: a log, a folder, a pattern, a bag.", type=ask.PATH, multiple=True)
+@ask.SERIAL
+@ask.LATITUDE
+@ask.LOG
+@ask.programme("Built-in programme that was gone through.")
+@ask.option("--message", "Topic or message of a recording, where there are several.", metavar="NAME")
 def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: Any) -> None:
     """Write a commented session.toml for a log into FOLDER, and say what was guessed.
 
@@ -40,12 +29,12 @@ def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: 
 
     if not log and not more:
         raise click.UsageError("Missing argument 'LOG': the recording")
-    given = given_of(options)
-    draft, faults = new_session(folder, [*log, *more], given, progress=with_progress)
+    given = ask.given_of(options)
+    draft, faults = new_session(folder, [*log, *more], given, progress=tell.with_progress)
     for sentence in draft.said:
-        say(sentence)
+        tell.say(sentence)
     for fault in faults:
-        warn(f"look at this: {fault}")
+        tell.warn(f"look at this: {fault}")
     told = {"the serial number": given.serial, "the place": given.latitude}
     missing = [what for what, value in told.items() if value is None]
-    say(f"written to {folder / 'session.toml'}" + (f"; fill in {' and '.join(missing)}" if missing else ""))
+    tell.say(f"written to {folder / 'session.toml'}" + (f"; fill in {' and '.join(missing)}" if missing else ""))

@@ -7,27 +7,21 @@ from typing import Any
 
 import click
 
-from tumble.commands.arguments import (
-    EXISTING_FOLDER,
-    FILE,
-    JSON,
-    LOG_OPTIONS,
-    given_of,
-    option,
-    say,
-    show,
-    with_progress,
-)
+from tumble.commands import ask, tell
 from tumble.errors import InputError
 
 
-@click.command()
-@click.argument("recording", metavar="SESSION|LOG", type=EXISTING_FOLDER)
-@option("--plot/picture", "Draw the Allan deviations into this .svg, .png or .pdf.", type=FILE)
-@LOG_OPTIONS
-@option("--accel-unit", "Of a LOG: unit of the accelerometers, as in session.toml.")
-@option("--gyro-unit", "Of a LOG: unit of the gyros.")
-@JSON
+@click.command(
+    epilog=ask.examples(
+        "tumble noise imu-7", "tumble noise still.csv --accel ax,ay,az --gyro gx,gy,gz --sample-rate 100"
+    )
+)
+@click.argument("recording", metavar="SESSION|LOG", type=ask.PATH)
+@ask.option("--plot/picture", "Draw the Allan deviations into this .svg, .png or .pdf.", type=ask.FILE)
+@ask.LOG
+@ask.option("--accel-unit", "Of a LOG: unit of the accelerometers, as in session.toml.")
+@ask.option("--gyro-unit", "Of a LOG: unit of the gyros.")
+@ask.JSON
 def noise(
     recording: Path,
     picture: Path | None,
@@ -51,8 +45,8 @@ def noise(
         found = noise(recording)
     else:
         with TemporaryDirectory() as folder:
-            given = given_of(options)
-            draft, _ = new_session(Path(folder) / "session", recording, given, progress=with_progress)
+            given = ask.given_of(options)
+            draft, _ = new_session(Path(folder) / "session", recording, given, progress=tell.with_progress)
             if draft.rate_guessed:
                 raise InputError(
                     f"{recording}: expected a time column (--time) or the rate (--sample-rate), found neither"
@@ -63,8 +57,8 @@ def noise(
                     layout[kind] = {"columns": layout.get(kind, {"columns": []})["columns"], "unit": unit}
             found = noise(recording, layout)
         for sentence in draft.said:
-            say(sentence)
+            tell.say(sentence)
     if picture is not None:
         plot(found.panels, picture)
-        say(f"written to {picture}")
-    show(as_json, lambda: noise_data(found), lambda: noise_blocks(found.source, found.panels))
+        tell.say(f"written to {picture}")
+    tell.show(as_json, lambda: noise_data(found), lambda: noise_blocks(found.source, found.panels))

@@ -7,25 +7,25 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands.arguments import JSON, WANT, end, option, say, setup_of, setup_options, show, working
+from tumble.commands import ask, tell
 
 if TYPE_CHECKING:
     from tumble.planning.best_positions import Letter
 
 
-@click.command()
-@setup_options("linear")
-@option("--attitude/attitudes", "Instead of --programme: an attitude code; repeat.", multiple=True)
+@click.command(epilog=ask.examples("tumble plan --grade mems", "tumble plan --positions 12 --axes N,U"))
+@ask.setup("linear")
+@ask.option("--attitude/attitudes", "Instead of --programme: an attitude code; repeat.", multiple=True)
 @click.option("--accel-only", is_flag=True, help="Accelerometers alone, without gyros and turns.")
-@option("--positions", "Find a programme of so many positions.", type=click.IntRange(2, 60))
-@option("--criterion", "What is best.", "A", type=click.Choice(["A", "D"]))
-@WANT
-@option("--axes", "Turns about these alone, the device staying as it is mounted.", metavar="N,U,E")
-@JSON
-@option("--step", "Where the table stops: multiples, °.", 45.0, type=float)
-@option("--over-temperature/recordings", "In a chamber, °C: -20/4,20,60/4 or -20:60:-20/30.", metavar="RECORDINGS")
-@option("--time-constant", "Of the unit in a chamber, s.", 600.0, type=float)
-@option("--chamber-rate", "Of the chamber, K a minute.", 2.0, type=float)
+@ask.option("--positions", "Find a programme of so many positions.", type=click.IntRange(2, 60))
+@ask.option("--criterion", "What is best.", "A", type=click.Choice(["A", "D"]))
+@ask.WANT
+@ask.option("--axes", "Turns about these alone, the device staying as it is mounted.", metavar="N,U,E")
+@ask.JSON
+@ask.option("--step", "Where the table stops: multiples, °.", 45.0, type=float)
+@ask.option("--over-temperature/recordings", "In a chamber, °C: -20/4,20,60/4 or -20:60:-20/30.", metavar="RECORDINGS")
+@ask.option("--time-constant", "Of the unit in a chamber, s.", 600.0, type=float)
+@ask.option("--chamber-rate", "Of the chamber, K a minute.", 2.0, type=float)
 def plan(
     attitudes: tuple[str, ...],
     accel_only: bool,
@@ -44,7 +44,7 @@ def plan(
     the time in a chamber."""
     from tumble.programme.positions import from_attitudes
 
-    setup = setup_of(options)
+    setup = ask.setup_of(options)
     if attitudes:
         setup = replace(setup, programme=from_attitudes(attitudes))
     if recordings is not None:
@@ -58,22 +58,22 @@ def plan(
 
         wishes_over_temperature = wanted_over_temperature(wanted)
         chamber = Chamber.of(per_minute=chamber_rate, time_constant=time_constant)
-        with working("planning"):
+        with tell.working("planning"):
             sessions = chamber_sessions(recordings, setup)
             thermal = plan_over_temperature(setup, sessions, chamber=chamber, gyros=not accel_only)
         reasons = short_over_temperature(thermal, wishes_over_temperature)
-        show(as_json, lambda: thermal_plan_data(thermal, reasons), lambda: thermal_plan_blocks(thermal))
+        tell.show(as_json, lambda: thermal_plan_data(thermal, reasons), lambda: thermal_plan_blocks(thermal))
         for note in () if as_json else thermal.notes:
-            say(f"note: {note}")
-        end(reasons)
+            tell.say(f"note: {note}")
+        tell.end(reasons)
     from tumble.planning.best_positions import Aim, plan
     from tumble.planning.reachable_attitudes import TurnTable
     from tumble.planning.requirements import wanted_of
     from tumble.views.planning import plan_blocks, plan_data, short_of
 
     aim = Aim(letter=criterion, wanted=wanted_of(wanted, None, setup) if wanted else {}, gyros=not accel_only)
-    with working("planning") as progress:
+    with tell.working("planning") as progress:
         found = plan(setup, positions=positions, aim=aim, table=TurnTable.of(axes, step), progress=progress)
     reasons = short_of(found.bound, aim, found.setup)
-    show(as_json, lambda: plan_data(found, reasons), lambda: plan_blocks(found, aim))
-    end(reasons)
+    tell.show(as_json, lambda: plan_data(found, reasons), lambda: plan_blocks(found, aim))
+    tell.end(reasons)

@@ -7,18 +7,18 @@ from typing import Any
 
 import click
 
-from tumble.commands.arguments import PACE, option, out_option, programmes_like, say
+from tumble.commands import ask, tell
 from tumble.errors import InputError
 
 
-@click.command()
-@click.argument("name", metavar="[NAME]", required=False, shell_complete=programmes_like)
-@option("--attitude/attitudes", "Instead of NAME: a position's attitude code; repeat.", multiple=True)
-@PACE
-@out_option("Write the sheet with a picture of each position: .html, .pdf or .svg.")
-@option("--serial", "Of the device, on the sheet; default: a line for it.")
-@option("--number", "Of the sheet, likewise.")
-@option("--revision", "Of the sheet, likewise.")
+@click.command(epilog=ask.examples("tumble programme cube-26 -o sheet.html"))
+@click.argument("name", metavar="[NAME]", required=False, shell_complete=ask.programmes_like)
+@ask.option("--attitude/attitudes", "Instead of NAME: a position's attitude code; repeat.", multiple=True)
+@ask.PACE
+@ask.out("Write the sheet with a picture of each position: .html, .pdf or .svg.")
+@ask.option("--serial", "Of the device, on the sheet; default: a line for it.")
+@ask.option("--number", "Of the sheet, likewise.")
+@ask.option("--revision", "Of the sheet, likewise.")
 def programme(
     name: str | None, attitudes: tuple[str, ...], rest: float, turn_rate: float, out: Path | None, **sheet: str | None
 ) -> None:
@@ -35,5 +35,5 @@ def programme(
     if out is not None:
         words: dict[str, Any] = {key: value or "" for key, value in sheet.items()}
         write_sheet(out, listed, rest=rest, rate=turn_rate * DEGREE, **words)
-        say(f"written to {out}")
+        tell.say(f"written to {out}")
     print_blocks(*blocks)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands.arguments import EVERY, FILE, JSON, REGISTRY, end, option, out_option, say, show, warn
+from tumble.commands import ask, tell
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,47 +32,53 @@ def _number(ctx: click.Context, parameter: click.Parameter, text: str | None) ->
     return None if text is None else int(text)
 
 
-@click.group()
+@click.group(epilog=ask.examples("tumble registry add imu-7/calibration.json", "tumble registry due"))
 def registry() -> None:
     """Devices, launches, calibrations and acceptance limits over years. Records are added, never changed."""
 
 
-def _command(name: str) -> Callable[[Callable[..., None]], click.Command]:
-    """A command of the registry, with the option of where that is, and a line for the extra where it is missing."""
+def _command(name: str, *, opens: bool = True) -> Callable[[Callable[..., None]], click.Command]:
+    """A command of the registry, which it gets `opened`, or its `place` where that may be made first; with a line for
+    the extra where it is missing."""
 
     def made(function: Callable[..., None]) -> click.Command:
         @wraps(function)
-        def with_extra(*args: Any, **options: Any) -> None:
+        def in_registry(*args: Any, place: str | None, **options: Any) -> None:
             from tumble.registry.store.connect import extra_named
 
             with extra_named():
-                function(*args, **options)
+                from tumble.registry.store.connect import open_registry
 
-        return registry.command(name)(REGISTRY(with_extra))
+                if not opens:
+                    function(*args, place=place, **options)
+                    return
+                with open_registry(place) as opened:
+                    function(*args, opened=opened, **options)
+
+        return registry.command(name)(ask.REGISTRY(in_registry))
 
     return made
 
 
 def _whole_new_file(out: Path, what: str, lines: Callable[[], Any]) -> None:
-    """Write lines into a new file."""
     from tumble.files import whole_file
 
     if out.exists():
         raise InputError(f"{out}: expected a new file for the {what}, found one that exists")
     with whole_file(out) as temporary, temporary.open("w", encoding="utf-8") as file:
         file.writelines(lines())
-    say(f"written to {out}")
+    tell.say(f"written to {out}")
 
 
-@_command("add")
-@click.argument("calibration", type=FILE)
-@option("--check", "Default: incoming the first time.", type=click.Choice(["incoming", "periodic"]))
-@option("--state", "Before or after an adjustment, if there is one.", type=click.Choice(["as-found", "as-left"]))
-@option("--date/day", "When it was performed; default: when recorded, or the file made.", **_DAY)
-@option("--supersedes", "The record that this one corrects.", metavar="NUMBER", callback=_number)
-@option("--reason", "Why it is corrected.")
-@JSON
-@EVERY
+@_command("add", opens=False)
+@click.argument("calibration", type=ask.FILE)
+@ask.option("--check", "Default: incoming the first time.", type=click.Choice(["incoming", "periodic"]))
+@ask.option("--state", "Before or after an adjustment, if there is one.", type=click.Choice(["as-found", "as-left"]))
+@ask.option("--date/day", "When it was performed; default: when recorded, or the file made.", **_DAY)
+@ask.option("--supersedes", "The record that this one corrects.", metavar="NUMBER", callback=_number)
+@ask.option("--reason", "Why it is corrected.")
+@ask.JSON
+@ask.EVERY
 def add(
     calibration: Path,
     check: Any,
@@ -102,7 +108,7 @@ def add(
     with open_registry(place, create=True) as opened:
         added = add_to(opened, submission)
         said = "added as" if added.new else "the same calibration is there already:"
-        say(f"{said} record {added.record.number} in {opened.name}")
+        tell.say(f"{said} record {added.record.number} in {opened.name}")
         passed = _print_record(opened, added.record, as_json, every)
     sys.exit(0 if passed else 1)
 
@@ -113,7 +119,7 @@ def _print_record(opened: Registry, record: Record, as_json: bool, every: bool) 
     from tumble.views.registry import record_blocks, record_data
 
     verdict, calibration = verdict_of(opened, record), calibration_in(opened, record, record.frame)
-    show(
+    tell.show(
         as_json,
         lambda: record_data(record, calibration, verdict),
         lambda: record_blocks(record, calibration, verdict, every=every),
@@ -121,86 +127,80 @@ def _print_record(opened: Registry, record: Record, as_json: bool, every: bool) 
     if verdict is None or verdict.result == "pass":
         return True
     for reason in verdict.reasons():
-        warn(f"{verdict.occasion} check: {reason}")
+        tell.warn(f"{verdict.occasion} check: {reason}")
     return False
 
 
 @_command("list")
 @click.argument("serial", required=False)
-@JSON
-def list_(serial: str | None, as_json: bool, place: str | None) -> None:
+@ask.JSON
+def list_(serial: str | None, as_json: bool, opened: Registry) -> None:
     """All devices with their latest record, or the records of the device SERIAL."""
     from tumble.registry.due import due as due_of
     from tumble.registry.records import records
-    from tumble.registry.store.connect import open_registry
     from tumble.views.registry_lists import device_table, devices_data, record_table
 
-    with open_registry(place) as opened:
-        if serial is not None:
-            found = records(opened, serial)
-            show(as_json, lambda: {"records": found}, lambda: [record_table(found)])
-            return
-        latest = sorted(due_of(opened), key=lambda item: item.record.serial)
-        show(as_json, lambda: devices_data(latest), lambda: [device_table(latest)])
+    if serial is not None:
+        found = records(opened, serial)
+        tell.show(as_json, lambda: {"records": found}, lambda: [record_table(found)])
+        return
+    latest = sorted(due_of(opened), key=lambda item: item.record.serial)
+    tell.show(as_json, lambda: devices_data(latest), lambda: [device_table(latest)])
 
 
 @_command("show")
 @click.argument("number", callback=_number)
-@out_option("Write the calibration file of the record, as it was added.")
-@JSON
-@EVERY
-def show_(number: int, out: Path | None, as_json: bool, every: bool, place: str | None) -> None:
+@ask.out("Write the calibration file of the record, as it was added.")
+@ask.JSON
+@ask.EVERY
+def show_(number: int, out: Path | None, as_json: bool, every: bool, opened: Registry) -> None:
     """The record NUMBER with the verdict on each parameter. Exit status 1 if it does not pass."""
-    from tumble.registry.store.connect import open_registry
     from tumble.registry.store.rows import file_of, record_of
 
-    with open_registry(place) as opened:
-        with opened.reading() as connection:
-            record, text = record_of(connection, number), file_of(connection, number)
-        if out is not None:
-            _whole_new_file(out, "calibration", lambda: [text])
-        passed = _print_record(opened, record, as_json, every)
+    with opened.reading() as connection:
+        record, text = record_of(connection, number), file_of(connection, number)
+    if out is not None:
+        _whole_new_file(out, "calibration", lambda: [text])
+    passed = _print_record(opened, record, as_json, every)
     sys.exit(0 if passed else 1)
 
 
 @_command("trend")
 @click.argument("serial")
 @click.argument("parameter", required=False)
-@out_option("Draw control charts into this .html or .svg; needs matplotlib.")
-@JSON
-@EVERY
-def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, every: bool, place: str | None) -> None:
+@ask.out("Draw control charts into this .html or .svg; needs matplotlib.")
+@ask.JSON
+@ask.EVERY
+def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, every: bool, opened: Registry) -> None:
     """Every parameter of the device SERIAL over its calibrations, or one PARAMETER in every calibration.
 
     Exit status 1 if the device has changed since the calibration before by more than chance makes, in a parameter or
     in all together, as `tumble compare` says it of both.
     """
     from tumble.registry.monitor import monitored
-    from tumble.registry.store.connect import open_registry
     from tumble.views.registry import history_blocks, trend_blocks, trend_data
 
-    with open_registry(place) as opened:
-        found = monitored(opened, serial, parameter)
+    found = monitored(opened, serial, parameter)
     if out is not None:
         from tumble.views.control_chart import write_chart
 
         write_chart(out, found)
-        say(f"written to {out}")
-    show(
+        tell.say(f"written to {out}")
+    tell.show(
         as_json,
         lambda: trend_data(found),
         lambda: trend_blocks(found, every=every) if parameter is None else history_blocks(found),
     )
     changed = found.changed()
     if changed:
-        say(f"changed: {', '.join(changed)}")
+        tell.say(f"changed: {', '.join(changed)}")
     sys.exit(1 if changed else 0)
 
 
-@_command("limits")
+@_command("limits", opens=False)
 @click.argument("model", required=False)
-@click.argument("file", type=FILE, required=False)
-@JSON
+@click.argument("file", type=ask.FILE, required=False)
+@ask.JSON
 def limits(model: str | None, file: Path | None, as_json: bool, place: str | None) -> None:
     """Put the acceptance limits of FILE (TOML) in force for the device type MODEL.
 
@@ -218,14 +218,14 @@ def limits(model: str | None, file: Path | None, as_json: bool, place: str | Non
         if model is not None and given is not None:
             record, new = set_limits(opened, model, *given)
             said = "in force for" if new else "were in force already for"
-            say(f"limits {record.number} {said} {record.model} in {opened.name}")
+            tell.say(f"limits {record.number} {said} {record.model} in {opened.name}")
             return
         with opened.reading() as connection:
             every = every_limits(connection)
     in_force = {each.model: each for each in every}
     if model is not None and model not in in_force:
         raise InputError(f"type {model!r}: expected a device type with limits, found none for it")
-    show(
+    tell.show(
         as_json,
         lambda: limits_data(every if model is None else [in_force[model]], in_force),
         lambda: [limits_table(every, in_force)] if model is None else limits_blocks(in_force[model]),
@@ -233,9 +233,9 @@ def limits(model: str | None, file: Path | None, as_json: bool, place: str | Non
 
 
 @_command("due")
-@option("--on/day", "As on this day; default: today.", **_DAY)
-@JSON
-def due(day: datetime | None, as_json: bool, place: str | None) -> None:
+@ask.option("--on/day", "As on this day; default: today.", **_DAY)
+@ask.JSON
+def due(day: datetime | None, as_json: bool, opened: Registry) -> None:
     """What is to be calibrated again, and when: by the calendar, or before where a drift may meet a limit.
 
     The most urgent first. Exit status 1 if anything is overdue.
@@ -243,34 +243,30 @@ def due(day: datetime | None, as_json: bool, place: str | None) -> None:
     from datetime import UTC, date, datetime
 
     from tumble.registry.due import due as due_of
-    from tumble.registry.store.connect import open_registry
     from tumble.views.registry_lists import due_data, due_table
 
     today = datetime.now(UTC).date() if day is None else day.date()
-    with open_registry(place) as opened:
-        found = due_of(opened)
-    show(as_json, lambda: due_data(found, today), lambda: [due_table(found, today)])
+    found = due_of(opened)
+    tell.show(as_json, lambda: due_data(found, today), lambda: [due_table(found, today)])
     overdue = [item.record.serial for item in found if (item.day or date.max) < today]
-    end([f"overdue: {', '.join(overdue)}"] if overdue else [])
+    tell.end([f"overdue: {', '.join(overdue)}"] if overdue else [])
 
 
 @_command("export")
-@out_option("File to write; default: standard output.")
-def export(out: Path | None, place: str | None) -> None:
+@ask.out("File to write; default: standard output.")
+def export(out: Path | None, opened: Registry) -> None:
     """Everything in the registry as JSON lines."""
     from tumble.registry.exchange import export_lines
-    from tumble.registry.store.connect import open_registry
 
-    with open_registry(place) as opened:
-        if out is not None:
-            _whole_new_file(out, "export", lambda: (f"{line}\n" for line in export_lines(opened)))
-            return
-        for line in export_lines(opened):
-            click.echo(line)
+    if out is not None:
+        _whole_new_file(out, "export", lambda: (f"{line}\n" for line in export_lines(opened)))
+        return
+    for line in export_lines(opened):
+        click.echo(line)
 
 
-@_command("import")
-@click.argument("file", type=FILE)
+@_command("import", opens=False)
+@click.argument("file", type=ask.FILE)
 def import_(file: Path, place: str | None) -> None:
     """Add what FILE, an export, holds and the registry does not; nothing of a file that is no whole export."""
     from tumble.registry.exchange import import_export, read_export
@@ -279,4 +275,4 @@ def import_(file: Path, place: str | None) -> None:
     export = read_export(file)
     with open_registry(place, create=True) as opened:
         done = import_export(opened, export)
-        say(f"{done.added} calibrations added to {opened.name}, {done.known} were there already")
+        tell.say(f"{done.added} calibrations added to {opened.name}, {done.known} were there already")

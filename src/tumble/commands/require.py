@@ -6,37 +6,26 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands.arguments import (
-    BUDGETED_METHODS,
-    JSON,
-    WANT,
-    end,
-    method_option,
-    option,
-    setup_of,
-    setup_options,
-    show,
-    working,
-)
+from tumble.commands import ask, tell
 
 if TYPE_CHECKING:
     from tumble.planning.budget import PlannedMethod
     from tumble.planning.requirements import BiasEstimator
 
 
-@click.command()
-@setup_options(terms=None)
-@WANT
-@option("--relative", "Wanted of every group: part of its spread, %.", type=float, metavar="PERCENT")
-@method_option(["joint", *BUDGETED_METHODS], "joint", "To use; the others are of the linear model.")
-@option("--iterations", "Passes of the method.", 1, type=click.IntRange(1, 5))
-@option(
+@click.command(epilog=ask.examples("tumble require --want accel.scale=3.5ppm"))
+@ask.setup(None)
+@ask.WANT
+@ask.option("--relative", "Wanted of every group: part of its spread, %.", type=float, metavar="PERCENT")
+@ask.method(["joint", *ask.BUDGETED_METHODS], "joint", "To use; the others are of the linear model.")
+@ask.option("--iterations", "Passes of the method.", 1, type=click.IntRange(1, 5))
+@ask.option(
     "--gyro-bias",
     "From all rests, or from one with the axis vertical or along the Earth's axis.",
     "programme",
     type=click.Choice(["programme", "vertical", "polar"]),
 )
-@JSON
+@ask.JSON
 def require(
     wanted: tuple[str, ...],
     relative: float | None,
@@ -51,9 +40,9 @@ def require(
     from tumble.views.planning import requirement_blocks, requirements_data
 
     options["terms"] = options["terms"] or ("full" if method == "joint" else "linear")
-    setup = setup_of(options)
+    setup = ask.setup_of(options)
     asked = wanted_of(wanted, relative, setup)
-    with working("planning"):
+    with tell.working("planning"):
         needs = require(asked, setup, method=method, iteration=iterations, gyro_bias=gyro_bias)
-    show(as_json, lambda: requirements_data(needs), lambda: requirement_blocks(needs))
-    end([] if needs.feasible else ["not feasible: no table gives everything that is wanted; see what is limited"])
+    tell.show(as_json, lambda: requirements_data(needs), lambda: requirement_blocks(needs))
+    tell.end([] if needs.feasible else ["not feasible: no table gives everything that is wanted; see what is limited"])

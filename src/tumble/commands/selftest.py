@@ -7,12 +7,12 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import option, out_option, say
+from tumble.commands import ask, tell
 
 
-@click.command()
-@out_option("Write the record, JSON, with versions, machine, figures and hashes.")
-@option("--by", "Who runs it and stands for it; default: the name of the user.", metavar="NAME")
+@click.command(epilog=ask.examples("tumble selftest -o record.json"))
+@ask.out("Write the record, JSON, with versions, machine, figures and hashes.")
+@ask.option("--by", "Who runs it and stands for it; default: the name of the user.", metavar="NAME")
 def selftest(out: Path | None, by: str | None) -> None:
     """Run the reference cases on this machine and compare them with published values, closed forms and truth."""
     from tumble.errors import InputError
@@ -22,12 +22,12 @@ def selftest(out: Path | None, by: str | None) -> None:
 
     if out is not None and out.exists():
         raise InputError(f"{out}: expected a new file for the record, found one that exists; records are kept")
-    record = run_selftest(by=by, progress=lambda name: say(f"running: {name}"))
+    record = run_selftest(by=by, progress=lambda name: tell.say(f"running: {name}"))
     print_blocks(selftest_table(record))
     click.echo(f"{record.software} on {record.machine['system']}, {record.date}, run by {record.by}")
     click.echo(f"loops over samples: {record.machine['loops']}")
     click.echo("passed" if record.passed else "FAILED")
     if out is not None:
         record.write(out)
-        say(f"written to {out}")
+        tell.say(f"written to {out}")
     sys.exit(0 if record.passed else 1)

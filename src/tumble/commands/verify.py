@@ -6,13 +6,13 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, FILE, JSON, end, show
+from tumble.commands import ask, tell
 
 
-@click.command()
-@click.argument("calibration", type=FILE)
-@click.argument("readings", metavar="SESSION|READINGS.csv", type=EXISTING_FOLDER)
-@JSON
+@click.command(epilog=ask.examples("tumble verify imu-7/calibration.json check-session"))
+@click.argument("calibration", type=ask.FILE)
+@click.argument("readings", metavar="SESSION|READINGS.csv", type=ask.PATH)
+@ask.JSON
 def verify(calibration: Path, readings: Path, as_json: bool) -> None:
     """Test whether CALIBRATION holds in check positions, by g − |corrected reading| in each of them.
 
@@ -23,5 +23,5 @@ def verify(calibration: Path, readings: Path, as_json: bool) -> None:
     from tumble.views.checks import verification_blocks, verification_data
 
     found = verify_calibration(calibration, readings)
-    show(as_json, lambda: verification_data(found), lambda: verification_blocks(found))
-    end(found.reasons, "not accepted: ")
+    tell.show(as_json, lambda: verification_data(found), lambda: verification_blocks(found))
+    tell.end(found.reasons, "not accepted: ")

@@ -13,20 +13,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import tomli_w
-from pydantic import ValidationError
 
-from tumble.documents import text_of_document, toml_of
+from tumble.documents import text_of_document, toml_of, validated
 from tumble.errors import InputError, SessionError
 from tumble.files import FilePath, whole_file
 from tumble.recording.session import Session
-from tumble.recording.session.document import SessionDocument, faults_of
+from tumble.recording.session.document import SessionDocument
 
 if TYPE_CHECKING:
     from tumble.recording.samples import Data
 
 SESSION_FILE = "session.toml"
 
-_FAULTS_SHOWN = 3
 _DESCRIPTION = "session"
 """What messages call the description of a session that is not in a file."""
 
@@ -44,7 +42,7 @@ def read_session(folder: FilePath) -> Session:
     """
     given = Path(folder)
     path = given if given.is_file() or given.name == SESSION_FILE else given / SESSION_FILE
-    document = _checked(_parsed(path), str(path))
+    document = _document(_parsed(path), str(path))
     session = document.si(path.parent)
     _check_files(session, str(path))
     return session
@@ -66,7 +64,7 @@ def session_of(description: Mapping[str, Any], data: Data | None = None) -> Sess
     [0.0, 0.0, 9.80665]
     """
     if data is None:
-        session = _checked(description, _DESCRIPTION).si(None)
+        session = _document(description, _DESCRIPTION).si(None)
         _check_files(session, _DESCRIPTION)
         return session
     from tumble.recording.samples import samples_of  # polars is heavy, and only needed here
@@ -76,7 +74,7 @@ def session_of(description: Mapping[str, Any], data: Data | None = None) -> Sess
         raise SessionError(f"{_DESCRIPTION}: log.file: expected none beside samples in memory, found {log['file']!r}")
     if isinstance(log, Mapping):
         description = {**description, "log": {**log, "file": [part.name for part in samples]}}
-    session = _checked(description, _DESCRIPTION).si(None)
+    session = _document(description, _DESCRIPTION).si(None)
     session = replace(session, log=replace(session.log, files=samples))
     _check_files(session, _DESCRIPTION)
     return session
@@ -106,7 +104,7 @@ def write_session(folder: FilePath, content: Mapping[str, Any]) -> None:
     """
     folder = Path(folder)
     path = folder / SESSION_FILE
-    _checked(content, str(path))
+    _document(content, str(path))
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as temporary:
@@ -132,15 +130,8 @@ def _parsed(path: Path) -> dict[str, Any]:
         raise SessionError(f"{path}: expected a readable file, found: {error.strerror}") from None
 
 
-def _checked(content: Mapping[str, Any], where: str) -> SessionDocument:
-    try:
-        return SessionDocument.model_validate(content)
-    except ValidationError as error:
-        faults = faults_of(error, content)
-    said = faults[:_FAULTS_SHOWN]
-    if len(faults) > len(said):
-        said.append(f"and {len(faults) - len(said)} more")
-    raise SessionError(f"{where}: {'; '.join(said)}")
+def _document(content: Mapping[str, Any], where: str) -> SessionDocument:
+    return validated(SessionDocument, content, where, SessionError)
 
 
 def _check_files(session: Session, where: str) -> None:

@@ -9,7 +9,7 @@ a number at parameters[3].value".
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -25,9 +25,8 @@ from pydantic import (
     model_serializer,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
-from tumble.documents import dotted, is_plain, json_of, shown
+from tumble.documents import dotted, faults_of, is_plain, json_of, shown
 from tumble.errors import CalibrationError
 from tumble.inference.estimate import Fit, GroupFinding, HyperparameterEstimate, Integral, Outcome, ProcessBias
 from tumble.inference.prediction import Prediction
@@ -274,8 +273,10 @@ class _ResultTable(_Table):
     def _check_covariance(self) -> Self:
         rows = self.covariance or ()
         if rows and {len(rows), *map(len, rows)} != {len(self.parameters)}:
-            shape = f"({len(rows)}, {len(rows[0])}) for {len(self.parameters)} parameters"
-            raise PydanticCustomError("shape", "a covariance of shape {shape}", {"shape": shape})
+            shape = f"shape ({len(rows)}, {len(rows[0])}) for {len(self.parameters)} parameters"
+            raise ValueError(
+                f"covariance: expected a row and a column for each parameter, found a covariance of {shape}"
+            )
         for number, row in enumerate(rows, 1):
             variance = row[number - 1]
             if variance < 0.0:
@@ -428,7 +429,9 @@ def parsed(text: str, name: str) -> CalibrationFile:
         content = json_of(text)
     except ValueError as error:
         raise no_calibration(name, error) from error
-    if isinstance(content, dict) and content.get("format", FORMAT) != FORMAT:
+    if not isinstance(content, dict) or "format" not in content:
+        raise no_calibration(name, "no key 'format'")
+    if content["format"] != FORMAT:
         raise CalibrationError(f"{name}: expected format {FORMAT}, found {shown(content['format'])}")
     try:
         for key, value in _values(content):
@@ -441,7 +444,10 @@ def parsed(text: str, name: str) -> CalibrationFile:
                 limits = f"at most {LONGEST_TEXT} characters and no control characters"
                 raise ValueError(f"{dotted(key)[:80]}: expected {limits}, found {shown(value)}")
     except ValidationError as error:
-        raise CalibrationError(f"{name}: {_said(error.errors(include_url=False)[0], content)}") from None
+        first = error.errors(include_url=False)[0]
+        if first["type"] == "json_invalid":
+            raise no_calibration(name, first["msg"].removeprefix("Invalid JSON: ")) from None
+        raise CalibrationError(f"{name}: {faults_of(error, content, CalibrationFile)[0]}") from None
     except ValueError as error:
         raise CalibrationError(f"{name}: {error}") from None
     return file
@@ -468,48 +474,3 @@ def _is_text(text: str, key: tuple[int | str, ...]) -> bool:
 def no_calibration(name: str, found: object) -> CalibrationError:
     """That a file is no calibration."""
     return CalibrationError(f"{name}: expected a calibration file of tumble, found {found}")
-
-
-_EXPECTED = {
-    "float_type": "a number",
-    "finite_number": "a number",
-    "int_type": "a whole number",
-    "int_from_float": "a whole number",
-    "string_type": "a text",
-    "bool_type": "true or false",
-    "list_type": "a list",
-    "dict_type": "a table",
-    "dataclass_type": "a table",
-    "model_type": "a table",
-    "tuple_type": "a list",
-    "greater_than": "a larger number",
-    "greater_than_equal": "a larger number",
-    "less_than_equal": "a smaller number",
-    "too_short": "a longer list",
-    "too_long": "a shorter list",
-    "literal_error": "1, the format of this file",
-}
-
-
-def _said(fault: Mapping[str, Any], content: Any) -> str:
-    """What is to be said of a fault, after the name of the file."""
-    place = dotted(fault["loc"])[:80]
-    if fault["type"] == "value_error":
-        return f"{place}: {fault['ctx']['error']}".removeprefix(": ")
-    if fault["type"] == "json_invalid":
-        return f"expected a calibration file of tumble, found {fault['msg'].removeprefix('Invalid JSON: ')}"
-    if fault["type"] == "missing" and isinstance(fault["loc"][-1], int):
-        fault = {"type": "too_short", "loc": fault["loc"][:-1]}
-        place = dotted(fault["loc"])[:80]
-    if fault["type"] == "missing":
-        above = dotted(fault["loc"][:-1])[:80]
-        found = f"no key {str(fault['loc'][-1])!r}" + (f" in {above}" if above else "")
-    elif fault["type"] == "shape":
-        found = fault["msg"]
-    else:
-        value = content
-        for part in fault["loc"]:
-            value = part if part == "[key]" else value[part]
-        found = f"{shown(value)} in place of {_EXPECTED.get(fault['type'], 'what can be there')}"
-        found += f" at {place}" if place else ""
-    return f"expected a calibration file of tumble, found {found}"

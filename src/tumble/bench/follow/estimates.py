@@ -6,15 +6,15 @@ import contextlib
 import logging
 import math
 import time
+from collections.abc import Mapping
 from concurrent.futures import Executor, Future
 from dataclasses import replace
 
 import numpy as np
 
-from tumble.bench.follow.live import Followed
 from tumble.bench.follow.rests import Progress
-from tumble.bench.follow.wishes import DIRECTIONS, Task, gains, reached
-from tumble.bench.state import EstimateShown
+from tumble.bench.follow.wishes import Task
+from tumble.bench.state import EstimateShown, GroupShown
 from tumble.inference.estimate import FIT_SIGMAS, Estimate
 from tumble.inference.joint import joint
 from tumble.recording.session import Exclusion, Session
@@ -24,10 +24,15 @@ from tumble.reduction.rests.blemishes import without_blemishes
 from tumble.reduction.rests.exclusion import without_rests
 from tumble.reduction.rests.matching import Match
 from tumble.reduction.rests.segmentation import RestSpan
-from tumble.sensors.parameters import usual_sizes
-from tumble.units import G_STANDARD
+from tumble.sensors.model import Block
+from tumble.sensors.parameters import group_name, positions_by_group, shown_in, usual_sizes
+from tumble.units import G_STANDARD, Array
 
 log = logging.getLogger(__name__)
+
+DIRECTIONS = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], dtype=float) - 1.0
+DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
+"""The 26 faces, edges and corners of a cube, from its middle."""
 
 _NO_ESTIMATE: EstimateShown = {
     "rests": 0, "groups": [], "enough": False, "residuals": [], "gains": None, "cause": "", "next": "", "unknowns": 0,
@@ -47,7 +52,6 @@ class Estimates:
 
     @property
     def under_way(self) -> bool:
-        """Whether one is being made."""
         return self._future is not None
 
     def take(self) -> None:
@@ -63,18 +67,18 @@ class Estimates:
         cause = f"the estimate has failed ({type(error).__name__}: {error}); the recording goes on"
         self.shown = {**_NO_ESTIMATE, "rests": len(self._made_of[0]), "cause": " ".join(cause.split())}
 
-    def ask(self, now: Followed, progress: Progress, excluded: tuple[Exclusion, ...]) -> None:
+    def ask(self, progress: Progress, excluded: tuple[Exclusion, ...]) -> None:
         """Have one made when there is another rest to make it from."""
         if self._future is not None:
             return
-        spans, current = now.spans, progress.current
+        spans, current = progress.spans, progress.current
         if current is not None and spans and spans[-1].last > current.first and not progress.judged[-1].enough:
             spans = spans[:-1]
         made_of = tuple(span.first for span in spans), len(excluded)
         if made_of == self._made_of or len(spans) < 2:
             return
         self._made_of = made_of
-        self._future = self._worker.submit(_shown, self._task, now.reduction, spans, excluded)
+        self._future = self._worker.submit(_shown, self._task, progress.reduction, spans, excluded)
 
 
 def estimate_so_far(
@@ -86,24 +90,26 @@ def estimate_so_far(
     if len(match.rests) < 2:
         return None
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        found = observe(without_blemishes(reduction), match, session.accel_block, session.gyro_block, session.site)
+        seen = observe(without_blemishes(reduction), match, session.accel_block, session.gyro_block, session.site)
         for usual in (usual_sizes(grade, session.device.prior), {}):  # few rests bear the linear model alone
             with contextlib.suppress(np.linalg.LinAlgError):
-                return joint(replace(found, usual=usual), quick=True)
+                return joint(replace(seen, usual=usual), quick=True)
     return None
+
+
+# -------------------- what the page shows of it --------------------
 
 
 def _shown(
     task: Task, reduction: Reduction, spans: tuple[RestSpan, ...], excluded: tuple[Exclusion, ...]
 ) -> EstimateShown:
-    """What the page shows of the estimate from these rests."""
     began = time.thread_time()
     session, wanted = task.session, task.wanted
     estimate = estimate_so_far(session, task.grade, reduction, spans, excluded)
     if estimate is None:
         return {**_NO_ESTIMATE, "rests": len(spans)}
-    groups = reached(estimate, wanted.group)
-    remaining = gains(estimate, wanted.group, session.accel_block, wanted.accel, session.site.gravity)
+    groups = _reached(estimate, wanted.group)
+    remaining = _gains(estimate, wanted.group, session.accel_block, wanted.accel, session.site.gravity)
     best = int(np.argmin(remaining))
     upwards = [f"{name} {'up' if v > 0 else 'down'}" for name, v in zip("XYZ", DIRECTIONS[best], strict=True) if v]
     return {
@@ -121,6 +127,45 @@ def _shown(
         "unknowns": len(estimate.names),
         "seconds": time.thread_time() - began,
     }
+
+
+def _reached(estimate: Estimate, wanted: Mapping[str, float]) -> list[GroupShown]:
+    """What of the wishes is reached, by group in the order of the parameters, other groups passed over: the largest u
+    in the unit in which `tumble calibrate` shows it, and whether the data tell all of the group."""
+    groups: list[GroupShown] = []
+    for group, rows in positions_by_group(estimate.names).items():
+        if group not in wanted:
+            continue
+        u, determined = float(estimate.u[rows].max()), bool(estimate.observable[rows].all())
+        rms = float(np.sqrt(np.mean(estimate.values[rows] ** 2)))
+        size, unit = shown_in(group, estimate.units[rows[0]], rms)
+        groups.append(
+            {
+                "group": group,
+                "unit": unit,
+                "u": u / size,
+                "wanted": wanted[group] / size,
+                "determined": determined,
+                "enough": determined and u <= wanted[group],
+            }
+        )
+    return groups
+
+
+def _gains(estimate: Estimate, wanted: Mapping[str, float], block: Block, rest_u: float, gravity: float) -> Array:
+    """What a further rest with the vertical along each of DIRECTIONS (26,) leaves of the accelerometers' u over the
+    wanted ones (root mean square), from what is measured so far: its reading has the length of gravity, which is one
+    row of the covariance of the estimate, without what its turn would tell of the gyros."""
+    rows = [estimate.names.index(name) for name in block.names]
+    C = estimate.covariance[np.ix_(rows, rows)]
+    weight = np.array([wanted.get(group_name(name), np.inf) for name in block.names])
+    before = float(np.sqrt((np.diag(C) / weight**2).sum()))
+    J = np.einsum("pn,nkm->pkm", np.linalg.pinv(block.axes), block.jacobian(np.zeros(len(rows))))
+    force = np.column_stack([gravity * DIRECTIONS, np.ones(len(DIRECTIONS))])
+    h = np.einsum("qp,pkm,qk->qm", DIRECTIONS, J, force)
+    Ch = h @ C
+    variance = np.diag(C) - Ch**2 / (rest_u**2 + np.einsum("qm,qm->q", h, Ch))[:, None]
+    return np.asarray(np.sqrt((np.maximum(variance, 0.0) / weight**2).sum(axis=1)) / before)
 
 
 def _cause(estimate: Estimate, spans: tuple[RestSpan, ...]) -> str:

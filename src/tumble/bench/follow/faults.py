@@ -6,17 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.bench.follow.rests import (
-    CALM_BLOCKS,
-    Blocks,
-    Progress,
-    Rest,
-    nearest_positions,
-    turned_between,
-    verticals,
-)
+from tumble.bench.follow.rests import CALM_BLOCKS, Progress, nearest_positions, verticals
 from tumble.bench.follow.wishes import Task
-from tumble.programme.positions import Move, Position, Programme
+from tumble.programme.positions import Programme
 from tumble.programme.sheet_words import move_text
 from tumble.reduction.rests.matching import POSITION_LIMIT, TURN_LIMIT
 from tumble.units import DEGREE, G_STANDARD, Array
@@ -37,15 +29,14 @@ PUT_DOWN_SIGMAS = 10.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Fault:
-    """What is wrong, from `start` on, s: its kind, and a sentence. `kept` says whether a first part is good; `place`
-    which position it is about, from 0, None where that in which the unit is."""
+    """What is wrong, from `start` on, s: its kind, a sentence, and the commands that answer it; `place` is the position
+    it is about, from 0, None where that in which the unit is."""
 
     kind: str
     said: str
     start: float
     stop: float
     place: int | None = None
-    kept: bool = False
     choices: tuple[str, ...] = ("again", "go_on")
 
     @property
@@ -74,12 +65,6 @@ class Watch:
         """What is wrong with the next samples (m, n) in SI; of each column a fault once in ten seconds."""
         if not len(time):
             return []
-        seen: list[tuple[str, int, float, float]] = []
-        if self._full_scale is not None:
-            over = np.abs(values) >= FULL * self._full_scale
-            for column in np.flatnonzero(over.any(axis=0)):
-                first, last = time[over[:, column]][[0, -1]].tolist()
-                seen.append(("clipped", int(column), first, last))
         before = values[:1] * np.nan if self._last is None else self._last[None]
         equal = values == np.concatenate([before, values[:-1]])
         self._last = values[-1].copy()
@@ -91,19 +76,24 @@ class Watch:
                 self._run[p], self._since[p] = len(time) - 1 - changes[-1], time[changes[-1]]
             else:
                 self._run[p] += len(time)
+        seen: list[Fault] = []
+        for p, column in enumerate(self._columns):
+            clipped = time[np.abs(values[:, p]) >= FULL * (np.inf if self._full_scale is None else self._full_scale)]
+            if len(clipped):
+                seen += self._named_anew("clipped", column, float(clipped[0]), float(clipped[-1]), "turn more slowly")
             coarse = 2 * (self._repeats[p] - self._run[p]) > self._count
             if self._run[p] >= self._least and not coarse and self._run.min() < 0.5 * self._least:
-                seen.append(("stuck", p, float(self._since[p]), float(time[-1])))
-        return [fault for each in seen if (fault := self._new(*each)) is not None]
+                remedy = "look at the sensor and its cable"
+                seen += self._named_anew("stuck", column, float(self._since[p]), float(time[-1]), remedy)
+        return seen
 
-    def _new(self, kind: str, p: int, start: float, stop: float) -> Fault | None:
-        column = self._columns[p]
+    def _named_anew(self, kind: str, column: str, start: float, stop: float, remedy: str) -> list[Fault]:
+        """The fault of a column; none where it was named a short time before."""
         if start < self._named.get((kind, column), -np.inf) + _AGAIN_SECONDS:
-            return None
+            return []
         self._named[kind, column] = start
-        more = "turn more slowly" if kind == "clipped" else "look at the sensor and its cable"
-        said = f"{column} is {kind} at {start:.1f} s: {more}, and record anew; such a log cannot be calibrated"
-        return Fault(kind=kind, said=said, start=start, stop=stop, choices=("anew", "go_on"))
+        said = f"{column} is {kind} at {start:.1f} s: {remedy}, and record anew; such a log cannot be calibrated"
+        return [Fault(kind=kind, said=said, start=start, stop=stop, choices=("anew", "go_on"))]
 
 
 def gap_fault(start: float, stop: float, missing: int) -> Fault:
@@ -119,13 +109,17 @@ def faults_of_rests(task: Task, progress: Progress) -> list[Fault]:
     """What is wrong with the rests and the turns between them: knocks, positions, and what is not steady."""
     if not progress.groups:
         return []
-    blocks, groups, current, wanted = progress.blocks, progress.groups, progress.current, task.wanted
-    faults = [
-        _knocked(progress),
-        *_misplaced(task, progress),
-        None if current is None else _put_down(blocks, current, len(groups), wanted.accel),
-        _warmed(blocks, groups[0][0], wanted.warming),
-    ]
+    faults = [_knocked(progress)]
+    if task.programme is not None and task.programme.ordered:
+        faults.append(_off_course(task, task.programme, progress))
+    elif task.programme is not None:
+        rests = [group[-1] for group in progress.groups]
+        units = verticals(rests, task.programme, task.session.site.gravity)
+        said = f"this is no position of {task.programme.name}"
+        for rest, k in zip(rests, nearest_positions(task.programme, units), strict=True):
+            if k is None:
+                faults.append(Fault(kind="wrong position", said=said, start=rest.start, stop=rest.stop))
+    faults += [_put_down(progress, task.wanted.accel), _warmed(progress, task.wanted.warming)]
     return [fault for fault in faults if fault is not None]
 
 
@@ -139,104 +133,73 @@ def _knocked(progress: Progress) -> Fault | None:
         return None
     said = f"knock at {before.stop:.1f} s, {before.stop - before.start:.0f} s into this rest"
     choices = ("again", "keep_first", "go_on")
-    return Fault(kind="knock", said=said, start=before.start, stop=before.stop, kept=True, choices=choices)
+    return Fault(kind="knock", said=said, start=before.start, stop=before.stop, choices=choices)
 
 
-def _misplaced(task: Task, progress: Progress) -> list[Fault | None]:
-    """Rests in other positions than those of the programme, and turns that are not its turns."""
-    programme, blocks, groups = task.programme, progress.blocks, progress.groups
-    if programme is None:
-        return []
-    last = [group[-1] for group in groups]
-    units = verticals(last, programme, task.session.site.gravity)
-    if not programme.ordered:
-        said = f"this is no position of {programme.name}"
-        return [
-            Fault(kind="wrong position", said=said, start=rest.start, stop=rest.stop)
-            for rest, k in zip(last, nearest_positions(programme, units), strict=True)
-            if k is None
-        ]
-    for k, (unit, rest) in enumerate(zip(units, last, strict=True)):
-        if k >= len(programme.positions):
+def _off_course(task: Task, programme: Programme, progress: Progress) -> Fault | None:
+    """The first rest that is not the next position of a programme in order, by its vertical, or that was reached by
+    another turn than the programme's, by the gyros; else the turn under way where it goes against its sense."""
+    blocks, groups = progress.blocks, progress.groups
+    rests = [group[-1] for group in groups]
+    expected = np.array([position.vertical_b for position in programme.positions])
+    for k, vertical in enumerate(verticals(rests, programme, task.session.site.gravity)):
+        if k >= len(expected):
             said = f"one position more than the programme's {k}"
-            return [Fault(kind="surplus", said=said, start=rest.start, stop=rest.stop)]
-        fault = _wrong_position(programme, k, unit, rest)
-        if fault is None and k:
-            turned = turned_between(blocks, last[k - 1].last, groups[k][0].first, last[k - 1].rate)
-            fault = _wrong_turn(programme, k, turned, groups[k][0].start, rest.stop)
-        if fault is not None:
-            return [fault]
-    return [_going_wrong(programme, progress)]
-
-
-def _wrong_position(programme: Programme, k: int, vertical: Array, rest: Rest) -> Fault | None:
-    """Whether a rest is another than position k of a programme in order, by its vertical."""
-    off = np.array([np.arccos(np.clip(vertical @ p.vertical_b, -1.0, 1.0)) for p in programme.positions])
-    if off[k] <= POSITION_LIMIT:
+            return Fault(kind="surplus", said=said, start=rests[k].start, stop=rests[k].stop)
+        off = np.arccos(np.clip(expected @ vertical, -1.0, 1.0))
+        nearest = int(np.argmin(off))
+        if off[k] > POSITION_LIMIT:
+            like = f"this is {nearest + 1}" if off[nearest] <= POSITION_LIMIT else "this is none of the programme"
+            wanted = f"wanted {k + 1} ({programme.positions[k].label})"
+            said = f"wrong position: {like}, {wanted}; it is {off[k] / DEGREE:.0f}° off"
+            return Fault(kind="wrong position", said=said, start=rests[k].start, stop=rests[k].stop, place=k)
+        turn, increments = task.turn_b(k), None
+        if turn is not None:
+            increments = blocks.turned(rests[k - 1].last, groups[k][0].first, rests[k - 1].rate)
+        if turn is None or increments is None:
+            continue
+        (axis_b, angle), turned = turn, increments.sum(axis=0)
+        if np.linalg.norm(turned - angle * axis_b) <= TURN_LIMIT:
+            continue
+        done = float(turned @ axis_b)
+        across = float(np.linalg.norm(turned - done * axis_b)) / DEGREE
+        kind = "wrong turn"
+        said = (
+            f"another turn than the programme's: {_degrees(done)} about its axis and {across:.0f}° across it, wanted "
+        )
+        said += _degrees(angle)
+        if np.linalg.norm(turned + angle * axis_b) <= TURN_LIMIT:
+            kind = "wrong way"
+            said = f"turned the wrong way: {_degrees(done)} instead of {_degrees(angle)}; turn back the way you came"
+        return Fault(kind=kind, said=said, start=groups[k][0].start, stop=rests[k].stop, place=k)
+    turn, turned = task.turn_b(len(groups)), progress.turned
+    if progress.lasts or turn is None or turned is None or -float(turned @ turn[0]) * np.sign(turn[1]) < WRONG_WAY:
         return None
-    nearest = int(np.argmin(off))
-    like = f"this is {nearest + 1}" if off[nearest] <= POSITION_LIMIT else "this is none of the programme"
-    said = f"wrong position: {like}, wanted {k + 1} ({programme.positions[k].label}); it is {off[k] / DEGREE:.0f}° off"
-    return Fault(kind="wrong position", said=said, start=rest.start, stop=rest.stop, place=k)
+    said = f"this is the wrong way: wanted {move_text(task.move(len(groups)))}; turn back"
+    return Fault(kind="turning wrong", said=said, start=rests[-1].stop, stop=rests[-1].stop, choices=("go_on",))
 
 
-def _turn_vector(programme: Programme, k: int) -> tuple[Array, float] | None:
-    """Axis (3,), in the body before it, and angle, rad, of the turn into position k; None where any is as good."""
-    move: Move = programme.moves[k - 1]
-    before: Position = programme.positions[k - 1]
-    return None if move.axis is None or move.angle is None else (before.matrix.T @ move.axis, move.angle)
-
-
-def _wrong_turn(programme: Programme, k: int, turned: Array | None, start: float, stop: float) -> Fault | None:
-    """Whether a whole turn is another than that of the programme into position k, by the gyros."""
-    wanted = _turn_vector(programme, k)
-    if wanted is None or turned is None:
+def _put_down(progress: Progress, wanted: float) -> Fault | None:
+    """Whether the rest that lasts began while the unit still moved slowly: its first blocks differ from its last ones
+    by more than their scatter allows, and by enough to move its mean by more than the `wanted` u, m/s²."""
+    rest = progress.current
+    if rest is None or rest.last - rest.first < 2 * PUT_DOWN_BLOCKS:
         return None
-    axis_b, angle = wanted
-    if float(np.linalg.norm(turned - angle * axis_b)) <= TURN_LIMIT:
-        return None
-    done = float(turned @ axis_b)
-    if np.linalg.norm(turned + angle * axis_b) <= TURN_LIMIT:
-        said = f"turned the wrong way: {_degrees(done)} instead of {_degrees(angle)}; turn back the way you came"
-        return Fault(kind="wrong way", said=said, start=start, stop=stop, place=k)
-    across = float(np.linalg.norm(turned - done * axis_b)) / DEGREE
-    said = f"another turn than the programme's: {_degrees(done)} about its axis and {across:.0f}° across it"
-    return Fault(kind="wrong turn", said=f"{said}, wanted {_degrees(angle)}", start=start, stop=stop, place=k)
-
-
-def _going_wrong(programme: Programme, progress: Progress) -> Fault | None:
-    """A turn under way that goes against its sense."""
-    k, last = len(progress.groups), progress.groups[-1][-1]
-    if progress.lasts or k >= len(programme.positions):
-        return None
-    turned = turned_between(progress.blocks, last.last, len(progress.blocks), last.rate)
-    wanted = _turn_vector(programme, k)
-    if turned is None or wanted is None or -float(turned @ wanted[0]) * np.sign(wanted[1]) < WRONG_WAY:
-        return None
-    said = f"this is the wrong way: wanted {move_text(programme.moves[k - 1])}; turn back"
-    return Fault(kind="turning wrong", said=said, start=last.stop, stop=last.stop, choices=("go_on",))
-
-
-def _put_down(blocks: Blocks, rest: Rest, number: int, wanted: float) -> Fault | None:
-    """Whether a rest began while the unit still moved slowly: its first blocks differ from its last ones by more than
-    their scatter allows, and by enough to move its mean by more than the `wanted` u, m/s²."""
-    n, force = rest.last - rest.first, blocks.force[rest.first : rest.last]
-    if n < 2 * PUT_DOWN_BLOCKS:
-        return None
+    force = progress.blocks.force[rest.first : rest.last]
     apart = np.abs(force[:PUT_DOWN_BLOCKS].mean(axis=0) - force[-PUT_DOWN_BLOCKS:].mean(axis=0))
     scatter = np.sqrt(0.5 * (np.diff(force[PUT_DOWN_BLOCKS // 2 :], axis=0) ** 2).mean(axis=0))
     seen = apart > PUT_DOWN_SIGMAS * scatter * np.sqrt(2.0 / PUT_DOWN_BLOCKS)
-    effect = float(np.max(apart * seen)) * PUT_DOWN_BLOCKS / n
-    if effect <= wanted:
+    if float(np.max(apart * seen)) * PUT_DOWN_BLOCKS / len(force) <= wanted:
         return None
     off = float(np.max(apart)) / G_STANDARD * 1e3
-    said = f"rest {number} was put down with movement: it began {off:.2g} mg from where it is now"
+    said = f"rest {len(progress.groups)} was put down with movement: it began {off:.2g} mg from where it is now"
     return Fault(kind="movement", said=said, start=rest.start, stop=rest.stop)
 
 
-def _warmed(blocks: Blocks, first: Rest, limit: float) -> Fault | None:
+def _warmed(progress: Progress, limit: float) -> Fault | None:
     """Whether the temperature has changed since the first rest by more than the `limit`, K; named again each time that
     it has changed by as much more."""
+    blocks, first = progress.blocks, progress.groups[0][0]
     if blocks.temperature is None:
         return None
     change = blocks.temperature - float(blocks.temperature[first.first : first.last].mean())
@@ -247,9 +210,8 @@ def _warmed(blocks: Blocks, first: Rest, limit: float) -> Fault | None:
     since = float(blocks.edges[int(np.argmax(np.abs(change) >= steps * limit))])
     warmer = f"{abs(now):.2g} K {'warmer' if now > 0.0 else 'colder'} than at the first rest"
     said = f"drift of temperature: {warmer}; wait until it is steady, or go on: the change is then one more unknown"
-    return Fault(kind="temperature", said=said, start=since, stop=float(blocks.edges[-1]), choices=("go_on",))
+    return Fault(kind="temperature", said=said, start=since, stop=progress.now, choices=("go_on",))
 
 
 def _degrees(angle: float) -> str:
-    """An angle to a degree, with its sign."""
     return f"{angle / DEGREE:+.0f}°".replace("-", "−")

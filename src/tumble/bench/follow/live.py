@@ -4,22 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from tumble.bench.follow.faults import Fault, Watch, gap_fault
-from tumble.bench.follow.rests import (
-    Blocks,
-    Judged,
-    Progress,
-    Rest,
-    StillLimits,
-    calm_since,
-    grouped,
-    judged,
-    rest_of,
-)
+from tumble.bench.follow.rests import Blocks, Judged, Progress, Rest, StillLimits, calm_since, grouped
 from tumble.bench.follow.samples import BRIDGED, Clock, Follower, SoundSamples
 from tumble.bench.follow.wishes import Task
 from tumble.recording.log import HEAD_ROWS, Chunk
@@ -28,7 +18,7 @@ from tumble.recording.session import Exclusion
 from tumble.reduction.blocks.reducer import Reducer, Reduction
 from tumble.reduction.rests.blemishes import without_blemishes
 from tumble.reduction.rests.exclusion import without_times
-from tumble.reduction.rests.segmentation import RestSpan, Segmentation, find_rests
+from tumble.reduction.rests.segmentation import RestSpan, find_rests
 from tumble.units import ZERO_CELSIUS, Array
 
 _PIECES = 32
@@ -42,33 +32,19 @@ _MOST_FAULTS = 64
 """Faults of samples that are kept: nobody answers more, and a source that stutters for hours has one a second."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Followed:
-    """What the log says so far: its blocks; the rests that were found in them last, and the limits of a calm block,
-    None while there is too little to find rests in; and the block from which on nothing moves, None where something
-    does now."""
-
-    reduction: Reduction
-    blocks: Blocks
-    spans: tuple[RestSpan, ...] = ()
-    limits: StillLimits | None = None
-    calm_from: int | None = None
-
-
 class Live:
     """Follows the log of a task through the chain of a calibration. `now` is what it says, None while there are no
     blocks; `faults` are those seen in its samples, of which `samples` were read and `lost` are missing."""
 
     def __init__(self, task: Task) -> None:
         self._task = task
-        self._closed: dict[tuple[int, int], Rest] = {}
+        self._ended: dict[tuple[int, int], Rest] = {}
         self._judged: dict[int, tuple[int, Judged]] = {}
         self._enough: list[tuple[int, int]] = []
         self._begin(Clock(spec=task.session.log))
 
     def _begin(self, clock: Clock) -> None:
-        """Follow the log from its beginning."""
-        self.now: Followed | None = None
+        self.now: Progress | None = None
         self.faults: deque[Fault] = deque(maxlen=_MOST_FAULTS)
         self.samples = self.lost = 0
         self._follower = Follower(self._task.session.log)
@@ -81,15 +57,12 @@ class Live:
 
     @property
     def at(self) -> int:
-        """Bytes of the log that are read."""
         return self._follower.at
 
     @property
     def interval(self) -> float | None:
         """Time from sample to sample, s; None while too few have come to know it."""
         return self._clock.interval
-
-    # -------------------- from the log to rests --------------------
 
     def read(self, excluded: tuple[Exclusion, ...]) -> None:
         """Read what has come, without the times that are left out. Once there are as many rows as the calibration takes
@@ -107,7 +80,7 @@ class Live:
         if self._reducer is not None:
             reduction = replace(self._reducer.now(), gaps=tuple(self._gaps))
             if reduction.files:
-                self.now = self._followed(reduction, excluded)
+                self.now = self._progress(reduction, excluded)
 
     def _take(self, samples: SoundSamples, interval: float) -> None:
         """Look at samples in SI, and feed them to the reduction."""
@@ -121,20 +94,19 @@ class Live:
                 increments=(log.increments["accel"], log.increments.get("gyro", False)),
             )
             self._watches = [Watch(channels.columns, channels.range, interval) for channels in kinds]
-        readings: list[Array | None] = []
+        readings: list[Array] = []
         first = 0
         for watch, channels in zip(self._watches, kinds, strict=True):
             last = first + len(channels.columns)
-            values = channels.to_si(samples.values[:, first:last], samples.dt)
-            self.faults += watch.look(time, values)
-            readings.append(values)
+            readings.append(channels.to_si(samples.values[:, first:last], samples.dt))
+            self.faults += watch.look(time, readings[-1])
             first = last
-        accel, gyro = (*readings, None)[:2]
         temperature = None
         if log.temperature is not None:
             warmth = samples.values[:, -len(log.temperature.columns) :]
             temperature = log.temperature.to_celsius(warmth) + ZERO_CELSIUS
-        if len(time) and accel is not None:
+        if len(time):
+            accel, gyro = readings[0], readings[1] if len(readings) > 1 else None
             chunk = Chunk(file=0, time=time, dt=samples.dt, accel=accel, gyro=gyro, temperature=temperature)
             self._reducer.feed(chunk)
         self.samples += len(time)
@@ -147,92 +119,74 @@ class Live:
                 Gap(file=0, row=0, time=start, samples=lost, what="missing samples", stop=stop, integrable=False)
             )
 
-    def _followed(self, reduction: Reduction, excluded: tuple[Exclusion, ...]) -> Followed:
+    def _progress(self, reduction: Reduction, excluded: tuple[Exclusion, ...]) -> Progress:
         """What the log says now. Rests are looked for in the whole of it, as the calibration looks for them, whenever
         others may be found: when movement begins or ends, a rest becomes long enough, something is left out, the log
         has grown by a hundredth, or has ended."""
-        now = Followed(reduction=reduction, blocks=Blocks.of(reduction, self._task.session))
-        before, length = self.now, len(now.blocks)
-        if before is not None:
-            calm_from = None
-            if before.limits is not None:
-                known = () if before.calm_from is None else (before.calm_from, len(before.blocks))
-                calm_from = calm_since(now.blocks, before.limits, *known)
-            now = replace(now, spans=before.spans, limits=before.limits, calm_from=calm_from)
-        longer = length - self._searched_blocks
-        ended = before is not None and length == len(before.blocks) and longer > 0
-        if self._seen(now, excluded) == self._searched and not ended and longer <= _GROWN * length:
-            return now
-        if length < _LEAST_BLOCKS:
-            return now
-        sound = without_blemishes(reduction)
-        found = find_rests(sound, self._task.session.accel_block, self._task.session.gyro_block)
-        found = without_times(sound, found, excluded)
-        limits = _limits_of(found, now.blocks)
-        now = replace(now, spans=found.rests, limits=limits, calm_from=calm_since(now.blocks, limits))
-        self._searched, self._searched_blocks = self._seen(now, excluded), length
-        return now
-
-    def _seen(self, now: Followed, excluded: tuple[Exclusion, ...]) -> tuple[object, ...]:
-        """What other rests may be found with: since when nothing moves, whether that is long enough, and what is left
-        out."""
-        current = _lasting(now, excluded)
-        return now.calm_from, current is not None and self._judge(now.reduction, current).enough, excluded
-
-    # -------------------- from rests to progress --------------------
-
-    def progress(self, excluded: tuple[Exclusion, ...]) -> Progress | None:
-        """How far the operator is; None while there is too little to see rests in."""
-        now = self.now
-        if now is None or now.limits is None:
-            return None
-        calm_from, current = now.calm_from, _lasting(now, excluded)
-        ended = [(span.first, span.last) for span in now.spans if calm_from is None or span.last <= calm_from]
-        self._closed = {each: self._closed.get(each) or rest_of(now.blocks, *each) for each in ended}
-        rests = [*self._closed.values(), *([] if current is None else [current])]
-        groups = grouped(now.blocks, rests)
+        session, before = self._task.session, self.now
+        blocks = Blocks.of(reduction, session)
+        spans: tuple[RestSpan, ...] = ()
+        limits: StillLimits | None = None
+        calm_from: int | None = None
+        if before is not None and before.limits is not None:
+            spans, limits = before.spans, before.limits
+            known = () if before.calm_from is None else (before.calm_from, len(before.blocks))
+            calm_from = calm_since(blocks, limits, *known)
+        current = _lasting(blocks, calm_from, excluded)
+        seen = calm_from, current is not None and self._judge(reduction, current).enough, excluded
+        longer = len(blocks) - self._searched_blocks
+        has_ended = before is not None and len(blocks) == len(before.blocks) and longer > 0
+        due = seen != self._searched or has_ended or longer > _GROWN * len(blocks)
+        if due and len(blocks) >= _LEAST_BLOCKS:
+            sound = without_blemishes(reduction)
+            segmentation = find_rests(sound, session.accel_block, session.gyro_block)
+            segmentation = without_times(sound, segmentation, excluded)
+            spans, level = segmentation.rests, None
+            if blocks.rate is not None and spans:
+                level = blocks.rate[max(spans[-1].first, spans[-1].last - _LEVEL_BLOCKS) : spans[-1].last].mean(axis=0)
+            limits = StillLimits(scatter=segmentation.scatter_limit, rate=segmentation.rate_limit, level=level)
+            calm_from = calm_since(blocks, limits)
+            current = _lasting(blocks, calm_from, excluded)
+            seen = calm_from, current is not None and self._judge(reduction, current).enough, excluded
+            self._searched, self._searched_blocks = seen, len(blocks)
+        ended = [(span.first, span.last) for span in spans if calm_from is None or span.last <= calm_from]
+        self._ended = {each: self._ended.get(each) or Rest.of(blocks, *each) for each in ended}
+        groups = grouped(blocks, [*self._ended.values(), *([] if current is None else [current])])
         return Progress(
-            blocks=now.blocks,
-            limits=now.limits,
+            reduction=reduction,
+            blocks=blocks,
+            spans=spans,
+            limits=limits,
             calm_from=calm_from,
             groups=groups,
             lasts=current is not None,
-            judged=tuple(self._judge(now.reduction, rest) for rest in (groups[-1][-2:] if groups else ())),
+            judged=tuple(self._judge(reduction, rest) for rest in (groups[-1][-2:] if groups else ())),
         )
 
     def _judge(self, reduction: Reduction, rest: Rest) -> Judged:
         """How good a rest is; of one that lasts, anew every half second, later as it grows by a hundredth. What was
         enough stays so: u is known to some percent and crosses the wanted one more than once, and the rest that is
         found in the end is shorter by its margins."""
-        last, found = self._judged.get(rest.first, (0, None))
-        if found is None or not 0 <= rest.last - last < max(5.0, _GROWN * (rest.last - rest.first)):
-            found = judged(reduction, rest, self._task.wanted)
-            if found.enough:
+        last, judged = self._judged.get(rest.first, (0, None))
+        if judged is None or not 0 <= rest.last - last < max(5.0, _GROWN * (rest.last - rest.first)):
+            judged = Judged.of(reduction, rest, self._task.wanted)
+            if judged.enough:
                 self._enough.append((rest.first, rest.last))
             elif any(first < rest.last and rest.first < last for first, last in self._enough):
-                found = replace(found, enough=True)
-            self._judged[rest.first] = rest.last, found
-        return found
+                judged = replace(judged, enough=True)
+            self._judged[rest.first] = rest.last, judged
+        return judged
 
 
-def _limits_of(found: Segmentation, blocks: Blocks) -> StillLimits:
-    """The limits of a calm block, with the rate at the end of the last rest."""
-    level = None
-    if blocks.rate is not None and found.rests:
-        first, last = found.rests[-1].first, found.rests[-1].last
-        level = blocks.rate[max(first, last - _LEVEL_BLOCKS) : last].mean(axis=0)
-    return StillLimits(scatter=found.scatter_limit, rate=found.rate_limit, level=level)
-
-
-def _lasting(now: Followed, excluded: tuple[Exclusion, ...]) -> Rest | None:
+def _lasting(blocks: Blocks, calm_from: int | None, excluded: tuple[Exclusion, ...]) -> Rest | None:
     """The rest that lasts, after what is left out of it; None where something moves, or nothing is left."""
-    blocks, first = now.blocks, now.calm_from
-    if first is None:
+    if calm_from is None:
         return None
+    first = calm_from
     for one in excluded:
         if one.start is not None and one.stop is not None and one.stop > blocks.edges[first]:
             if math.isinf(one.stop) and one.start <= blocks.edges[-1]:
                 return None
             if one.start < blocks.edges[-1]:
                 first = max(first, int(np.searchsorted(blocks.edges, one.stop - 1e-9)))
-    return rest_of(blocks, first, len(blocks)) if len(blocks) - first >= 3 else None
+    return Rest.of(blocks, first, len(blocks)) if len(blocks) - first >= 3 else None

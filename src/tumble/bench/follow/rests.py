@@ -18,6 +18,7 @@ from tumble.recording.session import Session
 from tumble.reduction.blocks.reducer import Reduction
 from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.reduction.rests.matching import POSITION_LIMIT, SAME_ATTITUDE
+from tumble.reduction.rests.segmentation import RestSpan
 from tumble.rotation import onto_body, rotation_matrix, rotation_vector, unit_vector
 from tumble.units import Array, BoolArray
 
@@ -58,22 +59,17 @@ class Blocks:
             temperature=None if file.temperature is None else file.temperature.mean(axis=1),
         )
 
-    def turns(self, first: int, last: int, level: Array) -> Array:
-        """The rotation (3, 3) over blocks first … last − 1, body at its end → body at its start, by the gyros less
-        what they read at rest."""
-        assert self.rate is not None
-        seconds = np.diff(self.edges[first : last + 1])[:, None]
-        return np.asarray(reduce(np.matmul, rotation_matrix((self.rate[first:last] - level) * seconds), np.eye(3)))
+    def turned(self, first: int, last: int, level: Array | None) -> Array | None:
+        """The gyro increments (K, 3) of blocks first … last − 1, rad, less what the gyros read at rest, the `level`;
+        None without gyros."""
+        if self.rate is None or level is None:
+            return None
+        return np.asarray((self.rate[first:last] - level) * np.diff(self.edges[first : last + 1])[:, None])
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class StillLimits:
-    """What decides whether a block is calm: scatter of the specific force, m/s², and distance of the rate from its
-    `level` (3,) at rest, rad/s; the level is None while no rest is known."""
-
-    scatter: float
-    rate: float | None
-    level: Array | None
+def attitude_after(increments: Array) -> Array:
+    """The rotation (3, 3) over gyro increments (K, 3), body at its end → body at its start."""
+    return np.asarray(reduce(np.matmul, rotation_matrix(increments), np.eye(3)))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -86,6 +82,18 @@ class Rest:
     stop: float
     force: Array
     rate: Array | None
+
+    @staticmethod
+    def of(blocks: Blocks, first: int, last: int) -> Rest:
+        """The rest of blocks first … last − 1."""
+        return Rest(
+            first=first,
+            last=last,
+            start=float(blocks.edges[first]),
+            stop=float(blocks.edges[last]),
+            force=blocks.force[first:last].mean(axis=0),
+            rate=None if blocks.rate is None else blocks.rate[first:last].mean(axis=0),
+        )
 
     @property
     def vertical(self) -> Array:
@@ -105,14 +113,52 @@ class Judged:
     enough: bool = False
     nothing_more: bool = False
 
+    @staticmethod
+    def of(reduction: Reduction, rest: Rest, wanted: Wanted) -> Judged:
+        """u of the mean of a rest against the wanted ones, and what twice the time would leave of it."""
+        if rest.last - rest.first < 10:
+            return Judged()
+        file, seconds = reduction.files[-1], rest.stop - rest.start
+        accel, twice = _uncertain(file.accel.means[rest.first : rest.last])
+        over, gyro = accel / wanted.accel, None
+        if reduction.gyro_channels:
+            gyro, twice_gyro = _uncertain(file.gyro.means[rest.first : rest.last])
+            over, twice = max(over, gyro / wanted.gyro), max(twice, twice_gyro)
+        left = max(seconds * (over**2 - 1.0), SHORTEST_REST - seconds, 0.0)
+        flat = twice > NOTHING_MORE and seconds > 10.0
+        return Judged(accel=accel, gyro=gyro, left=left, enough=left <= 0.0 or flat, nothing_more=flat)
+
+
+def _uncertain(series: Array) -> tuple[float, float]:
+    """Standard uncertainty of the mean of block means (K, n), the largest of the channels', and what part of it twice
+    the time leaves."""
+    noise, count = fit_coloured_noise([series]), len(series)
+    now, twice = (np.sqrt(np.diag(noise.covariance_of_mean(k * count)).max()) for k in (1.0, 2.0))
+    u = max(float(now), 1e-12)
+    return u, float(twice) / u
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class StillLimits:
+    """What decides whether a block is calm: scatter of the specific force, m/s², and distance of the rate from its
+    `level` (3,) at rest, rad/s; the level is None while no rest is known."""
+
+    scatter: float
+    rate: float | None
+    level: Array | None
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Progress:
-    """How far the operator is: the rests by position, `groups`, the last of which `lasts` or has been left; the block
-    from which on nothing moves, None where something does; how good the last two rests of the last position are."""
+    """A session under way: what the log is reduced to; the rests that were found in it last, `spans`, and the limits
+    of a calm block, None while there is too little to find rests in; the block from which on nothing moves, None where
+    something does now; the rests by position, `groups`, the last of which `lasts` or has been left; and how good the
+    last two rests of the last position are."""
 
+    reduction: Reduction
     blocks: Blocks
-    limits: StillLimits
+    spans: tuple[RestSpan, ...]
+    limits: StillLimits | None
     calm_from: int | None
     groups: list[list[Rest]]
     lasts: bool
@@ -128,46 +174,12 @@ class Progress:
         """The rest that lasts, None while there is none."""
         return self.groups[-1][-1] if self.lasts else None
 
-
-def judged(reduction: Reduction, rest: Rest, wanted: Wanted) -> Judged:
-    """How good a rest is: u of its mean against the wanted ones, and what twice the time would leave of it."""
-    if rest.last - rest.first < 10:
-        return Judged()
-    file, seconds = reduction.files[-1], rest.stop - rest.start
-    accel, twice = _uncertain(file.accel.means[rest.first : rest.last])
-    over, gyro = accel / wanted.accel, None
-    if reduction.gyro_channels:
-        gyro, twice_gyro = _uncertain(file.gyro.means[rest.first : rest.last])
-        over, twice = max(over, gyro / wanted.gyro), max(twice, twice_gyro)
-    left = max(seconds * (over**2 - 1.0), SHORTEST_REST - seconds, 0.0)
-    flat = twice > NOTHING_MORE and seconds > 10.0
-    return Judged(accel=accel, gyro=gyro, left=left, enough=left <= 0.0 or flat, nothing_more=flat)
-
-
-def _uncertain(series: Array) -> tuple[float, float]:
-    """Standard uncertainty of the mean of block means (K, n), the largest of the channels', and what part of it twice
-    the time leaves."""
-    noise, count = fit_coloured_noise([series]), len(series)
-    now, twice = (np.sqrt(np.diag(noise.covariance_of_mean(k * count)).max()) for k in (1.0, 2.0))
-    u = max(float(now), 1e-12)
-    return u, float(twice) / u
-
-
-def rest_of(blocks: Blocks, first: int, last: int) -> Rest:
-    """The rest of blocks first … last − 1."""
-    return Rest(
-        first=first,
-        last=last,
-        start=float(blocks.edges[first]),
-        stop=float(blocks.edges[last]),
-        force=blocks.force[first:last].mean(axis=0),
-        rate=None if blocks.rate is None else blocks.rate[first:last].mean(axis=0),
-    )
-
-
-def scatter_now(blocks: Blocks) -> float:
-    """Scatter of the specific force, m/s², over the last second."""
-    return float(np.sqrt(blocks.force[-10:].var(axis=0).sum()))
+    @property
+    def turned(self) -> Array | None:
+        """Sum of the gyro increments (3,) since the last rest, rad; None without gyros."""
+        last = self.groups[-1][-1]
+        increments = self.blocks.turned(last.last, len(self.blocks), last.rate)
+        return None if increments is None else increments.sum(axis=0)
 
 
 def calm_since(blocks: Blocks, limits: StillLimits, calm_from: int = 0, calm_to: int = 0) -> int | None:
@@ -190,24 +202,12 @@ def _calm(blocks: Blocks, start: int, stop: int, limits: StillLimits) -> BoolArr
     """Whether each CALM_BLOCKS in a row of blocks start … stop − 1 are calm."""
     if stop - start < CALM_BLOCKS:
         return np.empty(0, dtype=bool)
-    calm = np.sqrt(_windows(blocks.force[start:stop]).var(axis=-1).sum(axis=-1)) <= limits.scatter
+    windows = np.lib.stride_tricks.sliding_window_view
+    calm = np.sqrt(windows(blocks.force[start:stop], CALM_BLOCKS, axis=0).var(axis=-1).sum(axis=-1)) <= limits.scatter
     if blocks.rate is None or limits.rate is None or limits.level is None:
         return np.asarray(calm)
-    wide = limits.rate + 2.0 * EARTH_RATE
-    off = _windows(blocks.rate[start:stop]).mean(axis=-1) - limits.level
-    return np.asarray(calm & (np.linalg.norm(off, axis=-1) < 1.5 * wide))
-
-
-def _windows(series: Array) -> Array:
-    return np.lib.stride_tricks.sliding_window_view(series, CALM_BLOCKS, axis=0)
-
-
-def turned_between(blocks: Blocks, first: int, last: int, level: Array | None) -> Array | None:
-    """Sum of the gyro increments (3,) over blocks first … last − 1, rad, less the rate at rest; None without gyros."""
-    if blocks.rate is None or level is None:
-        return None
-    seconds = np.diff(blocks.edges[first : last + 1])[:, None]
-    return np.asarray(((blocks.rate[first:last] - level) * seconds).sum(axis=0))
+    off = windows(blocks.rate[start:stop], CALM_BLOCKS, axis=0).mean(axis=-1) - limits.level
+    return np.asarray(calm & (np.linalg.norm(off, axis=-1) < 1.5 * (limits.rate + 2.0 * EARTH_RATE)))
 
 
 def grouped(blocks: Blocks, rests: list[Rest]) -> list[list[Rest]]:
@@ -224,10 +224,13 @@ def grouped(blocks: Blocks, rests: list[Rest]) -> list[list[Rest]]:
 def _still(blocks: Blocks, before: Rest, after: Rest) -> bool:
     if float(np.arccos(np.clip(before.vertical @ after.vertical, -1.0, 1.0))) >= SAME_ATTITUDE:
         return False
-    if blocks.rate is None or before.rate is None or after.rate is None:
+    if before.rate is None or after.rate is None:
         return True
-    back = blocks.turns(before.last, after.first, 0.5 * (before.rate + after.rate))
-    return float(np.linalg.norm(rotation_vector(back))) < SAME_ATTITUDE
+    increments = blocks.turned(before.last, after.first, 0.5 * (before.rate + after.rate))
+    return increments is None or float(np.linalg.norm(rotation_vector(attitude_after(increments)))) < SAME_ATTITUDE
+
+
+# -------------------- positions of a programme --------------------
 
 
 def verticals(rests: list[Rest], programme: Programme, gravity: float) -> Array:
@@ -238,31 +241,26 @@ def verticals(rests: list[Rest], programme: Programme, gravity: float) -> Array:
     return unit_vector(forces - bias if len(rests) > 2 and np.linalg.norm(bias) < BIAS_LIMIT * gravity else forces)
 
 
+def nearest_positions(programme: Programme, units: Array) -> list[int | None]:
+    """Which position of a programme in any order each vertical (N, 3) is; None where it is none."""
+    cosines = units @ np.array([position.vertical_b for position in programme.positions]).T
+    near = cosines.max(axis=1) >= np.cos(POSITION_LIMIT)
+    return [int(k) if is_near else None for k, is_near in zip(np.argmax(cosines, axis=1), near, strict=True)]
+
+
 def attitude_now(programme: Programme, progress: Progress, index: int, at: int) -> Array | None:
     """Body → geographic (3, 3) now, of a unit that is to be in position `index` of a programme, its `at`-th, from 0:
     from the position before by what the gyros read since. In any order, without gyros, or long after it, the attitude
     nearest to that position with the vertical as it is read; None where that is none."""
-    blocks, groups, wanted = progress.blocks, progress.groups, programme.positions[index].matrix
-    before = groups[at - 1][-1] if 0 < at <= len(groups) else None
-    known = programme.ordered and index and before is not None and progress.now - before.stop < KNOWN_SECONDS
-    if known and before is not None and before.rate is not None and blocks.rate is not None:
-        turned = blocks.turns(before.last, len(blocks), before.rate)
-        return np.asarray(programme.positions[index - 1].matrix @ turned)
+    blocks, groups, wanted = progress.blocks, progress.groups, programme.positions[index]
+    if programme.ordered and index and 0 < at <= len(groups):
+        before = groups[at - 1][-1]
+        increments = blocks.turned(before.last, len(blocks), before.rate)
+        if increments is not None and progress.now - before.stop < KNOWN_SECONDS:
+            return np.asarray(programme.positions[index - 1].matrix @ attitude_after(increments))
     vertical = unit_vector(blocks.force[-CALM_BLOCKS:].mean(axis=0))
-    across = np.cross(vertical, expected := programme.positions[index].vertical_b)
+    across, cosine = np.cross(vertical, wanted.vertical_b), float(vertical @ wanted.vertical_b)
     sine = float(np.linalg.norm(across))
-    if sine < OPPOSITE and vertical @ expected < 0.0:
+    if sine < OPPOSITE and cosine < 0.0:
         return None
-    angle = float(np.arctan2(sine, vertical @ expected))
-    return np.asarray(wanted @ rotation_matrix(angle * across / max(sine, OPPOSITE)))
-
-
-def nearest_positions(programme: Programme, units: Array) -> list[int | None]:
-    """Which position of a programme in any order each vertical (N, 3) is; None where it is none."""
-    expected = np.array([position.vertical_b for position in programme.positions])
-    cosines = units @ expected.T
-    nearest = np.argmax(cosines, axis=1)
-    return [
-        int(k) if cosine >= np.cos(POSITION_LIMIT) else None
-        for k, cosine in zip(nearest, cosines.max(axis=1), strict=True)
-    ]
+    return np.asarray(wanted.matrix @ rotation_matrix(np.arctan2(sine, cosine) * across / max(sine, OPPOSITE)))

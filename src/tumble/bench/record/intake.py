@@ -6,7 +6,6 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
 
 from tumble.bench.record.lines import Lines, numbers_in
 from tumble.bench.record.order import Order
@@ -19,6 +18,7 @@ log = logging.getLogger(__name__)
 
 READ_SECONDS = 0.05
 SILENT_SECONDS = 2.0
+NOTHING_RECEIVED: Received = {"refused": 0, "why": "", "late": 0, "repeated": 0, "ended": False, "trouble": []}
 
 
 class Intake:
@@ -46,23 +46,24 @@ class Intake:
             waited = [row for line in self.recorder.waiting() for row in self.lines.feed(line.encode() + b"\n")]
             self.recorder.append(self.order.feed(waited))
             self.recorder.hold(self.order.waiting)
-            skip_to = getattr(source, "skip_to", None)
-            if skip_to is not None and self.order.last is not None:
-                skip_to(self.order.last * spec.time_factor)
+            if self.order.last is not None:
+                source.skip_to(self.order.last * spec.time_factor)
         except BaseException:
             self.recorder.close()
             raise
 
     def start(self) -> None:
-        """Begin to listen."""
         self._thread.start()
 
     def _run(self) -> None:
-        with ExitStack() as ending:
-            ending.callback(self._finish)
-            ending.callback(self.source.close)
+        try:
             while not self._stop.is_set() and not self.ended:
                 self._take_next()
+            self.source.close()
+        finally:  # with a complete log
+            self.recorder.append(self.order.end())
+            self.recorder.hold([])
+            self.recorder.close()
 
     def _take_next(self) -> None:
         """Record what comes next. An error costs what came with it, which is refused; the recording goes on."""
@@ -81,16 +82,12 @@ class Intake:
             self.recorder.refuse(data)
             self._stop.wait(READ_SECONDS)
 
-    def _finish(self) -> None:
-        """Leave a complete log."""
-        self.recorder.append(self.order.end())
-        self.recorder.hold([])
-        self.recorder.close()
-
     def _take(self, data: bytes) -> None:
-        """Record what was received."""
         waited = bool(self.order.waiting)
-        rows = self._rows(data) if data or waited else []
+        rows: list[str] = []
+        if data or waited:
+            whole = self.lines.cut(data)
+            rows = self._sound(whole) or self.order.feed(self.lines.rows(whole))
         if rows:
             self.recorder.append(rows)
             self.rows += len(rows)
@@ -99,17 +96,16 @@ class Intake:
             self.recorder.hold(self.order.waiting)
         self.recorder.sync_if_due()
 
-    def _rows(self, data: bytes) -> list[str]:
-        """The rows that pass now. Where nothing is wrong with any of them, they are looked at together."""
-        lines, whole = self.lines, self.lines.cut(data)
-        if lines.clock is not None and lines.in_order:
-            numbers = numbers_in(whole, len(lines.columns))
-            if numbers is not None and self.order.passes(numbers[:, lines.columns.index(lines.clock)]):
-                return whole[:-1].decode("ascii").split("\n")
-        return self.order.feed(lines.rows(whole))
+    def _sound(self, whole: bytes) -> list[str]:
+        """The rows in whole lines where nothing is wrong with any of them, so that they need be looked at together
+        only; else none."""
+        lines = self.lines
+        numbers = numbers_in(whole, len(lines.columns)) if lines.clock is not None and lines.in_order else None
+        if numbers is None or not self.order.passes(numbers[:, lines.columns.index(lines.clock or "")]):
+            return []
+        return whole[:-1].decode("ascii").split("\n")
 
     def stop(self) -> None:
-        """Stop listening and leave a complete log."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,22 +86,22 @@ class Lines:
     def _row(self, line: bytes) -> Row | None:
         """The row of a line; None of an empty one and of a header. Raises ValueError that says why there is none."""
         if line.startswith(b"{"):
-            return self._row_of(self._values_of_json(line), self.columns)
-        if line.startswith(MOTIONCAL.encode()):
-            return self._row_of(self._values_of_motioncal(line), self.columns)
-        values = [value.strip() for value in line.decode("utf-8", errors="replace").split(",")]
-        names = [value.lstrip("\ufeff") for value in values]
-        if set(self.columns) <= set(names):
-            self._sent_columns = names
-            return None
-        if not line.isascii():
-            raise ValueError("bytes that are no text")
-        return self._row_of(values, self._sent_columns) if line else None
-
-    def _row_of(self, values: Sequence[str], names: Sequence[str]) -> Row:
-        if len(values) != len(names):
-            raise ValueError(f"{len(values)} values where {len(names)} are expected")
-        chosen = [values[names.index(column)] for column in self.columns]
+            chosen = self._values_of_json(line)
+        elif line.startswith(MOTIONCAL.encode()):
+            chosen = self._values_of_motioncal(line)
+        else:
+            values = [value.strip() for value in line.decode("utf-8", errors="replace").split(",")]
+            names = [value.lstrip("\ufeff") for value in values]
+            if set(self.columns) <= set(names):
+                self._sent_columns = names
+                return None
+            if not line.isascii():
+                raise ValueError("bytes that are no text")
+            if not line:
+                return None
+            if len(values) != len(self._sent_columns):
+                raise ValueError(f"{len(values)} values where {len(self._sent_columns)} are expected")
+            chosen = [values[self._sent_columns.index(column)] for column in self.columns]
         try:
             numbers = [float(value) for value in chosen]
         except ValueError:
@@ -141,7 +141,7 @@ def numbers_in(data: bytes, columns: int) -> Array | None:
     if np.any(np.diff(commas, prepend=0) != columns - 1):
         return None
     try:
-        found = np.array(list(map(float, data.replace(b"\n", b",")[:-1].split(b","))))
+        numbers = np.array(list(map(float, data.replace(b"\n", b",")[:-1].split(b","))))
     except ValueError:
         return None
-    return found.reshape(-1, columns) if np.isfinite(found).all() else None
+    return numbers.reshape(-1, columns) if np.isfinite(numbers).all() else None

@@ -54,7 +54,6 @@ class Mavlink(LineSource):
         return "".join(out).encode("ascii")
 
     def _takes(self, kind: str) -> bool:
-        """Whether messages of this kind are the ones to take."""
         if self._chosen is None:
             self._first = self._first or time.monotonic()
             self._seen.add(kind)

@@ -58,22 +58,24 @@ class Order:
         """Times, rows, and when they came: a heap."""
         self._apart: list[tuple[float, str]] = []
         """Times and rows that do not follow the last one, fewer than AGREE."""
-        self._passed: deque[float] = deque(maxlen=MOST_WAITING)
+        self._times: deque[float] = deque(maxlen=MOST_WAITING)
+        """Of the rows that have passed."""
+        self._passed: list[str] = []
 
     def feed(self, rows: list[Row]) -> list[str]:
         """The rows that pass now, as text."""
-        out: list[str] = []
         for row in rows:
             if row.time is None:
-                out.append(row.text)
+                self._passed.append(row.text)
             elif self._is_repeated(row.time):
                 self.repeated += 1
             else:
-                self._take(row.time, row.text, out)
+                self._take(row.time, row.text)
         while self._waiting and (self._now() - self._waiting[0][2] > WAIT_SECONDS or len(self._waiting) > MOST_WAITING):
-            self._pass_waiting(out)
-            self._contiguous(out)
-        return out
+            self._pass(*heapq.heappop(self._waiting)[:2])
+            self._pass_contiguous()
+        passed, self._passed = self._passed, []
+        return passed
 
     def passes(self, times: Array) -> bool:
         """Let rows pass whose times follow each other and those before; False, and nothing is done, where one by one
@@ -105,19 +107,19 @@ class Order:
         if self.last is None or (at > self.last and not self._waiting):
             return False
         before_any_new = self._interval is None and at <= self.last
-        return before_any_new or at in self._passed or any(at == waiting for waiting, _, _ in self._waiting)
+        return before_any_new or at in self._times or any(at == waiting for waiting, _, _ in self._waiting)
 
-    def _take(self, at: float, text: str, out: list[str]) -> None:
+    def _take(self, at: float, text: str) -> None:
         newest = -np.inf if self.last is None else max([self.last, *(waiting for waiting, _, _ in self._waiting)])
         if self.last is None or not self.last < at <= newest + self._longest(self._interval or 0.0):
-            self._set_apart(at, text, out)
+            self._set_apart(at, text)
             return
         self._refuse_apart()
         if self.unordered and self._leaves_room(at):
             heapq.heappush(self._waiting, (at, text, self._now()))
         else:
-            self._pass(at, text, out)
-        self._contiguous(out)
+            self._pass(at, text)
+        self._pass_contiguous()
 
     def _longest(self, interval: float) -> float:
         """The longest step between rows that follow each other, in units of the log."""
@@ -127,7 +129,7 @@ class Order:
         """Whether a row may be missing before this time."""
         return self.last is not None and self._interval is not None and at - self.last > JUMP * self._interval
 
-    def _set_apart(self, at: float, text: str, out: list[str]) -> None:
+    def _set_apart(self, at: float, text: str) -> None:
         """Keep a row that does not follow the last one until it is known what to think of it."""
         if len(self._apart) == AGREE - 1:
             steps = np.diff([*(apart for apart, _ in self._apart), at])
@@ -138,15 +140,15 @@ class Order:
         if len(self._apart) < AGREE:
             return
         first = self._apart[0][0]
-        behind = sum(passed > first for passed in self._passed)
-        if self.last is None or first > self.last or (behind < AGREE and any(p < first for p in self._passed)):
+        behind = sum(passed > first for passed in self._times)
+        if self.last is None or first > self.last or (behind < AGREE and any(p < first for p in self._times)):
             agreed, self._apart = self._apart, []
             while self._waiting and self._waiting[0][0] < first:
-                self._pass_waiting(out)
+                self._pass(*heapq.heappop(self._waiting)[:2])
             if self._interval is None:
                 self._interval = float(np.diff([when for when, _ in agreed]).min())
             for when, row in agreed:
-                self._pass(when, row, out)
+                self._pass(when, row)
             return
         self.restarted = self.restarted or (self.last - first) * self.seconds > RESTARTED
         self._refuse_apart()
@@ -159,28 +161,22 @@ class Order:
             self.leapt, self.late = self.leapt + ahead, self.late + (not ahead)
             self._refuse(text.encode())
 
-    def _contiguous(self, out: list[str]) -> None:
+    def _pass_contiguous(self) -> None:
         """Let pass what waits and follows the last row."""
         while self._waiting and not self._leaves_room(self._waiting[0][0]):
-            self._pass_waiting(out)
+            self._pass(*heapq.heappop(self._waiting)[:2])
 
-    def _pass_waiting(self, out: list[str]) -> None:
-        at, text, _ = heapq.heappop(self._waiting)
-        self._pass(at, text, out)
-
-    def _pass(self, at: float, text: str, out: list[str]) -> None:
+    def _pass(self, at: float, text: str) -> None:
         self._remember(at)
-        out.append(text)
+        self._passed.append(text)
 
     def _remember(self, at: float) -> None:
         """Remember a row that passes: its time, and the interval, which follows the steps, of each at most by half of
         itself."""
-        if self.last is not None:
-            step = at - self.last
-            if self._interval is None:
-                self._interval = step
-            else:
-                half = 0.5 * self._interval
-                self._interval += 0.05 * max(-half, min(half, step - self._interval))
+        if self.last is not None and self._interval is None:
+            self._interval = at - self.last
+        elif self.last is not None and self._interval is not None:
+            half = 0.5 * self._interval
+            self._interval += 0.05 * max(-half, min(half, at - self.last - self._interval))
         self.last = at
-        self._passed.append(at)
+        self._times.append(at)

@@ -62,10 +62,9 @@ class Recorder:
             start = max(0, stop - _WRITE_BYTES)
             whole = os.pread(self._descriptor, stop - start, start).rfind(b"\n") + 1
             whole, stop = whole and start + whole, start
-        if whole < size:
-            if keep_rest:
-                self.refuse(os.pread(self._descriptor, min(size - whole, _WRITE_BYTES), whole))
-            os.ftruncate(self._descriptor, whole)
+        if whole < size and keep_rest:
+            self.refuse(os.pread(self._descriptor, min(size - whole, _WRITE_BYTES), whole))
+        os.ftruncate(self._descriptor, whole)
         return whole
 
     def append(self, lines: Iterable[str]) -> None:
@@ -80,16 +79,13 @@ class Recorder:
                 del self._pending[:written]
             self.trouble = f"{self._lost} samples are lost, which the disk did not take" if self._lost else None
         except OSError as error:
-            if len(self._pending) > KEPT_BYTES:
-                self._lose(self._pending.rfind(b"\n", 0, KEPT_BYTES) + 1)
+            if len(self._pending) > KEPT_BYTES:  # what is behind the last whole line of so many bytes is given up
+                kept_bytes = self._pending.rfind(b"\n", 0, KEPT_BYTES) + 1
+                self._lost += self._pending.count(b"\n", kept_bytes)
+                del self._pending[kept_bytes:]
             kept = f"{len(self._pending) / 1e6:.1f} MB are kept in memory"
             lost = f", {self._lost} samples are lost" if self._lost else ""
             self.trouble = f"the disk takes nothing: {error.strerror}; {kept}{lost}"
-
-    def _lose(self, kept: int) -> None:
-        """Give up what waits for the disk behind so many bytes of it, the end of a line."""
-        self._lost += self._pending.count(b"\n", kept)
-        del self._pending[kept:]
 
     def refuse(self, raw: bytes) -> None:
         """Keep what was received and is no row of the log."""
@@ -98,7 +94,6 @@ class Recorder:
                 file.write(raw.rstrip(b"\n") + b"\n")
 
     def hold(self, lines: Iterable[str]) -> None:
-        """Keep rows that wait: these, and no others."""
         text = _text(lines)
         if text or self.held.exists():
             with self._troubled():
@@ -139,7 +134,8 @@ class Recorder:
         line."""
         self._write()
         if self._pending:
-            self._lose(0)
+            self._lost += self._pending.count(b"\n")
+            self._pending.clear()
             self.trouble = f"{self._lost} samples are lost, which the disk did not take"
             with self._troubled():
                 self._whole_lines(keep_rest=False)

@@ -16,7 +16,6 @@ import select
 import socket
 import sys
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -37,19 +36,21 @@ class Ended(Exception):  # noqa: N818
     """Nothing comes from this source any more."""
 
 
-class LineSource(ABC):
+class LineSource:
     """Something that sends lines. `unordered`: rows may come in another order than they were sent in; `trouble`: what
-    interrupts it. One that can `skip_to` a time of the log goes on after it."""
+    interrupts it."""
 
     name = ""
     unordered = False
     trouble: str | None = None
 
-    @abstractmethod
     def read(self, timeout: float) -> bytes:
         """What has come, nothing after `timeout` s without. Raises Ended."""
+        raise NotImplementedError
 
-    @abstractmethod
+    def skip_to(self, at: float) -> None:
+        """Go on after this time of the log, s, where the source can choose."""
+
     def close(self) -> None:
         """Listen no more."""
 
@@ -90,9 +91,6 @@ class StandardInput(LineSource):
         if not data:
             raise Ended
         return data
-
-    def close(self) -> None:
-        """Nothing was opened."""
 
 
 class Udp(LineSource):
@@ -155,11 +153,10 @@ class Tcp(LineSource):
             return b""
         except OSError:
             data = b""
-        if data:
-            return data
-        connection.close()
-        self._connection, self.trouble = None, "the connection ended; the next is waited for"
-        return b"\n"
+        if not data:
+            connection.close()
+            self._connection, self.trouble = None, "the connection ended; the next is waited for"
+        return data or b"\n"
 
     def close(self) -> None:
         if self._connection is not None:
@@ -168,7 +165,6 @@ class Tcp(LineSource):
 
 
 def _bound(made: socket.socket, host: str, port: int, name: str) -> int:
-    """The port that a socket is bound to."""
     try:
         made.bind((host, port))
     except OSError as error:
@@ -235,22 +231,20 @@ class Replay(LineSource):
         self._open = contextlib.ExitStack()
         if is_recorded(log):
             recorded = self._open.enter_context(file.open("rb"))
-            header, lines = recorded.readline(), iter(recorded)
+            self._header, lines = recorded.readline(), iter(recorded)
         else:
-            header, lines = ",".join(log.columns).encode() + b"\n", _as_csv(log, file)
-        self._unsaid: bytes = header
-        self._lines = _timed(log, header.decode("utf-8-sig").strip().split(","), lines)
+            self._header, lines = ",".join(log.columns).encode() + b"\n", _as_csv(log, file)
+        self._lines = _timed(log, self._header.decode("utf-8-sig").strip().split(","), lines)
         self._next: tuple[float, bytes] | None = next(self._lines, None)
         self._begun: tuple[float, float] | None = None
 
     def skip_to(self, at: float) -> None:
-        """Leave out the rows up to this time of the log, s."""
         while self._next is not None and self._next[0] <= at * (1.0 + 1e-15):
             self._next = next(self._lines, None)
 
     def read(self, timeout: float) -> bytes:
-        if self._unsaid:
-            header, self._unsaid = self._unsaid, b""
+        if self._header:
+            header, self._header = self._header, b""
             return header
         if self._next is None:
             raise Ended
@@ -280,8 +274,8 @@ def _timed(log: LogSpec, names: list[str], lines: Iterator[bytes]) -> Iterator[t
     clock, at = names.index(log.time), 0.0
     for line in lines:
         with contextlib.suppress(ValueError, IndexError):
-            found = float(line.split(b",")[clock]) * scale
-            at = found if math.isfinite(found) else at
+            stated = float(line.split(b",")[clock]) * scale
+            at = stated if math.isfinite(stated) else at
             yield at, line
 
 

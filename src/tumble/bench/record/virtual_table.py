@@ -57,13 +57,13 @@ class VirtualTable(LineSource):
         """A turn by this vector (3,) in the geographic frame, rad, from this sample on, over so many."""
         self._from = self._near(self.programme.positions[0].matrix)
         """The attitude, body → geographic, at which it began."""
-        self._knocked = self._lost = self._stuck = -1
+        self._until = {"knock": -1, "lose": -1, "stick": -1}
+        """The sample until which each mischief lasts."""
         self._rocking: tuple[int, int] | None = None
         self._warming: tuple[int, float] | None = None
         self._last_row: list[float] = []
 
     def skip_to(self, at: float) -> None:
-        """Go on after this time of the log, s."""
         self._sample = round(at * SAMPLE_RATE)
 
     def _near(self, attitude: Array) -> Array:
@@ -75,15 +75,22 @@ class VirtualTable(LineSource):
         smooth = part - np.sin(2.0 * np.pi * part) / (2.0 * np.pi)
         return rotation_matrix(smooth * self._turn) @ self._from
 
-    def _rate(self, sample: float) -> Array:
-        """Angular rate, rad/s, in the geographic frame."""
+    def _motion(self, sample: float) -> tuple[Array, Array]:
+        """Attitude, body → geographic, and angular rate, rad/s, in the geographic frame, at a time in samples: on the
+        turn, and of a unit that was put down with movement as far from where it will lie as it still is."""
         part = (sample - self._first) / self._samples
-        inside = 0.0 <= part <= 1.0
-        return self._turn * ((1.0 - np.cos(2.0 * np.pi * part)) * SAMPLE_RATE / self._samples if inside else 0.0)
+        turning = (1.0 - np.cos(2.0 * np.pi * part)) * SAMPLE_RATE / self._samples if 0.0 <= part <= 1.0 else 0.0
+        L, rate = self._attitude(sample), turning * self._turn
+        if self._rocking is None:
+            return L, rate
+        first, samples = self._rocking
+        away = 1.0 - (sample - first) / samples
+        back = -ROCKING * SAMPLE_RATE / samples if 0.0 <= away <= 1.0 else 0.0
+        still = rotation_matrix(ROCKING * min(max(away, 0.0), 1.0) * AXES["N"])
+        return still @ L, still @ rate + back * AXES["N"]
 
     @property
     def moving(self) -> bool:
-        """Whether a turn is under way."""
         return self._sample < self._first + self._samples
 
     def turn(self, axis: str, degrees: float, *, rate: float = RATE) -> None:
@@ -104,7 +111,7 @@ class VirtualTable(LineSource):
 
     def told(self, what: str) -> None:
         """Do what is said: "N+90" or "to 3", "knock", "lose" or "stick"; nothing for anything else."""
-        if what in ("knock", "lose", "stick"):
+        if what in self._until:
             getattr(self, what)()
         elif what.startswith("to "):
             number = whole_number(what[3:])
@@ -122,15 +129,15 @@ class VirtualTable(LineSource):
 
     def knock(self) -> None:
         """A blow against the table."""
-        self._knocked = self._sample + 10
+        self._until["knock"] = self._sample + 10
 
     def lose(self, seconds: float = 0.5) -> None:
         """Samples that do not arrive."""
-        self._lost = self._sample + round(seconds * SAMPLE_RATE)
+        self._until["lose"] = self._sample + round(seconds * SAMPLE_RATE)
 
     def stick(self, seconds: float = 2.0) -> None:
         """A channel that repeats itself."""
-        self._stuck = self._sample + round(seconds * SAMPLE_RATE)
+        self._until["stick"] = self._sample + round(seconds * SAMPLE_RATE)
 
     def rock(self, seconds: float = 1.5) -> None:
         """A unit put down with movement when the turn under way ends: it comes to rest slowly."""
@@ -153,10 +160,9 @@ class VirtualTable(LineSource):
     def line(self) -> str:
         """The next sample as a line; empty where it does not arrive."""
         middle = self._sample + 0.5
-        still, rocking = self._rocked(middle)
-        L, rate = still @ self._attitude(middle), still @ self._rate(middle) + rocking
+        L, rate = self._motion(middle)
         force = L.T @ (GRAVITY * AXES["U"])
-        if self._sample < self._knocked:
+        if self._sample < self._until["knock"]:
             force = force + KNOCK * self._rng.standard_normal(3)
         true = [force, L.T @ (rate + np.array(earth_rate(LATITUDE_DEG * DEGREE)))]
         row = [
@@ -165,23 +171,11 @@ class VirtualTable(LineSource):
             for value in model.matrix @ vector + model.bias + sigma * self._rng.standard_normal(3)
         ]
         row[3:] = np.clip(row[3:], -FULL_SCALE, FULL_SCALE).tolist()
-        if self._sample < self._stuck:
+        if self._sample < self._until["stick"]:
             row[1] = self._last_row[1]
         self._last_row, self._sample = row, self._sample + 1
-        lost = self._sample < self._lost
+        lost = self._sample < self._until["lose"]
         if self._temperature:
             since, warming = self._warming or (self._sample, 0.0)
             row.append(25.0 + warming * (self._sample - since) / SAMPLE_RATE)
         return "" if lost else ",".join(f"{value:.9g}" for value in [self._sample / SAMPLE_RATE, *row]) + "\n"
-
-    def _rocked(self, sample: float) -> tuple[Array, Array]:
-        """How far the unit still is from where it will lie, and how fast it goes there, rad/s."""
-        if self._rocking is None:
-            return np.eye(3), np.zeros(3)
-        first, samples = self._rocking
-        left = 1.0 - (sample - first) / samples
-        rate = -ROCKING * SAMPLE_RATE / samples if 0.0 <= left <= 1.0 else 0.0
-        return rotation_matrix(ROCKING * min(max(left, 0.0), 1.0) * AXES["N"]), rate * AXES["N"]
-
-    def close(self) -> None:
-        """Nothing is open."""

@@ -72,7 +72,8 @@ class Access:
     @property
     def loopback(self) -> bool:
         """Whether only this machine can reach the server."""
-        return is_loopback(self.host)
+        address = _address(self.host)
+        return address is not None and address.is_loopback
 
     @property
     def cookie(self) -> str:
@@ -86,35 +87,24 @@ class Access:
     def answers_to(self, host: str | None) -> bool:
         """Whether a Host header names this server: by an address, by localhost, or as it was told to be called. Another
         site's name that leads here is none. Beyond the loopback the port may be that of a proxy before it."""
-        name, port = _split(host)
+        try:
+            parts = urlsplit(f"//{host or ''}")
+            name, port = parts.hostname, 80 if parts.port is None else parts.port
+        except ValueError:
+            return False
         if name is None or (self.loopback and port != self.port):
             return False
-        return name == self.host or is_loopback(name) or (not self.loopback and _is_address(name))
+        address = _address(name)
+        return name == self.host or (address is not None and (address.is_loopback or not self.loopback))
 
     def same_origin(self, origin: str | None, host: str | None) -> bool:
         """Whether a page of this server sends the request, itself or through a proxy that encrypts."""
         return origin is not None and origin in (f"http://{host}", f"https://{host}")
 
 
-def is_loopback(host: str) -> bool:
-    """Whether a name or address is this machine's own."""
-    if host == "localhost":
-        return True
-    return _is_address(host) and ipaddress.ip_address(host).is_loopback
-
-
-def _is_address(name: str) -> bool:
+def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    """The address that a name is; None where it is none. That of localhost is this machine's own."""
     try:
-        ipaddress.ip_address(name)
+        return ipaddress.ip_address("127.0.0.1" if name == "localhost" else name)
     except ValueError:
-        return False
-    return True
-
-
-def _split(host: str | None) -> tuple[str | None, int | None]:
-    """Name and port of a Host header; None and None for what is none."""
-    try:
-        parts = urlsplit(f"//{host or ''}")
-        return parts.hostname, parts.port if parts.port is not None else 80
-    except ValueError:
-        return None, None
+        return None

@@ -8,7 +8,6 @@ import webbrowser
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
 
 from tumble.bench.station import Station
 from tumble.bench.web.access import Access, lasting_token
@@ -43,6 +42,18 @@ def serve(
         port = bound.getsockname()[1]
         access = Access(host=host, port=port, token=lasting_token())
         app = app_of(opened, access)
+
+        class Server(uvicorn.Server):
+            """Ends the streams of its pages when it ends, and lets so many connections be waiting."""
+
+            async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+                await super().startup(sockets)
+                bound.listen(WAITING)
+
+            async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+                app.state.stopping = True
+                await super().shutdown(sockets)
+
         config = uvicorn.Config(
             app,
             http=Connection,
@@ -53,14 +64,13 @@ def serve(
             access_log=False,  # a request may have the token
             timeout_graceful_shutdown=3,
         )
-        server = _server(uvicorn, config, WAITING)
         link = f"http://{_reachable(host)}:{port}/?token={access.token}"
         say(f"the page: {link}")
         if not access.loopback:
             say(_qr(link))
         if browser:
             running.enter_context(_in_browser(link))
-        server.run(sockets=[bound])
+        Server(config).run(sockets=[bound])
 
 
 @contextmanager
@@ -75,7 +85,6 @@ def _in_browser(link: str) -> Iterator[None]:
 
 
 def _started(stations: Callable[[], Sequence[Station]], folders: Sequence[Path]) -> Sequence[Station]:
-    """Stations that record."""
     with ExitStack() as new:
         for folder in folders:
             if not folder.exists():
@@ -90,22 +99,6 @@ def _started(stations: Callable[[], Sequence[Station]], folders: Sequence[Path])
                 station.stop()
             raise
     return opened
-
-
-def _server(uvicorn: Any, config: Any, waiting: int) -> Any:
-    """A server that ends the streams of its pages when it ends, and lets so many connections be `waiting`."""
-
-    class Server(uvicorn.Server):  # type: ignore[misc]  # of an extra, so Any here
-        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-            await super().startup(sockets)
-            for listening in sockets or ():
-                listening.listen(waiting)
-
-        async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-            config.app.state.stopping = True
-            await super().shutdown(sockets)
-
-    return Server(config)
 
 
 @contextmanager

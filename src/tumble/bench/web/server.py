@@ -18,7 +18,7 @@ from pydantic_core import to_json
 from starlette.requests import ClientDisconnect
 from starlette.staticfiles import StaticFiles
 
-from tumble.bench.state import Listed, State
+from tumble.bench.state import State
 from tumble.bench.station import STEP_SECONDS, Station
 from tumble.bench.web.access import HEADERS, Access
 from tumble.programme.sheet_pictures import picture
@@ -36,6 +36,7 @@ _COMMANDS_AT_ONCE = 2
 """Of one bench: one that takes minutes, and one that is told so."""
 _WANTS = ("fault", "turn", "done")
 """Screens that want the operator, the most urgent first."""
+_LISTED = ("unit", "session", "screen", "headline", "fault", "rest", "to_go", "result", "received")
 
 
 def app_of(stations: Sequence[Station], access: Access) -> FastAPI:
@@ -69,40 +70,22 @@ def app_of(stations: Sequence[Station], access: Access) -> FastAPI:
 
 
 def listed(stations: Sequence[Station]) -> dict[str, Any]:
-    """All benches by their numbers, from 1, and the number of the one to go to `next`: one that wants the operator,
-    else the one whose rest ends next."""
-    benches = [_listed(number, station.state) for number, station in enumerate(stations, 1)]
+    """All benches by their numbers, from 1, each with the part of its state that the list shows, and the number of the
+    one to go to `next`: one that wants the operator, else the one whose rest ends next."""
+    states = [station.state for station in stations]
 
-    def urgency(bench: Listed) -> tuple[int, float]:
-        if bench["screen"] in _WANTS:
-            return _WANTS.index(bench["screen"]), 0.0
-        return len(_WANTS), math.inf if bench["left"] is None else bench["left"]
+    def urgency(state: State) -> tuple[int, float]:
+        if state["screen"] in _WANTS:
+            return _WANTS.index(state["screen"]), 0.0
+        seconds = (state.get("rest") or {}).get("left")
+        return len(_WANTS), math.inf if seconds is None else seconds
 
-    return {"benches": benches, "next": min(benches, key=urgency)["number"]}
+    benches = [{"number": k, **{key: state.get(key) for key in _LISTED}} for k, state in enumerate(states, 1)]
+    return {"benches": benches, "next": 1 + min(range(len(states)), key=lambda k: urgency(states[k]))}
 
 
 def _among(stations: Sequence[Station], number: int) -> dict[str, Any]:
-    """What the page of a bench shows of all."""
     return {"bench": number, **listed(stations)}
-
-
-def _listed(number: int, state: State) -> Listed:
-    rest, fault = state.get("rest"), state["fault"]
-    return {
-        "number": number,
-        "unit": state["unit"],
-        "session": state["session"],
-        "screen": state["screen"],
-        "said": fault["said"] if fault else state["headline"],
-        "headline": state["headline"],
-        "at": rest["number"] if rest else 0,
-        "of": rest["of"] if rest else None,
-        "left": rest.get("left") if rest else None,
-        "to_go": state.get("to_go"),
-        "result": state["result"],
-        "source": state["received"]["source"],
-        "trouble": state["received"]["trouble"],
-    }
 
 
 def _serve_page(app: FastAPI, prefix: str, index: str, routes: APIRouter) -> None:

@@ -7,17 +7,15 @@ validators of the tables. `si` gives what a table says in SI and radians; `descr
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from datetime import date as date_type
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from tumble.documents import dotted
 from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
-from tumble.errors import ProgrammeError, did_you_mean
+from tumble.errors import ProgrammeError
 from tumble.programme import positions as programme
 from tumble.recording.autopilot import sensors_from
 from tumble.recording.circumstances import circumstances_from
@@ -30,7 +28,7 @@ from tumble.recording.session import (
     Site,
 )
 from tumble.recording.session.log_tables import LogTable
-from tumble.recording.session.table import SessionTable, as_written, check_span, name_of, one_of, visible
+from tumble.recording.session.table import SessionTable, check_span, name_of, one_of, visible
 from tumble.sensors.parameters import prior_of
 from tumble.units import (
     DEGREE,
@@ -269,47 +267,3 @@ class SessionDocument(SessionTable):
             excluded=tuple(table.si() for table in self.exclude),
             circumstances=circumstances_from(self.session.model_dump()),
         )
-
-
-# -------------------- what is said of a file that is not as it should be --------------------
-
-
-def table_behind(annotation: Any) -> type[SessionTable] | None:
-    """The table that the values of a key are, or are lists of; None where they are none."""
-    if isinstance(annotation, type) and issubclass(annotation, SessionTable):
-        return annotation
-    return next((table for part in get_args(annotation) if (table := table_behind(part)) is not None), None)
-
-
-def faults_of(error: ValidationError, content: Mapping[str, Any]) -> list[str]:
-    """Every fault once, as "key: expected …, found …"."""
-    faults: dict[tuple[int | str, ...], str] = {}
-    for fault in error.errors(include_url=False):
-        key: tuple[int | str, ...] = ()
-        table: type[SessionTable] = SessionDocument
-        inner: type[SessionTable] | None = SessionDocument  # the table of the last part, if it is one
-        expected = ""
-        for part in fault["loc"]:
-            if isinstance(part, int) and inner is not None and key:
-                key += (part,)
-                continue
-            if inner is None or part not in inner.model_fields:
-                break
-            table, field = inner, inner.model_fields[str(part)]
-            key, expected, inner = (*key, part), field.description or "", table_behind(field.annotation)
-        table = inner or table
-        if fault["type"] == "extra_forbidden":
-            unknown = str(fault["loc"][-1])
-            where = f"in [{dotted(key)}]" if key else "at the top level"
-            faults[(*key, unknown)] = f"unknown key '{unknown}' {where}{did_you_mean(unknown, table.model_fields)}"
-        elif fault["type"] == "value_error":
-            separator = "" if not key else ": " if inner is None else "."
-            faults[key] = f"{dotted(key)}{separator}{fault['ctx']['error']}"
-        else:
-            value: Any = content
-            if fault["type"] != "missing":
-                for part in key:
-                    value = value[part]
-            found = "none" if fault["type"] == "missing" else as_written(value)
-            faults.setdefault(key, f"{dotted(key)}: expected {expected}, found {found}")
-    return list(faults.values())

@@ -11,6 +11,7 @@ from typing import Annotated, ClassVar, Self
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
+from tumble.documents import as_written
 from tumble.recording.session import (
     Channels,
     LogSpec,
@@ -19,7 +20,6 @@ from tumble.recording.session import (
 )
 from tumble.recording.session.table import (
     SessionTable,
-    as_written,
     check_known,
     check_one_per_column,
     different,

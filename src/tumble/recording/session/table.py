@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
-from typing import Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict
 
-from tumble.documents import is_plain, shown
+from tumble.documents import as_written, is_plain, shown
 from tumble.errors import did_you_mean
 
 LONGEST_NAME = 200
 """Characters of a serial number and of a type."""
-_WIDTH = 60
-"""Of a value in a message, characters."""
 
 
 class SessionTable(BaseModel):
@@ -75,11 +71,3 @@ def check_one_per_column(columns: int, **values: float | list[float] | None) -> 
     for key, value in values.items():
         if isinstance(value, Sequence) and len(value) != columns:
             raise ValueError(f"{key}: expected a number or {columns} numbers, one per column, found {len(value)}")
-
-
-def as_written(value: Any) -> str:
-    """A value as TOML has it, on one line, shortened."""
-    if isinstance(value, Mapping):
-        return "a table"
-    text = json.dumps(value, default=str, ensure_ascii=False)
-    return text if len(text) <= _WIDTH else f"{text[: _WIDTH - 1]}…"

@@ -35,29 +35,31 @@ function row(number) {
 
 function show(bench) {
   const item = row(bench.number);
+  const { number: at, of: every, left = null } = bench.rest || { number: 0, of: null };
   const [link, bar, list] = item.children;
   item.className = bench.result ? "done" : bench.screen;
   say(link.children[0], `${bench.number}  ${bench.unit.serial}${bench.unit.model ? ` · ${bench.unit.model}` : ""}`);
   const result = bench.result ? `Calibrated: ${bench.result.accepted ? "accepted" : "not accepted"}` : "";
-  say(link.children[1], result || bench.said);
-  bar.hidden = !bench.of;
-  if (bench.of) {
+  say(link.children[1], result || (bench.fault ? bench.fault.said : bench.headline));
+  bar.hidden = !every;
+  if (every) {
     bar.setAttribute("aria-valuemin", "0");
-    bar.setAttribute("aria-valuemax", String(bench.of));
-    bar.setAttribute("aria-valuenow", String(bench.at));
-    bar.firstChild.style.width = `${(100 * bench.at) / bench.of}%`;
+    bar.setAttribute("aria-valuemax", String(every));
+    bar.setAttribute("aria-valuenow", String(at));
+    bar.firstChild.style.width = `${(100 * at) / every}%`;
   }
   details(list, [
-    ["position", bench.at ? `${bench.at}${bench.of ? ` of ${bench.of}` : ""}` : "–"],
-    ["this rest", bench.left === null ? "" : clock(bench.left)],
+    ["position", at ? `${at}${every ? ` of ${every}` : ""}` : "–"],
+    ["this rest", left === null ? "" : clock(left)],
     ["to go", bench.to_go === null ? "" : about(bench.to_go)],
     ["session", bench.session],
-    ["source", bench.source],
-    ["trouble", bench.trouble.join(" · ")],
+    ["source", bench.received.source],
+    ["trouble", bench.received.trouble.join(" · ")],
   ]);
 }
 
-function headline({ number, unit, screen, headline: said, left, result }) {
+function headline({ number, unit, screen, headline: said, rest, result }) {
+  const left = rest && rest.left !== undefined ? rest.left : null;
   const name = `bench ${number}, ${unit.serial}`;
   if (result) return `Next unit at ${name}`;
   if (WANTS.includes(screen)) return `Go to ${name}: ${said}`;

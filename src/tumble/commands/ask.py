@@ -1,27 +1,19 @@
-"""What several commands ask for, each option declared once with one meaning; and how results and progress are shown."""
+"""What several commands ask for: each option declared once, with one meaning."""
 
 from __future__ import annotations
 
-import sys
-import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from tumble import usual_setup
 
 if TYPE_CHECKING:
-    from rich.progress import ProgressColumn
-
     from tumble.drafting.new_session import Given
     from tumble.planning.error_propagation import BudgetedMethod
     from tumble.planning.setup import Setup
-    from tumble.recording.log import Chunk, Log
-    from tumble.views.blocks import Block
-
 
 _Command = Callable[..., None]
 _Option = Callable[[_Command], _Command]
@@ -36,7 +28,7 @@ class _NamedPath(click.Path):
         return super().convert(value, param, ctx)
 
 
-EXISTING_FOLDER = _NamedPath(path_type=Path)
+PATH = _NamedPath(path_type=Path)
 FILE = _NamedPath(path_type=Path, dir_okay=False)
 FOLDER = _NamedPath(path_type=Path, file_okay=False)
 METHOD_NAMES = ["joint", "staged", "sequential", "scalar", "ellipsoid"]
@@ -45,7 +37,9 @@ BUDGETED_METHODS: list[BudgetedMethod] = ["staged", "sequential", "scalar"]
 FRAMES = ["accelerometer", "case", "paper", "symmetric"]
 
 
-# -------------------- options --------------------
+def examples(*lines: str) -> str:
+    """What stands below the help of a command."""
+    return "\b\n" + "\n".join(("Examples:", *(f"  {line}" for line in lines)))
 
 
 def option(name: str, says: str, default: Any = None, **settings: Any) -> _Option:
@@ -56,7 +50,6 @@ def option(name: str, says: str, default: Any = None, **settings: Any) -> _Optio
 
 
 def together(*options: _Option) -> _Option:
-    """Several options as one."""
 
     def with_all(command: _Command) -> _Command:
         for each in reversed(options):
@@ -80,41 +73,41 @@ def _grades_like(_context: click.Context, _parameter: click.Parameter, typed: st
     return [name for name in GRADES if name.startswith(typed)]
 
 
-def out_option(says: str, kind: click.Path = FILE, **settings: Any) -> _Option:
+def out(says: str, kind: click.Path = FILE, **settings: Any) -> _Option:
     """Where a result is written."""
     return click.option("-o", "--out", type=kind, help=says, **settings)
 
 
-def force_option(says: str = "Replace an existing file.") -> _Option:
-    """Whether a file is replaced."""
+def force(says: str = "Replace an existing file.") -> _Option:
     return click.option("--force", is_flag=True, help=says)
 
 
-def programme_option(says: str, default: str | None = None) -> _Option:
-    """A built-in programme."""
+def programme(says: str, default: str | None = None) -> _Option:
     return option("--programme", says, default, shell_complete=programmes_like)
 
 
-def grade_option(default: str | None = usual_setup.GRADE, says: str = "") -> _Option:
-    """The grade of the instrument."""
+def grade(default: str | None = usual_setup.GRADE, says: str = "") -> _Option:
     return option("--grade", f"navigation, tactical, mems or consumer{says}.", default, shell_complete=_grades_like)
 
 
-def terms_option(default: str | None = "linear") -> _Option:
+def terms(default: str | None = "linear") -> _Option:
     """The groups of parameters that the instrument has."""
     says = "Groups of parameters: all (full), or bias, scale factor and axis angles alone (linear)."
     further = "" if default else " Default: full for joint, linear for the others."
     return option("--terms", says + further, default, type=click.Choice(["full", "linear"]))
 
 
-def frame_option(frames: list[str] = FRAMES) -> _Option:
-    """The frame of a result."""
+def frame(frames: list[str] = FRAMES) -> _Option:
     return option("--frame", "Of the result.", frames[0], type=click.Choice(frames))
 
 
-def method_option(methods: list[str], default: str | list[str] | None, says: str, **settings: Any) -> _Option:
-    """How to estimate."""
+def method(methods: list[str], default: str | list[str] | None, says: str, **settings: Any) -> _Option:
     return option("--method", says, default, type=click.Choice(methods), **settings)
+
+
+def known_launches(says: str) -> _Option:
+    """The registry whose launches a result is judged by."""
+    return option("--known-launches", says, metavar="FILE|URL")
 
 
 WANT = option("--want/wanted", "E.g. accel.scale=3.5ppm; repeat.", multiple=True, metavar="GROUP=VALUE")
@@ -127,18 +120,11 @@ REGISTRY = option(
     metavar="FILE|URL",
     envvar="TUMBLE_REGISTRY",
 )
-
-
-def known_launches_option(says: str) -> _Option:
-    """The registry whose launches a result is judged by."""
-    return option("--known-launches", says, metavar="FILE|URL")
-
-
 GRAVITY = option("--gravity", "Measured gravity, m/s²; default: normal gravity.", type=float)
 LATITUDE = option("--latitude", "Of the place, ° north.", type=float, metavar="DEGREES")
 SERIAL = option("--serial", "Serial number of the device; default: the name of FOLDER or LOG.", metavar="NUMBER")
 SAMPLE_RATE = "--sample-rate", "Samples per second"
-LOG_OPTIONS = together(
+LOG = together(
     option(SAMPLE_RATE[0], f"Of a LOG: {SAMPLE_RATE[1]}, instead of the times in it.", type=float, metavar="HZ"),
     option("--accel", "Of a LOG: columns of the accelerometers, names or numbers from 1.", metavar="N,N,N"),
     option("--gyro", "Of a LOG: columns of the gyros, names or numbers from 1.", metavar="N,N,N"),
@@ -151,10 +137,13 @@ def given_of(options: dict[str, Any]) -> Given:
     """What is said of a log, of options that are taken out of all."""
     from tumble.drafting.new_session import Given
 
-    of_log = {name: options.pop(name, None) for name in ("serial", "latitude", "sample_rate", "programme", "message")}
-    columns = {name: tuple((options.pop(name) or "").split(",")) for name in ("accel", "gyro")}
-    stated: dict[str, Any] = of_log | {name: () if one == ("",) else one for name, one in columns.items()}
-    return Given(time=options.pop("time"), **stated)
+    stated: dict[str, Any] = {
+        name: options.pop(name, None) for name in ("serial", "latitude", "sample_rate", "programme", "message", "time")
+    }
+    for kind in ("accel", "gyro"):
+        columns = options.pop(kind)
+        stated[kind] = tuple(columns.split(",")) if columns else ()
+    return Given(**stated)
 
 
 TABLE_ERROR = option("--table-error", "Largest error of a position, °.", usual_setup.TABLE_ERROR_DEG, type=float)
@@ -169,24 +158,24 @@ PACE = together(
 )
 
 
-def setup_options(terms: str | None) -> _Option:
+def setup(default_terms: str | None) -> _Option:
     """The options that describe a set-up before anything is measured."""
     return together(
-        programme_option("Built-in programme.", usual_setup.PROGRAMME),
-        grade_option(),
+        programme("Built-in programme.", usual_setup.PROGRAMME),
+        grade(),
         TABLE_ERROR,
         MOUNTING_ERROR,
         PACE,
         SITE_LATITUDE,
         GRAVITY,
         option("--gravity-u", "Its uncertainty, m/s².", usual_setup.GRAVITY_U, type=float),
-        terms_option(terms),
+        terms(default_terms),
         NOISELESS,
     )
 
 
 def setup_of(options: dict[str, Any]) -> Setup:
-    """A set-up from the options of `setup_options` and of `simulate`, which leaves some out and has others."""
+    """A set-up from the options of `setup` and of `simulate`, which leaves some out and has others."""
     from tumble.planning.setup import Setup
 
     named = {"turn_rate": "rate_deg_s", "table_error": "table_error_deg", "mounting_error": "mounting_error_deg"}
@@ -196,109 +185,9 @@ def setup_of(options: dict[str, Any]) -> Setup:
 
 
 CLUSTER = together(
-    out_option("Folder for the results; resumed if begun.", FOLDER, required=True),
+    out("Folder for the results; resumed if begun.", FOLDER, required=True),
     option("--workers", "Processes here; default: one a core.", type=click.IntRange(min=1)),
     option("--cluster", "Compute on a dask cluster that is there.", metavar="tcp://HOST:PORT"),
     click.option("--in-process", "serial", is_flag=True, help="Compute in this process."),
 )
 """Where many tasks are computed, and into which folder."""
-
-
-# -------------------- what is shown --------------------
-
-
-def show(as_json: bool, data: Callable[[], dict[str, Any]], blocks: Callable[[], Iterable[Block]]) -> None:
-    """Print a result as data or as tables."""
-    if as_json:
-        from tumble.views.render.data import print_data
-
-        print_data(data())
-    else:
-        from tumble.views.render.terminal import print_blocks
-
-        print_blocks(*blocks())
-
-
-def say(line: str) -> None:
-    """A line to standard error, as it can be shown: what was written where, notes. Nothing where `tumble -q` asks for
-    results alone."""
-    if not _quiet():
-        warn(line)
-
-
-def warn(line: str) -> None:
-    """A line to standard error, as it can be shown: why a result is not accepted."""
-    from tumble.documents import plain
-
-    click.echo(plain(line), err=True)
-
-
-def end(reasons: Iterable[str], kind: str = "") -> NoReturn:
-    """End with the reasons for a negative answer on standard error, and the exit status that says whether there are."""
-    every = list(reasons)
-    for reason in every:
-        warn(f"{kind}{reason}")
-    sys.exit(1 if every else 0)
-
-
-def _quiet() -> bool:
-    """Whether `tumble -q` asks for results alone."""
-    context = click.get_current_context(silent=True)
-    return context is not None and bool(context.find_root().params.get("quiet"))
-
-
-SHOWN = 20
-"""Of many tasks that went wrong, so many are named on standard error."""
-
-Tell = Callable[[int, int], None]
-"""What is told the number of tasks that are done and of all."""
-
-
-@contextmanager
-def working(what: str, *columns: type[ProgressColumn]) -> Iterator[Tell]:
-    """A function that is told how much is done; on a terminal a bar, which is gone at the end, with the time that has
-    passed or these columns."""
-    if _quiet() or sys.stderr is None or not sys.stderr.isatty():
-        yield lambda _done, _all: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    shown = TextColumn(what), BarColumn(), *(column() for column in columns or (TimeElapsedColumn,))
-    with Progress(*shown, console=Console(stderr=True), transient=True, speed_estimate_period=120.0) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda done, every: bar.update(task, completed=done, total=every or None)
-
-
-def with_progress(log: Log) -> Iterator[Chunk]:
-    """The chunks of a log; on a terminal, with a progress bar once reading has taken a second."""
-    started, read = time.monotonic(), 0
-    chunks = iter(log.chunks())
-    for chunk in chunks:
-        yield chunk
-        read += len(chunk.time)
-        if time.monotonic() - started > 1.0:
-            break
-    with working("reading") as tell:
-        for chunk in chunks:
-            read += len(chunk.time)
-            tell(read, 0)
-            yield chunk
-
-
-@contextmanager
-def task_progress(what: str, out: Path) -> Iterator[Tell]:
-    """A function that is told how many of the tasks of a folder are done; on a terminal it shows a progress bar with
-    the remaining time. Where it is told nothing, all were done before: that is said."""
-    from rich.progress import MofNCompleteColumn, TimeElapsedColumn, TimeRemainingColumn
-
-    news = []
-    with working(what, MofNCompleteColumn, TimeElapsedColumn, TimeRemainingColumn) as tell_bar:
-
-        def tell(done: int, every: int) -> None:
-            news.append(done)
-            tell_bar(done, every)
-
-        yield tell
-    if not news:
-        say(f"{out} was complete: no {what} were computed; to compute them anew give another folder")

@@ -1,0 +1,114 @@
+"""How commands show results, say what they did and how far they are, and end."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import click
+
+if TYPE_CHECKING:
+    from rich.progress import ProgressColumn
+
+    from tumble.recording.log import Chunk, Log
+    from tumble.views.blocks import Block
+
+
+def show(as_json: bool, data: Callable[[], dict[str, Any]], blocks: Callable[[], Iterable[Block]]) -> None:
+    if as_json:
+        from tumble.views.render.data import print_data
+
+        print_data(data())
+    else:
+        from tumble.views.render.terminal import print_blocks
+
+        print_blocks(*blocks())
+
+
+def say(line: str) -> None:
+    """A line to standard error, as it can be shown: what was written where, notes. Nothing where `tumble -q` asks for
+    results alone."""
+    if not _quiet():
+        warn(line)
+
+
+def warn(line: str) -> None:
+    """A line to standard error, as it can be shown: why a result is not accepted."""
+    from tumble.documents import plain
+
+    click.echo(plain(line), err=True)
+
+
+def end(reasons: Iterable[str], kind: str = "") -> NoReturn:
+    """End with the reasons for a negative answer on standard error, and the exit status that says whether there are."""
+    every = list(reasons)
+    for reason in every:
+        warn(f"{kind}{reason}")
+    sys.exit(1 if every else 0)
+
+
+def _quiet() -> bool:
+    """Whether `tumble -q` asks for results alone."""
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.find_root().params.get("quiet"))
+
+
+SHOWN = 20
+"""Of many tasks that went wrong, so many are named on standard error."""
+
+Tell = Callable[[int, int], None]
+"""What is told the number of tasks that are done and of all."""
+
+
+@contextmanager
+def working(what: str, *columns: type[ProgressColumn]) -> Iterator[Tell]:
+    """A function that is told how much is done; on a terminal a bar, which is gone at the end, with the time that has
+    passed or these columns."""
+    if _quiet() or sys.stderr is None or not sys.stderr.isatty():
+        yield lambda _done, _all: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    shown = TextColumn(what), BarColumn(), *(column() for column in columns or (TimeElapsedColumn,))
+    with Progress(*shown, console=Console(stderr=True), transient=True, speed_estimate_period=120.0) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, every: bar.update(task, completed=done, total=every or None)
+
+
+def with_progress(log: Log) -> Iterator[Chunk]:
+    """The chunks of a log; on a terminal, with a progress bar once reading has taken a second."""
+    started, read = time.monotonic(), 0
+    chunks = iter(log.chunks())
+    for chunk in chunks:
+        yield chunk
+        read += len(chunk.time)
+        if time.monotonic() - started > 1.0:
+            break
+    with working("reading") as tell:
+        for chunk in chunks:
+            read += len(chunk.time)
+            tell(read, 0)
+            yield chunk
+
+
+@contextmanager
+def task_progress(what: str, out: Path) -> Iterator[Tell]:
+    """A function that is told how many of the tasks of a folder are done; on a terminal it shows a progress bar with
+    the remaining time. Where it is told nothing, all were done before: that is said."""
+    from rich.progress import MofNCompleteColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    news = []
+    with working(what, MofNCompleteColumn, TimeElapsedColumn, TimeRemainingColumn) as tell_bar:
+
+        def tell(done: int, every: int) -> None:
+            news.append(done)
+            tell_bar(done, every)
+
+        yield tell
+    if not news:
+        say(f"{out} was complete: no {what} were computed; to compute them anew give another folder")
