@@ -1,15 +1,16 @@
-"""Where the covariance of an estimate comes from: C = Σ K S Kᵀ over independent sources, exactly.
+"""Where the covariance of an estimate comes from: C = Σ K S Kᵀ over independent sources, exactly
+(docs/explanation/mathematics.md, section 14).
 
 At given hyperparameters the estimate is linear in everything that is random: noise of rests and of turns, components of
 scatter, steps of the in-run biases, what gravity and the parameters are beforehand. With the whitened rows W J of all
 of these, of covariance 1, and y the gravity and the parameters, biases being the means over the session,
 
-    y − ŷ = Σ_rows Kᵀ e,   K = W J Z,   Z = Cov(unknowns, y),   C_y = Σ_rows Kᵀ K                                 (31)
+    y − ŷ = Σ_rows Kᵀ e,   K = W J Z,   Z = Cov(unknowns, y),   C_y = Σ_rows Kᵀ K                                 (37)
 
 which is what a least-squares estimate is. The covariance of a block of rows is a sum of sources, 1 = W (Σ_s S_s) Wᵀ,
 and so is C_y:
 
-    C_y = Σ_s Σ_blocks Hᵀ S_s H,   H = Wᵀ K                                                                        (32)
+    C_y = Σ_s Σ_blocks Hᵀ S_s H,   H = Wᵀ K                                                                        (38)
 
 with the noise within rests and each component of scatter along its directions; steps of the in-run biases are rows of
 their own, and so are priors, of which a row of gravity is 1/u(g), one of a parameter 1/s. A row that is kept at a
@@ -19,9 +20,9 @@ Z needs no large matrix. The unknowns of the rests are a chain, δ_i = A_i δ_{i
 the session has of its own, gravity and the common parameters. y = Y x + Σ_i c_i R_i⁻¹ e_i, where the mean of the biases
 over a session is followed along the chain from its first rest (`tumble.inference.in_run.mean_along`); then
 
-    Z_x = Cov(x) Yᵀ,   Z_i = A_i Z_{i+1} + B_i Z_x + R_i⁻¹ (c_i R_i⁻¹)ᵀ                                            (33)
+    Z_x = Cov(x) Yᵀ,   Z_i = A_i Z_{i+1} + B_i Z_x + R_i⁻¹ (c_i R_i⁻¹)ᵀ                                            (39)
 
-from the last rest to the first. Integrated over the hyperparameters, C is the mean of (32) over the points, and what
+from the last rest to the first. Integrated over the hyperparameters, C is the mean of (38) over the points, and what
 the estimate moves by from point to point is the source that the hyperparameters are.
 
 Source: JCGM 100:2008 (GUM), 5.1; EA-4/02 M:2022, section 4.
@@ -60,7 +61,7 @@ def contributions(
             out[name] = out[name] + covariance if name in out else covariance
 
     for s, part in enumerate(problem.parts):
-        # Z (33), along the chain from its last rest to the first
+        # Z (39), along the chain from its last rest to the first
         Y, Z = np.eye(q + size)[q:], np.zeros((part.rests.stop - part.rests.start + 1, d, size))
         if mean is not None:
             biases = 1 + problem.biases
@@ -71,7 +72,7 @@ def contributions(
         for i in range(len(Z) - 2, -1, -1):
             Z[i] += by_next[part.rests.start + i] @ Z[i + 1]
 
-        # covariances by source (32)
+        # covariances by source (38)
         K = rest[part.rests, :, :d] @ Z[:-1] + rest[part.rests, :, d:-1] @ Z_x
         H = np.swapaxes(apart.rest[part.rests], 1, 2) @ K
         for name, S in _of_rests(problem, noise):

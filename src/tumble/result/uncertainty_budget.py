@@ -120,10 +120,10 @@ def shares_by_group(calibration: Calibration) -> dict[str, Array]:
 def what_would_help(calibration: Calibration) -> str:
     """One sentence: by how much u of bias, scale factors and axis angles would be smaller, the geometric mean, if there
     were more of something, or something were known better; empty without a budget."""
-    linear = [i for i, name in enumerate(calibration) if not beyond_linear(name)]
-    if not calibration.budget or not linear:
+    variances = _variances(calibration)[:, [not beyond_linear(name) for name in calibration]]
+    variances = variances[:, variances.any(axis=0)]
+    if not variances.size:
         return ""
-    variances = _variances(calibration)[:, linear]
     whole, gains = variances.sum(axis=0), list[tuple[float, str]]()
     for remedy, names in _REMEDIES.items():
         own = [
@@ -132,9 +132,9 @@ def what_would_help(calibration: Calibration) -> str:
         if any(own):
             left = whole - (1.0 - LESS) * variances[own].sum(axis=0)
             gains.append((float(np.exp(0.5 * np.mean(np.log(whole / left)))), remedy))
-    helping = [f"{remedy} {gain:.2f} times" for gain, remedy in sorted(gains, reverse=True) if gain >= HELPS]
+    helping = [f"{gain:.2f} times with {remedy}" for gain, remedy in sorted(gains, reverse=True) if gain >= HELPS]
     idle = [remedy for gain, remedy in gains if gain < HELPS]
-    parts = [f"u would be smaller with {'; '.join(helping)}"] if helping else []
+    parts = [f"u would be smaller {', '.join(helping)}"] if helping else []
     return ". ".join([*parts, *([f"Next to nothing would be gained by {', '.join(idle)}"] if idle else [])])
 
 

@@ -19,7 +19,7 @@ from tumble.views.render.pictures import COLOURS, FAINT, PAGE, drawn
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
-SHOWN = 0.005
+SHOWN = 0.02
 """Of u²: sources with less in every group are summed up in one line."""
 IN_PICTURE = 6
 """Sources with a colour of their own in the picture."""
@@ -48,7 +48,7 @@ def share_table(calibration: Calibration) -> Table:
     rows = []
     for s in large:
         row = {"source": budget[s].words, "type": budget[s].type, **_size(budget[s].u, budget[s].unit)}
-        row["dof"] = "" if budget[s].dof is None else significant(budget[s].dof, 2)
+        row["dof"] = _degrees(budget[s].dof)
         rows.append(row | {group: percent(float(share[s])) for group, share in shares.items()})
     small = [s for s in order.tolist() if s not in large]
     if small:
@@ -72,22 +72,31 @@ def parameter_budget(calibration: Calibration, name: str) -> Table:
             "type": kind,
             **_size(None, ""),
             "sensitivity": "",
-            f"contribution, {unit}": significant(contribution / size, 2),
+            f"contribution, {unit}": _two(contribution / size),
             "share": percent(share),
-            "dof": "" if dof is None else significant(dof, 2),
+            "dof": _degrees(dof),
         }
 
     lines = calibration.uncertainty_budget(name)
     for line in (each for each in lines if each.share >= SHOWN):
         of_source = _size(line.u, line.unit)
-        of_source["sensitivity"] = "" if line.sensitivity is None else significant(line.sensitivity, 2)
+        of_source["sensitivity"] = "" if line.sensitivity is None else _two(line.sensitivity)
         rows.append(row(line.words, line.type, line.contribution, line.dof, line.share) | of_source)
     if small := [each for each in lines if each.share < SHOWN]:
         share = sum(each.share for each in small)
-        rows.append(row(REST, "", math.sqrt(share) * (parameter.u or 0.0), None, share))
+        rows.append(row(REST, "", math.sqrt(share) * (parameter.u or 0.0), None, share) | {"dof": ""})
     rows.append(row("together", "", parameter.u or 0.0, parameter.dof, 1.0))
     caption = f"Uncertainty budget of {name}; the sensitivity is in {parameter.unit} over the unit of the source, SI."
     return table(rows, words=("source", "type", "unit"), dense=True, caption=caption)
+
+
+def _two(value: float) -> str:
+    """A number to two digits."""
+    return f"{float(f'{value:.1e}'):.0f}" if 10.0 <= value < 1e5 else significant(value, 2)
+
+
+def _degrees(dof: float | None) -> str:
+    return "∞" if dof is None else _two(dof)
 
 
 def _size(u: float | None, unit: str) -> dict[str, str]:
@@ -95,14 +104,16 @@ def _size(u: float | None, unit: str) -> dict[str, str]:
     if u is None:
         return {"u": "", "unit": ""}
     size, shown = engineering(unit, u)
-    return {"u": significant(u / size, 2), "unit": "" if shown == "1" else shown}
+    return {"u": _two(u / size), "unit": "" if shown == "1" else shown}
 
 
-def budget_section(calibration: Calibration, name: str) -> Section | None:
-    """The budget on a page: a bar of each parameter of the linear model by source, and the shares of all sources; none
-    without a budget. The figure is called `name`."""
+def budget_section(calibration: Calibration, name: str = "") -> Section | None:
+    """The budget on a page: the shares of all sources and, as a figure of this `name`, a bar of each parameter of the
+    linear model by source; none without a budget."""
     if not calibration.budget:
         return None
+    if not name:
+        return section("Uncertainty budget", share_table(calibration))
     said = "Bars: share of the largest sources in u² of every parameter of the linear model."
     return section(
         "Uncertainty budget", Figure(svg=_bars(calibration, name), caption=said), *budget_blocks(calibration)
@@ -112,9 +123,9 @@ def budget_section(calibration: Calibration, name: str) -> Section | None:
 def _bars(calibration: Calibration, name: str) -> str:
     """Bars of the shares of the largest sources in u² of the parameters of the linear model."""
     names = [each for each in calibration if not beyond_linear(each)]
-    u = np.array([calibration[each].u for each in names])
+    u = np.array([calibration[each].u or np.inf for each in names])
     every = np.array([[source.contributions.get(each, 0.0) for each in names] for source in calibration.budget])
-    shares = (every / np.maximum(u, 1e-300)) ** 2
+    shares = (every / u) ** 2
     order = np.argsort(-shares.mean(axis=1))
     largest = order[:IN_PICTURE].tolist()
 

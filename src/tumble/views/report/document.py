@@ -241,7 +241,7 @@ def _for_customers(one: _Reported, key: str) -> Iterator[Section | None]:
     if any(each.site != recordings[0].site for each in recordings):
         yield recording.site(recordings)
     yield from (recording.measured(each) for each in recordings)
-    yield budget_section(calibration, f"{key}-budget")
+    yield budget_section(calibration)
     yield result.correlations(calibration)
     yield _provenance(one.source)
 
