@@ -53,20 +53,20 @@ def sampled(fitted: Maximum, draws: int, seed: int) -> tuple[Array, Array, float
     phi, burn = fitted.best.phi.copy(), draws // 4
     steps = np.linalg.inv(fitted.best.information + 1e-6 * np.eye(D))
     here, path, accepted = conditional(fitted, phi), [phi], 0
-    mean, square, within = np.zeros(len(here[1])), np.zeros((len(here[1]),) * 2), np.zeros((len(here[1]),) * 2)
+    mean, square, within = np.zeros(len(here.step)), np.zeros((len(here.step),) * 2), np.zeros((len(here.step),) * 2)
     for i in range(-burn, draws):
         if i < 0 and i % 50 == 0 and len(path) > 10 * D:
             steps = np.cov(np.array(path[len(path) // 3 :]).T) + 1e-6 * np.eye(D)
         tried = phi + np.linalg.cholesky(steps) @ rng.standard_normal(D) * 2.38 / np.sqrt(D)
         there = conditional(fitted, tried)
-        if np.log(rng.uniform()) < there[0] - here[0]:
+        if np.log(rng.uniform()) < there.value - here.value:
             phi, here = tried, there
             accepted += i >= 0
         path.append(phi)
         if i >= 0:
-            mean += here[1] / draws
-            square += np.outer(here[1], here[1]) / draws
-            within += here[2] / draws
+            mean += here.step / draws
+            square += np.outer(here.step, here.step) / draws
+            within += here.covariance / draws
     return mean, within + square - np.outer(mean, mean), accepted / draws
 
 

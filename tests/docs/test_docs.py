@@ -45,6 +45,7 @@ RUN = (
     "docs/tutorial/rough-table.md",
     "docs/reference/conventions.md",
     "docs/howto/cube.md",
+    "docs/howto/where-u-comes-from.md",
     "docs/howto/ellipsoid.md",
     "docs/howto/waved-about.md",
     "docs/evidence/xsens.md",

@@ -15,7 +15,7 @@ from tumble.diagnosis.verdict import verdict
 from tumble.inference import elimination, integral
 from tumble.inference import joint as of_joint
 from tumble.inference.hyperparameters import Components, Hyperparameter
-from tumble.inference.in_run import InRun, of_session
+from tumble.inference.in_run import InRun, mean_along
 from tumble.inference.integral import posterior, smoothed
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import NO_PRIOR, Problem, instruments_of, noise_of, weights
@@ -242,7 +242,8 @@ def test_states_of_biases_are_those_of_everything_at_once(cut: bool) -> None:
     mean[np.arange(n), 3 * N + 1 + problem.biases] = 1.0
     for s in range(n):
         mean[s, 3 * N + p + s + n * np.arange(N)] = 1.0 / N
-    more, by, apart = of_session(step.told, step.parameters)
+    alone, by, noise = mean_along(step.told)
+    more, apart = alone + by @ step.parameters, np.einsum("ibd,icd->bc", noise, noise)
     to_session = np.eye(n, p, 1)
     to_session[:] = 0.0
     to_session[np.arange(n), 1 + problem.biases] = 1.0

@@ -366,7 +366,17 @@ def test_truth_is_shown_in_its_own_frame_only(folder: Path, tmp_path: Path) -> N
     assert json.loads((folder / "truth.json").read_text())
 
 
-WITH_THE_FRAME = {"frame", "parameters", "covariance", "accel", "gyro", "iterations", "launches", "process_bias"}
+WITH_THE_FRAME = {
+    "frame",
+    "parameters",
+    "covariance",
+    "accel",
+    "gyro",
+    "iterations",
+    "launches",
+    "process_bias",
+    "budget",
+}
 WHATEVER_THE_FRAME = {
     "absent", "serial", "model", "method", "outcome", "mag", "rests", "turns", "fits", "site", "programme", "readings",
     "notes", "provenance", "groups", "prediction", "axes", "reference_temperature", "references", "thermometers",

@@ -228,7 +228,7 @@ OF_THE_CHECK = {
     "circumstances", "sample_rate", "notes", "provenance",
 }  # fmt: skip
 OF_SESSIONS_THAT_ARE_NOT_THERE = {"iterations", "rests", "turns", "programme", "launches", "clock_u", "together"} | {
-    "hyperparameters", "integral", "process_bias",
+    "hyperparameters", "integral", "process_bias", "budget",
 }  # fmt: skip
 
 

@@ -75,6 +75,7 @@ SECTIONS = (
     "Site",
     "Programme and what was found",
     "Residuals",
+    "Uncertainty budget",
     "Covariance and correlations",
     "Convergence",
     "Noise and drift of the rests",

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         "tumble calibrate LOG0007.TXT --latitude 56.84 --serial A-7",
         "tumble calibrate monday tuesday --out A-7.json",
         "tumble calibrate cold room hot --together --out A-7.json",
+        "tumble calibrate imu-7 --budget",
         "tumble calibrate imu-7 --json",
     )
 )
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 @ask.LATITUDE
 @ask.LOG
 @ask.known_launches("Several launches: their instability together with that of all devices of the type in a registry.")
+@click.option("--budget", is_flag=True, help="Show what every u is made of, by source.")
 @ask.JSON
 @ask.EVERY
 def calibrate(
@@ -57,6 +59,7 @@ def calibrate(
     force: bool,
     truth: Path | None,
     known_launches: str | None,
+    budget: bool,
     as_json: bool,
     every: bool,
     **options: Any,
@@ -115,7 +118,7 @@ def calibrate(
     tell.show(
         as_json,
         lambda: result.content() | ({"others": [other.content() for other in others]} if others else {}),
-        lambda: calibration_blocks(result, known, others, every=every),
+        lambda: calibration_blocks(result, known, others, every=every, budget=budget),
     )
     tell.say(f"written to {target}")
     for other in others:

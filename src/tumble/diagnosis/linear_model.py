@@ -32,6 +32,7 @@ from tumble.inference.estimate import Estimate, GroupFinding
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import Problem, instruments_of
 from tumble.inference.prediction import prediction
+from tumble.inference.sources import source
 from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis, unit_vector
 from tumble.sensors.instrument import Instrument, functions
@@ -170,8 +171,18 @@ def with_left_out(estimate: Estimate, found: LeftOut, gravity: float) -> Estimat
         )
         for name, members in ((group.name, instrument.members[group.name]) for group in instrument.further)
     )
+    budget = estimate.budget
+    if budget is not None:
+        wide = np.vstack([np.eye(first), np.zeros((k, first))])
+        budget = budget.carried(wide)
+        for name, members in instrument.members.items():
+            own = slice(members.start - first, members.stop - first)
+            by = np.vstack([-moved, np.diag(found.usual)])[:, own]
+            size, unit = float(found.usual[own.start]), instrument.units[members.start]
+            budget = budget.beside(source(f"prior.{name}", size, unit), by @ by.T)
     return replace(
         estimate,
+        budget=budget,
         names=instrument.names,
         units=instrument.units,
         values=values,

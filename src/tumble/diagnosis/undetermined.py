@@ -10,7 +10,7 @@ import numpy as np
 
 from tumble.diagnosis.linearised_session import Concerns
 from tumble.diagnosis.observability import faces_and_edges, most_telling, standing
-from tumble.inference.common_errors import common_covariance
+from tumble.inference.common_errors import common_covariances
 from tumble.inference.estimate import SEEN, Estimate
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
@@ -121,7 +121,7 @@ def _weak(estimate: Estimate, observations: Observations, without: set[str]) -> 
     common = [relative if group_name(name) == "accel.scale" else 0.0 for name in estimate.names]
     covariance = estimate.covariance - np.outer(common, common)
     if estimate.instrument is not None:
-        covariance = covariance - common_covariance(observations, estimate.instrument)
+        covariance = covariance - sum(common_covariances(observations, estimate.instrument).values())
     variance, vectors = np.linalg.eigh(covariance[np.ix_(some, some)] / np.outer(spread, spread))
     angles = np.array([within_kind(group_name(linear[i])) != "bias" for i in some], dtype=bool)  # biases are linear
     squared = variance * (vectors[angles] ** 2).sum(axis=0) * group_of("accel.axis").limit ** 2

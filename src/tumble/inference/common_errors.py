@@ -30,14 +30,14 @@ if TYPE_CHECKING:
 _HARMONICS = np.arange(1, 40)
 
 
-def common_covariance(observations: Observations, instrument: Instrument) -> Array:
-    """Covariance (m, m) of the parameters by rounding and the time base, on top of that by noise."""
+def common_covariances(observations: Observations, instrument: Instrument) -> dict[str, Array]:
+    """Covariances (m, m) of the parameters by rounding and by the time base (`clock`), on top of that by noise."""
     by_clock, u = by_time_base(instrument.names, observations.by_clock), np.zeros(len(instrument.names))
     for block, readings in ((instrument.accel, observations.rests.accel), (instrument.gyro, observations.rests.gyro)):
         if block is not None and block.kind in observations.rounding:
             size = common_rounding(observations.rounding[block.kind], readings)
             u[instrument.group_columns(f"{block.kind}.bias")] = size[block.channels]
-    return np.diag(u**2) + np.outer(by_clock, by_clock)
+    return {"rounding": np.diag(u**2), "clock": np.outer(by_clock, by_clock)}
 
 
 def common_rounding(rounding: Rounding, readings: Array) -> Array:

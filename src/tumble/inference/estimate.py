@@ -15,6 +15,7 @@ from scipy import special
 
 from tumble.brief import Brief
 from tumble.inference.prediction import Prediction
+from tumble.inference.sources import UncertaintyBudget
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import SensorModel
 from tumble.units import Array, BoolArray
@@ -260,6 +261,8 @@ class Estimate(Brief):
     """How that was integrated over."""
     process_bias: tuple[ProcessBias, ...] = ()
     """The biases as the means of their processes; the parameters are those of the session."""
+    budget: UncertaintyBudget | None = None
+    """The covariance by source."""
     left_out: Omitted | None = None
     """What was left out because it does not fit, where the method leaves out."""
 

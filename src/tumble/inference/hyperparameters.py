@@ -261,22 +261,21 @@ def _groups(problem: Problem) -> Iterator[Hyperparameter]:
         held.add("temperature²")
     if not both_ways(observations):
         held.add("hysteresis")
-    for of, place in ((problem.instrument, "group"), (problem.own, "own group")):
-        if of is None:
-            continue
-        for group in of.further:
-            members = of.members[group.name]
-            if variable_of(group.name) in held and place == "group":
+    places: tuple[tuple[Place, dict[str, slice]], ...] = (
+        ("group", problem.instrument.members),
+        ("own group", problem.own_members),
+    )
+    for place, groups in places:
+        for name, members in groups.items():
+            if place == "group" and variable_of(name) in held:
                 continue
-            if place == "own group":
-                members = slice(members.start - of.linear_count, members.stop - of.linear_count)
             yield Hyperparameter(
-                name=group.name,
+                name=name,
                 unit="1",
-                words=f"size of {group.name} over the usual one",
-                place="group" if place == "group" else "own group",
+                words=f"size of {name} over the usual one",
+                place=place,
                 usual=1.0,
-                within=float(np.log(observations.too_small.get(group.name, STATED))),
+                within=float(np.log(observations.too_small.get(name, STATED))),
                 members=members,
             )
 

@@ -16,7 +16,7 @@ The score is that of Fisher's identity, from moments of the states given the dat
     ∂ℓ/∂ ln σ = Σ (E e² − 1),   ∂ℓ/∂ ln τ = Σ ρ Δt/τ · (E[(β_{k+1} − ρ β_k) β_k] + ρ (1 − E e²)) / (1 − ρ²)
 
 The parameter b is the mean of the process, what the bias of another day or of the next minute is about; what was
-observed is the mean over the rests of the session, b + σ mean β (`of_session`).
+observed is the mean over the rests of the session, b + σ mean β (`mean_along`).
 """
 
 from __future__ import annotations
@@ -101,11 +101,10 @@ class InRun:
         return by_size, by_time, told
 
 
-def of_session(told: Told, parameters: Array) -> tuple[Array, Array, Array]:
-    """By how much the means of the biases over the rests of a session differ from their parameters, once a step of
-    these (q + 1 + m,), its own before them, is done: values (n,), what they change with them (n, q + 1 + m), and the
-    covariance (n, n) of the rest. A session's states are a chain, u_i = A_i u_{i+1} + B_i x + a_i + e_i, along which
-    their mean is followed from the first."""
+def mean_along(told: Told) -> tuple[Array, Array, Array]:
+    """The mean over the rests of a session of its in-run biases (n,), along the chain of its states u_i = A_i u_{i+1} +
+    B_i x + a_i + R_i⁻¹ e_i from the first: its value where x is zero, what it changes with x, what the session has of
+    its own, gravity and the common parameters (n, q + 1 + m), and with the noise e of every rest (N, n, d)."""
     process = told.process
     assert process is not None
     inverse, by_next, by, alone = given_others(told.factor)
@@ -113,12 +112,11 @@ def of_session(told: Told, parameters: Array) -> tuple[Array, Array, Array]:
     n = len(process.sigma)
     share, carried = np.zeros((n, d)), np.zeros((n, d))
     share[:, d - n :] = np.diag(process.sigma) / N
-    values, along, covariance = np.zeros(n), np.zeros((n, p)), np.zeros((n, n))
+    values, along, by_noise = np.zeros(n), np.zeros((n, p)), np.empty((N, n, d))
     for i in range(N):
         carried = carried + share
         values += carried @ alone[i]
         along += carried @ by[i]
-        root = carried @ inverse[i]
-        covariance += root @ root.T
+        by_noise[i] = carried @ inverse[i]
         carried = carried @ by_next[i]
-    return values + along @ parameters, along, covariance
+    return values, along, by_noise

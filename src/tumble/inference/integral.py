@@ -24,16 +24,18 @@ distribution say how good the proposal was.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
 
 from tumble.inference.hyperparameters import components_of, sized
-from tumble.inference.in_run import of_session
+from tumble.inference.in_run import mean_along
 from tumble.inference.linearisation import with_priors
 from tumble.inference.maximum import Evaluated, Maximum
 from tumble.inference.step import deviance, joined, tell
+from tumble.inference.uncertainty_budget import contributions
 from tumble.units import Array
 
 POINTS = 64
@@ -63,7 +65,8 @@ MOST_DEGREES = 1e6
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Posterior:
     """What is known of gravity and the parameters with the hyperparameters integrated out: the mean step from the last
-    linearisation (1 + m,) and the covariance (1 + m, 1 + m), biases being the means over the session; degrees of
+    linearisation (1 + m,) and the covariance (1 + m, 1 + m), biases being the means over the session, also by its
+    `sources` (`tumble.inference.uncertainty_budget`); degrees of
     freedom (m,) of Student's t with the same coverage factor; `process_step` and `process_covariance` (n, n) of the
     biases as the means of their processes, what the next minute's or another day's are about; how many points there
     were, their effective number, and the Pareto shape of the weights; and median, lower and upper limit of the middle
@@ -71,6 +74,7 @@ class Posterior:
 
     step: Array
     covariance: Array
+    sources: Mapping[str, Array]
     degrees: Array
     process_step: Array
     process_covariance: Array
@@ -96,22 +100,28 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
             phi[:, axis.element] = x
             log_q += np.interp(x, axis.phi, axis.log_density) + 0.5 * own**2
     every = [conditional(fitted, own) for own in phi]
-    weight, pareto = smoothed(np.array([value for value, *_ in every]) - log_q)
-    steps, covariances = np.array([each[1] for each in every]), np.array([each[2] for each in every])
+    weight, pareto = smoothed(np.array([each.value for each in every]) - log_q)
+    steps = np.array([each.step for each in every])
     mean = weight @ steps
-    covariance = np.einsum("k,kab->ab", weight, covariances) + ((steps - mean).T * weight) @ (steps - mean)
-    process, own = np.array([each[3] for each in every]), np.array([each[4] for each in every])
+    sources = dict[str, Array]()
+    for each, w in zip(every, weight.tolist(), strict=True):
+        for name, covariance in each.covariances.items():
+            sources[name] = sources.get(name, 0.0) + w * covariance
+    sources["hyperparameters"] = ((steps - mean).T * weight) @ (steps - mean)
+    covariance = np.sum(list(sources.values()), axis=0)
+    process = np.array([each.process_step for each in every])
     of_process = weight @ process
-    spread = ((process - of_process).T * weight) @ (process - of_process)
-    deviations = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    own = np.einsum("k,kab->ab", weight, np.array([each.process_covariance for each in every]))
+    deviations = np.sqrt([each.covariance.diagonal() for each in every])
     factor = _coverage_factors(steps - mean, deviations, weight, np.sqrt(np.diag(covariance)))
     shorter = np.where(factor > 0.0, np.minimum(0.5 * factor, 1.0), 1.0)
     return Posterior(
         step=mean,
         covariance=covariance * np.outer(shorter, shorter),
+        sources={name: each * np.outer(shorter, shorter) for name, each in sources.items()},
         degrees=_degrees(factor[1:]),
         process_step=of_process,
-        process_covariance=np.einsum("k,kab->ab", weight, own) + spread,
+        process_covariance=own + ((process - of_process).T * weight) @ (process - of_process),
         points=points,
         effective=float(1.0 / (weight**2).sum()),
         pareto=pareto,
@@ -192,9 +202,25 @@ def _axis(element: int, centre: float, knots: list[tuple[float, float, float]], 
     return _Axis(element=element, phi=centre + grid, log_density=log_density, cumulative=cumulative / cumulative[-1])
 
 
-def conditional(fitted: Maximum, phi: Array) -> tuple[float, Array, Array, Array, Array]:
-    """ℓ at φ, and there the step of gravity and the parameters, its covariance, both with the biases of the session,
-    and the step and covariance of the biases of the processes."""
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Conditional:
+    """ℓ at φ, and there the step of gravity and the parameters (1 + m,) and its covariance by source, both with the
+    biases of the session, and the step and the covariance of the biases of the processes."""
+
+    value: float
+    step: Array
+    covariances: Mapping[str, Array]
+    process_step: Array
+    process_covariance: Array
+
+    @property
+    def covariance(self) -> Array:
+        """The whole covariance (1 + m, 1 + m) of the step."""
+        return np.asarray(np.sum(list(self.covariances.values()), axis=0))
+
+
+def conditional(fitted: Maximum, phi: Array) -> Conditional:
+    """The posterior at φ."""
     entries, free = fitted.entries, fitted.free
     components, problem = components_of(entries, phi, free.sensors), sized(free, entries, phi)
     rows = with_priors(fitted.at.rows, problem, fitted.at.point, fitted.at.about)
@@ -202,17 +228,18 @@ def conditional(fitted: Maximum, phi: Array) -> tuple[float, Array, Array, Array
     known = joined(problem, rows, told)
     value = -0.5 * deviance(problem, told, known)
     value += sum(h.prior(p)[0] for h, p in zip(entries, phi.tolist(), strict=True))
-    q, biases = len(problem.own_known), 1 + free.biases
-    change, covariance = known.parameters.copy(), known.roots[0][q:, q:] @ known.roots[0][q:, q:].T
-    process = change[biases], covariance[np.ix_(biases, biases)]
+    step, biases, mean = known.parameters.copy(), 1 + free.biases, None
+    root = known.roots[0][len(problem.own_known) :][biases]
     if told.process is not None and len(problem.parts) == 1:
-        more, by, apart = of_session(told, np.concatenate([known.own[0], known.parameters]))
-        to_session = np.eye(len(change))
-        to_session[biases] += by[:, q:]
-        change[biases] += more
-        covariance = to_session @ covariance @ to_session.T
-        covariance[np.ix_(biases, biases)] += apart
-    return float(value), change, covariance, *process
+        mean = mean_along(told)
+        step[biases] += mean[0] + mean[1] @ np.concatenate([known.own[0], known.parameters])
+    return Conditional(
+        value=float(value),
+        step=step,
+        covariances=contributions(problem, fitted.at, told, known, mean),
+        process_step=known.parameters[biases],
+        process_covariance=root @ root.T,
+    )
 
 
 def _sequence(points: int, dimensions: int) -> Array:

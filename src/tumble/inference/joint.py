@@ -12,12 +12,12 @@ limit; so does a combination of them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from tumble.inference.common_errors import common_covariance
+from tumble.inference.common_errors import common_covariances
 from tumble.inference.estimate import (
     DETERMINED,
     Estimate,
@@ -29,13 +29,14 @@ from tumble.inference.estimate import (
     ProcessBias,
 )
 from tumble.inference.fits import chi_squares, left_out, sigmas, with_total
-from tumble.inference.hyperparameters import Components
+from tumble.inference.hyperparameters import SCATTER, Components
 from tumble.inference.integral import POINTS, Posterior, posterior
 from tumble.inference.lag import KEPT, maximum_with_lag
 from tumble.inference.likelihood import NO_PRIOR, Linearised, Prior, Problem, instruments_of
 from tumble.inference.linearisation import at_reference
 from tumble.inference.maximum import MAX_ITERATIONS, Maximum, without_outliers
 from tumble.inference.prediction import prediction
+from tumble.inference.sources import UncertaintyBudget, source
 from tumble.inference.start import start_of
 from tumble.inference.step import left
 from tumble.inference.turns_about import TurnsAbout
@@ -77,8 +78,10 @@ def _estimate(
     alone = chi_squares(problem, left(problem, fitted.at.solved(problem, Components())))
     observations, linear = problem.observations, instrument.linear_count
     values = fitted.at.point.values + shown.step[1:]
-    common = common_covariance(observations, instrument) + by_lag
-    covariance = shown.covariance[1:, 1:] + common
+    common = {**common_covariances(observations, instrument), "lag": by_lag}
+    budget = _budget(fitted, shown, common)
+    in_common = np.sum(list(common.values()), axis=0)
+    covariance = shown.covariance[1:, 1:] + in_common
     spread = problem.spread[:linear]
     observable = np.ones(len(values), dtype=bool)
     observable[:linear] = np.sqrt(np.diag(covariance)[:linear]) < spread / DETERMINED
@@ -117,7 +120,8 @@ def _estimate(
         own=_own(fitted),
         hyperparameters=tuple(_hyperparameters(fitted, shown)),
         integral=Integral(points=shown.points, effective=shown.effective, pareto=shown.pareto),
-        process_bias=tuple(_process_bias(fitted, shown, common)),
+        process_bias=tuple(_process_bias(fitted, shown, in_common)),
+        budget=budget,
         left_out=Omitted(**dict(zip(("accel", "gyro", "turn"), left_out(problem, noise), strict=True))),
     )
 
@@ -128,6 +132,36 @@ def _hyperparameters(fitted: Maximum, shown: Posterior) -> Iterator[Hyperparamet
         yield HyperparameterEstimate(
             name=h.name, unit=h.unit, words=h.words, value=value, low=low, high=high, usual=h.usual
         )
+
+
+def _budget(fitted: Maximum, shown: Posterior, common: Mapping[str, Array]) -> UncertaintyBudget:
+    """The covariance by source, and of each source its standard uncertainty, where it is one quantity's. A standard
+    deviation known to a relative σ stands for 1/(2 σ²) degrees of freedom (GUM E.4.3, G.4.2), σ being that of its
+    logarithm by the middle 68 %."""
+    problem, noise = fitted.problem, fitted.at.noise
+    observations, instrument, rests = problem.observations, problem.instrument, problem.observations.rests
+    sizes = dict[str, tuple[float, str, float | None]]()
+    for kind, covariance in (("accel", rests.accel_covariance), ("gyro", rests.gyro_covariance)):
+        if covariance.shape[1]:
+            mean_square = float(np.median(np.trace(covariance, axis1=1, axis2=2))) / covariance.shape[1]
+            sizes[f"{kind}.noise"] = np.sqrt(mean_square), "m/s^2" if kind == "accel" else "rad/s", None
+    if len(noise.turn):
+        rotation, velocity = (float(np.sqrt(np.median(each**2))) for each in problem.noise_of_turns)
+        sizes |= {"turn.gyro.noise": (rotation, "rad", None), "turn.accel.noise": (velocity, "m/s", None)}
+    for h in _hyperparameters(fitted, shown):
+        name = f"{h.name}.scatter" if h.name in SCATTER else h.name.replace("_in_run", ".in_run")
+        relative = 0.5 * np.log(h.high / h.low)
+        sizes[name] = h.value, h.unit, float(0.5 / relative**2) if relative > 0.0 else None
+    site, clock = observations.site, max(map(abs, observations.by_clock.values()), default=0.0)
+    sizes |= {"gravity": (site.gravity_u, "m/s^2", None), "clock": (clock, "1", None)}
+    for name, own in instrument.members.items():
+        sizes[f"prior.{name}"] = float(problem.measured[1][1:][own][0]), instrument.units[own.start], None
+    covariances = {name: covariance[1:, 1:] for name, covariance in shown.sources.items()} | dict(common)
+    covariances = {name: covariance for name, covariance in covariances.items() if covariance.any()}
+    return UncertaintyBudget(
+        sources=tuple(source(name, *sizes.get(name, ())) for name in covariances),
+        covariances=np.array(list(covariances.values())),
+    )
 
 
 def _process_bias(fitted: Maximum, shown: Posterior, common: Array) -> Iterator[ProcessBias]:

@@ -247,6 +247,14 @@ class Problem:
         turns = self.observations.turns
         return np.zeros(0, dtype=np.int64) if turns is None else turns.first
 
+    @cached_property
+    def own_members(self) -> dict[str, slice]:
+        """Where the groups stand among what each session has of its own."""
+        if self.own is None:
+            return {}
+        first, members = self.own.linear_count, self.own.members
+        return {g.name: slice(members[g.name].start - first, members[g.name].stop - first) for g in self.own.further}
+
     @property
     def biases(self) -> IntArray:
         """Where the biases of all sensors stand among the parameters."""
@@ -417,7 +425,7 @@ def noise_of(problem: Problem, rows: Rows) -> Noise:
     if turns is None or not len(Z) or not problem.instrument.in_velocities:
         return noise
     across, Z, turn = skew(-0.5 * rows.gained), Z.copy(), noise.turn.copy()
-    rotation, constant = turn[:, :3, :3], turns.duration[:, None, None] ** 2 * _unseen(problem)
+    rotation, constant = turn[:, :3, :3], turns.duration[:, None, None] ** 2 * unseen_rate(problem)
     by_rotation = across @ (rotation - constant * np.eye(3)) @ np.swapaxes(across, 1, 2)
     turn[:, 3:6, :3] = across @ rotation
     turn[:, :3, 3:6] = np.swapaxes(turn[:, 3:6, :3], 1, 2)
@@ -427,7 +435,7 @@ def noise_of(problem: Problem, rows: Rows) -> Noise:
     return replace(noise, turn=turn, turn_directions=(Z, component))
 
 
-def _unseen(problem: Problem) -> float:
+def unseen_rate(problem: Problem) -> float:
     """The variance, rad²/s², of the Earth's rate along an axis where the latitude is not known."""
     return EARTH_RATE**2 / 3.0 if problem.observations.site.latitude is None else 0.0
 
@@ -439,7 +447,7 @@ def _noise_of_session(problem: Problem) -> Noise:
     gyro, n = observations.gyro_block, rests.accel.shape[1]
     blocks = [rests.accel_covariance]
     if gyro is not None:
-        blocks.append(rests.gyro_covariance + _unseen(problem) * gyro.axes @ gyro.axes.T)
+        blocks.append(rests.gyro_covariance + unseen_rate(problem) * gyro.axes @ gyro.axes.T)
     if problem.prior.attitude is not None:
         blocks.append(np.broadcast_to(problem.prior.attitude**2 * np.eye(3), (len(rests), 3, 3)))
     rest = _diagonal(blocks)
@@ -468,7 +476,7 @@ def _turn_noise(problem: Problem) -> Array:
     velocities."""
     turns, readings = problem.observations.turns, problem.observations.turn_readings
     assert turns is not None
-    blocks = [turns.covariance + turns.duration[:, None, None] ** 2 * _unseen(problem) * np.eye(3)]
+    blocks = [turns.covariance + turns.duration[:, None, None] ** 2 * unseen_rate(problem) * np.eye(3)]
     if problem.instrument.in_velocities:
         blocks.append(turns.velocity_covariance)
     if readings is not None:

@@ -166,14 +166,14 @@ def priors(problem: Problem, point: Point, about: TurnsAbout | None = None) -> A
     if problem.prior.covariance is None:
         rows[np.arange(len(u)), np.arange(len(u))] = np.where(known, 1.0 / np.where(known, u, 1.0), 0.0)
     else:
-        rows[:-1, :-1] = _root_of_inverse(problem.prior.covariance)
+        rows[:-1, :-1] = root_of_inverse(problem.prior.covariance)
     rows[:-1, -1] = rows[:-1, :-1] @ (expected - np.append(point.gravity, point.values))
     for array in () if about is None else about.arrays:
         fold(np.insert(array.rows(problem.instrument, point.values), 0, 0.0, axis=1), rows)
     return rows
 
 
-def _root_of_inverse(covariance: Array) -> Array:
+def root_of_inverse(covariance: Array) -> Array:
     """The triangle W with WᵀW = C⁻¹; zero where a quantity is exact."""
     known = np.flatnonzero(np.diag(covariance) > 0.0)
     index = np.ix_(known, known)

@@ -19,6 +19,7 @@ from tumble.diagnosis.linear_model import left_out_of, with_left_out
 from tumble.diagnosis.observability import Refusal
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Fit
+from tumble.inference.sources import of_fit
 from tumble.methods.ellipsoid_fit import EllipsoidFit, fit_ellipsoid
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
@@ -71,6 +72,7 @@ def estimate_of(found: EllipsoidFit, observations: Observations) -> Estimate:
         fits={"accelerometers": found.fit("m/s^2")},
         converged=found.converged,
         degrees=found.noise_degrees * parts**2,  # Welch, Satterthwaite
+        budget=of_fit(covariance, found.by_modulus, observations.site.gravity_u, found.noise_degrees),
     )
     if not observations.usual:
         return estimate

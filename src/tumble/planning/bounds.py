@@ -35,7 +35,7 @@ from tumble.inference.common_errors import by_time_base, clocked
 from tumble.inference.elimination import fold
 from tumble.inference.estimate import GroupFinding
 from tumble.inference.hyperparameters import Components
-from tumble.inference.in_run import InRun, of_session
+from tumble.inference.in_run import InRun, mean_along
 from tumble.inference.likelihood import Point, Problem, Rows, weights
 from tumble.inference.linearisation import linearise
 from tumble.inference.step import Told, tell, whitened_rows
@@ -204,11 +204,11 @@ def over_session(problem: Problem, told: Told, root: Array) -> Array:
     (1 + m, ·) of gravity and the parameters, biases being the means of their processes."""
     if told.process is None:
         return root[1:]
-    _, by, apart = of_session(told, np.zeros(len(root)))
-    biases, more = 1 + problem.biases, np.zeros((len(root), len(apart)))
+    _, by, noise = mean_along(told)
+    biases, more = 1 + problem.biases, np.zeros((len(root), len(by)))
     moved = root.copy()
     moved[biases] += by @ root
-    value, vectors = np.linalg.eigh(apart)
+    value, vectors = np.linalg.eigh(np.einsum("ibd,icd->bc", noise, noise))
     more[biases] = vectors * np.sqrt(np.maximum(value, 0.0))
     return np.hstack([moved, more])[1:]
 

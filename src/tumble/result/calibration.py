@@ -45,8 +45,9 @@ from tumble.result.file import (
     parsed,
 )
 from tumble.result.frames import Turned, increments_in, turned, with_spread
-from tumble.result.parts import Launch, Member, Parameter, Readings, RestResult, TurnResult
+from tumble.result.parts import Launch, Member, Parameter, Readings, RestResult, SourceContributions, TurnResult
 from tumble.result.shown import views
+from tumble.result.uncertainty_budget import BudgetLine, uncertainty_budget
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.frames import frame_of, triad_axes
 from tumble.sensors.model import Block, SensorKind, SensorModel
@@ -101,6 +102,8 @@ class Calibration(Mapping[str, Parameter]):
     process_bias: tuple[ProcessBias, ...] = ()
     """The biases as the means of their processes, what the next minute's are about; the parameters are those of the
     session. In the frame of the accelerometers alone."""
+    budget: tuple[SourceContributions, ...] = ()
+    """What the u of every parameter is made of, by source; empty in a frame it was not made in."""
     prediction: Prediction | None = None
     """What corrected readings are known to."""
     axes: Mapping[str, SensingAxes] = field(default_factory=dict)
@@ -221,6 +224,12 @@ class Calibration(Mapping[str, Parameter]):
         """What a notebook shows: the headline, the reasons and the table of parameters."""
         return views().as_html(self)
 
+    def uncertainty_budget(self, name: str) -> tuple[BudgetLine, ...]:
+        """What the u of a parameter is made of, the largest first: source, type A or B, its standard uncertainty, the
+        sensitivity, contribution and share of u². Raises KeyError for a name that is none, and CalibrationError
+        where there is no budget."""
+        return uncertainty_budget(self, name)
+
     def table(self) -> str:
         """The parameters in the field's units, with standard and expanded uncertainty (k = 2), as plain text; where
         there are such, with coverage factor, degrees of freedom, prior and learned fraction."""
@@ -318,6 +327,7 @@ class Calibration(Mapping[str, Parameter]):
             accel=mean.framed.accel,
             gyro=mean.framed.gyro,
             process_bias=(),
+            budget=(),
             iterations=tuple(increments_in(mean, [p.name for p in self.parameters], step) for step in self.iterations),
             launches=tuple(
                 replace(launch, parameters=each.parameters, covariance=each.covariance)

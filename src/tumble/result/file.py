@@ -44,6 +44,7 @@ from tumble.result.parts import (
     Readings,
     RestResult,
     Size,
+    SourceContributions,
     TurnResult,
     Vector,
     is_size,
@@ -373,6 +374,7 @@ class CalibrationFile(_ResultTable, _HeadTable):
     process_bias: tuple[Annotated[ProcessBias, _sizes("u", "next_u")], ...] = Field(
         default=(), max_length=MOST_PARAMETERS
     )
+    budget: tuple[Annotated[SourceContributions, _sizes("u")], ...] = Field(default=(), max_length=MOST_PARAMETERS)
     prediction: Annotated[Prediction, _sizes("force_u", "rate_u")] | None = None
     axes: dict[str, tuple[_Direction, ...]] = {}
     temperature: TemperatureContent = TemperatureContent()

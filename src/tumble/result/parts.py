@@ -16,6 +16,7 @@ from scipy.special import stdtrit
 
 from tumble.documents import shown
 from tumble.inference.estimate import Fit
+from tumble.inference.sources import Source
 from tumble.recording.circumstances import UNKNOWN, Circumstances
 from tumble.recording.session import Site
 from tumble.recording.session.table import LONGEST_NAME
@@ -122,6 +123,14 @@ def stated_factor(degrees: float | None) -> float | None:
 def coverage_factor(degrees: float) -> float:
     """t₉₅.₄₅(ν): within ±k u lies the true value in 95.45 of 100 cases, u being estimated with ν degrees of freedom."""
     return float(-stdtrit(degrees, 0.5 * erfc(sqrt(2.0)))) if isfinite(degrees) else 2.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SourceContributions(Source):
+    """A source of uncertainty, and what it has in the u of parameters of a calibration, SI, by their names; nothing in
+    those that are not there."""
+
+    contributions: Mapping[str, Size]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

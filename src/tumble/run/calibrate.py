@@ -21,6 +21,7 @@ from tumble.inference.common_errors import by_time_base, clocked
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.hyperparameters import GUESSED, SHEET, STATED
 from tumble.inference.joint import joint
+from tumble.inference.sources import of_fit, source
 from tumble.methods.ellipsoid import ellipsoid
 from tumble.methods.paper.scalar import scalar
 from tumble.methods.paper.sequential import sequential
@@ -32,6 +33,8 @@ from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration, read_calibration
+from tumble.result.coverage import by_gravity
+from tumble.result.parts import Parameter
 from tumble.run.from_estimate import result_of, without_result
 from tumble.run.magnetometer import with_magnetometer
 from tumble.run.notes import bridged_in
@@ -274,9 +277,8 @@ def estimated(
     try:
         with np.errstate(over="ignore"):  # damaged samples, of which it breaks down
             estimate = method(observations)
-        change = by_time_base(estimate.names, by_clock)
-        if estimate.method != "joint" and change.any():  # the method joint counts it itself
-            estimate = replace(estimate, covariance=estimate.covariance + np.outer(change, change))
+        if estimate.method != "joint":  # which counts the time base itself
+            estimate = _with_time_base(estimate, observations)
         if terms == "full" and estimate.method == "joint":
             return estimate, observations
         if terms == "full":
@@ -288,6 +290,24 @@ def estimated(
     except np.linalg.LinAlgError as error:
         broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
         return Outcome(reasons=(one_attitude(observations) or broken,))
+
+
+def _with_time_base(estimate: Estimate, observations: Observations) -> Estimate:
+    """An estimate of a method that does not know of the time base, with what this changes in its covariance, and with
+    a budget of what gravity is in it and of all else where the method has none."""
+    change, budget = by_time_base(estimate.names, observations.by_clock), estimate.budget
+    if budget is None:
+        every = zip(estimate.names, estimate.values.tolist(), estimate.units, strict=True)
+        parameters = [Parameter(name=name, value=value, u=None, unit=unit) for name, value, unit in every]
+        of_gravity = by_gravity(parameters, estimate.covariance, observations.site)
+        degrees = np.inf if estimate.degrees is None else float(estimate.degrees.min())
+        budget = of_fit(estimate.covariance, of_gravity, observations.site.gravity_u, degrees)
+    of_clock, relative = np.outer(change, change), max(map(abs, observations.by_clock.values()), default=0.0)
+    return replace(
+        estimate,
+        covariance=estimate.covariance + of_clock,
+        budget=budget.beside(source("clock", relative, "1"), of_clock),
+    )
 
 
 def provenance_of(log_sha256: str) -> dict[str, str]:

@@ -28,6 +28,7 @@ from scipy.linalg import block_diag
 
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate
+from tumble.inference.sources import source
 from tumble.programme.positions import Programme
 from tumble.reduction.observations import Observations
 from tumble.rotation import UP, rotation_matrix, skew, tangent_basis
@@ -283,8 +284,15 @@ def estimate_in(frame: Frame, estimate: Estimate, observations: Observations) ->
     jacobian = block_diag(framed.jacobian, further)
     covariance = jacobian @ estimate.covariance @ jacobian.T
     covariance[: len(framed.names), : len(framed.names)] = framed.covariance
+    budget = None if estimate.budget is None else estimate.budget.carried(jacobian)
+    if budget is not None and found is not None:
+        of_case = np.zeros_like(covariance)
+        own = slice(len(framed.names))
+        of_case[own, own] = framed.covariance - budget.covariances[:, own, own].sum(axis=0)
+        budget = budget.beside(source("case", found.scatter, "rad"), of_case)
     moved = replace(
         estimate,
+        budget=budget,
         names=names,
         units=framed.units + estimate.units[linear:],
         values=np.append(framed.values, further @ estimate.values[linear:]),

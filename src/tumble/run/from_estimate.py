@@ -18,6 +18,7 @@ from tumble.reduction.rests.rests import Rests
 from tumble.result.calibration import Calibration, SensingAxes
 from tumble.result.coverage import MANY_DEGREES, with_degrees
 from tumble.result.parts import Parameter, Readings, RestResult, SensorsAtRest, TurnResult
+from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.case import CaseAlignment, estimate_in
 from tumble.run.notes import case_found, one_rate, over_temperature, unchecked
 from tumble.sensors.frames import Frame, convert
@@ -75,6 +76,7 @@ def result_of(
         hyperparameters=estimate.hyperparameters,
         integral=estimate.integral,
         process_bias=estimate.process_bias if frame == "accelerometer" else (),
+        budget=contributions_of(estimate.budget, estimate.names),
         prediction=estimate.prediction,
         axes=_axes(observations),
         reference_temperature=reference_of(observations),

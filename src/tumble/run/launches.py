@@ -22,6 +22,7 @@ from tumble.files import FilePath
 from tumble.inference.common_errors import by_time_base, clocked
 from tumble.inference.estimate import GroupFinding, Outcome
 from tumble.inference.prediction import Prediction, prediction
+from tumble.inference.sources import UncertaintyBudget, source
 from tumble.methods.ellipsoid_fit import TRIAD
 from tumble.methods.magnetometer import NAMES
 from tumble.recording.circumstances import AirConditions, Circumstances
@@ -32,6 +33,7 @@ from tumble.result.calibration import Calibration
 from tumble.result.coverage import by_gravity, degrees_of_mean, shared_gravity
 from tumble.result.parts import Launch, Parameter
 from tumble.result.shared_errors import by_priors
+from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.calibrate import DEFAULT_METHOD, Method, Terms, calibrate, provenance_of
 from tumble.run.observed import Progress
 from tumble.run.same_recording import Means, check_recordings
@@ -132,6 +134,8 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
     apart = [np.diag(C - of_site - of_prior).clip(0.0) for C, of_prior in zip(whole, of_priors, strict=True)]
     common = of_site + np.mean(of_priors, axis=0)
     covariance = np.sum([C - of_site - P for C, P in zip(whole, of_priors, strict=True)], axis=0) / count**2 + common
+    of_launches = covariance - common
+    np.fill_diagonal(of_launches, np.sum(apart, axis=0) / count**2)
     parameters = []
     for i, (name, each) in enumerate(zip(names, members, strict=True)):
         parts = []
@@ -157,6 +161,15 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
             )
         )
     by_name = dict(zip(names, mean.tolist(), strict=True))
+    of_gravity, of_clock = np.outer(gravity, gravity), np.outer(clock, clock)
+    budget = UncertaintyBudget(sources=(source("within launches"),), covariances=of_launches[None])
+    for own, of_own in (
+        (source("launches", dof=count - 1.0 if others is None else None), covariance - of_launches - common),
+        (source("gravity", first.site.gravity_u if first.site else None, "m/s^2"), of_gravity),
+        (source("clock", clock_u, "1"), of_clock),
+        (source("priors"), common - of_gravity - of_clock),
+    ):
+        budget = budget.beside(own, of_own)
     return Calibration(
         serial=first.serial,
         model=first.model,
@@ -181,6 +194,7 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
         launches=tuple(map(_launch, runs)),
         provenance=provenance_of(digest_of_all(digests)),
         groups=_groups(launches, parameters),
+        budget=contributions_of(budget, names),
         prediction=_prediction(runs, names, mean, covariance),
         axes=_common_items([launch.axes for launch in launches]),
         reference_temperature=reference,

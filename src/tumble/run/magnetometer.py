@@ -17,12 +17,14 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.diagnosis.carried_vertical import signed_permutations
+from tumble.inference.sources import UncertaintyBudget, source
 from tumble.methods.magnetometer import NAMES as MAGNETOMETER_NAMES
 from tumble.methods.magnetometer import magnetometer
 from tumble.recording.session import Magnetometer, Session
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Parameter
+from tumble.result.uncertainty_budget import contributions_of
 from tumble.rotation import unit_vector
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, Array
@@ -102,11 +104,13 @@ def with_magnetometer(calibration: Calibration, session: Session, observations: 
         for name, value, each, unit in zip(MAGNETOMETER_NAMES, found.values, u, units, strict=True)
     )
     apart = np.zeros((len(covariance), 9))
+    by_magnetometer = UncertaintyBudget(sources=(source("mag.fit"),), covariances=found.covariance[None])
     return replace(
         calibration,
         parameters=calibration.parameters + parameters,
         covariance=np.block([[covariance, apart], [apart.T, found.covariance]]),
         mag=found.model,
         fits=dict(calibration.fits) | found.fits,
+        budget=(*calibration.budget, *contributions_of(by_magnetometer, MAGNETOMETER_NAMES)),
         notes=calibration.notes + found.notes + exchanged_columns(calibration.accel, found.model, observations, spec),
     )

@@ -47,6 +47,7 @@ from tumble.views.numbers import (
 from tumble.views.render.notebook import fragment
 from tumble.views.render.terminal import text_of
 from tumble.views.report.recording import checked, recordings, rests_said, tables_of
+from tumble.views.uncertainty_budget import budget_blocks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,10 +67,11 @@ def calibration_blocks(
     others: Sequence[Calibration] = (),
     *,
     every: bool = False,
+    budget: bool = False,
 ) -> list[Block]:
     """All that `tumble calibrate` says, the verdict first; `others` are calibrations of the same sessions by other
     methods. Tables have the parameters of the linear model, and groups, rests and fits are a line each; with `every`,
-    all parameters, and tables of these."""
+    all parameters, and tables of these; with `budget`, what every u is made of."""
     parameters = calibration.parameters if every else linear_parameters(calibration.parameters)
     several, passport = bool(calibration.launches), any(p.deviation is not None for p in parameters)
     device = device_name(calibration.serial, calibration.model)
@@ -84,6 +86,8 @@ def calibration_blocks(
         blocks.append(group_table(calibration))
     if every:
         blocks += unknown_blocks(calibration)
+    if budget:
+        blocks += budget_blocks(calibration, every=every)
     if several:
         blocks += [launch_table(calibration, parameters, deviations=which) for which in (False, True)[: 1 + passport]]
     if calibration.together:

@@ -17,6 +17,7 @@ from tumble.views.blocks import Block, Document, Facts, Items, Part, Section, Te
 from tumble.views.numbers import NONE, device_name
 from tumble.views.registry import TONES
 from tumble.views.report import certified, compare, limits, over_temperature, recording, result
+from tumble.views.uncertainty_budget import budget_section
 
 _MOST_MOMENTS = 3
 """Of more recordings only the days are listed."""
@@ -217,6 +218,7 @@ def _for_the_laboratory(one: _Reported, key: str) -> Iterator[Section | None]:
     yield recording.site(recordings)
     yield from (recording.found(r, f"{key}-sphere{i}") for i, r in enumerate(recordings))
     yield from (recording.residuals(r, f"{key}-residuals{i}") for i, r in enumerate(recordings))
+    yield budget_section(calibration, f"{key}-budget")
     yield result.correlations(calibration)
     yield result.convergence(calibration, f"{key}-convergence")
     yield from (recording.noise(r, f"{key}-noise{i}") for i, r in enumerate(recordings))
@@ -239,6 +241,7 @@ def _for_customers(one: _Reported, key: str) -> Iterator[Section | None]:
     if any(each.site != recordings[0].site for each in recordings):
         yield recording.site(recordings)
     yield from (recording.measured(each) for each in recordings)
+    yield budget_section(calibration)
     yield result.correlations(calibration)
     yield _provenance(one.source)
 

@@ -1,0 +1,143 @@
+"""The uncertainty budget: shares of sources by group of parameters, a picture, and the table of each parameter in the
+form of EA-4/02."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tumble.result.calibration import Calibration
+from tumble.result.uncertainty_budget import shares_by_group, what_would_help
+from tumble.sensors.parameters import beyond_linear
+from tumble.units import engineering
+from tumble.views.blocks import Block, Figure, Section, Table, Text, section, table
+from tumble.views.numbers import percent, shown_units, significant
+from tumble.views.render.pictures import COLOURS, FAINT, PAGE, drawn
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Drawing
+
+SHOWN = 0.02
+"""Of u²: sources with less in every group are summed up in one line."""
+IN_PICTURE = 6
+"""Sources with a colour of their own in the picture."""
+REST = "all others"
+
+
+def budget_blocks(calibration: Calibration, *, every: bool = False) -> list[Block]:
+    """What would help most, and the shares of sources in u² of the groups of the linear model; with `every`, the table
+    of each of its parameters too. Nothing without a budget."""
+    if not calibration.budget:
+        return []
+    helps = what_would_help(calibration)
+    blocks: list[Block] = [*([Text(text=f"{helps}.")] if helps else []), share_table(calibration)]
+    if every:
+        blocks += [parameter_budget(calibration, name) for name in calibration if not beyond_linear(name)]
+    return blocks
+
+
+def share_table(calibration: Calibration) -> Table:
+    """Sources with type, standard uncertainty and degrees of freedom, and their mean shares in u² of the parameters of
+    each group, the largest first."""
+    shares, budget = shares_by_group(calibration), calibration.budget
+    every = np.array(list(shares.values()))
+    order = np.argsort(-every.mean(axis=0))
+    large = [s for s in order.tolist() if every[:, s].max() >= SHOWN]
+    rows = []
+    for s in large:
+        row = {"source": budget[s].words, "type": budget[s].type, **_size(budget[s].u, budget[s].unit)}
+        row["dof"] = _degrees(budget[s].dof)
+        rows.append(row | {group: percent(float(share[s])) for group, share in shares.items()})
+    small = [s for s in order.tolist() if s not in large]
+    if small:
+        rows.append(
+            {"source": REST, "type": "", "u": "", "unit": "", "dof": ""}
+            | {group: percent(float(share[small].sum())) for group, share in shares.items()}
+        )
+    caption = "Shares of u² by source, mean over the parameters of a group."
+    return table(rows, words=("source", "type", "unit"), dense=True, caption=caption)
+
+
+def parameter_budget(calibration: Calibration, name: str) -> Table:
+    """The budget of a parameter as EA-4/02 has it: source, type, standard uncertainty, sensitivity, contribution, share
+    of u² and degrees of freedom."""
+    parameter, rows = calibration[name], []
+    size, unit = shown_units(calibration.parameters)[name]
+
+    def row(words: str, kind: str, contribution: float, dof: float | None, share: float) -> dict[str, str]:
+        return {
+            "source": words,
+            "type": kind,
+            **_size(None, ""),
+            "sensitivity": "",
+            f"contribution, {unit}": _two(contribution / size),
+            "share": percent(share),
+            "dof": _degrees(dof),
+        }
+
+    lines = calibration.uncertainty_budget(name)
+    for line in (each for each in lines if each.share >= SHOWN):
+        of_source = _size(line.u, line.unit)
+        of_source["sensitivity"] = "" if line.sensitivity is None else _two(line.sensitivity)
+        rows.append(row(line.words, line.type, line.contribution, line.dof, line.share) | of_source)
+    if small := [each for each in lines if each.share < SHOWN]:
+        share = sum(each.share for each in small)
+        rows.append(row(REST, "", math.sqrt(share) * (parameter.u or 0.0), None, share) | {"dof": ""})
+    rows.append(row("together", "", parameter.u or 0.0, parameter.dof, 1.0))
+    caption = f"Uncertainty budget of {name}; the sensitivity is in {parameter.unit} over the unit of the source, SI."
+    return table(rows, words=("source", "type", "unit"), dense=True, caption=caption)
+
+
+def _two(value: float) -> str:
+    """A number to two digits."""
+    return f"{float(f'{value:.1e}'):.0f}" if 10.0 <= value < 1e5 else significant(value, 2)
+
+
+def _degrees(dof: float | None) -> str:
+    return "∞" if dof is None else _two(dof)
+
+
+def _size(u: float | None, unit: str) -> dict[str, str]:
+    """The standard uncertainty of a source in its unit; nothing where it is of several quantities."""
+    if u is None:
+        return {"u": "", "unit": ""}
+    size, shown = engineering(unit, u)
+    return {"u": _two(u / size), "unit": "" if shown == "1" else shown}
+
+
+def budget_section(calibration: Calibration, name: str = "") -> Section | None:
+    """The budget on a page: the shares of all sources and, as a figure of this `name`, a bar of each parameter of the
+    linear model by source; none without a budget."""
+    if not calibration.budget:
+        return None
+    if not name:
+        return section("Uncertainty budget", share_table(calibration))
+    said = "Bars: share of the largest sources in u² of every parameter of the linear model."
+    return section(
+        "Uncertainty budget", Figure(svg=_bars(calibration, name), caption=said), *budget_blocks(calibration)
+    )
+
+
+def _bars(calibration: Calibration, name: str) -> str:
+    """Bars of the shares of the largest sources in u² of the parameters of the linear model."""
+    names = [each for each in calibration if not beyond_linear(each)]
+    u = np.array([calibration[each].u or np.inf for each in names])
+    every = np.array([[source.contributions.get(each, 0.0) for each in names] for source in calibration.budget])
+    shares = (every / u) ** 2
+    order = np.argsort(-shares.mean(axis=1))
+    largest = order[:IN_PICTURE].tolist()
+
+    def draw(figure: Drawing) -> None:
+        axes, left = figure.subplots(), np.zeros(len(names))
+        rows = [(calibration.budget[s].words, shares[s], COLOURS[i]) for i, s in enumerate(largest)]
+        for words, share, colour in [*rows, (REST, shares[order[IN_PICTURE:]].sum(axis=0), FAINT)]:
+            axes.barh(np.arange(len(names)), share, left=left, height=0.7, color=colour, label=words)
+            left = left + share
+        axes.set_yticks(np.arange(len(names)), names)
+        axes.invert_yaxis()
+        axes.set(xlim=(0.0, 1.0), xlabel="share of u²")
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+
+    return drawn(name, PAGE, 0.16 * len(names) + 1.6, draw)

@@ -1,0 +1,151 @@
+"""The budget of a calibration: shares are the whole u² by every method, in every frame, of launches too; it survives
+the file; and its sentence says what helps."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+import pytest
+from click.testing import CliRunner
+
+from tumble import Setup, calibrate, calibrate_launches, read_calibration, simulate_session
+from tumble.cli import main
+from tumble.errors import CalibrationError
+from tumble.result.calibration import Calibration
+from tumble.result.uncertainty_budget import shares_by_group, what_would_help
+from tumble.run.calibrate import Method
+from tumble.sensors.frames import Frame
+from tumble.views.uncertainty_budget import budget_section
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Fourteen positions of a cube, MEMS."""
+    return simulate_session(
+        tmp_path_factory.mktemp("budget") / "s", Setup.of(grade="mems", programme="cube-14"), seed=1
+    )
+
+
+@pytest.fixture(scope="module")
+def whole(session: Path) -> Calibration:
+    return calibrate(session)
+
+
+def assert_whole(calibration: Calibration) -> None:
+    """Every parameter has a budget, whose shares are together 1."""
+    assert calibration.budget
+    for parameter in calibration.parameters:
+        lines = calibration.uncertainty_budget(parameter.name)
+        assert sum(line.share for line in lines) == pytest.approx(1.0, abs=1e-12), parameter.name
+        assert lines == tuple(sorted(lines, key=lambda line: -line.contribution))
+
+
+@pytest.mark.parametrize("frame", get_args(Frame))
+def test_of_the_joint_method_in_every_frame(session: Path, frame: Frame) -> None:
+    calibration = calibrate(session, frame=frame)
+    assert_whole(calibration)
+    assert ("case" in {source.name for source in calibration.budget}) == (frame == "case")
+
+
+@pytest.mark.parametrize("method", [method for method in get_args(Method) if method in ("staged", "ellipsoid")])
+def test_of_other_methods(session: Path, method: Method) -> None:
+    """What the residuals say, gravity, and by the ellipsoid what it takes as nothing."""
+    calibration = calibrate(session, method=method)
+    assert_whole(calibration)
+    names = {source.name for source in calibration.budget}
+    assert {"fit", "gravity"} <= names
+    assert any(name.startswith("prior.") for name in names) == (method == "ellipsoid")
+
+
+@pytest.mark.parametrize("method", ["sequential", "scalar"])
+def test_of_the_methods_of_the_paper(tmp_path: Path, method: Method) -> None:
+    folder = simulate_session(tmp_path / "s", Setup.of(programme="rough-table"), seed=2)
+    assert_whole(calibrate(folder, method=method))
+
+
+def test_of_launches(tmp_path: Path) -> None:
+    """Within launches, from launch to launch with its degrees of freedom, and what they have in common."""
+    setup = Setup.of(grade="mems", positions=12)
+    folders = [simulate_session(tmp_path / f"{i}", setup, seed=1, launch=i) for i in (1, 2, 3)]
+    mean = calibrate_launches(folders)
+    assert_whole(mean)
+    by_name = {source.name: source for source in mean.budget}
+    assert by_name["launches"].dof == 2.0
+    assert by_name["launches"].contributions["accel.bias.x"] > 0.0
+    assert "gyro.bias.x" not in by_name["launches"].contributions, "launches that differ by less than they know"
+
+
+def test_type_b_of_gravity_and_time_base(tmp_path: Path) -> None:
+    """Gravity to 1e-4 and a clock to 100 ppm are, in the scale factors, what they are: 100 ppm, with sensitivities 1/g
+    and 1."""
+    folder = simulate_session(tmp_path / "s", Setup.of(grade="mems", positions=12), seed=3)
+    text = (folder / "session.toml").read_text()
+    text = text.replace("gravity_u = 1e-07", "gravity_u = 9.81579e-4", 1)
+    lines = [line for line in text.splitlines() if not line.startswith("clock_ppm_u")]
+    (folder / "session.toml").write_text("\n".join(lines).replace("[log]", "[log]\nclock_ppm_u = 100.0", 1) + "\n")
+    calibration = calibrate(folder)
+    of_gravity = {line.name: line for line in calibration.uncertainty_budget("accel.scale.x")}["gravity"]
+    assert of_gravity.type == "B"
+    assert of_gravity.u == pytest.approx(9.81579e-4)
+    assert of_gravity.sensitivity == pytest.approx(1.0 / 9.81579, rel=0.1)
+    of_clock = {line.name: line for line in calibration.uncertainty_budget("gyro.scale.x")}["clock"]
+    assert of_clock.u == pytest.approx(1e-4)
+    assert of_clock.sensitivity == pytest.approx(1.0)
+    assert "half the u of the time base" in what_would_help(calibration)
+
+
+def test_the_file_keeps_it(whole: Calibration, tmp_path: Path) -> None:
+    whole.write(tmp_path / "c.json")
+    again = read_calibration(tmp_path / "c.json")
+    assert again.budget == whole.budget
+    assert again.uncertainty_budget("accel.scale.x") == whole.uncertainty_budget("accel.scale.x")
+
+
+def test_without_one_it_says_so(whole: Calibration) -> None:
+    turned = whole.in_frame("paper")
+    with pytest.raises(CalibrationError, match="calibrate again with this frame"):
+        turned.uncertainty_budget(next(iter(turned)))
+    with pytest.raises(KeyError, match=r"no parameter 'accel\.scale\.q'"):
+        whole.uncertainty_budget("accel.scale.q")
+    assert what_would_help(turned) == ""
+    assert budget_section(turned, "b") is None
+
+
+def test_longer_rests_are_said_to_help_where_noise_is_all(whole: Calibration) -> None:
+    """A quarter of a variance that is all there is halves u."""
+    noise = next(source for source in whole.budget if source.name == "accel.noise")
+    of_all = {p.name: p.u for p in whole.parameters if p.u is not None}
+    alone = replace(whole, budget=(replace(noise, contributions=of_all),))
+    assert what_would_help(alone).startswith("u would be smaller 2.00 times with rests four times as long")
+
+
+def test_shares_by_group_are_whole(whole: Calibration) -> None:
+    for share in shares_by_group(whole).values():
+        assert share.sum() == pytest.approx(1.0)
+
+
+def test_the_command_shows_it(session: Path, tmp_path: Path) -> None:
+    """Shares by source; with --all the table of each parameter; JSON has the contributions."""
+    out = str(tmp_path / "c.json")
+    shown = CliRunner().invoke(main, ["calibrate", str(session), "--budget", "--out", out]).output
+    assert "u would be smaller " in shown
+    assert "noise of the gyros in turns" in shown
+    assert "Uncertainty budget of" not in shown
+    plain = CliRunner().invoke(main, ["calibrate", str(session), "--out", out]).output
+    assert "noise of the gyros in turns" not in plain
+    every = CliRunner().invoke(main, ["calibrate", str(session), "--budget", "--all", "--out", out]).output
+    assert every.count("Uncertainty budget of") == 21
+    content = json.loads(CliRunner().invoke(main, ["calibrate", str(session), "--json", "--out", out]).stdout)
+    budget = {source["name"]: source for source in content["budget"]}
+    assert budget["accel.noise"]["type"] == "A"
+    assert budget["accel.noise"]["contributions"]["accel.bias.x"] > 0.0
+
+
+def test_the_page_has_a_bar_for_each_parameter(whole: Calibration) -> None:
+    section = budget_section(whole, "b")
+    assert section is not None
+    svg = next(block.svg for block in section.blocks if block.kind == "figure")
+    assert svg.count('clip-path="url(#') >= 21
