@@ -55,6 +55,8 @@ from tumble.reduction.turns.turns import TurnReadings as TurnReadings
 from tumble.reduction.turns.turns import Turns as Turns
 from tumble.result.parts import Readings as Readings
 from tumble.result.parts import SensorsAtRest as SensorsAtRest
+from tumble.result.parts import SourceContributions as SourceContributions
+from tumble.result.uncertainty_budget import BudgetLine as BudgetLine
 from tumble.run.readings_table import Nominal as Nominal
 from tumble.run.readings_table import ReadingsTable as ReadingsTable
 from tumble.run.type_spread import KnownLaunches as KnownLaunches

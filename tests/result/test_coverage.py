@@ -33,7 +33,7 @@ from tumble.run.from_readings import calibrate_table
 from tumble.run.readings_table import ReadingsTable, read_table
 from tumble.units import Array
 from tumble.views.numbers import with_expanded
-from tumble.views.report.document import Source, document
+from tumble.views.report.document import ReportedFile, document
 
 NAMESPACES = {"si": "https://ptb.de/si", "dcc": "https://ptb.de/dcc"}
 PROBABILITY = 0.954499736103642
@@ -60,7 +60,7 @@ def table(folder: Path, values: Array) -> ReadingsTable:
 
 def reported(made: Calibration) -> str:
     """All that the sections of a report say in sentences."""
-    source = Source(file="c.json", sha256="0" * 64, calibration=made)
+    source = ReportedFile(file="c.json", sha256="0" * 64, calibration=made)
     return repr(document([source], parse_limits(LIMITS, None, "limits.toml")))
 
 

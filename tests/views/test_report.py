@@ -49,7 +49,7 @@ from tumble.views.render.page import page as to_page
 from tumble.views.render.pdf import pdf as to_pdf
 from tumble.views.render.pictures import drawn
 from tumble.views.report.compare import compared
-from tumble.views.report.document import Source, document
+from tumble.views.report.document import ReportedFile, document
 from tumble.views.report.drawings import farthest_from, lean_factor
 from tumble.views.report.write import write_report
 
@@ -446,7 +446,7 @@ def test_letters_of_figures_are_outlines(page: Page) -> None:
 
 def test_reports_of_the_same_file_are_the_same_bytes(file: Path, html: Path, pdf: Path) -> None:
     digest = hashlib.sha256(file.read_bytes()).hexdigest()
-    again = document([Source(file=file.name, sha256=digest, calibration=read_calibration(file))])
+    again = document([ReportedFile(file=file.name, sha256=digest, calibration=read_calibration(file))])
     assert to_page(again).encode() == html.read_bytes()
     assert to_pdf(again) == pdf.read_bytes()
 
@@ -929,7 +929,7 @@ def test_a_browser_finds_no_error_and_nothing_to_load(
 
 def test_a_block_of_six_is_applied_by_the_pseudo_inverse_and_has_its_own_frame() -> None:
     made = exact(accel=HEXAD, with_gyro=False)
-    document_of = document([Source(file="c.json", sha256="0" * 64, calibration=made)], None)
+    document_of = document([ReportedFile(file="c.json", sha256="0" * 64, calibration=made)], None)
     said = repr(document_of)
     assert "Formula(name='apply_redundant'" in said
     assert "Formula(name='axes'" not in said

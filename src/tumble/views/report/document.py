@@ -24,7 +24,7 @@ _MOST_MOMENTS = 3
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Source:
+class ReportedFile:
     """A calibration with the name of its file and the SHA-256 of what was read from it."""
 
     file: str
@@ -37,7 +37,7 @@ class _Reported:
     """A calibration with all that it is reported with: its verdicts by the limits, where there are any, certificate,
     and the calibration before an adjustment."""
 
-    source: Source
+    source: ReportedFile
     acceptance: Limits | None
     checks: tuple[Verdict, ...]
     certificate: Certificate | None
@@ -55,7 +55,7 @@ class _Reported:
 
 
 def document(
-    sources: Sequence[Source],
+    sources: Sequence[ReportedFile],
     acceptance: Limits | None = None,
     certificate: Certificate | None = None,
     as_found: Calibration | None = None,
@@ -117,7 +117,7 @@ def document(
     )
 
 
-def _checks(source: Source, acceptance: Limits | None) -> tuple[Verdict, ...]:
+def _checks(source: ReportedFile, acceptance: Limits | None) -> tuple[Verdict, ...]:
     """A calibration against the limits of every check."""
     return () if acceptance is None else tuple(verdicts(source.calibration, acceptance))
 
@@ -143,7 +143,7 @@ def _verdict(reported: Sequence[_Reported]) -> tuple[str, Tone, str]:
     return badge, TONES[badge], said
 
 
-def not_accepted(sources: Sequence[Source], acceptance: Limits | None) -> list[str]:
+def not_accepted(sources: Sequence[ReportedFile], acceptance: Limits | None) -> list[str]:
     """Why a calibration is not accepted or not within limits, each with its file."""
     reasons = [f"{source.file}: {reason}" for source in sources for reason in source.calibration.outcome.reasons]
     for source in sources:
@@ -153,7 +153,7 @@ def not_accepted(sources: Sequence[Source], acceptance: Limits | None) -> list[s
     return reasons
 
 
-def _check_one_device(sources: Sequence[Source]) -> None:
+def _check_one_device(sources: Sequence[ReportedFile]) -> None:
     first = sources[0]
     for source in sources[1:]:
         if source.calibration.serial != first.calibration.serial:
@@ -163,7 +163,7 @@ def _check_one_device(sources: Sequence[Source]) -> None:
             )
 
 
-def _titles(sources: Sequence[Source]) -> list[str]:
+def _titles(sources: Sequence[ReportedFile]) -> list[str]:
     """What each calibration is called: its method where these differ, else a number and the date of its recording."""
     methods = [source.calibration.method for source in sources]
     if len(set(methods)) == len(sources):
@@ -302,7 +302,7 @@ def _notes(notes: Iterable[str]) -> Section | None:
     return section("Notes", Items(items=said)) if said else None
 
 
-def _provenance(source: Source) -> Section:
+def _provenance(source: ReportedFile) -> Section:
     provenance = source.calibration.provenance
     rows = [
         ("data annex", f"the calibration file {source.file}: all values, u, k, ν and covariances in SI"),

@@ -13,7 +13,7 @@ from tumble.files import FilePath, whole_file
 from tumble.result.calibration import Calibration, calibration_of, read_calibration, text_and_name
 
 if TYPE_CHECKING:
-    from tumble.views.report.document import Source
+    from tumble.views.report.document import ReportedFile
 
 ENDINGS = (".html", ".pdf")
 
@@ -67,11 +67,11 @@ def write_report(
     return not_accepted(sources, acceptance)
 
 
-def _source(given: Calibration | FilePath) -> Source:
+def _source(given: Calibration | FilePath) -> ReportedFile:
     """A calibration with the name of its file and the SHA-256 of the bytes that are there."""
-    from tumble.views.report.document import Source
+    from tumble.views.report.document import ReportedFile
 
     text, name = text_and_name(given)
     content = text.encode() if isinstance(given, Calibration) else Path(given).read_bytes()
     file = name if isinstance(given, Calibration) else Path(given).name
-    return Source(file=file, sha256=hashlib.sha256(content).hexdigest(), calibration=calibration_of(text, name))
+    return ReportedFile(file=file, sha256=hashlib.sha256(content).hexdigest(), calibration=calibration_of(text, name))
