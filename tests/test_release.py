@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import tarfile
 import tomllib
@@ -69,3 +70,13 @@ def test_the_conda_recipe_wants_what_the_package_wants() -> None:
     for requirement in METADATA["dependencies"]:
         package = requirement.partition(";")[0].replace(">=", " >=").strip()
         assert f"    - {package}\n" in recipe, package
+
+
+def test_actions_of_workflows_are_pinned_and_addresses_are_known_before_a_release() -> None:
+    spec = importlib.util.spec_from_file_location("release", ROOT / "packaging/release.py")
+    assert spec is not None
+    assert spec.loader is not None
+    release = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(release)
+    before = ("project.urls", "CHANGELOG.md", "clean tree")  # what is not there before the day of a release
+    assert [fault for fault in release.faults() if not any(word in fault for word in before)] == []
