@@ -1,0 +1,1 @@
+"""Corrects sensor_msgs/Imu with a calibration of tumble, in ROS 2, without tumble."""
