@@ -20,7 +20,7 @@ from tumble.registry.store.connect import open_registry
 from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import curve
 from tumble.units import G_STANDARD
-from tumble.views.report.limits import section
+from tumble.views.report.result import limits as section
 
 MADE = warmed(calibration())
 """Rests from −18.5 to 57.25 °C."""

@@ -29,8 +29,7 @@ from tumble.registry.store.connect import open_registry
 from tumble.registry.trend import YEAR, Trend, forecast, trend_of
 from tumble.registry.types import State
 from tumble.units import Array
-from tumble.views.chart_panel import draw_panel
-from tumble.views.control_chart import write_chart
+from tumble.views.control_chart import draw_panel, write_chart
 from tumble.views.registry import sparkline
 
 START = datetime(2020, 1, 1, tzinfo=UTC)

@@ -35,7 +35,7 @@ from tumble.result.parts import Launch, Parameter
 from tumble.run.calibrate import calibrate
 from tumble.run.observed import inspect_session
 from tumble.simulation.session import simulate_session
-from tumble.views.report.certified import letterhead
+from tumble.views.report.document import letterhead
 from tumble.views.report.write import write_report
 
 LOGO = '<svg xmlns="http://www.w3.org/2000/svg" width="9" height="9"><rect width="9" height="9"/></svg>'

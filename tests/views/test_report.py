@@ -48,9 +48,9 @@ from tumble.views.render.characters import drawable, visible
 from tumble.views.render.page import page as to_page
 from tumble.views.render.pdf import pdf as to_pdf
 from tumble.views.render.pictures import drawn
-from tumble.views.report.compare import compared
 from tumble.views.report.document import ReportedFile, document
 from tumble.views.report.drawings import farthest_from, lean_factor
+from tumble.views.report.result import compared
 from tumble.views.report.write import write_report
 
 SHORT = Setup.of(grade="tactical", rest=10.0, rate_deg_s=45.0, sample_rate=50.0)

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tumble.diagnosis.site_gravity import gravity_said
-from tumble.inference.estimate import Fit
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import without_expanded
 from tumble.result.further import (
@@ -91,18 +90,24 @@ def calibration_blocks(
     if several:
         blocks += [launch_table(calibration, parameters, deviations=which) for which in (False, True)[: 1 + passport]]
     if calibration.together:
-        blocks.append(_session_table(calibration))
+        sessions = []
+        for member in calibration.together:
+            low, high = (f"{celsius:z.1f}" for celsius in member.temperatures)
+            counts = {"rests": str(member.rests), "turns": str(member.turns)}
+            sessions.append({"session": member.session, **counts, "from °C": low, "to °C": high})
+        blocks.append(table(sessions, words=("session",)))
     if calibration.method in ITERATED_METHODS and calibration.iterations:
         blocks += [iteration_table(calibration, parameters), Text(text=WHAT_AN_INCREMENT_SAYS)]
     if parameters:
         blocks += [method_table(calibration, other, parameters) for other in others]
     if every:
         blocks += [shown for one in recordings(calibration) for shown in tables_of(one) if shown and not several]
-    lines = [] if every else _groups_line(calibration)
-    lines += [rests_said(one) for one in recordings(calibration) if one.rests and not several]
-    lines += [] if every else _fits_line(calibration.fits)
+    lines = _rest_lines(calibration) if every else _short_lines(calibration)
     if truth is not None:
-        lines.append(_truth_line(calibration, truth))
+        z = [(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth]
+        rms = math.sqrt(sum(v * v for v in z) / max(len(z), 1))
+        known = f"{len(z)} parameters, rms of (value − truth)/u {rms:.2f}, expected about 1"
+        lines.append(f"truth: {known if z else 'no parameter was estimated that it has'}")
     if calibration.prediction is not None:
         lines.append(predicted(calibration.prediction))
     if decided := decided_by_priors(calibration):
@@ -190,20 +195,13 @@ def unknown_blocks(calibration: Calibration) -> list[Block]:
         said = f"integrated over them at {integral.points} points, effectively {integral.effective:.0f}; "
         weights = f"shape of the Pareto distribution of their weights {fixed(integral.pareto, 2)}"
         blocks.append(Text(text=f"{said}{weights}, above 0.7 not to be relied on"))
-    if calibration.process_bias:
-        blocks.append(_next_bias_table(calibration))
-    return blocks
-
-
-def _next_bias_table(calibration: Calibration) -> Table:
-    """The biases as the means of their processes, and u of the bias that is met the next minute."""
     units, rows = shown_units(calibration.parameters), []
-    for bias in (each for each in calibration.process_bias if each.name in units):
+    for bias in (each for each in calibration.process_bias if each.name in units):  # means of their processes
         size, unit = units[bias.name]
         value, u = cells(bias.value, bias.u, size)
         next_u = cells(bias.value, bias.next_u, size)[1]
         rows.append({"mean of": bias.name, "value": value, "u": u, "u the next minute": next_u, "unit": unit})
-    return table(rows, words=("mean of", "unit"))
+    return [*blocks, table(rows, words=("mean of", "unit"))] if calibration.process_bias else blocks
 
 
 def launch_table(
@@ -232,16 +230,6 @@ def launch_table(
         rows=tuple(rows),
         text=(0, len(names) + 2),
     )
-
-
-def _session_table(calibration: Calibration) -> Table:
-    """The sessions of one estimate: rests, turns and temperatures of each."""
-    rows = []
-    for member in calibration.together:
-        low, high = (f"{celsius:z.1f}" for celsius in member.temperatures)
-        counts = {"rests": str(member.rests), "turns": str(member.turns)}
-        rows.append({"session": member.session, **counts, "from °C": low, "to °C": high})
-    return table(rows, words=("session",))
 
 
 def iteration_table(calibration: Calibration, parameters: Sequence[Parameter]) -> Table:
@@ -279,33 +267,26 @@ def method_table(calibration: Calibration, other: Calibration, parameters: Seque
 # -------------------- lines --------------------
 
 
-def _groups_line(calibration: Calibration) -> list[str]:
-    """The groups beyond the linear model in a line, with what the session has learned of each."""
-    said = []
+def _short_lines(calibration: Calibration) -> list[str]:
+    """In a line each: the groups beyond the linear model, with what the session has learned of each; the rests; and
+    chi-square of each kind of residuals, with its degrees of freedom and the scatter added."""
+    groups, fits = [], []
     for line in group_lines(calibration):
         widened = f" ({line.remark})" if line.largest is not None and line.remark else ""
-        said.append(f"{line.name} {line.learned_percent or line.remark}{widened if line.learned_percent else ''}")
-    return [f"groups beyond bias, scale and axes, learned: {', '.join(said)}; --all shows them"] if said else []
-
-
-def _fits_line(fits: Mapping[str, Fit]) -> list[str]:
-    """Chi-square of each kind of residuals, with its degrees of freedom and the scatter added, in a line."""
-    said = []
-    for name, fit in fits.items():
+        groups.append(f"{line.name} {line.learned_percent or line.remark}{widened if line.learned_percent else ''}")
+    lines = [f"groups beyond bias, scale and axes, learned: {', '.join(groups)}; --all shows them"] if groups else []
+    for name, fit in calibration.fits.items():
         if not checked(fit):
-            said.append(f"{name}: no more data than unknowns, so that nothing checks the fit")
+            fits.append(f"{name}: no more data than unknowns, so that nothing checks the fit")
         else:
             scatter = f", scatter {in_engineering(fit.scatter_unit, fit.scatter)}" if fit.scatter > 0.0 else ""
-            said.append(f"{name} {fit.chi_square:.1f} for {fit.degrees:.1f}{scatter}")
-    return [f"chi-square for degrees of freedom: {'; '.join(said)}"] if said else []
+            fits.append(f"{name} {fit.chi_square:.1f} for {fit.degrees:.1f}{scatter}")
+    lines += _rest_lines(calibration)
+    return [*lines, f"chi-square for degrees of freedom: {'; '.join(fits)}"] if fits else lines
 
 
-def _truth_line(calibration: Calibration, truth: Mapping[str, float]) -> str:
-    z = [(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth]
-    if not z:
-        return "truth: no parameter was estimated that it has"
-    rms = math.sqrt(sum(v * v for v in z) / len(z))
-    return f"truth: {len(z)} parameters, rms of (value − truth)/u {rms:.2f}, expected about 1"
+def _rest_lines(calibration: Calibration) -> list[str]:
+    return [rests_said(one) for one in recordings(calibration) if one.rests and not calibration.launches]
 
 
 # -------------------- in a notebook --------------------
@@ -328,44 +309,31 @@ def _short(calibration: Calibration) -> list[Block]:
     return [*blocks, whole_table(calibration), *([Items(items=notes)] if notes else [])]
 
 
-_GROUPS = {"accel": "#1f4e79", "gyro": "#c0561a", "mag": "#3d7d52"}
+_COLOURS = {"accel": "#1f4e79", "gyro": "#c0561a", "mag": "#3d7d52"}
 
 
 def draw(calibration: Calibration, axes: Axes) -> None:
     """The residual of every rest on axes, with the scatter between rests as a band; without rests the parameters in
-    units of their uncertainty."""
+    units of their uncertainty, hollow where the prior rather than the data knows them."""
     axes.axhline(0.0, color="0.7", linewidth=0.8)
-    if calibration.rests:
-        _draw_residuals(calibration, axes)
-    else:
-        _draw_parameters(calibration, axes)
     axes.set_title(calibration.headline, fontsize="medium")
-
-
-def _draw_residuals(calibration: Calibration, axes: Axes) -> None:
-    residual = np.array([rest.residual for rest in calibration.rests])
-    size, unit = engineering("m/s^2", float(np.abs(residual).max()))
-    fit = calibration.fits.get("accelerometers")
-    if fit is not None and fit.scatter > 0.0:
-        band = fit.scatter / size
-        axes.axhspan(-band, band, color=_GROUPS["accel"], alpha=0.12, linewidth=0, label="scatter between rests")
-        axes.legend(frameon=False)
-    number = np.arange(1, len(residual) + 1)
-    axes.vlines(number, 0.0, residual / size, color=_GROUPS["accel"], linewidth=1.0)
-    axes.plot(number, residual / size, "o", color=_GROUPS["accel"], markersize=4.0)
-    axes.set(xlabel="rest", ylabel=f"|f| − g, {unit}")
-
-
-def _draw_parameters(calibration: Calibration, axes: Axes) -> None:
+    if calibration.rests:
+        residual = np.array([rest.residual for rest in calibration.rests])
+        size, unit = engineering("m/s^2", float(np.abs(residual).max()))
+        fit, colour = calibration.fits.get("accelerometers"), _COLOURS["accel"]
+        if fit is not None and fit.scatter > 0.0:
+            band = fit.scatter / size
+            axes.axhspan(-band, band, color=colour, alpha=0.12, linewidth=0, label="scatter between rests")
+            axes.legend(frameon=False)
+        number = np.arange(1, len(residual) + 1)
+        axes.vlines(number, 0.0, residual / size, color=colour, linewidth=1.0)
+        axes.plot(number, residual / size, "o", color=colour, markersize=4.0)
+        axes.set(xlabel="rest", ylabel=f"|f| − g, {unit}")
+        return
     shown = [(i, p, p.value / p.u) for i, p in enumerate(p for p in calibration.parameters if p.u) if p.u]
-    for kind, colour in _GROUPS.items():
-        for filled in (True, False):  # hollow: known by the prior rather than by the data
-            at = [
-                (i, ratio)
-                for i, p, ratio in shown
-                if sensor_kind(p.name) == kind and filled == (p.learned is None or p.learned >= BY_PRIOR)
-            ]
-            face = colour if filled else "none"
-            axes.plot(*zip(*at, strict=True) if at else ([], []), "o", color=colour, markerfacecolor=face, markersize=4)
+    for i, p, ratio in shown:
+        colour = _COLOURS.get(sensor_kind(p.name), "#6b7785")
+        face = colour if p.learned is None or p.learned >= BY_PRIOR else "none"
+        axes.plot(i, ratio, "o", color=colour, markerfacecolor=face, markersize=4)
     axes.set_xticks(range(len(shown)), [p.name for _, p, _ in shown], rotation=90)
     axes.set_ylabel("value / u")

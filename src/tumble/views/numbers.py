@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Protocol, TypeVar
 
+from tumble.result.coverage import expanded_of
 from tumble.result.parts import Parameter
 from tumble.sensors.parameters import group_name, shown_in
 from tumble.units import engineering, rounded
@@ -31,6 +32,17 @@ class Quantity(Protocol):
     def unit(self) -> str: ...
     @property
     def u(self) -> float | None: ...
+
+
+class Estimated(Protocol):
+    """A value with its standard uncertainty, SI, and the degrees of freedom of that."""
+
+    @property
+    def value(self) -> float: ...
+    @property
+    def u(self) -> float | None: ...
+    @property
+    def dof(self) -> float | None: ...
 
 
 Q = TypeVar("Q", bound=Quantity)
@@ -133,11 +145,12 @@ def limit_cell(value: float, size: float) -> str:
     return f"{value / size:.6g}" if math.isfinite(value) else ""
 
 
-def with_expanded(parameter: Parameter, size: float) -> tuple[str, str]:
-    """Value and U of a parameter in a unit of this size, to the second significant digit of U."""
-    if parameter.u is None or parameter.k is None:
-        return cells(parameter.value, parameter.u, size)[0], ""
-    return cells(parameter.value, parameter.k * parameter.u, size)
+def with_expanded(quantity: Estimated, size: float) -> tuple[str, str]:
+    """Value and U in a unit of this size, to the second significant digit of U; where none is stated to that of u."""
+    U = None if quantity.u is None else expanded_of(quantity.u, quantity.dof)
+    if U is None:
+        return cells(quantity.value, quantity.u, size)[0], ""
+    return cells(quantity.value, U, size)
 
 
 def factor(parameter: Parameter) -> str:

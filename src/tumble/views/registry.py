@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Container, Iterable, Mapping, Sequence
-from dataclasses import replace
 
-from tumble.acceptance.conformity import RULE, LimitJudgement, Verdict
+from tumble.acceptance.conformity import RULE, Verdict
 from tumble.registry.adding import logs_of
 from tumble.registry.monitor import Monitored
-from tumble.registry.series import SeriesPoint
 from tumble.registry.trend import Change, Trend
 from tumble.registry.types import LimitsRecord, Record
 from tumble.result.calibration import Calibration
-from tumble.result.coverage import expanded_of as expanded_uncertainty
-from tumble.result.parts import Parameter
 from tumble.sensors.parameters import beyond_linear, group_name
 from tumble.units import two_digits
 from tumble.use.compare import Comparison
-from tumble.views.blocks import Block, Items, Table, Text, Tone, table
+from tumble.views.blocks import Block, Items, Text, Tone, table
 from tumble.views.checks import judged_lines
-from tumble.views.numbers import Units, cells, device_name, limit_cell, shown_units, units_of_values
+from tumble.views.numbers import Units, cells, device_name, limit_cell, shown_units, units_of_values, with_expanded
 from tumble.views.registry_lists import day_of
 from tumble.views.render.data import Content, fields
 
@@ -52,14 +48,22 @@ def record_blocks(record: Record, calibration: Calibration, verdict: Verdict | N
         lines.append(f"superseded by record {record.superseded_by}")
     judged = {} if verdict is None else {j.name: j for j in verdict.judgements}
     further = () if every else further_of((p.name for p in calibration.parameters), judged)
-    shown = _verdict_table([p for p in calibration.parameters if p.name not in further], judged)
-    judgement: tuple[str, ...] = (
-        "no verdict: no limits were in force for this type and check when the record was added",
-    )
+    shown = [p for p in calibration.parameters if p.name not in further]
+    units, rows = shown_units(shown), []
+    for p in shown:
+        (size, unit), judgement = units[p.name], judged.get(p.name)
+        row = dict(zip(("parameter", "value", "U"), (p.name, *with_expanded(p, size)), strict=True))
+        if judged:
+            limits = (math.nan, math.nan) if judgement is None else (judgement.low, judgement.high)
+            row |= dict(zip(("lowest", "highest"), (limit_cell(limit, size) for limit in limits), strict=True))
+        rows.append(row | {"unit": unit} | ({"verdict": judgement.result if judgement else ""} if judged else {}))
+    words, columns = ("parameter", "unit", "verdict"), () if rows else ("parameter", "value", "U")
+    judgements = ["no verdict: no limits were in force for this type and check when the record was added"]
     if verdict is not None:
         over = f", {verdict.over}" if verdict.over else ""
-        judgement = (RULE, *verdict.reasons(), f"verdict: {verdict.result}{over}")
-    return [Text(text="\n".join(lines)), replace(shown, caption=_counted(further)), Items(items=judgement)]
+        judgements = [RULE, *verdict.reasons(), f"verdict: {verdict.result}{over}"]
+    parameters = table(rows, words=words, columns=columns, caption=_counted(further))
+    return [Text(text="\n".join(lines)), parameters, Items(items=tuple(judgements))]
 
 
 def further_of(names: Iterable[str], judged: Container[str]) -> frozenset[str]:
@@ -73,19 +77,6 @@ def _counted(further: Collection[str]) -> str:
     where = "1 group" if groups == 1 else f"{groups} groups"
     said = f"and {len(further)} parameters beyond bias, scale and axes, in {where}: --all shows them"
     return said if further else ""
-
-
-def _verdict_table(parameters: Sequence[Parameter], judged: Mapping[str, LimitJudgement]) -> Table:
-    units, rows = shown_units(parameters), []
-    for p in parameters:
-        (size, unit), judgement = units[p.name], judged.get(p.name)
-        row = dict(zip(("parameter", "value", "U"), (p.name, *cells(p.value, expanded_of(p), size)), strict=True))
-        if judged:
-            limits = (math.nan, math.nan) if judgement is None else (judgement.low, judgement.high)
-            row |= dict(zip(("lowest", "highest"), (limit_cell(limit, size) for limit in limits), strict=True))
-            row |= {"unit": unit, "verdict": judgement.result if judgement else ""}
-        rows.append(row | {"unit": unit})
-    return table(rows, words=("parameter", "unit", "verdict"), columns=() if rows else ("parameter", "value", "U"))
 
 
 def record_data(record: Record, calibration: Calibration, verdict: Verdict | None) -> Content:
@@ -113,28 +104,30 @@ def limits_blocks(limits: LimitsRecord) -> list[Block]:
 # -------------------- trend --------------------
 
 
+def trend_row(found: Monitored, trend: Trend, unit: tuple[float, str]) -> dict[str, str]:
+    """All that one line says of a parameter: history, latest value, limits, run to run, drift, the last change, and the
+    verdict on the latest value."""
+    (size, name), parameter, points = unit, trend.series.name, trend.series.points
+    value, U = with_expanded(points[-1], size)
+    low, high = (limit_cell(limit, size) for limit in found.limits.get(parameter, (math.nan, math.nan)))
+    row = {"parameter": parameter, "history": sparkline([p.value for p in points]), "latest": value, "U": U}
+    row |= {"lowest": low, "highest": high, "run to run": deviation_cell(trend.run_to_run, size)}
+    row |= dict(zip(("drift/year", "U (95 %)"), drift_cells(trend, size), strict=True))
+    row |= dict(zip(("change", "E_n"), change_cells(trend.last_change, size), strict=True))
+    return row | {"unit": name, "verdict": found.latest_verdicts().get(parameter, "")}
+
+
 def trend_blocks(found: Monitored, *, every: bool) -> list[Block]:
     """Every parameter of a device over its calibrations, a line each, with verdicts on the latest values; of those
     beyond the linear model that have no limits and have not changed only how many there are, unless `every` one is
     wanted."""
-    limits, verdicts, units, rows = found.limits, found.latest_verdicts(), units_of(found), []
-    launches = any(trend.run_to_run is not None for trend in found.trends)
-    kept = {*limits, *found.changed()}
+    units, without = units_of(found), [] if found.limits else ["lowest", "highest", "verdict"]
+    without += [] if any(trend.run_to_run is not None for trend in found.trends) else ["run to run"]
+    kept = {*found.limits, *found.changed()}
     further = () if every else further_of((trend.series.name for trend in found.trends), kept)
-    for trend in found.trends:
-        name, points = trend.series.name, trend.series.points
-        if name in further:
-            continue
-        size, unit = units[name]
-        value, expanded = cells(points[-1].value, expanded_of(points[-1]), size)
-        row = {"parameter": name, "history": sparkline([p.value for p in points]), "latest": value, "U": expanded}
-        if limits:
-            low, high = (limit_cell(limit, size) for limit in limits.get(name, (math.nan, math.nan)))
-            row |= {"lowest": low, "highest": high}
-        row |= {"run to run": deviation_cell(trend.run_to_run, size)} if launches else {}
-        row |= dict(zip(("drift/year", "U (95 %)"), drift_cells(trend, size), strict=True))
-        row |= dict(zip(("change", "E_n"), change_cells(trend.last_change, size), strict=True))
-        rows.append(row | {"unit": unit} | ({"verdict": verdicts.get(name, "")} if limits else {}))
+    shown = [trend for trend in found.trends if trend.series.name not in further]
+    rows = [trend_row(found, trend, units[trend.series.name]) for trend in shown]
+    rows = [{heading: cell for heading, cell in row.items() if heading not in without} for row in rows]
     numbers = {p.number: p.performed for t in found.trends for p in t.series.points}
     first, last = day_of(min(numbers.values())), day_of(max(numbers.values()))
     one = f"one calibration, of {first}"
@@ -202,21 +195,12 @@ def history_blocks(found: Monitored) -> list[Block]:
     changes, rows = {change.later: change for change in trend.changes}, []
     for point in points:
         change = changes.get(point.number)
-        value, expanded = cells(point.value, expanded_of(point), size)
+        value, U = with_expanded(point, size)
         row = {"record": str(point.number), "performed": day_of(point.performed), "state": point.state, "value": value}
-        row |= {"U": expanded, "launches": str(len(point.launches) or 1)}
+        row |= {"U": U, "launches": str(len(point.launches) or 1)}
         row |= dict(zip(("change", "E_n"), change_cells(change, size), strict=True))
         row |= {"unit": unit, "": "adjusted" if change is not None and change.adjustment else ""}
         rows.append(row | ({"verdict": verdicts.get(point.number, "")} if limits else {}))
-    device, history = device_name(found.latest.serial, found.latest.model), sparkline([p.value for p in points])
-    return [
-        Text(text=f"{name} of device {device} · frame {found.frame} · {history}"),
-        table(rows, words=("record", "performed", "state", "unit", "", "verdict")),
-        Items(items=(*_conclusions(trend, limits, size, unit), *forecast_lines(found))),
-    ]
-
-
-def _conclusions(trend: Trend, limits: tuple[float, float] | None, size: float, unit: str) -> list[str]:
     lines, drift = [], trend.drift
     if limits is not None:
         lines += [f"limits: {limit_cell(limits[0], size)} to {limit_cell(limits[1], size)} {unit}", RULE]
@@ -235,11 +219,14 @@ def _conclusions(trend: Trend, limits: tuple[float, float] | None, size: float, 
         value, u = cells(drift.per_year, drift.u, size)
         lines.append(f"drift: {value} {unit} a year, u = {u} of the measurement alone: nothing shows the instability")
     else:
-        value, expanded = cells(drift.per_year, drift.expanded, size)
-        lines.append(
-            f"drift: {value} ± {expanded} {unit} a year (95 %, Student's t with {drift.degrees} degrees of freedom)"
-        )
-    return lines
+        value, U = cells(drift.per_year, drift.expanded, size)
+        lines.append(f"drift: {value} ± {U} {unit} a year (95 %, Student's t with {drift.degrees} degrees of freedom)")
+    device, history = device_name(found.latest.serial, found.latest.model), sparkline([p.value for p in points])
+    return [
+        Text(text=f"{name} of device {device} · frame {found.frame} · {history}"),
+        table(rows, words=("record", "performed", "state", "unit", "", "verdict")),
+        Items(items=(*lines, *forecast_lines(found))),
+    ]
 
 
 def sparkline(values: Sequence[float]) -> str:
@@ -262,11 +249,6 @@ def change_cells(change: Change | None, size: float) -> tuple[str, str]:
     if change is None:
         return "", ""
     return cells(change.value, change.expanded, size)[0], "" if change.e_n is None else f"{change.e_n:+z.2f}"
-
-
-def expanded_of(result: SeriesPoint | Parameter) -> float | None:
-    """U, SI."""
-    return None if result.u is None else expanded_uncertainty(result.u, result.dof)
 
 
 def deviation_cell(value: float | None, size: float) -> str:

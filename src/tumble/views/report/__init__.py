@@ -4,12 +4,9 @@
 
 The content is put together once; the templates only show it. Needs the extra `tumble[report]`.
 
-    document     the order of the sections
-    result       parameters, how to apply them, frame, correlations, iterations
+    document     the order of the sections, the first page, what a certificate adds
+    result       parameters, limits, several calibrations, how to apply them, frame, correlations, iterations
     recording    site, rests and turns against the programme, residuals, noise
-    limits       acceptance limits and verdict
-    compare      several calibrations of one device
-    certified    what a certificate adds
     over_temperature, figures, drawings
                  plots; drawings: sphere and frame
     write        from files to a file

@@ -1,26 +1,38 @@
-"""The content of a report, in the order in which it is read: the result first, then how it is applied, then what it
-rests on. One document for every kind of output."""
+"""A report or a certificate as a document: the result first, then how it is applied, then what it rests on; of a
+certificate also laboratory, customer, dates, statements and signatures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+import base64
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
 
-from tumble.acceptance.certificate import Certificate, check_certificate, recorded_on
-from tumble.acceptance.conformity import RESULTS, LimitJudgement, Result, Verdict, verdicts
+from tumble.acceptance.certificate import RELATES, STATES, Certificate, Party, check_certificate, recorded_on
+from tumble.acceptance.conformity import RESULTS, RULE, Result, Verdict, verdicts
 from tumble.acceptance.limits import Limits
+from tumble.documents import check_regular
 from tumble.errors import InputError
 from tumble.result import further
 from tumble.result.calibration import Calibration
-from tumble.result.further import left_by_matrix, left_said, remarks
-from tumble.views.blocks import Block, Document, Facts, Items, Part, Section, Text, Tone, section
-from tumble.views.numbers import NONE, device_name
+from tumble.views.blocks import Document, Facts, Items, Letterhead, Part, Section, Signature, Tone, section
+from tumble.views.numbers import NONE, device_name, fixed, significant
 from tumble.views.registry import TONES
-from tumble.views.report import certified, compare, limits, over_temperature, recording, result
+from tumble.views.report import over_temperature, recording, result
 from tumble.views.uncertainty_budget import budget_section
 
 _MOST_MOMENTS = 3
 """Of more recordings only the days are listed."""
+_FOR_THE_OPERATOR = ("[", "`", "--", "tumble ", "let ")
+"""What only speaks to those who run the program has one of these: keys, commands, options, advice."""
+_PLACES = {
+    "laboratory": "laboratory",
+    "customer": "at the customer's",
+    "laboratoryBranch": "branch of the laboratory",
+    "customerBranch": "branch of the customer",
+    "other": "elsewhere",
+}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -32,28 +44,6 @@ class ReportedFile:
     calibration: Calibration
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Reported:
-    """A calibration with all that it is reported with: its verdicts by the limits, where there are any, certificate,
-    and the calibration before an adjustment."""
-
-    source: ReportedFile
-    acceptance: Limits | None
-    checks: tuple[Verdict, ...]
-    certificate: Certificate | None
-    as_found: Calibration | None
-
-    @property
-    def calibration(self) -> Calibration:
-        return self.source.calibration
-
-    @property
-    def limits_elsewhere(self) -> bool:
-        """Whether the table of results cannot hold the limits with all that is to be said of them."""
-        limits = self.acceptance
-        return limits is not None and (limits.frame != self.calibration.frame or limits.temperatures is not None)
-
-
 def document(
     sources: Sequence[ReportedFile],
     acceptance: Limits | None = None,
@@ -63,10 +53,16 @@ def document(
     """The report of calibrations of one device, or the `certificate` of one of them, where it was adjusted with the
     calibration `as_found`. Raises InputError where they are of several devices, and for a certificate of several
     calibrations or without a date."""
-    _check_one_device(sources)
-    if certificate is not None and len(sources) > 1:
+    calibrations = [source.calibration for source in sources]
+    first, several = calibrations[0], len(sources) > 1
+    for source in sources[1:]:
+        if source.calibration.serial != first.serial:
+            raise InputError(
+                f"{source.file}: expected a calibration of device {first.serial!r} like {sources[0].file}, "
+                f"found {source.calibration.serial!r}; make a report for each device"
+            )
+    if certificate is not None and several:
         raise InputError(f"--certificate: expected one calibration, found {len(sources)}")
-    first, *others = [source.calibration for source in sources]
     if as_found is not None and (as_found.serial, as_found.frame) != (first.serial, first.frame):
         raise InputError(
             f"certificate: as_found: expected a calibration of device {first.serial!r} in the frame "
@@ -74,166 +70,119 @@ def document(
         )
     if certificate is not None:
         check_certificate(certificate, first, as_found)
-    reported = [
-        _Reported(
-            source=source,
-            acceptance=acceptance,
-            checks=_checks(source, acceptance),
-            certificate=certificate,
-            as_found=as_found,
-        )
-        for source in sources
-    ]
-    titles, of_all = _titles(sources), _for_the_laboratory if certificate is None else _for_customers
-    parts = [
-        Part(
-            title=title if others else "",
-            sections=tuple(section for section in of_all(one, f"c{i}") if section is not None),
-            customer=0 if others else 1,
-        )
-        for i, (one, title) in enumerate(zip(reported, titles, strict=True), 1)
-    ]
-    if others:
-        together = compare.compared(titles, [first, *others], "compared")
-        parts.insert(0, Part(title="Comparison", sections=(together,)))
-    badge, tone, verdict = _verdict(reported)
+    titles = [calibration.method for calibration in calibrations]  # else by a number and the date of the recording
+    if len(set(titles)) < len(titles):
+        dates = [(calibration.circumstances.date or "")[:10] for calibration in calibrations]
+        titles = [f"{i}: {name} {day}".rstrip() for i, (name, day) in enumerate(zip(titles, dates, strict=True), 1)]
+    checks = [() if acceptance is None else tuple(verdicts(each, acceptance)) for each in calibrations]
+    parts, customer = [], 0 if several else 1
+    if several:
+        parts.append(Part(title="Comparison", sections=(result.compared(titles, calibrations, "compared"),)))
+    for i, (source, judged, title) in enumerate(zip(sources, checks, titles, strict=True), 1):
+        if certificate is None:
+            made = _for_the_laboratory(source, acceptance, judged, f"c{i}")
+        else:
+            made = _for_customers(source, acceptance, judged, as_found, f"c{i}")
+        sections = tuple(each for each in made if each is not None)
+        parts.append(Part(title=title if several else "", sections=sections, customer=customer))
+    badge, tone, verdict = _verdict(calibrations, checks)
+    facts = (*_front(first, titles), *((("verdict", verdict),) if acceptance is not None else ()))
+    signed_by, closing = [Signature(name=name) for name in ("Calibrated by", "Approved by", "Date")], "the report"
+    if certificate is not None:
+        facts, closing = (*_certified(certificate, first), *facts), f"the certificate {certificate.number}"
+        signed_by = [Signature(name=person.name, role=person.role or "") for person in certificate.person]
     return Document(
         title="Calibration report" if certificate is None else "Calibration certificate",
         device=device_name(first.serial, first.model),
         tone=tone,
         verdict=badge,
-        facts=(
-            *(() if certificate is None else certified.facts(certificate, first)),
-            *_front(first, titles),
-            *((("verdict", verdict),) if acceptance is not None else ()),
-        ),
-        created=max(calibration.provenance.get("created", "") for calibration in [first, *others]),
+        facts=facts,
+        created=max(calibration.provenance.get("created", "") for calibration in calibrations),
         parts=tuple(parts),
-        statements=certified.statements(certificate, judged=acceptance is not None),
-        signatures=certified.signatures(certificate),
-        closing="End of the report" if certificate is None else f"End of the certificate {certificate.number}",
+        statements=_statements(certificate, judged=acceptance is not None),
+        signatures=tuple(signed_by),
+        closing=f"End of {closing}",
         number="" if certificate is None else certificate.number,
-        letterhead=None if certificate is None else certified.letterhead(certificate.laboratory),
+        letterhead=None if certificate is None else letterhead(certificate.laboratory),
     )
 
 
-def _checks(source: ReportedFile, acceptance: Limits | None) -> tuple[Verdict, ...]:
-    """A calibration against the limits of every check."""
-    return () if acceptance is None else tuple(verdicts(source.calibration, acceptance))
-
-
-def _verdict(reported: Sequence[_Reported]) -> tuple[str, Tone, str]:
+def _verdict(calibrations: Sequence[Calibration], checks: Sequence[Sequence[Verdict]]) -> tuple[str, Tone, str]:
     """The worst verdict, with its colour: of the checks where there are limits, else whether the calibrations are
     accepted; and both in a few words."""
-    outcomes = [one.calibration.outcome for one in reported]
+    outcomes = [calibration.outcome for calibration in calibrations]
     if not all(outcome.accepted for outcome in outcomes):
-        *of_kinds, _ = further.verdicts(reported[0].calibration)
-        if not of_kinds or len(reported) > 1:
+        *of_kinds, _ = further.verdicts(calibrations[0])
+        if not of_kinds or len(calibrations) > 1:
             return "not accepted", "bad", "not accepted"
         return "; ".join(of_kinds), "doubt", "not accepted"
     remarked = any(outcome.remarks for outcome in outcomes)
     accepted = "accepted with scatter" if remarked else "accepted"
     worst: dict[str, Result] = {}
-    for check in (check for one in reported for check in one.checks):
+    for check in (check for judged in checks for check in judged):
         worst[check.occasion] = min(check.result, worst.get(check.occasion, "pass"), key=RESULTS.index)
-    said = ", ".join([accepted, *(f"{occasion}: {result}" for occasion, result in worst.items())])
+    both = ", ".join([accepted, *(f"{occasion}: {of_check}" for occasion, of_check in worst.items())])
     if not worst:
-        return accepted, "doubt" if remarked else "good", said
+        return accepted, "doubt" if remarked else "good", both
     badge = min(worst.values(), key=RESULTS.index)
-    return badge, TONES[badge], said
+    return badge, TONES[badge], both
 
 
 def not_accepted(sources: Sequence[ReportedFile], acceptance: Limits | None) -> list[str]:
     """Why a calibration is not accepted or not within limits, each with its file."""
     reasons = [f"{source.file}: {reason}" for source in sources for reason in source.calibration.outcome.reasons]
     for source in sources:
-        for verdict in _checks(source, acceptance):
+        for verdict in () if acceptance is None else verdicts(source.calibration, acceptance):
             if verdict.result != "pass":
                 reasons.append(f"{source.file}: {verdict.occasion} check: {'; '.join(verdict.reasons())}")
     return reasons
 
 
-def _check_one_device(sources: Sequence[ReportedFile]) -> None:
-    first = sources[0]
-    for source in sources[1:]:
-        if source.calibration.serial != first.calibration.serial:
-            raise InputError(
-                f"{source.file}: expected a calibration of device {first.calibration.serial!r} like {first.file}, "
-                f"found {source.calibration.serial!r}; make a report for each device"
-            )
+# -------------------- the sections --------------------
 
 
-def _titles(sources: Sequence[ReportedFile]) -> list[str]:
-    """What each calibration is called: its method where these differ, else a number and the date of its recording."""
-    methods = [source.calibration.method for source in sources]
-    if len(set(methods)) == len(sources):
-        return methods
-    dates = [(source.calibration.circumstances.date or "")[:10] for source in sources]
-    return [f"{i}: {method} {date}".rstrip() for i, (method, date) in enumerate(zip(methods, dates, strict=True), 1)]
-
-
-def _front(first: Calibration, titles: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    device = (("serial number", first.serial), ("model", first.model or NONE))
-    if len(titles) > 1:
-        return (*device, ("calibrations", ", ".join(titles)))
-    recordings = recording.recordings(first)
-    return (
-        *device,
-        ("recorded", _recorded(first)),
-        ("method", f"{first.method}, frame “{first.frame}”"),
-        ("programme", first.programme or "none"),
-        ("launches", str(len(recordings))),
-        *(recording.site_facts(recordings[0].site) if first.site is not None else ()),
-        ("temperature", recording.temperature(recordings)),
-        *certified.circumstances(first.circumstances),
-    )
-
-
-def _recorded(calibration: Calibration) -> str:
-    """When each recording was made, by its session or log; never when it was computed."""
-    moments = recorded_on(calibration)
-    if len(moments) > _MOST_MOMENTS:
-        moments = list(dict.fromkeys(moment[:10] for moment in moments))
-    said = (moment.replace("T", " ").replace("+00:00", " UTC") for moment in moments)
-    return ", ".join(said) or "date not stated"
-
-
-def _computed(calibration: Calibration) -> str:
-    return calibration.provenance.get("created", NONE).replace("T", " ").replace("+00:00", " UTC")
-
-
-def _for_the_laboratory(one: _Reported, key: str) -> Iterator[Section | None]:
+def _for_the_laboratory(
+    source: ReportedFile, acceptance: Limits | None, checks: Sequence[Verdict], key: str
+) -> Iterator[Section | None]:
     """Everything that is known of a calibration; `key` begins the names of its figures."""
-    calibration = one.calibration
-    recordings = recording.recordings(calibration)
-    yield _result(one)
+    calibration, recordings = source.calibration, recording.recordings(source.calibration)
+    yield result.result(calibration, acceptance, checks)
     yield result.beyond(calibration)
     yield result.unknown(calibration)
     yield over_temperature.section(calibration, f"{key}-temperature")
-    yield limits.section(calibration, one.acceptance, one.checks)
-    yield _notes((*remarks(calibration), *calibration.notes))
-    yield result.launches(calibration) if calibration.launches else None
+    yield result.limits(calibration, acceptance, checks)
+    yield _notes(*further.remarks(calibration), *calibration.notes)
+    yield result.launches(calibration)
     yield result.application(calibration)
     yield result.frame(calibration, f"{key}-frame")
     yield recording.site(recordings)
-    yield from (recording.found(r, f"{key}-sphere{i}") for i, r in enumerate(recordings))
-    yield from (recording.residuals(r, f"{key}-residuals{i}") for i, r in enumerate(recordings))
+    yield from (recording.found(each, f"{key}-sphere{i}") for i, each in enumerate(recordings))
+    yield from (recording.residuals(each, f"{key}-residuals{i}") for i, each in enumerate(recordings))
     yield budget_section(calibration, f"{key}-budget")
     yield result.correlations(calibration)
     yield result.convergence(calibration, f"{key}-convergence")
-    yield from (recording.noise(r, f"{key}-noise{i}") for i, r in enumerate(recordings))
-    yield _provenance(one.source)
+    yield from (recording.noise(each, f"{key}-noise{i}") for i, each in enumerate(recordings))
+    yield _provenance(source)
 
 
-def _for_customers(one: _Reported, key: str) -> Iterator[Section | None]:
+def _for_customers(
+    source: ReportedFile,
+    acceptance: Limits | None,
+    checks: Sequence[Verdict],
+    as_found: Calibration | None,
+    key: str,
+) -> Iterator[Section | None]:
     """What a certificate states: results and how they are applied, conformity, what was measured, and where all of it
     is as data; no causes and no advice."""
-    calibration = one.calibration
-    recordings = recording.recordings(calibration)
-    yield _result(one)
-    yield limits.section(calibration, one.acceptance, one.checks) if one.limits_elsewhere else None
-    yield _notes((*remarks(calibration), *map(_without_advice, calibration.notes)))
-    yield result.launches(calibration) if calibration.launches else None
+    calibration, recordings = source.calibration, recording.recordings(source.calibration)
+    advised = [
+        "; ".join(clause for clause in note.split("; ") if not any(mark in clause for mark in _FOR_THE_OPERATOR))
+        for note in calibration.notes
+    ]
+    yield result.result(calibration, acceptance, checks, as_found, certified=True)
+    yield result.limits(calibration, acceptance, checks) if result.limits_elsewhere(calibration, acceptance) else None
+    yield _notes(*further.remarks(calibration), *filter(None, advised))
+    yield result.launches(calibration)
     yield result.beyond(calibration, for_customers=True)
     yield over_temperature.section(calibration, f"{key}-temperature")
     yield result.application(calibration)
@@ -243,73 +192,108 @@ def _for_customers(one: _Reported, key: str) -> Iterator[Section | None]:
     yield from (recording.measured(each) for each in recordings)
     yield budget_section(calibration)
     yield result.correlations(calibration)
-    yield _provenance(one.source)
+    yield _provenance(source)
 
 
-_FOR_THE_OPERATOR = ("[", "`", "--", "tumble ", "let ")
-"""What only speaks to those who run the program has one of these: keys, commands, options, advice."""
-
-
-def _without_advice(note: str) -> str:
-    """A note without the clauses that say what to do."""
-    clauses = [clause for clause in note.split("; ") if not any(mark in clause for mark in _FOR_THE_OPERATOR)]
-    return "; ".join(clauses)
-
-
-def _result(one: _Reported) -> Section:
-    calibration, certified_result = one.calibration, one.certificate is not None
-    blocks: list[Block] = result.verdict(calibration, opinions=not certified_result)
-    if calibration.parameters:
-        judged: dict[str, list[LimitJudgement]] = {}
-        if one.acceptance is not None and one.acceptance.frame == calibration.frame:
-            for judgement in (judgement for check in one.checks for judgement in check.judgements):
-                judged.setdefault(judgement.name, []).append(judgement)
-        said = (
-            "U = k u is the expanded uncertainty, which covers 95.45 %: k = 2 where u is known, more, by Student's t "
-            "with ν degrees of freedom, where it was estimated from few residuals. "
-            f"{_of_which_power_on(calibration)} "
-            '1 µg is 9.80665·10⁻⁶ m/s², " a second of arc.'
-        )
-        table = result.parameter_table(calibration, one.as_found, judged, with_degrees=certified_result)
-        blocks += [table, Text(text=said, tone="small")]
-    if calibration.prediction is not None:
-        left = left_by_matrix(calibration)
-        alone = "" if left is None else f", with the whole correction; {left_said(left)}"
-        known_to = f"{further.predicted(calibration.prediction)}{alone}"
-        blocks.append(Text(text=f"Known to (standard uncertainty): {known_to}."))
-    if calibration.outcome.unobservable:
-        blocks.append(Text(text=f"Not determined: {', '.join(calibration.outcome.unobservable)}."))
-    if one.limits_elsewhere:
-        blocks.append(Text(text="Limits, and the verdict on every parameter: section “Limits and verdict”."))
-    return section("Result", *blocks)
-
-
-def _of_which_power_on(calibration: Calibration) -> str:
-    """What U is of, and what it has not of the next power-on."""
-    if len(calibration.launches) > 1:
-        return (
-            f"It is of the mean of {len(calibration.launches)} power-ons; a single later one lies about the mean with "
-            "the standard deviation “run to run”, which comes on top."
-        )
-    if calibration.together:
-        return "It is of all recorded power-ons together; what changes at the next one comes on top."
-    return "It is of the one power-on that was recorded; what changes at the next one is not in it."
-
-
-def _notes(notes: Iterable[str]) -> Section | None:
+def _notes(*notes: str) -> Section | None:
     """What is to be known of the recording and of U."""
-    said = tuple(note for note in notes if note)
-    return section("Notes", Items(items=said)) if said else None
+    return section("Notes", Items(items=notes)) if notes else None
 
 
 def _provenance(source: ReportedFile) -> Section:
     provenance = source.calibration.provenance
-    rows = [
+    rows = (
         ("data annex", f"the calibration file {source.file}: all values, u, k, ν and covariances in SI"),
         ("its SHA-256", source.sha256),
         ("SHA-256 of the log" + ("s" if source.calibration.launches else ""), provenance.get("log_sha256", NONE)),
         ("software", provenance.get("software", NONE)),
-        ("computed", _computed(source.calibration)),
+        ("computed", _in_words(provenance.get("created", NONE))),
         ("method", source.calibration.method),
+    )
+    return section("Provenance", Facts(rows=rows))
+
+
+# -------------------- the first page --------------------
+
+
+def _in_words(moment: str) -> str:
+    """A moment by ISO 8601 as it is read."""
+    return moment.replace("T", " ").replace("+00:00", " UTC")
+
+
+def _front(first: Calibration, titles: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """The device; of a single calibration also when, where and how it was recorded, the air, the operator and the
+    equipment, as far as they are known."""
+    rows = [("serial number", first.serial), ("model", first.model or NONE)]
+    if len(titles) > 1:
+        return (*rows, ("calibrations", ", ".join(titles)))
+    recordings, moments = recording.recordings(first), recorded_on(first)  # never when it was computed
+    if len(moments) > _MOST_MOMENTS:
+        moments = list(dict.fromkeys(moment[:10] for moment in moments))
+    rows += [
+        ("recorded", ", ".join(map(_in_words, moments)) or "date not stated"),
+        ("method", f"{first.method}, frame “{first.frame}”"),
+        ("programme", first.programme or "none"),
+        ("launches", str(len(recordings))),
+        *(recording.site_facts(recordings[0].site) if first.site is not None else ()),
+        ("temperature", recording.temperature(recordings)),
     ]
-    return section("Provenance", Facts(rows=tuple(rows)))
+    given, air = first.circumstances, first.circumstances.air
+    if air.temperature is not None:
+        u = "" if air.temperature_u is None else f", U = {significant(2.0 * air.temperature_u, 2)} °C (k = 2)"
+        rows.append(("air temperature", f"{fixed(air.temperature, 1)} °C{u}"))
+    if air.humidity is not None:
+        rows.append(("relative humidity", f"{significant(air.humidity, 3)} %"))
+    if air.pressure is not None:
+        rows.append(("air pressure", f"{significant(air.pressure, 5)} hPa"))
+    if given.operator is not None:
+        rows.append(("operator", given.operator))
+    return (*rows, *((("equipment", "; ".join(given.equipment)),) if given.equipment else ()))
+
+
+def _certified(certificate: Certificate, calibration: Calibration) -> tuple[tuple[str, str], ...]:
+    """Customer, number, dates, place, state and procedure. Raises InputError without a day of the calibration."""
+    first, last = certificate.days(calibration)
+    optional = (
+        ("replaces certificate", certificate.replaces),
+        ("received", None if certificate.received is None else certificate.received.isoformat()),
+        ("issued", None if certificate.issued is None else certificate.issued.isoformat()),
+        ("procedure", certificate.procedure),
+    )
+    return (
+        ("customer", f"{certificate.customer.name}, {certificate.customer.address}"),
+        ("certificate number", certificate.number),
+        ("calibrated", first.isoformat() if first == last else f"{first.isoformat()} to {last.isoformat()}"),
+        ("place", _PLACES[certificate.place]),
+        ("state", STATES[certificate.state]),
+        *((name, value) for name, value in optional if value is not None),
+    )
+
+
+def letterhead(laboratory: Party) -> Letterhead:
+    """Name, address, accreditation number and logo. Raises InputError for a logo that is none."""
+    lines = [laboratory.address]
+    lines += [laboratory.email] if laboratory.email else []
+    lines += [f"accreditation {laboratory.code}"] if laboratory.code else []
+    if laboratory.logo is None:
+        return Letterhead(name=laboratory.name, lines=tuple(lines))
+    try:
+        check_regular(Path(laboratory.logo))
+        logo = Path(laboratory.logo).read_bytes()
+    except OSError as error:
+        raise InputError(f"{laboratory.logo}: expected a logo: {error.strerror}") from None
+    kind: Literal["svg", "png"] = "svg" if laboratory.logo.endswith(".svg") else "png"
+    if {"svg": b"<svg", "png": b"\x89PNG"}[kind] not in logo:
+        raise InputError(f"{laboratory.logo}: expected a picture in {kind.upper()}, found another file")
+    picture = base64.b64encode(logo).decode("ascii")
+    return Letterhead(name=laboratory.name, lines=tuple(lines), logo=picture, logo_type=kind)
+
+
+def _statements(certificate: Certificate | None, *, judged: bool) -> tuple[str, ...]:
+    """What stands above the signatures: by which rule limits were `judged`, traceability, what it all relates to."""
+    rule = f"{RULE[0].upper()}{RULE[1:]}." if judged else ""
+    if certificate is None:
+        return (*([rule] if rule else []), "The results relate only to the item named above.")
+    rule += f" Agreed beforehand: {certificate.agreed}." if judged and certificate.agreed else ""
+    traced = f"Traceability: {'; '.join(certificate.traceability)}." if certificate.traceability else ""
+    return tuple(each for each in (rule, traced, *certificate.remarks, RELATES) if each)

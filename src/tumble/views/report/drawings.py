@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,30 +32,26 @@ _CIRCLE = np.linspace(0.0, 2.0 * math.pi, 181)
 _SHOWN_LEAN = 0.22
 """What the largest deviation of a sensor's axis is drawn as, rad."""
 
-
-def _view(azimuth: float, above: float) -> Array:
-    """Body → picture (right, up, towards the viewer) for a viewer at this azimuth, from X towards Y, and elevation."""
-    c, s = math.cos(azimuth), math.sin(azimuth)
-    towards = np.array([c * math.cos(above), s * math.cos(above), math.sin(above)])
-    right = np.array([-s, c, 0.0])
-    return np.stack([right, np.cross(towards, right), towards])
-
-
-FRONT = _view(32.0 * DEGREE, 24.0 * DEGREE)
+_AZIMUTH, _ABOVE = 32.0 * DEGREE, 24.0 * DEGREE
+_TOWARDS = np.array([math.cos(_AZIMUTH) * math.cos(_ABOVE), math.sin(_AZIMUTH) * math.cos(_ABOVE), math.sin(_ABOVE)])
+"""From the body to a viewer at this azimuth, from X towards Y, and elevation."""
+_RIGHT = np.array([-math.sin(_AZIMUTH), math.cos(_AZIMUTH), 0.0])
+FRONT = np.stack([_RIGHT, np.cross(_TOWARDS, _RIGHT), _TOWARDS])
+"""Body → picture (right, up, towards the viewer)."""
 BACK = np.diag([-1.0, 1.0, -1.0]) @ FRONT
 """The other side of the sphere, seen after half a turn about the vertical of the picture."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Directions:
-    """Verticals in the body, unit vectors: `found` (N, 3) of the rests, and `nominal` (M, 3) of the programme."""
-
-    found: Array
-    nominal: Array
-
-
-def sphere(name: str, directions: Directions) -> str:
-    """Both sides of the sphere of directions in the body with the vertical of every rest, by its number."""
+def sphere(name: str, found: Array, nominal: Array) -> str:
+    """Both sides of the sphere of directions in the body with the vertical (N, 3) of every rest, by its number, and
+    those of the programme (M, 3)."""
+    together: list[list[int]] = []  # rests in groups whose directions are nearly one
+    for i, direction in enumerate(found):
+        near = [group for group in together if float(found[group[0]] @ direction) > math.cos(_SAME)]
+        if near:
+            near[0].append(i)
+        else:
+            together.append([i])
 
     def draw(figure: Figure) -> None:
         for axes, view, title in zip(figure.subplots(1, 2), (FRONT, BACK), ("front", "back"), strict=True):
@@ -64,11 +59,25 @@ def sphere(name: str, directions: Directions) -> str:
             axes.set_axis_off()
             axes.set_title(title, loc="center", fontweight="normal", color=GREY)
             _globe(axes, view)
-            _points(axes, view, directions)
-        handles, labels = axes.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=2)
+            if len(nominal):
+                seen, ring = _in_front(nominal @ view.T), {"markeredgecolor": COLOURS[1], "markeredgewidth": 0.9}
+                axes.plot(*seen, "o", label="programme", markerfacecolor="none", markersize=9, **ring)
+            rests = found @ view.T
+            axes.plot(*_in_front(rests), "o", color=COLOURS[0], markersize=3.5, label="vertical at a rest")
+            for members in together if len(found) <= _MOST_NUMBERS else ():
+                x, y, z = rests[members].mean(axis=0)
+                if z >= 0.0:
+                    numbers: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": 7}
+                    text = ", ".join(str(i + 1) for i in members)
+                    axes.annotate(text, (x, y), (0, 6), textcoords="offset points", **numbers)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
 
     return drawn(name, SPHERE * PAGE, 0.62 * SPHERE * PAGE, draw)
+
+
+def _in_front(seen: Array) -> Array:
+    """Picture coordinates (2, N) of directions (N, 3) on the near side."""
+    return np.asarray(seen[seen[:, 2] >= 0.0, :2].T)
 
 
 def _globe(axes: Axes, view: Array) -> None:
@@ -80,46 +89,12 @@ def _globe(axes: Axes, view: Array) -> None:
         seen = circle @ view.T
         seen[seen[:, 2] < 0.0] = np.nan
         axes.plot(seen[:, 0], seen[:, 1], color=GREY if sine == 0.0 else FAINT, linewidth=0.6 if sine == 0.0 else 0.4)
-    for axis, letter in enumerate("XYZ"):
-        for sign in (1.0, -1.0):
-            x, y, z = sign * view[:, axis]
-            if z > 0.0:
-                axes.plot(x, y, "+", color=INK, markersize=6, markeredgewidth=0.8)
-                mark = f"{'+' if sign > 0 else '−'}{letter} up"
-                axes.annotate(mark, (x, y), (0, -9), textcoords="offset points", ha="center", va="top", color=GREY)
-
-
-def _points(axes: Axes, view: Array, directions: Directions) -> None:
-    nominal = directions.nominal @ view.T
-    nominal = nominal[nominal[:, 2] >= 0.0] if len(nominal) else np.empty((0, 3))
-    style: dict[str, Any] = {
-        "markerfacecolor": "none",
-        "markeredgecolor": COLOURS[1],
-        "markersize": 9,
-        "markeredgewidth": 0.9,
-    }
-    if len(directions.nominal):
-        axes.plot(nominal[:, 0], nominal[:, 1], "o", label="programme", **style)
-    found = directions.found @ view.T
-    front = found[:, 2] >= 0.0
-    axes.plot(found[front, 0], found[front, 1], "o", color=COLOURS[0], markersize=3.5, label="vertical at a rest")
-    for members in _together(directions.found) if len(found) <= _MOST_NUMBERS else ():
-        x, y, z = found[members].mean(axis=0)
-        if z >= 0.0:
-            text = ", ".join(str(i + 1) for i in members)
-            axes.annotate(text, (x, y), (0, 6), textcoords="offset points", ha="center", va="bottom", fontsize=7)
-
-
-def _together(found: Array) -> list[list[int]]:
-    """Indices of directions in groups that are nearly one."""
-    groups: list[list[int]] = []
-    for i, direction in enumerate(found):
-        near = [g for g in groups if float(found[g[0]] @ direction) > math.cos(_SAME)]
-        if near:
-            near[0].append(i)
-        else:
-            groups.append([i])
-    return groups
+    for axis, sign in ((axis, sign) for axis in range(3) for sign in (1.0, -1.0)):
+        x, y, z = sign * view[:, axis]
+        if z > 0.0:
+            axes.plot(x, y, "+", color=INK, markersize=6, markeredgewidth=0.8)
+            mark = f"{'+' if sign > 0 else '−'}{'XYZ'[axis]} up"
+            axes.annotate(mark, (x, y), (0, -9), textcoords="offset points", ha="center", va="top", color=GREY)
 
 
 def farthest_from(found: Array) -> float:
@@ -153,7 +128,7 @@ def _axes(model: SensorModel) -> tuple[Array, Array]:
 
 
 def frame(name: str, accel: SensorModel, gyro: SensorModel | None) -> str:
-    """The body frame and in it the axes of the sensors, their deviations from the body axes drawn larger."""
+    """The body frame, and in it the axes of the sensors, their deviations from the body axes drawn larger."""
     panels = [("accelerometers", accel, COLOURS[0])]
     panels += [] if gyro is None else [("gyros", gyro, COLOURS[1])]
     factor = lean_factor([model for _, model, _ in panels])
@@ -162,38 +137,27 @@ def frame(name: str, accel: SensorModel, gyro: SensorModel | None) -> str:
         for axes, (title, model, colour) in zip(figure.subplots(1, 2), panels, strict=False):
             axes.set(aspect="equal", xlim=(-1.25, 1.45), ylim=(-0.85, 1.45))
             axes.set_title(title, loc="center", color=colour)
-            _frame_panel(axes, model, colour, factor)
+            for axis, shade in enumerate(("#e9edf1", "#dfe5ea", "#f3f5f7")):  # faces of a cube towards the viewer
+                normal = (1.0 if FRONT[2, axis] > 0.0 else -1.0) * np.eye(3)[axis]
+                first, second = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
+                corners = np.array([normal + a * first + b * second for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))])
+                seen = 0.42 * corners @ FRONT.T
+                axes.fill(seen[:, 0], seen[:, 1], facecolor=shade, edgecolor=FAINT, linewidth=0.8)
+            for letter, direction in zip("XYZ", 1.25 * FRONT.T, strict=True):
+                _arrow(axes, direction, INK, 0.9)
+                axes.annotate(letter, 1.1 * direction[:2], ha="center", va="center", fontweight="bold", fontsize=9)
+            for p, (unit, nominal) in enumerate(zip(*_axes(model), strict=True)):
+                leaning = nominal + factor * (unit - nominal)
+                direction = FRONT @ (leaning / np.linalg.norm(leaning))
+                _arrow(axes, direction, colour, 1.6)
+                mark = "xyz"[int(np.argmax(np.abs(nominal)))] if len(model.matrix) == 3 else str(p)
+                axes.annotate(mark, direction[:2], (5, -7), textcoords="offset points", color=colour, fontsize=8)
         for axes in figure.axes:
             axes.set_axis_off()
 
     return drawn(name, FRAME * PAGE, 0.46 * FRAME * PAGE, draw)
 
 
-def _frame_panel(axes: Axes, model: SensorModel, colour: str, factor: float) -> None:
-    _cube(axes)
-    for letter, direction in zip("XYZ", 1.25 * FRONT.T, strict=True):
-        _arrow(axes, direction, INK, 0.9)
-        axes.annotate(letter, 1.1 * direction[:2], ha="center", va="center", fontweight="bold", fontsize=9)
-    for p, (unit, nominal) in enumerate(zip(*_axes(model), strict=True)):
-        drawn_axis = nominal + factor * (unit - nominal)
-        direction = FRONT @ (drawn_axis / np.linalg.norm(drawn_axis))
-        _arrow(axes, direction, colour, 1.6)
-        mark = "xyz"[int(np.argmax(np.abs(nominal)))] if len(model.matrix) == 3 else str(p)
-        axes.annotate(mark, direction[:2], (5, -7), textcoords="offset points", color=colour, fontsize=8)
-
-
 def _arrow(axes: Axes, tip: Array, colour: str, width: float) -> None:
     style = {"arrowstyle": "-|>", "color": colour, "linewidth": width, "shrinkA": 0.0, "shrinkB": 0.0}
     axes.annotate("", (float(tip[0]), float(tip[1])), (0.0, 0.0), arrowprops=style)
-
-
-def _cube(axes: Axes) -> None:
-    """The three faces of a cube that are turned to the viewer."""
-    half = 0.42
-    for axis in range(3):
-        sign = 1.0 if FRONT[2, axis] > 0.0 else -1.0
-        normal, first, second = sign * np.eye(3)[axis], np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
-        corners = np.array([normal + a * first + b * second for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))])
-        seen = half * corners @ FRONT.T
-        shade = ("#e9edf1", "#dfe5ea", "#f3f5f7")[axis]
-        axes.fill(seen[:, 0], seen[:, 1], facecolor=shade, edgecolor=FAINT, linewidth=0.8)

@@ -128,39 +128,27 @@ def comparison(name: str, titles: Sequence[str], calibrations: Sequence[Calibrat
     panel a kind."""
     kinds = by_group(linear_parameters(calibrations[0].parameters))
     units = shown_units(calibrations[0].parameters)
+    by_name = [{p.name: p for p in calibration.parameters} for calibration in calibrations]
+    style: dict[str, Any] = {"fmt": "o", "markersize": 3, "linewidth": 0.9, "capsize": 1.5}
 
     def draw(figure: Figure) -> None:
         columns = min(3, len(kinds))
         panels = figure.subplots(-(-len(kinds) // columns), columns, squeeze=False).ravel()
         for axes, (kind, members) in zip(panels, kinds.items(), strict=False):
-            _compared(axes, [p.name for p in members], units[members[0].name], titles, calibrations)
-            axes.set_title(drawable(kind))
+            names, (size, unit) = [p.name for p in members], units[members[0].name]
+            means = [np.mean([there[name].value for there in by_name if name in there]) for name in names]
+            for i, (title, there) in enumerate(zip(titles, by_name, strict=True)):
+                values = [there[n].value - mean if n in there else np.nan for n, mean in zip(names, means, strict=True)]
+                bars = np.array([(expanded(there[n]) or 0.0) if n in there else 0.0 for n in names]) / size
+                beside = np.arange(len(names)) + 0.5 * (i + 1) / (len(titles) + 1) - 0.25
+                label = drawable(title)
+                axes.errorbar(beside, np.array(values) / size, bars, color=COLOURS[i % 6], label=label, **style)
+            axes.axhline(0.0, color=GREY, linewidth=0.6)
+            axes.set_xticks(np.arange(len(names)), [drawable(within_group(name)) for name in names])
+            axes.set(ylabel="arcsec" if unit == '"' else drawable(unit), title=drawable(kind))
+            grid(axes)
         for axes in panels[len(kinds) :]:
             axes.set_visible(False)
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=min(4, len(titles)))
 
     return drawn(name, PAGE, 1.7 * -(-len(kinds) // 3) + 0.4, draw)
-
-
-def _compared(
-    axes: Axes,
-    members: Sequence[str],
-    shown: tuple[float, str],
-    titles: Sequence[str],
-    calibrations: Sequence[Calibration],
-) -> None:
-    found = [{p.name: p for p in calibration.parameters} for calibration in calibrations]
-    size, unit = shown
-    place = np.arange(len(members))
-    means = [np.mean([own[name].value for own in found if name in own]) for name in members]
-    for i, (title, own) in enumerate(zip(titles, found, strict=True)):
-        values = [own[n].value - mean if n in own else np.nan for n, mean in zip(members, means, strict=True)]
-        bars = np.array([(expanded(own[name]) or 0.0) if name in own else 0.0 for name in members]) / size
-        beside = place + 0.5 * (i + 1) / (len(titles) + 1) - 0.25
-        style: dict[str, Any] = {"fmt": "o", "markersize": 3, "linewidth": 0.9, "capsize": 1.5}
-        label = drawable(title)
-        axes.errorbar(beside, np.array(values) / size, bars, color=COLOURS[i % 6], label=label, **style)
-    axes.axhline(0.0, color=GREY, linewidth=0.6)
-    axes.set_xticks(place, [drawable(within_group(name)) for name in members])
-    axes.set_ylabel("arcsec" if unit == '"' else drawable(unit))
-    grid(axes)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tumble.result.calibration import Calibration
-from tumble.result.parts import Parameter, RestResult
+from tumble.result.parts import RestResult
 from tumble.result.temperature_curves import (
     Range,
     changing,
@@ -21,8 +21,9 @@ from tumble.result.temperature_curves import (
 )
 from tumble.sensors.parameters import group_of, positions_by_group, sensor_kind, within_group
 from tumble.units import engineering
-from tumble.views.blocks import Block, Figure, Section, Table, Text
-from tumble.views.numbers import cells, fixed, shown_units
+from tumble.views.blocks import Figure, Section, Table, Text
+from tumble.views.blocks import section as section_of
+from tumble.views.numbers import cells, fixed, units_of_values
 from tumble.views.render.characters import drawable
 from tumble.views.render.pictures import COLOURS, FAINT, GREY, PAGE, drawn, grid
 
@@ -39,6 +40,15 @@ def section(calibration: Calibration, name: str) -> Section | None:
     measured, reference, names = measured_range(calibration), calibration.reference_temperature, changing(calibration)
     if measured is None or reference is None or not names:
         return None
+    at, rows = np.array([measured.low, reference, measured.high]), []
+    curves = [curve(calibration, each, at) for each in names]
+    units = units_of_values((each.name, float(max(each.value, key=abs)), each.unit) for each in curves)
+    for each in curves:
+        size, unit = units[each.name]
+        bands = [None] * 3 if each.expanded is None else each.expanded.tolist()
+        shown = (cells(value, U, size) for value, U in zip(each.value.tolist(), bands, strict=True))
+        rows.append((each.name, *(cell for pair in shown for cell in pair), unit))
+    columns = ("parameter", *(cell for T in at.tolist() for cell in (f"at {fixed(T, 1)} °C", "U")), "unit")
     text = (
         f"Measured from {fixed(measured.low, 1)} to {fixed(measured.high, 1)} °C. All other values in this report are "
         f"those at the reference temperature, {fixed(reference, 1)} °C; at T they are θ + θ₁ (T − T₀) + θ₂ (T − T₀)², "
@@ -46,47 +56,26 @@ def section(calibration: Calibration, name: str) -> Section | None:
         "the curve is an extrapolation, for which U does not stand."
     )
     text += "".join(f" {said[0].upper()}{said[1:]}." for said in own_thermometers(calibration))
-    blocks: list[Block] = [Text(text=text), _table(calibration, names, measured, reference)]
-    svg = picture(name, calibration, names, measured, reference)
-    caption = (
-        f"Change from the value at {fixed(reference, 1)} °C (upright line), with the band ±U of the value. Marks at "
-        "the foot: temperatures of the rests. Dashed, on grey: not measured."
+    over = Figure(
+        svg=_curves(name, calibration, names, measured, reference),
+        caption=f"Change from the value at {fixed(reference, 1)} °C (upright line), with the band ±U of the value. "
+        "Marks at the foot: temperatures of the rests. Dashed, on grey: not measured.",
     )
-    blocks.append(Figure(svg=svg, caption=caption))
-    if seen := warm_rests(calibration):
-        said = (
-            "What is left of the specific force at each rest, by its temperature, and how far the rest is from the "
-            "fit, in sigmas. Residuals that follow the temperature are what the coefficients do not hold."
+    left, rests = None, warm_rests(calibration)
+    if rests:
+        left = Figure(
+            svg=_residuals(f"{name}-left", rests),
+            caption="What is left of the specific force at each rest, by its temperature, and how far the rest is from "
+            "the fit, in sigmas. Residuals that follow the temperature are what the coefficients do not hold.",
         )
-        blocks.append(Figure(svg=residuals_picture(f"{name}-left", seen), caption=said))
-    return Section(title="Over temperature", blocks=tuple(blocks))
+    numbers = Table(columns=columns, rows=tuple(rows), text=(0, 7), dense=True)
+    return section_of("Over temperature", Text(text=text), numbers, over, left)
 
 
-def _table(calibration: Calibration, names: tuple[str, ...], measured: Range, reference: float) -> Table:
-    at = np.array([measured.low, reference, measured.high])
-    curves = [curve(calibration, name, at) for name in names]
-    largest = [max(each.value, key=abs) for each in curves]
-    units = shown_units(
-        [Parameter(name=c.name, value=float(v), u=None, unit=c.unit) for c, v in zip(curves, largest, strict=True)]
-    )
-    rows = []
-    for each in curves:
-        size, unit = units[each.name]
-        bands = [None] * 3 if each.expanded is None else each.expanded
-        shown = (cells(float(v), None if u is None else float(u), size) for v, u in zip(each.value, bands, strict=True))
-        rows.append((each.name, *(cell for pair in shown for cell in pair), unit))
-    columns = tuple(cell for T in at for cell in (f"at {fixed(float(T), 1)} °C", "U"))
-    return Table(columns=("parameter", *columns, "unit"), rows=tuple(rows), text=(0, 7), dense=True)
-
-
-def _by_group(names: Sequence[str]) -> dict[str, list[str]]:
-    """Names of parameters by their group."""
-    return {group: [names[i] for i in own] for group, own in positions_by_group(names).items()}
-
-
-def picture(name: str, calibration: Calibration, names: tuple[str, ...], measured: Range, reference: float) -> str:
+def _curves(name: str, calibration: Calibration, names: Sequence[str], measured: Range, reference: float) -> str:
     """A panel for each group: the change of every sensor's parameter from the reference, with ±U."""
-    by_group, rests = _by_group(names), warm_rests(calibration)
+    by_group = {group: [names[i] for i in members] for group, members in positions_by_group(names).items()}
+    rests = warm_rests(calibration)
 
     def draw(figure: Canvas) -> None:
         panels = figure.subplots(-(-len(by_group) // 2), 2, squeeze=False).ravel()
@@ -103,47 +92,48 @@ def picture(name: str, calibration: Calibration, names: tuple[str, ...], measure
     return drawn(name, PAGE, 2.0 * -(-len(by_group) // 2) + 0.2, draw)
 
 
-def residuals_picture(name: str, rests: list[RestResult]) -> str:
+def _panel(axes: Axes, calibration: Calibration, members: Sequence[str], measured: Range, reference: float) -> None:
+    margin = BEYOND * (measured.high - measured.low)
+    inside, curves = measured.temperatures(101), {}
+    beyond = [np.linspace(start, start + margin, 15) for start in (measured.low - margin, measured.high)]
+    for member in members:
+        at_reference = curve(calibration, member, np.array([reference])).value[0]
+        found = curve(calibration, member, inside)
+        outside = [curve(calibration, member, at).value - at_reference for at in beyond]
+        curves[member] = found.value - at_reference, found.expanded, outside
+    size, unit = engineering(found.unit, max(float(np.abs(change).max()) for change, _, _ in curves.values()))
+    for i, (member, (change, expanded, outside)) in enumerate(curves.items()):
+        colour = COLOURS[i % len(COLOURS)]
+        axes.plot(inside, change / size, color=colour, label=drawable(within_group(member)))
+        if expanded is not None:
+            low, high = (change - expanded) / size, (change + expanded) / size
+            axes.fill_between(inside, low, high, color=colour, alpha=0.16, linewidth=0.0)
+        for at, extrapolated in zip(beyond, outside, strict=True):
+            axes.plot(at, extrapolated / size, color=colour, linestyle=(0, (3, 2)), linewidth=0.8)
+    for at in beyond:
+        axes.axvspan(float(at[0]), float(at[-1]), color=FAINT, alpha=0.45, linewidth=0.0, zorder=0)
+    axes.axvline(reference, color=GREY, linewidth=0.6)
+    axes.set(xlim=(beyond[0][0], beyond[1][-1]), ylabel=drawable(unit))
+    grid(axes)
+    axes.legend(loc="best", ncols=3, handlelength=1.0, columnspacing=1.0)
+
+
+def _residuals(name: str, rests: Sequence[RestResult]) -> str:
     """Residuals of the specific force, and sigmas, of rests over the temperatures of the accelerometers."""
     celsius = np.array([temperature_of(rest, "accel") for rest in rests])
     left = np.array([rest.residual for rest in rests])
-    sigmas = np.array([rest.sigmas for rest in rests])
+    size, unit = engineering("m/s^2", float(np.abs(left).max()))
 
     def draw(figure: Canvas) -> None:
-        panels = figure.subplots(1, 2)
-        size, unit = engineering("m/s^2", float(np.abs(left).max()))
-        for axes, values, label in zip(panels, (left / size, sigmas), (unit, "sigmas"), strict=True):
+        of_force, of_fit = figure.subplots(1, 2)
+        for axes, values, label, title in (
+            (of_force, left / size, unit, "residuals of the specific force"),
+            (of_fit, [rest.sigmas for rest in rests], "sigmas", "distance from the fit"),
+        ):
             axes.plot(celsius, values, "o", color=COLOURS[0], markersize=3.0)
             axes.axhline(0.0, color=GREY, linewidth=0.6)
             margin, ends = 0.03 * float(np.ptp(celsius)), (float(celsius.min()), float(celsius.max()))
-            axes.set(xlim=(ends[0] - margin, ends[1] + margin), xlabel="°C", ylabel=drawable(label))
+            axes.set(xlim=(ends[0] - margin, ends[1] + margin), xlabel="°C", ylabel=drawable(label), title=title)
             grid(axes)
-        panels[0].set_title("residuals of the specific force")
-        panels[1].set_title("distance from the fit")
 
     return drawn(name, PAGE, 2.0, draw)
-
-
-def _panel(axes: Axes, calibration: Calibration, members: list[str], measured: Range, reference: float) -> None:
-    margin = BEYOND * (measured.high - measured.low)
-    inside = measured.temperatures(101)
-    low, high = (np.linspace(start, start + margin, 15) for start in (measured.low - margin, measured.high))
-    curves = {member: curve(calibration, member, inside) for member in members}
-    at_reference = {member: curve(calibration, member, np.array([reference])).value[0] for member in members}
-    largest = max(float(np.abs(each.value - at_reference[member]).max()) for member, each in curves.items())
-    size, unit = engineering(next(iter(curves.values())).unit, largest)
-    for i, (member, each) in enumerate(curves.items()):
-        colour, change = COLOURS[i % len(COLOURS)], (each.value - at_reference[member]) / size
-        axes.plot(inside, change, color=colour, label=drawable(within_group(member)))
-        if each.expanded is not None:
-            band = each.expanded / size
-            axes.fill_between(inside, change - band, change + band, color=colour, alpha=0.16, linewidth=0.0)
-        for beyond in (low, high):
-            extrapolated = (curve(calibration, member, beyond).value - at_reference[member]) / size
-            axes.plot(beyond, extrapolated, color=colour, linestyle=(0, (3, 2)), linewidth=0.8)
-    for edge in (low, high):
-        axes.axvspan(float(edge[0]), float(edge[-1]), color=FAINT, alpha=0.45, linewidth=0.0, zorder=0)
-    axes.axvline(reference, color=GREY, linewidth=0.6)
-    axes.set(xlim=(low[0], high[-1]), ylabel=drawable(unit))
-    grid(axes)
-    axes.legend(loc="best", ncols=3, handlelength=1.0, columnspacing=1.0)

@@ -15,7 +15,7 @@ from tumble.programme.positions import Position, from_attitudes
 from tumble.programme.sheet_words import short_code
 from tumble.recording.session import Site
 from tumble.result.calibration import Calibration
-from tumble.result.parts import Launch, Readings, RestResult, SensorsAtRest, TurnResult
+from tumble.result.parts import Launch, Readings, RestResult, TurnResult
 from tumble.rotation import unit_vector
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, G_STANDARD, Array, engineering
@@ -43,6 +43,27 @@ class RecordedSession:
     programme: str | None
     readings: Mapping[str, Readings]
 
+    def verticals(self) -> Array | None:
+        """Vertical in the body (N, 3) at every rest from its corrected reading; None where it cannot be known."""
+        readings = [rest.accel.mean for rest in self.rests if rest.accel is not None]
+        if self.accel is None or len(readings) < len(self.rests):
+            return None
+        return unit_vector(self.accel.apply(np.array(readings)))
+
+    def positions(self) -> list[Position | None]:
+        """The position of the programme at every rest; None where its attitude is none."""
+        found: list[Position | None] = []
+        for rest in self.rests:
+            try:
+                found.append(None if rest.attitude is None else from_attitudes([rest.attitude]).positions[0])
+            except ProgrammeError:
+                found.append(None)
+        return found
+
+    def titled(self, title: str) -> str:
+        """A title of a section about this session."""
+        return f"{title}: {self.title}" if self.title else title
+
 
 def recordings(calibration: Calibration) -> list[RecordedSession]:
     """The sessions of a calibration: itself, or its launches."""
@@ -51,14 +72,14 @@ def recordings(calibration: Calibration) -> list[RecordedSession]:
         RecordedSession(
             title=title,
             accel=calibration.accel,
-            site=found.site,
-            rests=found.rests,
-            turns=found.turns,
-            fits=found.fits,
+            site=recorded.site,
+            rests=recorded.rests,
+            turns=recorded.turns,
+            fits=recorded.fits,
             programme=calibration.programme,
             readings=calibration.readings,
         )
-        for title, found in each or [("", calibration)]
+        for title, recorded in each or [("", calibration)]
     ]
 
 
@@ -66,17 +87,17 @@ def site_facts(site: Site | None) -> tuple[tuple[str, str], ...]:
     """Where it was recorded, and gravity with its uncertainty."""
     if site is None:
         return (("site", "not in the calibration file"),)
-    latitude = NONE if site.latitude is None else f"{fixed(site.latitude / DEGREE, 5)}°"
     gravity = f"{fixed(site.gravity, 7)} m/s², U = {significant(2.0 * site.gravity_u, 2)} m/s² (k = 2)"
     if site.gravity_is_unit:
         gravity = f"not stated: g at the place is the unit, {fixed(site.gravity, 5)} m/s² stands for it"
     elif site.gravity_u == 0.0:
         gravity = f"{fixed(site.gravity, 7)} m/s², taken as exact: no uncertainty of it was stated"
-    height = () if site.latitude is None else (("height", f"{fixed(site.height, 1)} m"),)
     against = None if site.gravity_is_unit else against_normal(site)
-    if against is not None:
-        gravity = f"{gravity}; {against}"
-    return (("latitude", latitude), *height, ("gravity", gravity))
+    gravity += f"; {against}" if against is not None else ""
+    if site.latitude is None:
+        return (("latitude", NONE), ("gravity", gravity))
+    place = (("latitude", f"{fixed(site.latitude / DEGREE, 5)}°"), ("height", f"{fixed(site.height, 1)} m"))
+    return (*place, ("gravity", gravity))
 
 
 def site(all_of_them: Sequence[RecordedSession]) -> Section:
@@ -89,14 +110,14 @@ def site(all_of_them: Sequence[RecordedSession]) -> Section:
     return section("Sites", *blocks)
 
 
-# Programme and what was found
+# -------------------- programme and what was found --------------------
 
 
 def found(recording: RecordedSession, name: str) -> Section | None:
     """Every rest and every turn against the programme, and where the vertical was in the body."""
     if not recording.rests:
         return None
-    time, sphere, verticals = None, None, _verticals(recording)
+    time, sphere, verticals = None, None, recording.verticals()
     if all(rest.accel is not None for rest in recording.rests):
         columns = recording.readings["accel"].columns if "accel" in recording.readings else ()
         time = Figure(
@@ -105,77 +126,51 @@ def found(recording: RecordedSession, name: str) -> Section | None:
             "the turns, with their angles as the gyros saw them.",
         )
     if verticals is not None:
-        positions = (_position(rest.attitude) for rest in recording.rests)
-        nominal = np.array([p.vertical_b for p in positions if p is not None]).reshape(-1, 3)
+        nominal = np.array([p.vertical_b for p in recording.positions() if p is not None]).reshape(-1, 3)
         gap = drawings.farthest_from(verticals) / DEGREE
         sphere = Figure(
-            svg=drawings.sphere(name, drawings.Directions(found=verticals, nominal=nominal)),
+            svg=drawings.sphere(name, verticals, nominal),
             caption="Orientation coverage: where the vertical was in the body at each rest, on both sides of the "
             f"sphere. The direction farthest from any rest is {gap:.0f}° away from the nearest.",
             width=drawings.SPHERE,
         )
-    title, said = _titled("Programme and what was found", recording), Text(text=_programme_said(recording))
-    return section(title, said, time, _rest_table(recording), sphere, _turn_table(recording.turns))
+    said, (rests, turns, *_) = _programme_said(recording), tables_of(recording)
+    return section(recording.titled("Programme and what was found"), said, time, rests, sphere, turns)
 
 
 def measured(recording: RecordedSession) -> Section | None:
     """Every rest and every turn as numbers, and how they agree with the result."""
     if not recording.rests:
         return residuals(recording, "")
-    rests, turns, *fits = tables_of(recording)
-    said, residual = Text(text=_programme_said(recording)), Text(text=f"{rests_said(recording)}.")
-    return section(_titled("What was measured", recording), said, rests, turns, residual, *fits)
+    rests, turns, fits = tables_of(recording)
+    residual = Text(text=f"{rests_said(recording)}.")
+    return section(recording.titled("What was measured"), _programme_said(recording), rests, turns, residual, fits)
 
 
-def tables_of(recording: RecordedSession) -> list[Table | None]:
+def tables_of(recording: RecordedSession) -> tuple[Table | None, Table | None, Table | None]:
     """Rests, turns and fits."""
-    rests = _rest_table(recording) if recording.rests else None
-    return [rests, _turn_table(recording.turns), _fit_table(recording.fits)]
+    return _rest_table(recording) if recording.rests else None, _turn_table(recording.turns), _fit_table(recording.fits)
 
 
-def _titled(title: str, recording: RecordedSession) -> str:
-    return f"{title}: {recording.title}" if recording.title else title
-
-
-def _programme_said(recording: RecordedSession) -> str:
+def _programme_said(recording: RecordedSession) -> Text:
     count = f"{len(recording.rests)} rests"
     if recording.programme is None:
-        return f"No programme: {count} were found, in attitudes that were not prescribed."
-    named = (
-        "Positions listed in the session" if recording.programme == "listed" else f"Programme “{recording.programme}”"
+        return Text(text=f"No programme: {count} were found, in attitudes that were not prescribed.")
+    listed = recording.programme == "listed"
+    named = "Positions listed in the session" if listed else f"Programme “{recording.programme}”"
+    return Text(
+        text=f"{named}: {count} were found. Off is the angle between the vertical in the body as it was found and as "
+        "the programme has it. N, U, E are north, up, east; a code says where body X, Y, Z point and how they are "
+        "turned."
     )
-    return (
-        f"{named}: {count} were found. Off is the angle between the vertical in the body as it was found and as the "
-        "programme has it. N, U, E are north, up, east; a code says where body X, Y, Z point and how they are turned."
-    )
-
-
-def _position(code: str | None) -> Position | None:
-    """The position of an attitude code; None for what is none."""
-    if code is None:
-        return None
-    try:
-        return from_attitudes([code]).positions[0]
-    except ProgrammeError:
-        return None
-
-
-def _verticals(recording: RecordedSession) -> Array | None:
-    """Vertical in the body (N, 3) at every rest from its corrected reading; None where it cannot be known."""
-    readings = [rest.accel.mean for rest in recording.rests if rest.accel is not None]
-    if recording.accel is None or len(readings) < len(recording.rests):
-        return None
-    force = recording.accel.apply(np.array(readings))
-    return unit_vector(force)
 
 
 def _rest_table(recording: RecordedSession) -> Table:
-    several, verticals = len({rest.file for rest in recording.rests}) > 1, _verticals(recording)
+    several, verticals = len({rest.file for rest in recording.rests}) > 1, recording.verticals()
     warm = any(rest.temperature is not None for rest in recording.rests)
     programmed = any(rest.attitude is not None for rest in recording.rests)
     rows = []
-    for i, rest in enumerate(recording.rests):
-        position = _position(rest.attitude)
+    for i, (rest, position) in enumerate(zip(recording.rests, recording.positions(), strict=True)):
         row = {"rest": str(i + 1)} | ({"file": str(rest.file + 1)} if several else {})
         if programmed:
             row["position"] = NONE if position is None else position.label
@@ -183,7 +178,12 @@ def _rest_table(recording: RecordedSession) -> Table:
         row |= {"start s": f"{rest.start:z.1f}", "stop s": f"{rest.stop:z.1f}"}
         if verticals is not None:
             row |= {axis: f"{v:z.3f}" for axis, v in zip("XYZ", verticals[i], strict=True)}
-            row |= {"off °": _off(position, verticals[i])} if programmed else {}
+            if programmed and position is None:
+                row["off °"] = ""
+            elif programmed and position is not None:
+                nominal, vertical = position.vertical_b, verticals[i]
+                off = math.atan2(np.linalg.norm(np.cross(nominal, vertical)), nominal @ vertical)
+                row["off °"] = fixed(off / DEGREE, 2)
         row |= {"residual µg": f"{rest.residual / MICRO_G:z.1f}", "sigmas": f"{rest.sigmas:.1f}"}
         row |= {"T °C": "" if rest.temperature is None else f"{rest.temperature:z.1f}"} if warm else {}
         rows.append(row)
@@ -191,35 +191,26 @@ def _rest_table(recording: RecordedSession) -> Table:
     return table(rows, words=("position", "code"), caption=caption, dense=True)
 
 
-def _off(position: Position | None, vertical: Array) -> str:
-    if position is None:
-        return ""
-    nominal = position.vertical_b
-    return fixed(math.atan2(np.linalg.norm(np.cross(nominal, vertical)), nominal @ vertical) / DEGREE, 2)
-
-
 def _turn_table(turns: Sequence[TurnResult]) -> Table | None:
-    programmed = any(turn.programmed is not None for turn in turns)
-    rows = []
+    def degrees(angle: float | None, digits: int) -> str:
+        return "" if angle is None else f"{angle / DEGREE:z.{digits}f}"
+
+    programmed, rows = any(turn.programmed is not None for turn in turns), []
     for turn in turns:
         row = {"turn from rest": f"{turn.first + 1} to {turn.last + 1}", "duration s": f"{turn.duration:.1f}"}
-        row |= {"programme °": _degrees(turn.programmed, 0)} if programmed else {}
-        rows.append(row | {"found °": _degrees(turn.angle, 2), "sigmas": f"{turn.sigmas:.1f}"})
+        row |= {"programme °": degrees(turn.programmed, 0)} if programmed else {}
+        rows.append(row | {"found °": degrees(turn.angle, 2), "sigmas": f"{turn.sigmas:.1f}"})
     caption = "Turns. Found is the whole angle between two rests as the calibrated gyros saw it (0 to 180°)."
     halves = len(rows) > _MOST_TURNS
     return table(rows, words=("turn from rest",), caption=caption, dense=True, halves=halves) if rows else None
 
 
-def _degrees(angle: float | None, digits: int) -> str:
-    return "" if angle is None else f"{angle / DEGREE:z.{digits}f}"
-
-
-# Residuals
+# -------------------- residuals --------------------
 
 
 def residuals(recording: RecordedSession, name: str) -> Section | None:
     """The plot of residuals, and what chi-square says of them."""
-    title, fits = _titled("Residuals", recording), _fit_table(recording.fits)
+    title, fits = recording.titled("Residuals"), _fit_table(recording.fits)
     if not recording.rests:
         return section(title, fits) if fits else None
     picture = Figure(
@@ -246,23 +237,21 @@ def rests_said(recording: RecordedSession) -> str:
 
 def _fit_table(fits: Mapping[str, Fit]) -> Table | None:
     """What chi-square says of each kind of residuals, and the scatter that was added."""
-    if not fits:
-        return None
-    return table(
-        [
-            {
-                "residuals of": name,
-                "chi-square": f"{fit.chi_square:.1f}",
-                "degrees of freedom": f"{fit.degrees:.1f}",
-                "probability": f"{fit.probability:.2f}" if checked(fit) else "",
-                "scatter added": in_engineering(fit.scatter_unit, fit.scatter) if fit.scatter > 0.0 else "none",
-            }
-            for name, fit in fits.items()
-        ],
-        words=("residuals of",),
-        caption="Probability: of a larger chi-square by chance alone. Scatter added: what the residuals show beyond "
-        "the noise within rests; it is in every uncertainty.",
+    rows = [
+        {
+            "residuals of": name,
+            "chi-square": f"{fit.chi_square:.1f}",
+            "degrees of freedom": f"{fit.degrees:.1f}",
+            "probability": f"{fit.probability:.2f}" if checked(fit) else "",
+            "scatter added": in_engineering(fit.scatter_unit, fit.scatter) if fit.scatter > 0.0 else "none",
+        }
+        for name, fit in fits.items()
+    ]
+    caption = (
+        "Probability: of a larger chi-square by chance alone. Scatter added: what the residuals show beyond the noise "
+        "within rests; it is in every uncertainty."
     )
+    return table(rows, words=("residuals of",), caption=caption) if rows else None
 
 
 def checked(fit: Fit) -> bool:
@@ -270,72 +259,53 @@ def checked(fit: Fit) -> bool:
     return fit.degrees >= 0.5
 
 
-# Noise and drift
+# -------------------- noise and drift --------------------
 
 
 def noise(recording: RecordedSession, name: str) -> Section | None:
-    """Noise density and drift of every sensor over the rests."""
-    kinds = [kind for kind in ("accel", "gyro") if _seen(recording, kind)]
-    if not kinds:
+    """Noise density and drift over the rests of every sensor, by its column in the log, else a number."""
+    sensors, rows = {}, []
+    for kind, si in (("accel", "m/s^2"), ("gyro", "rad/s")):
+        seen = [getattr(rest, kind) for rest in recording.rests]
+        if not seen or any(each is None for each in seen):
+            continue
+        density, drift = np.array([s.noise for s in seen]), np.array([s.drift for s in seen])
+        numbered = tuple(f"{kind} {i}" for i in range(len(seen[0].mean)))
+        sensors[kind] = recording.readings[kind].columns if kind in recording.readings else numbered
+        for i, sensor in enumerate(sensors[kind]):
+            row = {"sensor": sensor}
+            for heading, value, per in (
+                ("noise density, median", float(np.median(density[:, i])), "/√Hz"),
+                ("drift over a rest, rms", float(np.sqrt(np.mean(drift[:, i] ** 2))), ""),
+                ("drift, largest", float(drift[np.argmax(np.abs(drift[:, i])), i]), ""),
+            ):
+                size, unit = engineering(si, value)
+                row[heading] = f"{significant(value / size, 3)} {unit}{per}"
+            rows.append(row)
+    if not rows:
         return None
-    sensors = {kind: _sensor_names(recording, kind) for kind in kinds}
-    rows = [row for kind in kinds for row in _noise_rows(_seen(recording, kind), sensors[kind], kind)]
-    blocks: list[Block] = [
-        table(
-            rows,
-            words=("sensor",),
-            caption="Noise density: of the mean of a rest, whatever the colour of the noise. Drift: the change of a "
-            "reading over a rest.",
-        ),
-        Figure(
-            svg=figures.noise_and_drift(name, recording.rests, sensors),
-            caption="Noise and drift at every rest" + _warmth(recording.rests) + ".",
-        ),
-    ]
-    return section(_titled("Noise and drift of the rests", recording), *blocks)
-
-
-def _seen(recording: RecordedSession, kind: str) -> list[SensorsAtRest]:
-    seen = [getattr(rest, kind) for rest in recording.rests]
-    return [] if any(each is None for each in seen) else seen
-
-
-def _sensor_names(recording: RecordedSession, kind: str) -> tuple[str, ...]:
-    """Names of the sensors: their columns in the log, else numbers."""
-    if kind in recording.readings:
-        return recording.readings[kind].columns
-    return tuple(f"{kind} {i}" for i in range(len(_seen(recording, kind)[0].mean)))
-
-
-def _noise_rows(seen: Sequence[SensorsAtRest], sensors: Sequence[str], kind: str) -> list[dict[str, str]]:
-    si, rows = {"accel": "m/s^2", "gyro": "rad/s"}[kind], []
-    density, drift = np.array([s.noise for s in seen]), np.array([s.drift for s in seen])
-    for i, sensor in enumerate(sensors):
-        row = {"sensor": sensor}
-        for heading, value, per in (
-            ("noise density, median", float(np.median(density[:, i])), "/√Hz"),
-            ("drift over a rest, rms", float(np.sqrt(np.mean(drift[:, i] ** 2))), ""),
-            ("drift, largest", float(drift[np.argmax(np.abs(drift[:, i])), i]), ""),
-        ):
-            size, unit = engineering(si, value)
-            row[heading] = f"{significant(value / size, 3)} {unit}{per}"
-        rows.append(row)
-    return rows
-
-
-def _warmth(rests: Sequence[RestResult]) -> str:
-    seen = [rest.temperature for rest in rests if rest.temperature is not None]
-    if not seen:
-        return "; the recording has no temperature"
-    return f", and the temperature: {_span(seen)}"
+    caption = (
+        "Noise density: of the mean of a rest, whatever the colour of the noise. Drift: the change of a reading over a "
+        "rest."
+    )
+    span = _span([recording])
+    warmth = f", and the temperature: {span}" if span else "; the recording has no temperature"
+    picture = Figure(
+        svg=figures.noise_and_drift(name, recording.rests, sensors),
+        caption=f"Noise and drift at every rest{warmth}.",
+    )
+    shown = table(rows, words=("sensor",), caption=caption)
+    return section(recording.titled("Noise and drift of the rests"), shown, picture)
 
 
 def temperature(all_of_them: Sequence[RecordedSession]) -> str:
     """The range of temperatures of the rests."""
-    seen = [rest.temperature for r in all_of_them for rest in r.rests if rest.temperature is not None]
-    return f"{_span(seen)} (sensors)" if seen else "not recorded"
+    span = _span(all_of_them)
+    return f"{span} (sensors)" if span else "not recorded"
 
 
-def _span(celsius: Sequence[float]) -> str:
-    """The lowest to the highest temperature, one where they are shown alike."""
-    return " to ".join(dict.fromkeys((fixed(min(celsius), 1), fixed(max(celsius), 1)))) + " °C"
+def _span(all_of_them: Sequence[RecordedSession]) -> str:
+    """The lowest to the highest temperature, one where they are shown alike; nothing where none was recorded."""
+    celsius = [rest.temperature for r in all_of_them for rest in r.rests if rest.temperature is not None]
+    ends = (fixed(min(celsius), 1), fixed(max(celsius), 1)) if celsius else ()
+    return " to ".join(dict.fromkeys(ends)) + " °C" if ends else ""

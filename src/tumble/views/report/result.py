@@ -1,14 +1,17 @@
-"""The result in a report: parameters, how they are applied, the frame, correlations, iterations."""
+"""The result in a report: parameters, limits, several calibrations beside each other, how it is applied, the frame,
+correlations, iterations."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from tumble.acceptance.conformity import RESULTS, LimitJudgement
+from tumble.acceptance.conformity import RESULTS, RULE, LimitJudgement, Verdict
+from tumble.acceptance.limits import Limits
+from tumble.errors import CalibrationError
 from tumble.result.accepted import WORDS, accepted_kinds
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import expanded
@@ -22,6 +25,8 @@ from tumble.result.further import (
     left_said,
     linear_parameters,
     other_factors,
+    predicted,
+    remarks,
     verdicts,
 )
 from tumble.result.parts import Parameter
@@ -46,17 +51,18 @@ from tumble.views.blocks import (
 from tumble.views.calibration import group_table, launch_table, unknown_blocks
 from tumble.views.numbers import (
     NONE,
+    cells,
     degrees,
     factor,
     fixed,
     limit_cell,
     percent,
-    quantity_table,
     shown_units,
     significant,
     to_digits_of,
     with_expanded,
 )
+from tumble.views.registry import TONES
 from tumble.views.report import drawings, figures
 
 _TEST_VECTORS = {"accel": (1.0, -2.0, 9.5), "gyro": (0.1, -0.2, 0.3), "mag": (0.4, -0.2, 0.3)}
@@ -70,6 +76,11 @@ _MOST_UNHALVED = 12
 """Rows of a narrow table from which on it stands in halves."""
 MODEL_DIGITS, TRUE_DIGITS = 10, 8
 """Digits behind the point of matrices and biases (SI), and of the true values of test vectors that they give."""
+OVER_TEMPERATURE = (
+    "Biases and scale factors are judged at the temperature where they are worst, with U there; other parameters are "
+    "the same at all temperatures. Beyond what was measured nothing passes."
+)
+_CHECKS = {"incoming": "Incoming inspection", "periodic": "Periodic check"}
 _HEADINGS = {"accel": "Accelerometers", "gyro": "Gyros", "mag": "Magnetometer, in its own frame"}
 _FRAMES = {
     "accelerometer": "X is along the axis of the X accelerometer, Z is normal to the plane of the axes of the X and Y "
@@ -85,227 +96,6 @@ _NUMBERED_FRAME = (
     "the axis of sensor p about the perpendicular to the nominal axes of sensors 0 and p, p.2 about the perpendicular "
     "to that and to its own."
 )
-
-
-def parameter_table(
-    calibration: Calibration,
-    as_found: Calibration | None = None,
-    judged: Mapping[str, Sequence[LimitJudgement]] | None = None,
-    *,
-    with_degrees: bool = False,
-) -> Table:
-    """Parameters of the linear model with U (95 %); where there are such, the values as found before an adjustment,
-    coverage factors other than 2 with the degrees of freedom (of all parameters `with_degrees`), the limits and results
-    of those that were `judged`, and deviations from the systematic values and from launch to launch."""
-    parameters = linear_parameters(calibration.parameters)
-    units, judged, rows = shown_units(parameters), judged or {}, []
-    before = {} if as_found is None else {p.name: p.value for p in as_found.parameters}
-    limited = bool(judged) and all(len(each) == 1 for each in judged.values())
-    passport = any(p.deviation is not None for p in parameters)
-    for p in parameters:
-        (size, unit), own, u = units[p.name], judged.get(p.name, ()), expanded(p)
-        value, shown = with_expanded(p, size)
-        row = {"parameter": p.name, "": described(p.name), "mean" if calibration.launches else "value": value}
-        row |= {"U (95 %)": shown, "unit": unit}
-        row |= {"as found": to_digits_of(before.get(p.name), u, size)} if before else {}
-        row |= {"k": factor(p), "ν": degrees(p)} if with_degrees or other_factors(parameters) else {}
-        row |= {"run to run": to_digits_of(p.run_to_run, u, size)} if calibration.launches else {}
-        row |= {"from nominal": to_digits_of(p.deviation, u, size)} if passport else {}
-        if limited:
-            low, high = (own[0].low, own[0].high) if own else (math.nan, math.nan)
-            row |= {"lowest": limit_cell(low, size), "highest": limit_cell(high, size)}
-        row |= {"verdict": min((each.result for each in own), key=RESULTS.index, default=NONE)} if judged else {}
-        rows.append(row)
-    count = max(map(len, rows), default=0)
-    if count > _MOST_WITH_WORDS:
-        rows = [{heading: cell for heading, cell in row.items() if heading} for row in rows]
-    words = ("parameter", "", "unit", "verdict")
-    return table(rows, words=words, dense=count > _MOST_LARGE, halves=len(rows) > _MOST_ROWS)
-
-
-def beyond(calibration: Calibration, *, for_customers: bool = False) -> Section | None:
-    """What is beyond the linear model: a line for each group, what its prior decides, and all parameters;
-    `for_customers` the parameters alone."""
-    further = further_parameters(calibration.parameters)
-    parameters = _further_table(further) if further else None
-    if for_customers:
-        said = (
-            "What a reading has beside bias, scale factors and axes. Of each there was a prior, a standard deviation "
-            "over such instruments; learned is how much of its variance the recording has taken off: at 0 % only the "
-            "prior is known."
-        )
-        return section("Beyond bias, scale factors and axes", Text(text=said), parameters) if further else None
-    said = (
-        "Each group has a prior, the standard deviation over instruments of its grade or that of the data sheet; where "
-        "the data exceed it, it was widened. Learned is how much of the prior's variance the recording has taken off: "
-        "at 0 % only the prior is known."
-    )
-    decided = decided_by_priors(calibration)
-    left = Text(text=f"{decided[0].upper()}{decided[1:]}.") if decided else None
-    groups = group_table(calibration, of_a_page=True)
-    return section("Beyond the linear model", Text(text=said), groups, left, parameters) if groups.rows else None
-
-
-def unknown(calibration: Calibration) -> Section | None:
-    """What the model did not know about itself, and what the recording says of it."""
-    said = (
-        "Scatter, in-run biases and the sizes of groups were estimated with the parameters, and U is an average over "
-        "what they may be. The middle 68 % of each stands beside its value; a size over the usual one has no unit."
-    )
-    blocks = unknown_blocks(calibration)
-    return section("What the model did not know about itself", Text(text=said), *blocks) if blocks else None
-
-
-def _further_table(parameters: Sequence[Parameter]) -> Table:
-    def learned(p: Parameter, size: float) -> dict[str, str]:
-        return {"prior": "" if p.prior is None else significant(p.prior / size, 4), "learned": percent(p.learned)}
-
-    return quantity_table(
-        parameters,
-        lambda p, _: {"k": factor(p)},
-        learned,
-        headings=("parameter", "value", "u"),
-        caption="u is the standard uncertainty, k u the half width of the interval of 95.45 %, prior a standard "
-        "deviation, as widened.",
-        dense=True,
-    )
-
-
-def launches(calibration: Calibration) -> Section:
-    """Every launch beside the others: bias, scale and axes, then what is beyond the linear model in a table of its
-    own."""
-    linear, further = linear_parameters(calibration.parameters), further_parameters(calibration.parameters)
-    blocks: list[Block] = [
-        Text(
-            text="The result is the mean of these launches (power-ons). Run to run is the standard deviation from one "
-            "launch to another; it is in the uncertainty of the mean."
-        ),
-        replace(launch_table(calibration, linear, of_a_page=True), dense=len(calibration.launches) > 4),
-    ]
-    if further:
-        beyond_linear = replace(launch_table(calibration, further, of_a_page=True), dense=True)
-        blocks += [Text(text="Beyond the linear model:"), beyond_linear]
-    digests = tuple(
-        (f"log of {launch.session}", f"SHA-256 {launch.log_sha256}" if launch.log_sha256 else NONE)
-        for launch in calibration.launches
-    )
-    return section("Launches", *blocks, Facts(rows=digests))
-
-
-# How to apply
-
-
-def application(calibration: Calibration) -> Section:
-    """The model, what a reading is, the matrices and a test vector for each block."""
-    models = {"accel": calibration.accel, "gyro": calibration.gyro, "mag": calibration.mag}
-    known = {kind: model for kind, model in models.items() if model is not None}
-    blocks: list[Block] = [
-        Text(text="The sensors follow the model"),
-        Formula(name="model"),
-        *_axes_in_words(calibration, [len(model.matrix) for model in known.values()]),
-        *_what_a_reading_is(calibration),
-    ]
-    left = left_by_matrix(calibration)
-    if left is not None:
-        blocks.append(
-            Text(
-                text=f"This is the linear model, {left_said(left)}; the whole correction is at the end of the section."
-            )
-        )
-    if not known:
-        blocks.append(Text(text="No matrix can be given: a parameter it needs was not determined."))
-    for kind, model in known.items():
-        blocks += _applied(kind, model, _unit(calibration, kind))
-    if left is not None:
-        blocks += _whole_correction(calibration)
-    return section("How to apply it", *blocks)
-
-
-def _axes_in_words(calibration: Calibration, sizes: Sequence[int]) -> Iterator[Block]:
-    """What the matrix is of blocks with so many sensors, and how a reading is corrected with it."""
-    said = (
-        "with the specific force (m/s²; at rest, axis up, +g) or the angular rate (rad/s) in the body frame as the "
-        f"true value. {_own_form(calibration)}The rows of the matrix are the sensitivities of the sensors times their "
-        "axes"
-    )
-    triads, more = any(size <= 3 for size in sizes) or not sizes, any(size > 3 for size in sizes)
-    if triads:
-        yield Text(
-            text=f"{said}: for three sensors along the body axes, k being the scale-factor errors and γ the axis "
-            "angles,"
-        )
-        yield Formula(name="axes")
-        yield Text(text="A reading is corrected by")
-        yield Formula(name="apply")
-    if more:
-        least = "by least squares, matrix⁺ being the pseudo-inverse:"
-        yield Text(text=f"One of more sensors {least}" if triads else f"{said}. A reading is corrected {least}")
-        yield Formula(name="apply_redundant")
-
-
-def _own_form(calibration: Calibration) -> str:
-    """Where the accelerometers' parameters are not those of the formula of the axes."""
-    if calibration.frame != "paper" or calibration.accel is None:
-        return ""
-    return (
-        "The parameters of the accelerometers are those of the frame “paper”: k belongs to the diagonal of the matrix, "
-        "and the angles xy, xz and yz, times the diagonal element of their row, stand above it. Other sensors follow "
-        "the formula below. "
-    )
-
-
-def _what_a_reading_is(calibration: Calibration) -> list[Block]:
-    rows = [
-        {
-            "column of the log": column,
-            "sensor": SENSORS.get(kind, kind),
-            "raw unit": readings.unit + (" per sample" if readings.increments else ""),
-            "scale (raw per SI unit)": significant(scale, 10),
-            "offset (raw)": significant(offset, 10),
-        }
-        for kind, readings in calibration.readings.items()
-        for column, scale, offset in zip(readings.columns, readings.scale, readings.offset, strict=True)
-    ]
-    if not rows:
-        return [Text(text="A reading is the output in SI after the nominal scale and offset of the device.")]
-    said = "A reading is the output in SI after the nominal scale and offset: (raw − offset) / scale"
-    if any(readings.increments for readings in calibration.readings.values()):
-        said += ", for increments divided by the interval of the sample"
-    return [Text(text=said + "."), table(rows, words=("column of the log", "sensor", "raw unit"))]
-
-
-def _unit(calibration: Calibration, kind: str) -> str:
-    """The unit of a block's readings and biases."""
-    found = next((p.unit for p in calibration.parameters if group_name(p.name) == f"{kind}.bias"), "")
-    return {"m/s^2": "m/s²"}.get(found, found)
-
-
-def _applied(kind: str, model: SensorModel, unit: str) -> list[Block]:
-    """Matrix, its inverse and bias of a block, and a reading with what comes out."""
-    reading = test_reading(kind, model)
-    true = model.apply(reading)
-    symbol = "pseudo-inverse matrix⁺" if len(model.matrix) > 3 else "matrix⁻¹"
-    return [
-        Text(text=_HEADINGS[kind], tone="label"),
-        Matrices(
-            matrices=(
-                Matrix(symbol="matrix", rows=_numbers(model.matrix)),
-                Matrix(symbol="bias", rows=_numbers(model.bias[:, None]), unit=unit),
-            )
-        ),
-        Matrices(matrices=(Matrix(symbol=symbol, rows=_numbers(model.inverse())),)),
-        Text(text="Test vector: with these numbers, this reading gives this true value."),
-        Matrices(matrices=_test_vector(reading, true, unit)),
-    ]
-
-
-def _test_vector(reading: Array, true: Array, unit: str) -> tuple[Matrix, Matrix]:
-    return (
-        Matrix(symbol="reading", rows=tuple((fixed(v, 6),) for v in reading), unit=unit),
-        Matrix(symbol="true", rows=tuple((fixed(v, TRUE_DIGITS),) for v in true), unit=unit),
-    )
-
-
 _TERMS = {
     "accel.quadratic": "K₂ (a·f)² (accel.quadratic)",
     "accel.cubic": "K₃ (a·f)³ (accel.cubic)",
@@ -322,27 +112,366 @@ _IN_MOTION = {
 }
 
 
+# -------------------- values --------------------
+
+
+def result(
+    calibration: Calibration,
+    acceptance: Limits | None,
+    checks: Sequence[Verdict],
+    as_found: Calibration | None = None,
+    *,
+    certified: bool = False,
+) -> Section:
+    """The verdict, parameters with U, what corrected readings are known to; of a certificate degrees of freedom of all,
+    the values as found before an adjustment, and no causes of a scatter."""
+    outcome = calibration.outcome
+    tone: Tone
+    if not outcome.accepted and (usable := accepted_kinds(calibration)):
+        tone = "doubt"
+        verdict = f"The {' and '.join(WORDS[kind] for kind in usable)} alone: values of others must not be used."
+    elif not outcome.accepted:
+        tone, verdict = "bad", "Not accepted: these values must not be used."
+    elif outcome.remarks:
+        tone = "doubt"
+        verdict = (
+            "Accepted with scatter: the noise within the rests does not explain all residuals. Their scatter is in U."
+        )
+    else:
+        tone, unchecked = "good", " and ".join(name for name, fit in calibration.fits.items() if fit.degrees < 0.5)
+        verdict = (
+            "Accepted: the recording determines every parameter given here, and its residuals agree with the model."
+        )
+        if unchecked:
+            verdict += f" Nothing checks the {unchecked}: there are no more data than unknowns."
+    blocks: list[Block] = [Text(text=verdict, tone=tone)]
+    *of_kinds, _ = verdicts(calibration)
+    if of_kinds:
+        blocks.append(Text(text=f"{'; '.join(of_kinds).capitalize()}."))
+    if outcome.reasons:
+        blocks.append(Items(items=outcome.reasons, tone="bad"))
+    if outcome.remarks and not certified:
+        blocks.append(Items(items=outcome.remarks))
+    if calibration.parameters:
+        in_frame = checks if acceptance is not None and acceptance.frame == calibration.frame else ()
+        if len(calibration.launches) > 1:
+            next_one = (
+                f"It is of the mean of {len(calibration.launches)} power-ons; a single later one lies about the mean "
+                "with the standard deviation “run to run”, which comes on top."
+            )
+        elif calibration.together:
+            next_one = "It is of all recorded power-ons together; what changes at the next one comes on top."
+        else:
+            next_one = "It is of the one power-on that was recorded; what changes at the next one is not in it."
+        meant = (
+            "U = k u is the expanded uncertainty, which covers 95.45 %: k = 2 where u is known, more, by Student's t "
+            f"with ν degrees of freedom, where it was estimated from few residuals. {next_one} "
+            '1 µg is 9.80665·10⁻⁶ m/s², " a second of arc.'
+        )
+        blocks += [_parameter_table(calibration, as_found, in_frame, certified), Text(text=meant, tone="small")]
+    if calibration.prediction is not None:
+        left = left_by_matrix(calibration)
+        alone = "" if left is None else f", with the whole correction; {left_said(left)}"
+        blocks.append(Text(text=f"Known to (standard uncertainty): {predicted(calibration.prediction)}{alone}."))
+    if outcome.unobservable:
+        blocks.append(Text(text=f"Not determined: {', '.join(outcome.unobservable)}."))
+    if limits_elsewhere(calibration, acceptance):
+        blocks.append(Text(text="Limits, and the verdict on every parameter: section “Limits and verdict”."))
+    return section("Result", *blocks)
+
+
+def _parameter_table(
+    calibration: Calibration, as_found: Calibration | None, checks: Sequence[Verdict], certified: bool
+) -> Table:
+    """Parameters of the linear model with U (95 %); where there are such, the values as found before an adjustment,
+    coverage factors other than 2 with the degrees of freedom (in a certificate those of all), limits and results, and
+    deviations from the systematic values and from launch to launch."""
+    parameters, judged = linear_parameters(calibration.parameters), dict[str, list[LimitJudgement]]()
+    for judgement in (judgement for check in checks for judgement in check.judgements):
+        judged.setdefault(judgement.name, []).append(judgement)
+    units, rows = shown_units(parameters), []
+    before = {} if as_found is None else {p.name: p.value for p in as_found.parameters}
+    limited = bool(judged) and all(len(each) == 1 for each in judged.values())
+    passport = any(p.deviation is not None for p in parameters)
+    for p in parameters:
+        (size, unit), of_p, U = units[p.name], judged.get(p.name, ()), expanded(p)
+        value, shown = with_expanded(p, size)
+        row = {"parameter": p.name, "": described(p.name), "mean" if calibration.launches else "value": value}
+        row |= {"U (95 %)": shown, "unit": unit}
+        row |= {"as found": to_digits_of(before.get(p.name), U, size)} if before else {}
+        row |= {"k": factor(p), "ν": degrees(p)} if certified or other_factors(parameters) else {}
+        row |= {"run to run": to_digits_of(p.run_to_run, U, size)} if calibration.launches else {}
+        row |= {"from nominal": to_digits_of(p.deviation, U, size)} if passport else {}
+        if limited:
+            low, high = (of_p[0].low, of_p[0].high) if of_p else (math.nan, math.nan)
+            row |= {"lowest": limit_cell(low, size), "highest": limit_cell(high, size)}
+        row |= {"verdict": min((each.result for each in of_p), key=RESULTS.index, default=NONE)} if judged else {}
+        rows.append(row)
+    count = max(map(len, rows), default=0)
+    if count > _MOST_WITH_WORDS:
+        rows = [{heading: cell for heading, cell in row.items() if heading} for row in rows]
+    words = ("parameter", "", "unit", "verdict")
+    return table(rows, words=words, dense=count > _MOST_LARGE, halves=len(rows) > _MOST_ROWS)
+
+
+def beyond(calibration: Calibration, *, for_customers: bool = False) -> Section | None:
+    """What is beyond the linear model: a line for each group, what its prior decides, and all parameters;
+    `for_customers` the parameters alone."""
+    further, rows = further_parameters(calibration.parameters), []
+    units = shown_units(further)
+    for p in further:
+        size, unit = units[p.name]
+        row = dict(zip(("parameter", "value", "u"), (p.name, *cells(p.value, p.u, size)), strict=True))
+        row |= {"k": factor(p), "unit": unit, "prior": "" if p.prior is None else significant(p.prior / size, 4)}
+        rows.append(row | {"learned": percent(p.learned)})
+    caption = (
+        "u is the standard uncertainty, k u the half width of the interval of 95.45 %, prior a standard deviation, as "
+        "widened."
+    )
+    parameters = table(rows, caption=caption, dense=True) if rows else None
+    if for_customers:
+        meant = (
+            "What a reading has beside bias, scale factors and axes. Of each there was a prior, a standard deviation "
+            "over such instruments; learned is how much of its variance the recording has taken off: at 0 % only the "
+            "prior is known."
+        )
+        return section("Beyond bias, scale factors and axes", Text(text=meant), parameters) if parameters else None
+    meant = (
+        "Each group has a prior, the standard deviation over instruments of its grade or that of the data sheet; where "
+        "the data exceed it, it was widened. Learned is how much of the prior's variance the recording has taken off: "
+        "at 0 % only the prior is known."
+    )
+    decided = decided_by_priors(calibration)
+    left = Text(text=f"{decided[0].upper()}{decided[1:]}.") if decided else None
+    groups = group_table(calibration, of_a_page=True)
+    return section("Beyond the linear model", Text(text=meant), groups, left, parameters) if groups.rows else None
+
+
+def unknown(calibration: Calibration) -> Section | None:
+    """What the model did not know about itself, and what the recording says of it."""
+    meant = (
+        "Scatter, in-run biases and the sizes of groups were estimated with the parameters, and U is an average over "
+        "what they may be. The middle 68 % of each stands beside its value; a size over the usual one has no unit."
+    )
+    blocks = unknown_blocks(calibration)
+    return section("What the model did not know about itself", Text(text=meant), *blocks) if blocks else None
+
+
+def launches(calibration: Calibration) -> Section | None:
+    """Every launch beside the others: bias, scale and axes, then what is beyond the linear model in a table of its
+    own; None without launches."""
+    if not calibration.launches:
+        return None
+    linear, further = linear_parameters(calibration.parameters), further_parameters(calibration.parameters)
+    meant = (
+        "The result is the mean of these launches (power-ons). Run to run is the standard deviation from one launch to "
+        "another; it is in the uncertainty of the mean."
+    )
+    side_by_side = replace(launch_table(calibration, linear, of_a_page=True), dense=len(calibration.launches) > 4)
+    blocks: list[Block] = [Text(text=meant), side_by_side]
+    if further:
+        beyond_linear = replace(launch_table(calibration, further, of_a_page=True), dense=True)
+        blocks += [Text(text="Beyond the linear model:"), beyond_linear]
+    digests = tuple(
+        (f"log of {launch.session}", f"SHA-256 {launch.log_sha256}" if launch.log_sha256 else NONE)
+        for launch in calibration.launches
+    )
+    return section("Launches", *blocks, Facts(rows=digests))
+
+
+def compared(titles: Sequence[str], calibrations: Sequence[Calibration], name: str) -> Section:
+    """Every parameter of several calibrations side by side, in the frame of the first: methods on one log, or launches
+    and dates."""
+    first, digests = calibrations[0], {calibration.provenance.get("log_sha256") for calibration in calibrations}
+    one_log = len(digests) == 1 and None not in digests
+    title = "Methods compared" if one_log else "Calibrations compared"
+    try:
+        alike = [c.in_frame(first.frame) for c in calibrations]
+    except CalibrationError as error:
+        return section(title, Text(text=f"They cannot be compared: {error}"))
+    if not first.parameters:
+        return section(title, Text(text="The first calibration has no parameters to compare."))
+    units, by_name = shown_units(alike[0].parameters), [{p.name: p for p in each.parameters} for each in alike]
+    columns = ("parameter", *titles, "range" if one_log else "spread", "unit")
+
+    def side_by_side(parameters: Sequence[Parameter], *, dense: bool) -> Table:
+        rows = []
+        for p in parameters:
+            (size, unit), there = units[p.name], [q.get(p.name) for q in by_name]
+            each = ["" if q is None else " ± ".join(x or NONE for x in with_expanded(q, size)) for q in there]
+            values = [q.value for q in there if q is not None]
+            last = max(values) - min(values) if one_log else float(np.std(values, ddof=1)) if len(values) > 1 else None
+            rows.append((p.name, *each, to_digits_of(last, expanded(p), size), unit))
+        return Table(columns=columns, rows=tuple(rows), text=(0, len(columns) - 1), caption="Value ± U.", dense=dense)
+
+    meant = (
+        "The calibrations are of one log: its noise is common to all of them, so that methods should agree within much "
+        "less than U."
+        if one_log
+        else "The spread is the standard deviation of the values."
+    )
+    blocks: list[Block] = [
+        Text(text=f"All in the frame “{first.frame}”. {meant}"),
+        side_by_side(linear_parameters(alike[0].parameters), dense=len(titles) > 2),
+        Figure(
+            svg=figures.comparison(name, titles, alike),
+            caption="Difference of every parameter from the mean of the calibrations, with U.",
+        ),
+    ]
+    if further := further_parameters(alike[0].parameters):
+        blocks += [Text(text="Beyond the linear model:"), side_by_side(further, dense=True)]
+    return section(title, *blocks)
+
+
+# -------------------- limits --------------------
+
+
+def limits_elsewhere(calibration: Calibration, acceptance: Limits | None) -> bool:
+    """Whether the table of results cannot hold the limits with all that is to be said of them."""
+    if acceptance is None:
+        return False
+    return acceptance.frame != calibration.frame or acceptance.temperatures is not None
+
+
+def limits(calibration: Calibration, acceptance: Limits | None, checks: Sequence[Verdict]) -> Section:
+    """The decision rule, and every parameter against the limits of all checks with the verdicts."""
+    if acceptance is None:
+        none = "No acceptance limits were given: this report states values and uncertainties, not conformity."
+        return section("Limits and verdict", Text(text=none))
+    rule = f"{RULE[0].upper()}{RULE[1:]}. Limits hold in the frame “{acceptance.frame}”."
+    blocks: list[Block] = [Text(text=rule)]
+    if notes := remarks(calibration):
+        blocks.append(Items(items=notes))
+    units = shown_units(calibration.parameters)
+    for verdict in checks:
+        reasons = f" ({'; '.join(verdict.reasons())})" if verdict.reasons() else ""
+        over = f", {verdict.over}" if verdict.over else ""
+        named = f"{_CHECKS[verdict.occasion]}: {verdict.result}{over}{reasons}."
+        blocks.append(Text(text=named, tone=TONES[verdict.result]))
+        blocks += [Text(text=OVER_TEMPERATURE)] if verdict.temperatures is not None else []
+        rows = []
+        for j in verdict.judgements:
+            finite = [abs(limit) for limit in (j.low, j.high) if math.isfinite(limit)]
+            size, unit = units.get(j.name) or engineering(j.unit, max(finite, default=0.0))
+            value, U = cells(j.value, j.expanded, size)
+            row = {"parameter": j.name, "low": limit_cell(j.low, size), "value": value, "U": U}
+            row |= {"high": limit_cell(j.high, size), "unit": unit, "verdict": j.result}
+            if verdict.temperatures is not None:
+                row["at °C"] = "" if j.at is None else f"{j.at:.1f}"
+            rows.append(row)
+        blocks.append(table(rows, words=("parameter", "unit", "verdict")))
+    return section("Limits and verdict", *blocks)
+
+
+# -------------------- how to apply it --------------------
+
+
+def application(calibration: Calibration) -> Section:
+    """The model, what a reading is, the matrices and a test vector for each block, and what is beyond them."""
+    models = {"accel": calibration.accel, "gyro": calibration.gyro, "mag": calibration.mag}
+    known = {kind: model for kind, model in models.items() if model is not None}
+    blocks: list[Block] = [Text(text="The sensors follow the model"), Formula(name="model")]
+    meant = (
+        "with the specific force (m/s²; at rest, axis up, +g) or the angular rate (rad/s) in the body frame as the "
+        "true value. "
+    )
+    if calibration.frame == "paper" and calibration.accel is not None:
+        meant += (
+            "The parameters of the accelerometers are those of the frame “paper”: k belongs to the diagonal of the "
+            "matrix, and the angles xy, xz and yz, times the diagonal element of their row, stand above it. Other "
+            "sensors follow the formula below. "
+        )
+    meant += "The rows of the matrix are the sensitivities of the sensors times their axes"
+    triads = any(len(model.matrix) <= 3 for model in known.values()) or not known
+    if triads:
+        three = (
+            f"{meant}: for three sensors along the body axes, k being the scale-factor errors and γ the axis angles,"
+        )
+        corrected = Text(text="A reading is corrected by")
+        blocks += [Text(text=three), Formula(name="axes"), corrected, Formula(name="apply")]
+    if any(len(model.matrix) > 3 for model in known.values()):
+        least = "by least squares, matrix⁺ being the pseudo-inverse:"
+        which = f"One of more sensors {least}" if triads else f"{meant}. A reading is corrected {least}"
+        blocks += [Text(text=which), Formula(name="apply_redundant")]
+    blocks += _what_a_reading_is(calibration)
+    left = left_by_matrix(calibration)
+    if left is not None:
+        linear = f"This is the linear model, {left_said(left)}; the whole correction is at the end of the section."
+        blocks.append(Text(text=linear))
+    if not known:
+        blocks.append(Text(text="No matrix can be given: a parameter it needs was not determined."))
+    for kind, model in known.items():  # matrix, its inverse and bias, and a reading with what comes out
+        unit, reading = _unit(calibration, kind), test_reading(kind, model)
+        symbol = "pseudo-inverse matrix⁺" if len(model.matrix) > 3 else "matrix⁻¹"
+        bias = Matrix(symbol="bias", rows=_numbers(model.bias[:, None]), unit=unit)
+        blocks += [
+            Text(text=_HEADINGS[kind], tone="label"),
+            Matrices(matrices=(Matrix(symbol="matrix", rows=_numbers(model.matrix)), bias)),
+            Matrices(matrices=(Matrix(symbol=symbol, rows=_numbers(model.inverse())),)),
+            Text(text="Test vector: with these numbers, this reading gives this true value."),
+            _test_vector(reading, model.apply(reading), unit),
+        ]
+    return section("How to apply it", *blocks, *(_whole_correction(calibration) if left is not None else ()))
+
+
+def _what_a_reading_is(calibration: Calibration) -> list[Block]:
+    rows = [
+        {
+            "column of the log": column,
+            "sensor": SENSORS.get(kind, kind),
+            "raw unit": readings.unit + (" per sample" if readings.increments else ""),
+            "scale (raw per SI unit)": significant(scale, 10),
+            "offset (raw)": significant(offset, 10),
+        }
+        for kind, readings in calibration.readings.items()
+        for column, scale, offset in zip(readings.columns, readings.scale, readings.offset, strict=True)
+    ]
+    if not rows:
+        return [Text(text="A reading is the output in SI after the nominal scale and offset of the device.")]
+    meant = "A reading is the output in SI after the nominal scale and offset: (raw − offset) / scale"
+    if any(readings.increments for readings in calibration.readings.values()):
+        meant += ", for increments divided by the interval of the sample"
+    return [Text(text=meant + "."), table(rows, words=("column of the log", "sensor", "raw unit"))]
+
+
+def _unit(calibration: Calibration, kind: str) -> str:
+    """The unit of a block's readings and biases."""
+    unit = next((p.unit for p in calibration.parameters if group_name(p.name) == f"{kind}.bias"), "")
+    return {"m/s^2": "m/s²"}.get(unit, unit)
+
+
+def _test_vector(reading: Array, true: Array, unit: str) -> Matrices:
+    columns = (("reading", reading, 6), ("true", true, TRUE_DIGITS))
+    return Matrices(
+        matrices=tuple(
+            Matrix(symbol=symbol, rows=tuple((fixed(v, digits),) for v in vector), unit=unit)
+            for symbol, vector, digits in columns
+        )
+    )
+
+
 def _whole_correction(calibration: Calibration) -> Iterator[Block]:
     """What the groups beyond the linear model add to a reading, their values in full, and a test vector."""
     compensator = calibration.compensator
     further = [p for p in further_parameters(calibration.parameters) if variable_of(p.name) != "time"]
     present = {group_name(p.name) for p in further}
-    static = "; ".join(said for group, said in _TERMS.items() if group in present)
-    moving = "; ".join(said for group, said in _IN_MOTION.items() if group in present)
-    said = (
+    static, moving = (
+        "; ".join(words for group, words in terms.items() if group in present) for terms in (_TERMS, _IN_MOTION)
+    )
+    meant = (
         "A reading has, beside matrix · true + bias, for the specific force f and the rate ω in the body frame and the "
         f"nominal sensing direction a of its sensor: {static}. With these it is corrected by repeating true ← "
         "matrix⁻¹ · (reading − bias − these terms at true), from true = 0, until nothing changes (six times), the "
         "force before the rate."
     )
-    said += f" In motion accelerometers have besides: {moving}." if moving else ""
+    meant += f" In motion accelerometers have besides: {moving}." if moving else ""
     if compensator.warm:
-        said += (
+        meant += (
             " Bias and scale factor change with the temperature T of the sensor by (T − T₀) times .t1 and (T − T₀)² "
             "times .t2 from their values at the reference temperature T₀."
         )
     yield Text(text="The whole correction", tone="label")
-    yield Text(text=said)
+    yield Text(text=meant)
     rows = [{"parameter": p.name, "value, SI": significant(p.value, 8), "unit": p.unit} for p in further]
     yield table(rows, dense=True, halves=len(rows) > _MOST_UNHALVED)
     assert calibration.accel is not None
@@ -351,13 +480,13 @@ def _whole_correction(calibration: Calibration) -> Iterator[Block]:
     if calibration.gyro is not None:
         readings["gyro"] = test_reading("gyro", calibration.gyro)
         true["gyro"] = compensator.rate(readings["gyro"][None], true["accel"])
+    warm = " and the reference temperature" if compensator.warm else ""
     yield Text(
-        text="Test vector of the whole correction, at a constant rate"
-        + (" and the reference temperature" if compensator.warm else "")
-        + ": these readings together give these true values."
+        text=f"Test vector of the whole correction, at a constant rate{warm}: these readings together give these true "
+        "values."
     )
     for kind, reading in readings.items():
-        yield Matrices(matrices=_test_vector(reading, true[kind][0], _unit(calibration, kind)))
+        yield _test_vector(reading, true[kind][0], _unit(calibration, kind))
 
 
 def test_reading(kind: str, model: SensorModel) -> Array:
@@ -371,26 +500,25 @@ def _numbers(matrix: Array) -> tuple[tuple[str, ...], ...]:
 
 def frame(calibration: Calibration, name: str) -> Section:
     """The body frame in words and as a picture."""
-    said = _FRAMES.get(calibration.frame, "It is described in the documentation of the software.")
+    words = _FRAMES.get(calibration.frame, "It is described in the documentation of the software.")
     if calibration.frame == "accelerometer" and any(p.name == "accel.bias.0" for p in calibration.parameters):
-        said = _NUMBERED_FRAME
-    blocks: list[Block] = [Text(text=f"Body frame “{calibration.frame}”, right-handed. {said}")]
+        words = _NUMBERED_FRAME
+    picture = None
     if calibration.accel is not None:
-        models = [m for m in (calibration.accel, calibration.gyro) if m is not None]
-        times = drawings.lean_factor(models)
-        caption = "The body frame X, Y, Z and the sensing axes in it."
-        if times > 1.0:
-            caption = f"{caption[:-1]}, their deviations from the body axes drawn {times:.0f} times larger."
+        times = drawings.lean_factor([m for m in (calibration.accel, calibration.gyro) if m is not None])
+        larger = f", their deviations from the body axes drawn {times:.0f} times larger" if times > 1.0 else ""
+        caption = f"The body frame X, Y, Z and the sensing axes in it{larger}."
         svg = drawings.frame(name, calibration.accel, calibration.gyro)
-        blocks.append(Figure(svg=svg, caption=caption, width=drawings.FRAME))
-    return section("The frame", *blocks)
+        picture = Figure(svg=svg, caption=caption, width=drawings.FRAME)
+    said = Text(text=f"Body frame “{calibration.frame}”, right-handed. {words}")
+    return section("The frame", said, picture)
 
 
-# Uncertainty
+# -------------------- uncertainty --------------------
 
 
 def correlations(calibration: Calibration) -> Section | None:
-    """What U covers, and the strongest correlations."""
+    """What U covers and what not, and the strongest correlations."""
     if calibration.covariance is None:
         return None
     names = [p.name for p in calibration.parameters]
@@ -402,44 +530,39 @@ def correlations(calibration: Calibration) -> Section | None:
     rows = [
         {"parameter": names[p[i]], "with": names[q[i]], "coefficient": fixed(float(r[p[i], q[i]]), 3)} for i in order
     ]
-    blocks: list[Block] = [
-        Text(
-            text="U is the expanded uncertainty, which covers 95.45 %: the standard uncertainty times the coverage "
-            "factor k, 2 where u is known, and more where it was estimated from few residuals. It contains the "
-            "noise at rest and in turns, the scatter between rests that the residuals show, and the stated uncertainty "
-            "of gravity; of several launches also their instability. " + _not_contained(calibration)
-        ),
-    ]
-    if rows:
-        said = (
-            "The covariance of two parameters is their coefficient times both standard uncertainties; all of it is in "
-            "the calibration file, which is the data annex. The strongest:"
-        )
-        blocks += [Text(text=said), table(rows, words=("parameter", "with"))]
-    return section("Covariance and correlations", *blocks)
-
-
-def _not_contained(calibration: Calibration) -> str:
-    """What U has nothing of."""
+    meant = (
+        "U is the expanded uncertainty, which covers 95.45 %: the standard uncertainty times the coverage factor k, 2 "
+        "where u is known, and more where it was estimated from few residuals. It contains the noise at rest and in "
+        "turns, the scatter between rests that the residuals show, and the stated uncertainty of gravity; of several "
+        "launches also their instability. "
+    )
     if further_parameters(calibration.parameters):
-        return (
+        meant += (
             "It contains what the groups beyond the linear model leave open within their priors. It does not contain "
             "the change from one power-on to the next and with age, effects that no group describes, and an error of "
             "gravity larger than stated."
         )
-    return (
-        "It does not contain what one recording cannot show: changes with temperature and age, nonlinearity that is "
-        "the same in every rest, and an error of gravity larger than stated."
-    )
+    else:
+        meant += (
+            "It does not contain what one recording cannot show: changes with temperature and age, nonlinearity that "
+            "is the same in every rest, and an error of gravity larger than stated."
+        )
+    blocks: list[Block] = [Text(text=meant)]
+    if rows:
+        strongest = (
+            "The covariance of two parameters is their coefficient times both standard uncertainties; all of it is in "
+            "the calibration file, which is the data annex. The strongest:"
+        )
+        blocks += [Text(text=strongest), table(rows, words=("parameter", "with"))]
+    return section("Covariance and correlations", *blocks)
 
 
 def convergence(calibration: Calibration, name: str) -> Section | None:
     """Root mean square of the increments of every kind of parameter in each iteration."""
     if not calibration.iterations:
         return None
-    parameters = linear_parameters(calibration.parameters)
+    parameters, rows, picture = linear_parameters(calibration.parameters), [], None
     kinds = by_group(parameters)
-    rows = []
     for number, step in enumerate(calibration.iterations, 1):
         row = {"iteration": str(number)}
         for kind, alike in kinds.items():
@@ -447,47 +570,9 @@ def convergence(calibration: Calibration, name: str) -> Section | None:
             size, unit = engineering(alike[0].unit, rms)
             row[kind] = f"{significant(rms / size, 3)} {unit}" if rms > 0.0 else ""
         rows.append(row)
-    caption = "Increments, root mean square of each kind of parameter."
-    increments = table(rows, words=("iteration",), dense=len(kinds) > 5, caption=caption)
-    picture = None
     if any(p.u for p in parameters):
         svg = figures.convergence(name, calibration.iterations, parameters)
         caption = "The largest increment of each kind of parameter, in units of its standard uncertainty u."
         picture = Figure(svg=svg, caption=caption)
-    return section("Convergence", picture, increments)
-
-
-def verdict(calibration: Calibration, *, opinions: bool = True) -> list[Block]:
-    """Whether the calibration is accepted, the reasons against it, and with `opinions` the remarks and what they are
-    caused by."""
-    outcome = calibration.outcome
-    if not outcome.accepted and (usable := accepted_kinds(calibration)):
-        tone: Tone = "doubt"
-        said = f"The {' and '.join(WORDS[kind] for kind in usable)} alone: values of others must not be used."
-    elif not outcome.accepted:
-        tone = "bad"
-        said = "Not accepted: these values must not be used."
-    elif outcome.remarks:
-        tone = "doubt"
-        said = (
-            "Accepted with scatter: the noise within the rests does not explain all residuals. Their scatter is in U."
-        )
-    else:
-        tone = "good"
-        said = _agreement(calibration)
-    blocks: list[Block] = [Text(text=said, tone=tone)]
-    *parts, _ = verdicts(calibration)
-    if parts:
-        blocks.append(Text(text=f"{'; '.join(parts).capitalize()}."))
-    if outcome.reasons:
-        blocks.append(Items(items=outcome.reasons, tone="bad"))
-    return [*blocks, *([Items(items=outcome.remarks)] if opinions and outcome.remarks else [])]
-
-
-def _agreement(calibration: Calibration) -> str:
-    """That it is accepted, and what nothing checks."""
-    unchecked = " and ".join(name for name, fit in calibration.fits.items() if fit.degrees < 0.5)
-    said = "Accepted: the recording determines every parameter given here, and its residuals agree with the model."
-    if unchecked:
-        said += f" Nothing checks the {unchecked}: there are no more data than unknowns."
-    return said
+    caption = "Increments, root mean square of each kind of parameter."
+    return section("Convergence", picture, table(rows, words=("iteration",), dense=len(kinds) > 5, caption=caption))
