@@ -16,7 +16,7 @@ from tests.support.calibrated import HEXAD, calibration, values_of, warmed
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import export_calibration
-from tumble.export.diagonal import range_of
+from tumble.export.autopilots import range_of
 from tumble.export.tables import temperatures
 from tumble.recording.autopilot import AutopilotSensor
 from tumble.result.calibration import Calibration

@@ -79,6 +79,7 @@ def export_calibration(
     >>> exported.content.splitlines()[0].split(b",")[0]
     b'# device mems-1'
     """
+    from tumble.acceptance.certificate import Certificate, read_certificate
     from tumble.export.exported import NO_MAGNETOMETER
     from tumble.result.accepted import accepted_part
     from tumble.result.calibration import calibration_from
@@ -88,12 +89,14 @@ def export_calibration(
         raise InputError(f"export: expected one of {', '.join(FORMATS)}, found {to!r}")
     if to == "dcc" and certificate is None:
         raise InputError("export: expected --certificate with dcc and only there, found none")
-    given = {
-        "noise": None if noise is None else _noise(noise),
-        "certificate": None if certificate is None else _certificate(certificate),
-        "imu": imu,
-        "sensor-ids": sensor_ids,
-    }
+    if noise is not None:
+        from tumble.export.kalibr import NoiseDensities, noise_densities
+        from tumble.recording.session_file import session_from
+
+        noise = noise if isinstance(noise, NoiseDensities) else noise_densities(session_from(noise))
+    if certificate is not None and not isinstance(certificate, Certificate):
+        certificate = read_certificate(Path(certificate))
+    given = {"noise": noise, "certificate": certificate, "imu": imu, "sensor-ids": sensor_ids}
     target = FORMATS[to]
     for what, value in given.items():
         if value is not None and what not in target.takes:
@@ -104,16 +107,3 @@ def export_calibration(
     exported = function(calibration, *(given[what] for what in target.takes))
     without = () if calibration.mag is None else (NO_MAGNETOMETER,)
     return replace(exported, losses=(*calibration.absent, *exported.losses, *without))
-
-
-def _noise(given: NoiseDensities | Session | FilePath) -> NoiseDensities:
-    from tumble.export.kalibr import NoiseDensities, noise_densities
-    from tumble.recording.session_file import session_from
-
-    return given if isinstance(given, NoiseDensities) else noise_densities(session_from(given))
-
-
-def _certificate(given: Certificate | FilePath) -> Certificate:
-    from tumble.acceptance.certificate import Certificate, read_certificate
-
-    return given if isinstance(given, Certificate) else read_certificate(Path(given))

@@ -24,25 +24,40 @@ calibrations of other ids than INS_ACC_ID and INS_GYR_ID for none. Over temperat
 with both temperatures kept within TMIN … TMAX; C1 is INS_TCAL1_ACC1_X. CALTEMP is the calibration's reference, so that
 a curve about T₀ is turned into one about 35 degC.
 
+The biases of a calibration are polynomials of the second degree at most, so a cubic holds them whole; TMIN and TMAX are
+the ends of what was measured. Scale factors have one value each, that at the reference temperature.
+
 Source: PX4, parameter reference, and libraries sensor_calibration and temperature_compensation; QGroundControl,
 "Parameters file format". ArduPilot, parameter reference, and library AP_InertialSensor.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Container, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.export.diagonal import Diagonal, Thermal, diagonal, said, single, thermal
-from tumble.export.exported import Exported, commented, origin
+from tumble.export.exported import NO_UNCERTAINTY, SINGLE_PRECISION, Exported, commented, example, origin, shown, triads
+from tumble.export.larger_model import not_held, session_rate
 from tumble.recording.autopilot import AutopilotSensor
 from tumble.result.calibration import Calibration
-from tumble.sensors.model import SensorKind
-from tumble.units import Array
+from tumble.result.temperature_curves import (
+    Range,
+    changing,
+    coefficients,
+    measured_range,
+    model_at,
+    references,
+    warm_rests,
+)
+from tumble.sensors.model import SensorKind, SensorModel
+from tumble.sensors.parameters import group_name
+from tumble.units import DEGREE, G_STANDARD, Array
 
 Sensors = Mapping[SensorKind, AutopilotSensor]
 Row = tuple[str, str, bool]
@@ -55,6 +70,10 @@ LEAST = 0.01
 over."""
 _LETTERS: Mapping[SensorKind, str] = {"accel": "A", "gyro": "G"}
 """What PX4 calls the kinds of sensors that it compensates."""
+_TOLD_APART = tuple(f"{kind}.{what}.{t}" for kind in _LETTERS for what in ("bias", "scale") for t in ("t1", "t2"))
+"""Groups over temperature: held, or not held with a sentence of their own."""
+_NOTHING = 1e-12
+"""mg or deg/s: rounding of double precision."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -62,8 +81,8 @@ class Autopilot:
     """What an autopilot calls its parameters, and how its temperature curves are: `words` for the kinds of sensors, the
     `stem` of their names for the number of an IMU, and what comes behind it; how many IMUs it calibrates, `most`, and
     compensates; the kinds that have a thermometer together; the temperature, °C, that its polynomials are `about`,
-    without one the reference, and what their coefficients are `worth`, SI; a line of its file, of a real and of a whole
-    number; and what is lost beside."""
+    without one the reference, and what their coefficients are `worth`, SI; and a line of its file, of a real and of a
+    whole number."""
 
     words: Mapping[SensorKind, str]
     stem: Callable[[str, int], str]
@@ -73,7 +92,6 @@ class Autopilot:
     most: int
     most_thermal: int
     thermometers: tuple[tuple[SensorKind, ...], ...]
-    caveats: Callable[[Diagonal], list[str]]
     about: float | None = None
     worth: float = 1.0
     real: str = "{name},{value}"
@@ -84,46 +102,10 @@ class Autopilot:
         """The name of a parameter of a kind of sensors."""
         return self.stem(self.words[kind], sensors[kind].number) + what
 
-    def coefficients(self, found: Thermal, kind: SensorKind) -> Array:
-        """Coefficients (3, 3) of the first to the third power of the temperature, by axis: θ₁ (t − d) + θ₂ (t − d)²
-        with d = T₀ − `about`, without what does not depend on t."""
-        linear, square = found.slopes[kind].T
-        d = 0.0 if self.about is None else found.reference(kind) - self.about
-        return np.stack([linear - 2.0 * square * d, square, np.zeros(3)], axis=1) / self.worth
-
-    def offsets(self, found: Thermal, kind: SensorKind, temperature: Array) -> Array:
-        """The offsets (N, 3), SI, that it takes off at temperatures (N,), °C: P(T) − P(T₀) + offset."""
-        reference, low, high = found.ends(kind)
-        C, about = single(self.coefficients(found, kind)), reference if self.about is None else self.about
-
-        def P(at: Array) -> Array:
-            t = (np.clip(at, low, high) - about)[:, None]
-            return np.asarray((C[:, 0] * t + C[:, 1] * t**2 + C[:, 2] * t**3) * self.worth)
-
-        return P(temperature) - P(np.array([reference])) + found.held.offset[kind]
-
 
 def _ardupilot_stem(word: str, number: int) -> str:
     inside = "" if number == 1 else str(number)
     return f"INS_{word}{inside}" if number <= NUMBER_INSIDE else f"INS{number}_{word}"
-
-
-def _too_small(held: Diagonal) -> list[str]:
-    """Corrections that some releases of PX4 do not take over."""
-    changes = {}
-    if "accel" in held.known:
-        changes = {"accelerometer offsets": held.offset["accel"], "accelerometer scales": held.factor["accel"] - 1.0}
-    if "gyro" in held.known:
-        changes["gyro offsets"] = held.offset["gyro"]
-    small = [name for name, three in changes.items() if np.linalg.norm(three) <= LEAST]
-    return [
-        "some releases of PX4 ignore corrections shorter than 0.01 (m/s^2, 1, rad/s), as here: "
-        f"{', '.join(small)}; see `sensors status`"
-    ] * bool(small)
-
-
-def _estimated_anew(held: Diagonal) -> list[str]:
-    return ["gyro offsets are estimated anew at every start unless INS_GYR_CAL is 0"] if "gyro" in held.known else []
 
 
 PX4 = Autopilot(
@@ -135,7 +117,6 @@ PX4 = Autopilot(
     most=4,
     most_thermal=3,
     thermometers=(("accel",), ("gyro",)),
-    caveats=_too_small,
     real="1\t1\t{name}\t{value}\t9",  # MAV_PARAM_TYPE_REAL32
     whole="1\t1\t{name}\t{value}\t6",  # MAV_PARAM_TYPE_INT32
     heading=("", "Vehicle-Id Component-Id Name Value Type"),
@@ -149,10 +130,225 @@ ARDUPILOT = Autopilot(
     most=5,
     most_thermal=5,
     thermometers=(("accel", "gyro"),),
-    caveats=_estimated_anew,
     about=35.0,
     worth=1e-6,
 )
+
+
+# -------------------- what is left of a calibration, and how much that loses --------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Diagonal:
+    """What an autopilot can hold, in single precision, of the kinds of sensors that are `known`: their offsets (3,),
+    and factors (3,), which gyros have none of: 1."""
+
+    offset: Mapping[SensorKind, Array]
+    factor: Mapping[SensorKind, Array]
+    known: Mapping[SensorKind, SensorModel]
+    losses: tuple[str, ...]
+
+    def example(self, kind: SensorKind, model: SensorModel, offset: Array, where: str = "") -> str:
+        """A reading, what the autopilot makes of it with this offset (3,) and what it is."""
+        worked = example(kind, model)
+        target = (worked.reading - offset) * self.factor[kind]
+        return (
+            f"example {kind}{where}: reading {shown(worked.reading)} becomes {shown(target.round(6))}; it is "
+            f"{shown(worked.true.round(6))}"
+        )
+
+
+def diagonal(calibration: Calibration, target: str, apart: Container[str] = ()) -> Diagonal:
+    """Offsets and factors of a calibration, and what is lost, but for the groups of parameters that are told of
+    `apart`: with a factor 1/Mᵢᵢ for each axis what comes out is (1 + E) true. Raises InputError unless every channel
+    senses its own axis of the frame, X, Y, Z, positive."""
+    known, losses = triads(calibration, target, needed=()), []
+    for kind, model in known.items():
+        if (np.argmax(model.matrix, axis=1) != np.arange(3)).any() or (np.diag(model.matrix) <= 0.5).any():
+            raise InputError(
+                f"export to {target}: expected {kind} channels along X, Y, Z in this order, found others; {target} has "
+                "no place for another order or sign: name the columns of the session in that order"
+            )
+        error = model.matrix / np.diag(model.matrix)[:, None] - np.eye(3)
+        misalignment = (
+            f"misalignment of the accelerometers: up to {1e3 * np.abs(error).max():.3g} mrad, in 1 g an error of up to "
+            f"{G_STANDARD * worst(error):.3g} m/s^2"
+        )
+        losses.append(misalignment if kind == "accel" else gyro_matrix_lost(model))
+    factors = {kind: 1.0 / np.diag(model.matrix) if kind == "accel" else np.ones(3) for kind, model in known.items()}
+    return Diagonal(
+        offset={kind: single(model.bias) for kind, model in known.items()},
+        factor={kind: single(factor) for kind, factor in factors.items()},
+        known=known,
+        losses=(*losses, *not_held(calibration, apart), SINGLE_PRECISION, NO_UNCERTAINTY),
+    )
+
+
+def single(values: Array) -> Array:
+    """Numbers as single precision keeps them."""
+    return np.asarray(values.astype(np.float32), dtype=float)
+
+
+def worst(error: Array) -> float:
+    """The largest relative error |E v| / |v| of any vector."""
+    return float(np.linalg.norm(error, ord=2))
+
+
+def gyro_matrix_lost(model: SensorModel) -> str:
+    """What gyros with nothing but offsets lose."""
+    error = model.matrix - np.eye(3)
+    return (
+        f"scale factors and misalignment of the gyros: an error of up to {100.0 * worst(error):.3g} % of the rate, "
+        f"{np.rad2deg(worst(error) * np.deg2rad(100.0)):.3g} deg/s in 100 deg/s"
+    )
+
+
+def said(errors: Mapping[SensorKind, float]) -> str:
+    """Errors of accelerometers, m/s², and gyros, rad/s, in mg and deg/s, to two digits and not smaller."""
+    sizes = []
+    for kind, error in errors.items():
+        size, unit = (1e-3 * G_STANDARD, "mg") if kind == "accel" else (DEGREE, "deg/s")
+        value = error / size
+        digit = 10.0 ** (math.floor(math.log10(value)) - 1) if value > _NOTHING else math.inf
+        sizes.append(
+            f"{math.ceil(value / digit * (1.0 - 1e-12)) * digit:.2g} {unit}" if value > _NOTHING else f"0 {unit}"
+        )
+    return " and ".join(sizes)
+
+
+# -------------------- over temperature --------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Thermal:
+    """What an autopilot holds of a calibration over temperature, its references being temperatures of the target: what
+    it holds at these, and by kind how the biases change, (3, 2), per K and per K², within the range that was
+    measured."""
+
+    pilot: Autopilot
+    held: Diagonal
+    calibration: Calibration
+    measured: Range
+    slopes: dict[SensorKind, Array]
+
+    def reference(self, kind: SensorKind) -> float:
+        """The temperature of the target, °C, at which sensors of a kind have their values."""
+        return float(references(self.calibration, kind)[0])
+
+    def ends(self, kind: SensorKind) -> Array:
+        """The reference of a kind of sensors and the ends of the measured range, °C, in single precision."""
+        return single(np.array([self.reference(kind), self.measured.low, self.measured.high]))
+
+    def coefficients(self, kind: SensorKind) -> Array:
+        """Coefficients (3, 3) of the first to the third power of the temperature, by axis: θ₁ (t − d) + θ₂ (t − d)²
+        with d = T₀ − `about`, without what does not depend on t."""
+        linear, square = self.slopes[kind].T
+        d = 0.0 if self.pilot.about is None else self.reference(kind) - self.pilot.about
+        return np.stack([linear - 2.0 * square * d, square, np.zeros(3)], axis=1) / self.pilot.worth
+
+    def offsets(self, kind: SensorKind, temperature: Array) -> Array:
+        """The offsets (N, 3), SI, that it takes off at temperatures (N,), °C: P(T) − P(T₀) + offset."""
+        reference, low, high = self.ends(kind)
+        C, about = single(self.coefficients(kind)), reference if self.pilot.about is None else self.pilot.about
+
+        def P(at: Array) -> Array:
+            t = (np.clip(at, low, high) - about)[:, None]
+            return np.asarray((C[:, 0] * t + C[:, 1] * t**2 + C[:, 2] * t**3) * self.pilot.worth)
+
+        return P(temperature) - P(np.array([reference])) + self.held.offset[kind]
+
+    def steepest(self, kind: SensorKind) -> float:
+        """The largest change of a bias per K within the range, m/s²/K or rad/s/K."""
+        linear, square = self.slopes[kind].T
+        ends = np.array([[self.measured.low], [self.measured.high]]) - references(self.calibration, kind)
+        return float(np.abs(linear + 2.0 * square * ends).max())
+
+    def losses(self) -> list[str]:
+        """What is lost over temperature, and how much of it within the measured range."""
+        T, rate, known = self.measured.temperatures(), session_rate(self.calibration), self.held.known
+        span = f"{self.measured.low:.1f} to {self.measured.high:.1f} degC"
+        curves, scales, hysteresis = {}, {}, {}
+        for kind, model in known.items():
+            warmer = (T - self.reference(kind))[:, None]
+            linear, square = self.slopes[kind].T
+            biases = model.bias + linear * warmer + square * warmer**2
+            curves[kind] = float(np.abs(self.offsets(kind, T) - biases).max())
+            linear, square = coefficients(self.calibration, kind, "scale").T  # which the target has none for
+            unit = model.matrix / np.linalg.norm(model.matrix, axis=1)[:, None]
+            applied, felt = (np.diag(model.matrix)[:, None], G_STANDARD) if kind == "accel" else (1.0, rate)
+            longer = linear * warmer + square * warmer**2
+            scales[kind] = felt * max(worst(each[:, None] * unit / applied) for each in longer)
+            of_kind = (p for p in self.calibration.parameters if group_name(p.name) == f"{kind}.bias.hysteresis")
+            hysteresis[kind] = max((abs(p.value) for p in of_kind), default=0.0)
+        where = " ".join(["in 1 g"] * ("accel" in known) + [f"at {rate / DEGREE:.3g} deg/s"] * ("gyro" in known))
+        losses = [
+            f"offsets over temperature: from {span} the cubic is within {said(curves)} of the calibration's curve",
+            f"scale factors over temperature: no place in this file, from {span} an error of up to {said(scales)} "
+            f"{where}",
+        ]
+        if any(hysteresis.values()):
+            losses.append(f"hysteresis of the biases: no place in this file, up to {said(hysteresis)}")
+        for kinds in self.pilot.thermometers:
+            losses += self._shared([kind for kind in kinds if kind in known])
+        return [*losses, f"outside {span} nothing was measured: the target keeps the offsets of the nearer end"]
+
+    def _shared(self, kinds: Sequence[SensorKind]) -> list[str]:
+        """What is lost because sensors of these kinds have one temperature in the target: by what they differ at rests
+        other than in the mean, which their references contain."""
+        thermometers = self.calibration.thermometers
+        names = dict.fromkeys(chain(*(thermometers.get(kind, ()) for kind in kinds)))
+        if len(names) < 2:
+            return []
+        apart = 0.0
+        for rest in warm_rests(self.calibration):
+            at = {kind: getattr(rest, kind) for kind in kinds}
+            off = [
+                np.array(sensors.temperature) - references(self.calibration, kind)
+                for kind, sensors in at.items()
+                if sensors is not None and sensors.temperature
+            ]
+            apart = max(apart, float(np.ptp(np.concatenate(off))) if off else 0.0)
+        return [
+            f"thermometers of their own ({', '.join(names)}): the target has one for these sensors; at the rests they "
+            f"differ by up to {apart:.1f} K more or less than in the mean, an error of up to "
+            f"{said({kind: apart * self.steepest(kind) for kind in kinds})}"
+        ]
+
+
+def thermal(calibration: Calibration, target: str, pilot: Autopilot) -> Thermal:
+    """What an autopilot can hold of a calibration over temperature. Raises InputError where nothing changes with
+    temperature, or where the rests were all at one."""
+    held, measured = diagonal(calibration, target, apart=_TOLD_APART), range_of(calibration, target)
+    own: dict[str, Array] = {kind: references(calibration, kind) for kind in held.known}
+    seen: dict[str, tuple[float, ...]] = {}
+    for kinds in ([kind for kind in kinds if kind in own] for kinds in pilot.thermometers):
+        seen |= {kind: len(own[kind]) * (float(np.mean(own[kinds[0]])),) for kind in kinds}  # that of the first
+    slopes = {kind: coefficients(calibration, kind, "bias") for kind in held.known}
+    at_target = replace(calibration, references=seen)
+    return Thermal(pilot=pilot, held=held, calibration=at_target, measured=measured, slopes=slopes)
+
+
+def range_of(calibration: Calibration, target: str) -> Range:
+    """The temperatures at which a calibration was measured. Raises InputError where there is nothing over them."""
+    measured = measured_range(calibration)
+    if calibration.reference_temperature is None or not changing(calibration):
+        raise InputError(
+            f"export to {target}: expected parameters that change with temperature, such as accel.bias.x.t1, found "
+            "none; calibrate a session with a thermometer"
+        )
+    if measured is None:
+        raise InputError(
+            f"export to {target}: expected rests at several temperatures, found one; record while it gets warmer"
+        )
+    return measured
+
+
+def warm_end(measured: Range) -> float:
+    """A tenth of a degree at the warmer end of the range, °C, where examples are."""
+    return math.floor(10.0 * measured.high) / 10.0
+
+
+# -------------------- the files --------------------
 
 
 def _at_reference(pilot: Autopilot, target: str, calibration: Calibration, imu: int | None = None) -> Exported:
@@ -162,12 +358,11 @@ def _at_reference(pilot: Autopilot, target: str, calibration: Calibration, imu: 
     unknown = [name for kind, name in ids.items() if sensors[kind].id is None] if pilot is PX4 else []
     plural = "ids of these sensors" if len(unknown) > 1 else "id of this sensor"
     told = [f"{' and '.join(unknown)} have to be the {plural} already"] if unknown else []
-    rows = _parameters(pilot, held, sensors)
-    rows += [
+    rows = [
         (name, _device(pilot, device), True) for kind, name in ids.items() if (device := sensors[kind].id) is not None
     ]
-    losses = (*held.losses, *pilot.caveats(held), *_whose(calibration, imu))
-    return _written(pilot, [*origin(calibration), *told, *held.examples()], rows, losses)
+    told += [held.example(kind, model, held.offset[kind]) for kind, model in held.known.items()]
+    return _written(pilot, calibration, held, sensors, told, rows, [], _whose(calibration, imu))
 
 
 px4, ardupilot = partial(_at_reference, PX4, "px4"), partial(_at_reference, ARDUPILOT, "ardupilot")
@@ -178,42 +373,41 @@ def px4_thermal(
 ) -> Exported:
     """The .params file of a calibration over temperature; `sensor_ids` are the device ids of accelerometer and gyro,
     and `imu` the number of the IMU, from 1, where the recording has not said them."""
-    found = thermal(calibration, "px4-thermal", PX4.thermometers)
+    found = thermal(calibration, "px4-thermal", PX4)
     sensors = _sensors(calibration, imu, "px4-thermal", PX4.most_thermal)
-    place = 0 if imu is None else imu - 1
+    stems = {kind: f"TC_{_LETTERS[kind]}{0 if imu is None else imu - 1}" for kind in found.slopes}
     given: dict[SensorKind, int | None] = {kind: sensors[kind].id for kind in _LETTERS}
     given |= dict(zip(_LETTERS, sensor_ids or (), strict=False))
     ids = {} if None in given.values() else given  # both or none
     names = " and ".join(PX4.name(PX4.id, kind, sensors) for kind in found.slopes)
-    unset = " and ".join(f"TC_{_LETTERS[kind]}{place}_ID" for kind in found.slopes)
-    no_ids = (
-        f"{unset} are not in this file: set them to {names}, or give --sensor-ids; without them PX4 compensates nothing"
-    )
     at = dict.fromkeys(f"{found.reference(kind):g}" for kind in found.slopes)
-    told = (
+    told = [
         f"{names} have to be the ids of these sensors already",
         f"CAL_*OFF and CAL_*SCALE are those at {' and '.join(at)} degC",
-    )
-    rows = []
-    for kind in found.slopes:
-        stem = f"TC_{_LETTERS[kind]}{place}"
+    ]
+    rows: list[Row] = []
+    for kind, stem in stems.items():
         rows.append((f"TC_{_LETTERS[kind]}_ENABLE", "1", True))
         rows += [(f"{stem}_ID", _device(PX4, ids[kind] or 0), True)] if ids else []
         rows += _reals([f"{stem}_TREF", f"{stem}_TMIN", f"{stem}_TMAX"], found.ends(kind))
-        for degree, column in enumerate((np.zeros(3), *PX4.coefficients(found, kind).T)):
+        for degree, column in enumerate((np.zeros(3), *found.coefficients(kind).T)):
             rows += _reals([f"{stem}_X{degree}_{axis}" for axis in range(3)], column)
     jumps = (
         "PX4 takes up new offsets when the temperature has changed by more than 1 degC: until then an error of up to "
-        f"{said(found.steepest())}"
+        f"{said({kind: found.steepest(kind) for kind in found.slopes})}"
     )
-    after = (*([] if ids else [no_ids]), *_whose(calibration, imu))
-    return _over_temperature(PX4, found, sensors, told, rows, ((jumps,), after))
+    no_ids = (
+        f"{' and '.join(f'{stem}_ID' for stem in stems.values())} are not in this file: set them to {names}, or give "
+        "--sensor-ids; without them PX4 compensates nothing"
+    )
+    last = [*([] if ids else [no_ids]), *_whose(calibration, imu)]
+    return _over_temperature(found, sensors, told, rows, [jumps], last)
 
 
 def ardupilot_thermal(calibration: Calibration, imu: int | None = None) -> Exported:
     """The .param file of a calibration over temperature; `imu` is the number of the IMU, from 1, where the recording
     has not said it."""
-    found = thermal(calibration, "ardupilot-thermal", ARDUPILOT.thermometers)
+    found = thermal(calibration, "ardupilot-thermal", ARDUPILOT)
     sensors = _sensors(calibration, imu, "ardupilot-thermal", ARDUPILOT.most_thermal)
     numbers = {kind: sensors[kind].number for kind in found.slopes}
     if max(numbers.values()) > NUMBER_INSIDE:
@@ -229,29 +423,61 @@ def ardupilot_thermal(calibration: Calibration, imu: int | None = None) -> Expor
         rows += _reals([f"INS_TCAL{number}_TMIN", f"INS_TCAL{number}_TMAX"], ends)
     rows += _reals(list(names.values()), np.array([found.reference(kind) for kind in names]))
     for kind, number in numbers.items():
-        for degree, column in enumerate(ARDUPILOT.coefficients(found, kind).T, 1):
+        for degree, column in enumerate(found.coefficients(kind).T, 1):
             rows += _reals([f"INS_TCAL{number}_{ARDUPILOT.words[kind]}{degree}_{axis}" for axis in "XYZ"], column)
-    told = (f"offsets and scales are those at {found.reference(first):g} degC, {names[first]}",)
-    return _over_temperature(ARDUPILOT, found, sensors, told, rows, ((), _whose(calibration, imu)))
+    told = [f"offsets and scales are those at {found.reference(first):g} degC, {names[first]}"]
+    return _over_temperature(found, sensors, told, rows, [], _whose(calibration, imu))
 
 
 def _over_temperature(
-    pilot: Autopilot,
-    found: Thermal,
-    sensors: Sensors,
-    told: Sequence[str],
-    curves: Sequence[Row],
-    more: tuple[Sequence[str], Sequence[str]],
+    found: Thermal, sensors: Sensors, told: list[str], rows: list[Row], more: list[str], last: list[str]
 ) -> Exported:
-    """The file with what is told, the rows of the `curves`, and what `more` is lost: over temperature, and at last."""
+    """The file of the offsets and of the curves, with readings at the warmer end, what the autopilot makes of them and
+    what they are."""
+    at = warm_end(found.measured)
+    for kind in found.held.known:
+        model, offset = model_at(found.calibration, kind, at), found.offsets(kind, np.array([at]))[0]
+        told.append(found.held.example(kind, model, offset, f" at {at:g} degC"))
+    return _written(found.pilot, found.calibration, found.held, sensors, told, rows, [*found.losses(), *more], last)
 
-    def offsets(kind: SensorKind, temperature: Array) -> Array:
-        return pilot.offsets(found, kind, temperature)
 
-    held = found.held
-    losses = (*found.losses(offsets), *more[0], *held.losses, *pilot.caveats(held), *more[1])
-    comments = [*origin(found.calibration), *told, *found.examples(offsets)]
-    return _written(pilot, comments, [*_parameters(pilot, held, sensors), *curves], losses)
+def _written(
+    pilot: Autopilot,
+    calibration: Calibration,
+    held: Diagonal,
+    sensors: Sensors,
+    told: list[str],
+    rows: list[Row],
+    first_losses: list[str],
+    last_losses: list[str],
+) -> Exported:
+    """The file: what is told and lost as comments, offsets and factors, then further rows."""
+    parameters: list[Row] = []
+    for kind, offset in held.offset.items():
+        for what, values in [(pilot.offset, offset), *([(pilot.factor, held.factor[kind])] * (kind == "accel"))]:
+            parameters += _reals([pilot.name(what.format(axis=axis), kind, sensors) for axis in "XYZ"], values)
+    caveats = []
+    if pilot is PX4:
+        changes: list[tuple[str, Array]] = []
+        if "accel" in held.known:
+            scales = held.factor["accel"] - 1.0
+            changes += [("accelerometer offsets", held.offset["accel"]), ("accelerometer scales", scales)]
+        if "gyro" in held.known:
+            changes.append(("gyro offsets", held.offset["gyro"]))
+        small = [name for name, three in changes if np.linalg.norm(three) <= LEAST]
+        if small:
+            caveats.append(
+                "some releases of PX4 ignore corrections shorter than 0.01 (m/s^2, 1, rad/s), as here: "
+                f"{', '.join(small)}; see `sensors status`"
+            )
+    elif "gyro" in held.known:
+        caveats.append("gyro offsets are estimated anew at every start unless INS_GYR_CAL is 0")
+    losses = (*first_losses, *held.losses, *caveats, *last_losses)
+    lines = [
+        (pilot.whole if whole else pilot.real).format(name=name, value=value)
+        for name, value, whole in [*parameters, *rows]
+    ]
+    return commented([*origin(calibration), *told, *losses, *pilot.heading], lines, losses)
 
 
 def sensor_ids_of(text: str) -> tuple[int, int]:
@@ -286,16 +512,6 @@ def _whose(calibration: Calibration, imu: int | None) -> list[str]:
     return [told] if imu is None and not calibration.imu else []
 
 
-def _parameters(pilot: Autopilot, held: Diagonal, sensors: Sensors) -> list[Row]:
-    """Offsets and factors."""
-    rows = []
-    for kind, offset in held.offset.items():
-        groups = [(pilot.offset, offset)] + ([(pilot.factor, held.factor[kind])] if kind == "accel" else [])
-        for what, values in groups:
-            rows += _reals([pilot.name(what.format(axis=axis), kind, sensors) for axis in "XYZ"], values)
-    return rows
-
-
 def _reals(names: list[str], values: Array) -> list[Row]:
     """Numbers of single precision, with as many digits as it takes to read them back in single precision."""
     texts = [np.format_float_positional(value, trim="0") for value in values.astype(np.float32)]
@@ -305,8 +521,3 @@ def _reals(names: list[str], values: Array) -> list[Row]:
 def _device(pilot: Autopilot, device: int) -> str:
     """A device id as a parameter, which PX4 has with a sign."""
     return str(device - 2**32 if pilot is PX4 and device >= 2**31 else device)
-
-
-def _written(pilot: Autopilot, comments: list[str], rows: list[Row], losses: tuple[str, ...]) -> Exported:
-    lines = [(pilot.whole if whole else pilot.real).format(name=name, value=value) for name, value, whole in rows]
-    return commented([*comments, *losses, *pilot.heading], lines, losses)

@@ -151,56 +151,44 @@ _WHAT = {"accel": "true specific force", "gyro": "true angular rate"}
 
 def c_header(calibration: Calibration) -> Exported:
     """The header of a calibration."""
-    known = models(calibration)
-    compensator = calibration.compensator
-    digits = "the functions in float have 7 digits; use those in double where that matters"
+    known, compensator = models(calibration), calibration.compensator
     warm = bool(changing(calibration)) and calibration.reference_temperature is not None
     lag = compensator.lag if warm else 0.0
     held = HELD | (HELD_AT if warm else frozenset()) | ({"temperature.lag"} if lag else frozenset())
+    digits = "the functions in float have 7 digits; use those in double where that matters"
     losses = (*not_held(calibration, held), NO_UNCERTAINTY, digits)
-    comments = [
-        *origin(calibration),
-        *_worked(compensator, known),
-        *(_temperatures(calibration) if warm else []),
-        *_lagging(lag),
-        *losses,
-    ]
-    lines = ["#ifndef IMU_CALIBRATION_H", "#define IMU_CALIBRATION_H", ""]
-    lines += ["/*", *(f" * {line}" for line in comments), " */", ""]
+    comments = [*origin(calibration), *_worked(compensator, known)]
+    if warm:
+        measured = measured_range(calibration)
+        known_from = "" if measured is None else f", measured from {measured.low:.1f} to {measured.high:.1f}"
+        comments.append(
+            f"functions without a temperature are for {calibration.reference_temperature:g} degC; those in _at take "
+            f"it, in degC{known_from}"
+        )
+        comments += own_thermometers(calibration)
+    lines, precisions = (
+        [],
+        [(single, at) for single in (False, True) for at in ([None, calibration] if warm else [None])],
+    )
     if lag:
+        readings = "; ".join(f"{celsius:g} after {seconds:g} s" for celsius, seconds in LAG_EXAMPLE)
+        comments += [
+            f"sensors lag behind the thermometer by {lag:.6g} s: give functions in _at what imu_sensors_celsius makes "
+            "of every reading, with a state for each thermometer",
+            f"example lag: the thermometer reads {readings}; the sensors have {shown(_sensors_celsius(lag).round(9))}",
+        ]
         lines.append(_LAG.format(size=abs(lag), found="state->behind" if lag > 0 else "2 * celsius - state->behind"))
-    for kind, model in known.items():
-        for single in (False, True):
-            for at in [None, calibration] if warm else [None]:
-                lines.append(_function(compensator, kind, model, single=single, at=at))
-    lines += ["#endif", ""]
-    return Exported(content="\n".join(lines).encode(), losses=losses)
-
-
-def _temperatures(calibration: Calibration) -> list[str]:
-    """What the functions with a temperature are for."""
-    measured = measured_range(calibration)
-    known = "" if measured is None else f", measured from {measured.low:.1f} to {measured.high:.1f}"
-    return [
-        f"functions without a temperature are for {calibration.reference_temperature:g} degC; those in _at take it, "
-        f"in degC{known}",
-        *own_thermometers(calibration),
+    lines += [
+        _function(compensator, kind, model, single=single, at=at)
+        for kind, model in known.items()
+        for single, at in precisions
     ]
+    head = ["#ifndef IMU_CALIBRATION_H", "#define IMU_CALIBRATION_H", "", "/*"]
+    head += [*(f" * {line}" for line in (*comments, *losses)), " */", ""]
+    return Exported(content="\n".join([*head, *lines, "#endif", ""]).encode(), losses=losses)
 
 
-def _lagging(lag: float) -> list[str]:
-    """What the function of the lag is for, with an example; nothing where there is none."""
-    if not lag:
-        return []
-    readings = "; ".join(f"{celsius:g} after {seconds:g} s" for celsius, seconds in LAG_EXAMPLE)
-    return [
-        f"sensors lag behind the thermometer by {lag:.6g} s: give functions in _at what imu_sensors_celsius makes of "
-        "every reading, with a state for each thermometer",
-        f"example lag: the thermometer reads {readings}; the sensors have {shown(sensors_celsius(lag).round(9))}",
-    ]
-
-
-def sensors_celsius(lag: float) -> Array:
+def _sensors_celsius(lag: float) -> Array:
     """Temperatures, °C, of the sensors with the readings of LAG_EXAMPLE."""
     out = [LAG_EXAMPLE[0][0]]
     for (before, _), (now, seconds) in pairwise(LAG_EXAMPLE):
@@ -211,17 +199,17 @@ def sensors_celsius(lag: float) -> Array:
 
 def _worked(compensator: Compensator, known: dict[SensorKind, SensorModel]) -> list[str]:
     """Examples by the whole model, those of gyros in the specific force of the accelerometers' example."""
-    if all(_is_linear(compensator, kind) for kind in known):
+    if all(is_linear(*_coefficients(compensator, kind)) for kind in known):
         return examples(known, "example {kind}: reading {reading} is {true} {unit}")
     reading = {kind: example(kind, model).reading for kind, model in known.items()}
     force = compensator.force(reading["accel"][None]) if "accel" in known else np.zeros((1, 3))
     true: dict[SensorKind, Array] = {"accel": force} if "accel" in known else {}
     if "gyro" in known:
         true["gyro"] = compensator.rate(reading["gyro"][None], force)
-    felt = "in that specific force" if "accel" in known else "without a specific force"
-    said = f" {felt}" if _needs_force(compensator) else ""
+    felt = " in that specific force" if "accel" in known else " without a specific force"
+    needed = np.any(compensator.gyro_coefficients[:, FORCE])
     return [
-        f"example {kind}: reading {shown(reading[kind])}{said if kind == 'gyro' else ''} is "
+        f"example {kind}: reading {shown(reading[kind])}{felt if kind == 'gyro' and needed else ''} is "
         f"{shown(vector[0].round(9))} {UNITS[kind]}"
         for kind, vector in true.items()
     ]
@@ -234,23 +222,14 @@ def _coefficients(compensator: Compensator, kind: SensorKind) -> tuple[Block, Ar
     return compensator.gyro, compensator.gyro_coefficients
 
 
-def _is_linear(compensator: Compensator, kind: SensorKind) -> bool:
-    return is_linear(*_coefficients(compensator, kind))
-
-
-def _needs_force(compensator: Compensator) -> bool:
-    """Whether the rate depends on the specific force."""
-    return bool(np.any(compensator.gyro_coefficients[:, FORCE]))
-
-
 def _function(
     compensator: Compensator, kind: SensorKind, model: SensorModel, *, single: bool, at: Calibration | None
 ) -> str:
     """The function of the sensors of a kind, in double or in single precision; with their temperature, `at` the
     calibration that knows what that changes."""
     block, K = _coefficients(compensator, kind)
-    number, n, linear = "float" if single else "double", len(model.bias), _is_linear(compensator, kind)
-    by_force = not linear and kind == "gyro" and _needs_force(compensator)
+    number, n, linear = "float" if single else "double", len(model.bias), is_linear(block, K)
+    by_force = not linear and kind == "gyro" and bool(np.any(compensator.gyro_coefficients[:, FORCE]))
     tables, more, warm = {}, "", ""
     if not linear:
         tables = {"axis": block.axes, "asymmetry": K[:, OWN_SIZE], "cubic": K[:, OWN_CUBE]}
@@ -270,6 +249,18 @@ def _function(
         warm = _WARM.format(type=number, n=n, reference=reference, own="[j]" if apart else "")
         needs += " and their temperatures, degC" if apart else " and a temperature, degC"
         argument += f"const {number} celsius[{n}], " if apart else f"{number} celsius, "
+
+    def constants(values: Array) -> str:  # that read back to the same ones
+        return ", ".join(map(repr, numbers(values)) if not single else (f"{v!s}f" for v in values.astype(np.float32)))
+
+    def rows(values: Array) -> str:
+        return ",\n".join(f"        {{{constants(row)}}}" for row in values)
+
+    declared = ""
+    for name, values in tables.items():
+        sizes = "".join(f"[{size}]" for size in values.shape)
+        text = constants(values) if values.ndim == 1 else f"\n{rows(values)}\n    "
+        declared += f"    static const {number} {name}{sizes} = {{{text}}};\n"
     parts = {
         "what": _WHAT[kind],
         "unit": UNITS[kind],
@@ -280,30 +271,11 @@ def _function(
         "suffix": "f" if single else "",
         "type": number,
         "argument": argument,
-        "bias": _constants(model.bias, single=single),
-        "rows": _rows(model.inverse(), single=single),
+        "bias": constants(model.bias),
+        "rows": rows(model.inverse()),
         "less": "" if at is None else " - shift[j]",
         "over": "" if at is None else " / gain[j]",
         "steps": FIXED_POINT_STEPS,
         "more": more,
     }
-    constants = "".join(_table(name, values, single=single) for name, values in tables.items())
-    return _HEAD.format(**parts) + constants + warm + (_LINEAR if linear else _BEYOND).format(**parts)
-
-
-def _table(name: str, values: Array, *, single: bool) -> str:
-    """A constant array of one row or more."""
-    number, sizes = "float" if single else "double", "".join(f"[{size}]" for size in values.shape)
-    text = _constants(values, single=single) if values.ndim == 1 else f"\n{_rows(values, single=single)}\n    "
-    return f"    static const {number} {name}{sizes} = {{{text}}};\n"
-
-
-def _rows(values: Array, *, single: bool) -> str:
-    return ",\n".join(f"        {{{_constants(row, single=single)}}}" for row in values)
-
-
-def _constants(values: Array, *, single: bool) -> str:
-    """Numbers as C constants that read back to the same ones."""
-    if not single:
-        return ", ".join(map(repr, numbers(values)))
-    return ", ".join(f"{value!s}f" for value in values.astype(np.float32))
+    return _HEAD.format(**parts) + declared + warm + (_LINEAR if linear else _BEYOND).format(**parts)

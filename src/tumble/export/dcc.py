@@ -17,14 +17,14 @@ import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import floor, log10
+from math import floor, log10, sqrt
 from typing import Any
 
 import numpy as np
 from scipy.special import chdtri, fdtri
 
 from tumble.acceptance.certificate import RELATES, STATES, Certificate, Party, check_certificate, judged_by
-from tumble.acceptance.conformity import RULE, LimitJudgement, Verdict, verdicts
+from tumble.acceptance.conformity import RULE, Verdict, verdicts
 from tumble.errors import InputError
 from tumble.export.exported import UNITS, Exported, example, models, one_line, origin, shown
 from tumble.export.larger_model import NOT_IN_MATRIX, not_held
@@ -289,46 +289,32 @@ def _conditions(calibration: Calibration) -> list[dict[str, Any]]:
     ]
 
 
-def _behind(parameter: Parameter) -> str:
-    """What stands behind u, in words."""
-    if parameter.u is None:
-        return "no uncertainty is stated"
-    if parameter.dof is None:
-        return "u is known (infinite degrees of freedom)"
-    return f"u was estimated with {parameter.dof:.3g} degrees of freedom"
-
-
-def _limits(judgement: LimitJudgement) -> str:
-    """The limits of a parameter in its usual unit."""
-    finite = [limit for limit in (judgement.low, judgement.high) if np.isfinite(limit)]
-    size, unit = shown_in(judgement.name, judgement.unit, max(map(abs, finite), default=0.0))
-    low, high = (f"{limit / size:.6g}" for limit in (judgement.low, judgement.high))
-    return f"{low} to {high} {unit}"
-
-
-def _over(judgement: LimitJudgement) -> str:
-    """At which temperature a parameter over temperature was judged."""
-    return "" if judgement.at is None else f", worst at {judgement.at:.1f} degC: {judgement.value:g}"
-
-
 def _parameter(parameter: Parameter, judged: Sequence[Verdict]) -> dict[str, Any]:
-    statements = [
-        {
-            "@refType": "basic_conformity",
-            "name": _text(f"{verdict.occasion} check"),
-            "declaration": _text(f"limits {_limits(judgement)}{_over(judgement)}"),
-            "conformity": _CONFORMITY[judgement.result],
-        }
-        for verdict in judged
-        for judgement in verdict.judgements
-        if judgement.name == parameter.name and judgement.result in _CONFORMITY
-    ]
-    about = (described(parameter.name), _behind(parameter))
+    statements = []
+    for verdict, judgement in ((check, each) for check in judged for each in check.judgements):
+        if judgement.name == parameter.name and judgement.result in _CONFORMITY:
+            between = (judgement.low, judgement.high)
+            largest = max((abs(limit) for limit in between if np.isfinite(limit)), default=0.0)
+            size, unit = shown_in(judgement.name, judgement.unit, largest)
+            low, high = (f"{limit / size:.6g}" for limit in between)
+            over = "" if judgement.at is None else f", worst at {judgement.at:.1f} degC: {judgement.value:g}"
+            statements.append(
+                {
+                    "@refType": "basic_conformity",
+                    "name": _text(f"{verdict.occasion} check"),
+                    "declaration": _text(f"limits {low} to {high} {unit}{over}"),
+                    "conformity": _CONFORMITY[judgement.result],
+                }
+            )
+    behind = "no uncertainty is stated"
+    if parameter.u is not None:
+        known, dof = "u is known (infinite degrees of freedom)", parameter.dof
+        behind = known if dof is None else f"u was estimated with {dof:.3g} degrees of freedom"
     return {
         "@refType": "basic_measuredValue",
         "@id": parameter.name,
         "name": _text(parameter.name),
-        "description": _text("; ".join(each for each in about if each)),
+        "description": _text("; ".join(filter(None, (described(parameter.name), behind)))),
         "si:real": _real(parameter.value, parameter.u, parameter.unit, degrees_of_freedom(parameter)),
         "measurementMetaData": {"metaData": statements} if statements else None,
     }
@@ -337,8 +323,7 @@ def _parameter(parameter: Parameter, judged: Sequence[Verdict]) -> dict[str, Any
 def _real(value: float, u: float | None, unit: str, degrees: float) -> dict[str, Any]:
     """A value with its expanded uncertainty, where it has one, of a u with so many degrees of freedom; with u where
     these are too few."""
-    k = stated_factor(degrees)
-    uncertainty: dict[str, Any] | None = None
+    k, uncertainty = stated_factor(degrees), dict[str, Any]()
     if u is not None and k is None:
         uncertainty = {"si:standardMU": {"si:valueStandardMU": f"{u:.{U_DIGITS}g}"}}
     elif u is not None and k is not None:
@@ -350,11 +335,8 @@ def _real(value: float, u: float | None, unit: str, degrees: float) -> dict[str,
                 "si:distribution": "normal" if np.isinf(degrees) else "Student's t",
             }
         }
-    return {
-        "si:value": to_digits(value, u),
-        "si:unit": d_si(unit),
-        "si:measurementUncertaintyUnivariate": uncertainty,
-    }
+    value_and_unit = {"si:value": to_digits(value, u), "si:unit": d_si(unit)}
+    return value_and_unit | {"si:measurementUncertaintyUnivariate": uncertainty or None}
 
 
 def to_digits(value: float, u: float | None) -> str:
@@ -381,23 +363,17 @@ def _covariance(calibration: Calibration, covariance: Array) -> dict[str, Any] |
         }
         for j, unit in enumerate(units)
     ]
+    n, known = len(units), np.isinf(fewest)  # how many standard deviations the ellipsoid is large
+    square = chdtri(n, 1.0 - REGION_PROBABILITY) if known else n * fdtri(n, fewest, REGION_PROBABILITY)
     region = {
         "si:covarianceMatrixXMLList": {"si:columnXMLList": columns},
-        "si:coverageFactorXMLList": f"{_region_factor(len(units), fewest):.6f}",
+        "si:coverageFactorXMLList": f"{sqrt(square):.6f}",
         "si:coverageProbabilityXMLList": str(REGION_PROBABILITY),
     }
     values = " ".join(to_digits(p.value, p.u) for p in parameters)
     entries = _list([p.name for p in parameters], values, units)
     entries["si:measurementUncertaintyMultivariateXMLList"] = {"si:ellipsoidalRegionMUXMLList": region}
     return {"name": _text("all parameters"), "si:realListXMLList": entries}
-
-
-def _region_factor(count: int, degrees: float) -> float:
-    """How many standard deviations the ellipsoid of so many parameters is large, of a covariance that was estimated
-    with so many degrees of freedom."""
-    if np.isinf(degrees):
-        return float(np.sqrt(chdtri(count, 1.0 - REGION_PROBABILITY)))
-    return float(np.sqrt(count * fdtri(count, degrees, REGION_PROBABILITY)))
 
 
 def _model(kind: SensorKind, model: SensorModel) -> dict[str, Any]:

@@ -40,8 +40,8 @@ from tumble.export.exported import NO_UNCERTAINTY, SINGLE_PRECISION, Exported, e
 from tumble.export.larger_model import g_sensitivity, not_held, still
 from tumble.result.accepted import WORDS
 from tumble.result.calibration import Calibration
-from tumble.sensors.model import SensorModel
-from tumble.units import DEGREE, Array
+from tumble.sensors.model import SensorKind, SensorModel
+from tumble.units import DEGREE
 
 UNKNOWN = SensorModel(matrix=np.eye(3), bias=np.zeros(3))
 """What DepthAI keeps where nothing is known."""
@@ -51,7 +51,7 @@ def imucal(calibration: Calibration) -> Exported:
     """The JSON file of a calibration for imucal."""
     known = triads(calibration, "imucal")
     accel, gyro = known["accel"], known["gyro"]
-    (K_a, R_a), (K_g, R_g) = (_scale_and_axes(model) for model in (accel, gyro))
+    K_a, K_g = (np.linalg.norm(model.matrix, axis=1) for model in (accel, gyro))
     sensitivity = g_sensitivity(calibration)
     losses = (*not_held(calibration, {"gyro.g_sensitivity"}), NO_UNCERTAINTY)
     worked = [
@@ -64,11 +64,11 @@ def imucal(calibration: Calibration) -> Exported:
         "from_acc_unit": "m/s^2",
         "from_gyr_unit": "deg/s",
         "comment": "; ".join([*origin(calibration), *worked, *still(sensitivity), *losses]),
-        "K_a": K_a.tolist(),
-        "R_a": R_a.tolist(),
+        "K_a": np.diag(K_a).tolist(),
+        "R_a": (accel.matrix / K_a[:, None]).tolist(),
         "b_a": accel.bias.tolist(),
-        "K_g": K_g.tolist(),
-        "R_g": R_g.tolist(),
+        "K_g": np.diag(K_g).tolist(),
+        "R_g": (gyro.matrix / K_g[:, None]).tolist(),
         "K_ga": (sensitivity / DEGREE).tolist(),
         "b_g": (gyro.bias / DEGREE).tolist(),
         "cal_type": "Ferraris",
@@ -88,12 +88,15 @@ def depthai(calibration: Calibration) -> Exported:
         NO_UNCERTAINTY,
     )
     axes = {axis: {"noiseDensity": 0.0, "randomWalk": 0.0, "biasStability": 0.0} for axis in "xyz"}
-    content = {
+    content: dict[str, Any] = {
         "comment": "; ".join([*origin(calibration), *examples(known), *losses]),
         "noise": {"name": one_line(calibration.model or ""), "accelerometer": axes, "gyroscope": axes},
-        "accelerometer": _affine(known.get("accel", UNKNOWN)),
-        "gyroscope": _affine(known.get("gyro", UNKNOWN)),
     }
+    kinds: tuple[tuple[str, SensorKind], ...] = (("accelerometer", "accel"), ("gyroscope", "gyro"))
+    for name, kind in kinds:  # [A | b] (3, 4), in single precision
+        model = known.get(kind, UNKNOWN)
+        both = np.column_stack([model.inverse(), -model.inverse() @ model.bias])
+        content[name] = [[float(f"{np.float32(number):.9g}") for number in row] for row in both]
     return _written(content, losses, indent=1)
 
 
@@ -124,18 +127,6 @@ def part_name(serial: str) -> str:
     """A serial number as a name that MATLAB takes: letters, digits and underscores, a letter first."""
     name = re.sub(r"[^A-Za-z0-9_]", "_", serial)
     return name if name[:1].isalpha() else f"imu_{name}"
-
-
-def _scale_and_axes(model: SensorModel) -> tuple[Array, Array]:
-    norms = np.linalg.norm(model.matrix, axis=1)
-    return np.diag(norms), model.matrix / norms[:, None]
-
-
-def _affine(model: SensorModel) -> list[list[float]]:
-    """[A | b] (3, 4), in single precision."""
-    inverse = model.inverse()
-    both = np.column_stack([inverse, -inverse @ model.bias])
-    return [[float(f"{np.float32(number):.9g}") for number in row] for row in both]
 
 
 def _written(content: Mapping[str, Any], losses: Iterable[str], *, indent: int) -> Exported:

@@ -30,7 +30,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.export.diagonal import gyro_matrix_lost
+from tumble.export.autopilots import gyro_matrix_lost
 from tumble.export.exported import (
     NO_UNCERTAINTY,
     Exported,
@@ -45,7 +45,6 @@ from tumble.export.exported import (
 )
 from tumble.export.larger_model import g_sensitivity, not_held, still
 from tumble.recording.session import Session
-from tumble.reduction.noise.allan_deviation import Panel
 from tumble.result.accepted import WORDS
 from tumble.result.calibration import Calibration
 from tumble.result.parts import SensorsAtRest
@@ -90,14 +89,28 @@ class NoiseDensities:
 
 
 def noise_densities(session: Session) -> NoiseDensities:
-    """The noise that the longest rest of a session shows, as `tumble noise` does. Raises InputError without a rest or
-    without gyros."""
+    """The noise that the longest rest of a session shows, as `tumble noise` does: the largest of all channels; of one
+    that shows none, the largest that its Allan deviation allows, σ² ≥ N²/τ and σ² ≥ K² τ/3 everywhere. Raises
+    InputError without a rest or without gyros."""
     record = longest_rest(session)
-    panels = noise_panels(record)
+    panels, densities = noise_panels(record), []
     if len(panels) != 2:
         raise InputError(f"{session.name}: expected accelerometers and gyros to take the noise from, found no gyros")
-    accel, gyro = (_densities(panel, kind) for panel, kind in zip(panels, ("accelerometers", "gyros"), strict=True))
-    return NoiseDensities(accel=accel, gyro=gyro, rate=record.rate, source=record.source)
+    for panel, kind in zip(panels, WORDS.values(), strict=True):
+        tau, high = panel.deviation.tau[:, None], panel.deviation.high
+        largest, bounds = [], []
+        for term, coefficients, most in (
+            ("white noise", [p.white_noise for p in panel.parameters], (high * np.sqrt(tau)).min(axis=0)),
+            ("random walk", [p.rate_random_walk for p in panel.parameters], (high * np.sqrt(3.0 / tau)).min(axis=0)),
+        ):
+            largest.append(max(float(m) if c is None else c.value for c, m in zip(coefficients, most, strict=True)))
+            if None in coefficients:
+                bounds.append(
+                    f"{term} of the {kind}: not seen in every channel, so the largest that the record allows is "
+                    "written; record longer"
+                )
+        densities.append(Densities(white=largest[0], walk=largest[1], bounds=tuple(bounds)))
+    return NoiseDensities(accel=densities[0], gyro=densities[1], rate=record.rate, source=record.source)
 
 
 DRIFT_OF_WALK = 1.2
@@ -107,7 +120,7 @@ DRIFT_OF_WALK = 1.2
 def noise_of_rests(calibration: Calibration) -> NoiseDensities:
     """The noise within the rests of a calibration: the median density, and the random walk that their drifts allow.
     Raises InputError for a calibration without rests or gyros."""
-    found = []
+    densities = []
     seconds = np.array([rest.stop - rest.start for rest in calibration.rests])
     for kind, words in WORDS.items():
         rests: list[SensorsAtRest | None] = [getattr(rest, kind) for rest in calibration.rests]
@@ -124,28 +137,9 @@ def noise_of_rests(calibration: Calibration) -> NoiseDensities:
             "hour at rest and give it with --noise"
         )
         walk = float(np.sqrt(walks.mean(axis=0).max()))
-        found.append(Densities(white=float(white), walk=walk, bounds=(bound,)))
+        densities.append(Densities(white=float(white), walk=walk, bounds=(bound,)))
     source = f"{len(calibration.rests)} rests of the calibration"
-    return NoiseDensities(accel=found[0], gyro=found[1], rate=calibration.sample_rate, source=source)
-
-
-def _densities(panel: Panel, kind: str) -> Densities:
-    """The largest of all channels; of one that shows none, the largest that its Allan deviation allows: σ² ≥ N²/τ and
-    σ² ≥ K² τ/3 everywhere."""
-    tau, high = panel.deviation.tau[:, None], panel.deviation.high
-    terms = (
-        ("white noise", [p.white_noise for p in panel.parameters], (high * np.sqrt(tau)).min(axis=0)),
-        ("random walk", [p.rate_random_walk for p in panel.parameters], (high * np.sqrt(3.0 / tau)).min(axis=0)),
-    )
-    largest, bounds = [], []
-    for term, coefficients, most in terms:
-        largest.append(max(float(m) if c is None else c.value for c, m in zip(coefficients, most, strict=True)))
-        if None in coefficients:
-            bounds.append(
-                f"{term} of the {kind}: not seen in every channel, so the largest that the record allows is written; "
-                "record longer"
-            )
-    return Densities(white=largest[0], walk=largest[1], bounds=tuple(bounds))
+    return NoiseDensities(accel=densities[0], gyro=densities[1], rate=calibration.sample_rate, source=source)
 
 
 def kalibr(calibration: Calibration, noise: NoiseDensities | None = None) -> Exported:

@@ -6,7 +6,7 @@ shows at the rate of the session's turns.
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
+from collections.abc import Container
 
 import numpy as np
 
@@ -42,22 +42,22 @@ def not_held(calibration: Calibration, held: Container[str] = (), said: str = NO
     absent = [kind for kind, model in (("accel", calibration.accel), ("gyro", calibration.gyro)) if model is None]
     if len(absent) == 2:
         return ()
-    found = positions_by_group(p.name for p in calibration.parameters if sensor_kind(p.name) not in absent)
-    lost = [group for group in groups() if not group.linear and group.name in found and group.name not in held]
+    present = positions_by_group(p.name for p in calibration.parameters if sensor_kind(p.name) not in absent)
+    lost = [group for group in groups() if not group.linear and group.name in present and group.name not in held]
     effects = [(group, *_largest(calibration, group)) for group in lost]
     effects.sort(key=lambda each: (each[0].kind, -each[1]))
-    u = _reading_u(calibration)
-    felt = [_sentence(*each, said) for each in effects if each[1] >= NEGLIGIBLE * u[each[0].kind]]
-    rest = [_words(group) for group, size, _ in effects if size < NEGLIGIBLE * u[group.kind]]
+    known, felt, rest = calibration.prediction, [], []
+    u = {"accel": 0.0 if known is None else known.force_u, "gyro": 0.0 if known is None else known.rate_u or 0.0}
+    for group, size, where in effects:
+        words = group.words.partition(",")[0].replace("−", "-")
+        if size < NEGLIGIBLE * u[group.kind]:
+            rest.append(words)
+            continue
+        shown = f"{size / (1e-3 * G_STANDARD):.3g} mg" if group.kind == "accel" else f"{size / DEGREE:.3g} deg/s"
+        felt.append(f"{words}: {said}, an error of up to {shown} {where}")
     if rest:
         felt.append(f"{'; '.join(rest)}: {said}, errors of less than a tenth of the standard uncertainty of a reading")
     return tuple(felt)
-
-
-def _reading_u(calibration: Calibration) -> dict[str, float]:
-    """Standard uncertainty of a corrected reading by kind, SI; 0 where it is not known."""
-    known = calibration.prediction
-    return {"accel": 0.0 if known is None else known.force_u, "gyro": 0.0 if known is None else known.rate_u or 0.0}
 
 
 def session_rate(calibration: Calibration) -> float:
@@ -67,67 +67,35 @@ def session_rate(calibration: Calibration) -> float:
     return calibration.prediction.at_rate
 
 
-def _sentence(group: ParameterGroup, size: float, where: str, said: str) -> str:
-    shown = f"{size / (1e-3 * G_STANDARD):.3g} mg" if group.kind == "accel" else f"{size / DEGREE:.3g} deg/s"
-    return f"{_words(group)}: {said}, an error of up to {shown} {where}"
-
-
-def _words(group: ParameterGroup) -> str:
-    return group.words.partition(",")[0].replace("−", "-")
-
-
 def _largest(calibration: Calibration, group: ParameterGroup) -> tuple[float, str]:
     """The largest effect of a group on a reading, SI, and where."""
     rate = session_rate(calibration)
     at_rate = f"at {rate / DEGREE:.3g} deg/s"
-    values = {p.name: p.value for p in calibration.parameters}
-    own = np.array([values[name] for name in values if name in _names(calibration, group)])
+    felt, where = (G_STANDARD, "in 1 g") if group.kind == "accel" else (rate, at_rate)
+    compensator, values = calibration.compensator, {p.name: p.value for p in calibration.parameters}
+    block = compensator.accel if group.kind == "accel" else compensator.gyro
+    names = () if block is None else group.names(block)
+    own = np.array([values[name] for name in values if name in names])
     if group.motion == "lever":
         return rate**2 * float(np.linalg.norm(own.reshape(-1, 3), axis=1).max()), at_rate
     if group.motion in ("delay", "single delay"):
         return rate * G_STANDARD * float(np.abs(own).max()), f"in 1 g {at_rate}"
-    if group.variable == "lag":
-        return _of_lag(values, float(own[0]))
-    if group.base is not None:
-        return _of_change(group, float(np.abs(own).max()), rate, at_rate)
-    effect = float(np.abs(_effects(calibration, group, values, rate)).max())
-    felt = group.kind == "accel" or group.name == "gyro.g_sensitivity"
-    return effect, "in 1 g" if felt else at_rate
-
-
-def _of_change(group: ParameterGroup, largest: float, rate: float, at_rate: str) -> tuple[float, str]:
-    """The effect of the change of a bias or a scale factor."""
-    span, over = (HOUR, "after an hour") if group.variable == "time" else (WARMER, f"in {WARMER:.0f} K")
-    if group.variable == "hysteresis":
-        span, over = 1.0, "on the way up or down"
-    span = WARMER**2 if group.variable == "temperature²" else span
-    if group.base is not None and within_kind(group.base) == "bias":
-        return largest * span, over
-    size, where = (G_STANDARD, "in 1 g") if group.kind == "accel" else (rate, at_rate)
-    return largest * span * size, f"{over} {where}"
-
-
-def _of_lag(values: Mapping[str, float], lag: float) -> tuple[float, str]:
-    """The effect of a lag on a bias of the accelerometers."""
-    slopes = [abs(value) for name, value in values.items() if group_name(name) == "accel.bias.t1"]
-    return abs(lag) * HEATING * max(slopes, default=0.0), "at 1 K/min"
-
-
-def _names(calibration: Calibration, group: ParameterGroup) -> tuple[str, ...]:
-    compensator = calibration.compensator
-    block = compensator.accel if group.kind == "accel" else compensator.gyro
-    return () if block is None else group.names(block)
-
-
-def _effects(calibration: Calibration, group: ParameterGroup, values: Mapping[str, float], rate: float) -> Array:
-    """What the group adds to the readings (N, n) in all attitudes at 1 g and at a rate about all axes."""
-    compensator = calibration.compensator
+    if group.variable == "lag":  # on a bias of the accelerometers
+        slopes = [abs(value) for name, value in values.items() if group_name(name) == "accel.bias.t1"]
+        return abs(float(own[0])) * HEATING * max(slopes, default=0.0), "at 1 K/min"
+    if group.base is not None:  # a change of a bias or of a scale factor
+        span, over = (HOUR, "after an hour") if group.variable == "time" else (WARMER, f"in {WARMER:.0f} K")
+        if group.variable == "hysteresis":
+            span, over = 1.0, "on the way up or down"
+        change = float(np.abs(own).max()) * (WARMER**2 if group.variable == "temperature²" else span)
+        return (change, over) if within_kind(group.base) == "bias" else (change * felt, f"{over} {where}")
     instrument = Instrument.of(compensator.accel, compensator.gyro, {group.name}, variables=())
     block = instrument.block(group)
     assert group.regressors is not None
     K = group.regressors(block) @ np.array([values.get(name, 0.0) for name in group.names(block)])
-    up = np.concatenate([np.eye(3), -np.eye(3), directions()])
-    return np.asarray(np.einsum("npb,pb->np", functions(block, G_STANDARD * up, rate * up), K))
+    up = np.concatenate([np.eye(3), -np.eye(3), directions()])  # in all attitudes at 1 g and at a rate about all axes
+    effects = np.einsum("npb,pb->np", functions(block, G_STANDARD * up, rate * up), K)
+    return float(np.abs(effects).max()), "in 1 g" if group.name == "gyro.g_sensitivity" else where
 
 
 def g_sensitivity(calibration: Calibration) -> Array:

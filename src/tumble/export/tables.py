@@ -19,16 +19,15 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from tumble.export.diagonal import range_of, said, warm_end
+from tumble.export.autopilots import range_of, said, warm_end
 from tumble.export.exported import UNITS, Exported, example, examples, models, numbers, origin
 from tumble.export.larger_model import NOT_IN_MATRIX, not_held
 from tumble.result.calibration import Calibration
-from tumble.result.temperature_curves import Curve, Range, changing, curve, model_at, own_thermometers
-from tumble.sensors.model import SensorKind
+from tumble.result.temperature_curves import Range, changing, curve, model_at, own_thermometers
 from tumble.sensors.parameters import THERMAL, group_name, variable_of
 from tumble.units import Array
 
@@ -48,19 +47,17 @@ def csv_table(calibration: Calibration) -> Exported:
         more = ["" if (value := getattr(p, name)) is None else repr(value) for name in _MORE]
         shared = empty if calibration.covariance is None else [repr(c) for c in numbers(calibration.covariance[i])]
         rows.append([p.name, repr(p.value), "" if p.u is None else repr(p.u), p.unit, *more, *shared])
-    rows += [[name, repr(value), "", unit, *no_more, *empty] for name, value, unit in _models(calibration)]
-    return _written((*origin(calibration), "reading = matrix * true + bias, SI", *losses), rows, losses)
-
-
-def _models(calibration: Calibration) -> Iterator[tuple[str, float, str]]:
-    """Entries of matrices, biases and examples: name, value, unit."""
     for kind, model in models(calibration).items():
-        worked = example(kind, model)
-        for p, row in enumerate(model.matrix, 1):
-            yield from ((f"{kind}.matrix.{p}.{q}", value, "1") for q, value in enumerate(numbers(row), 1))
-        channels = (("bias_of", model.bias), ("example.reading", worked.reading), ("example.true", worked.true))
-        for name, vector in channels:
-            yield from ((f"{kind}.{name}.{p}", value, UNITS[kind]) for p, value in enumerate(numbers(vector), 1))
+        worked, matrix = example(kind, model), enumerate(model.matrix, 1)
+        entries = [(f"matrix.{p}.{q}", value, "1") for p, row in matrix for q, value in enumerate(numbers(row), 1)]
+        for name, vector in (
+            ("bias_of", model.bias),
+            ("example.reading", worked.reading),
+            ("example.true", worked.true),
+        ):
+            entries += [(f"{name}.{p}", value, UNITS[kind]) for p, value in enumerate(numbers(vector), 1)]
+        rows += [[f"{kind}.{name}", repr(value), "", unit, *no_more, *empty] for name, value, unit in entries]
+    return _written((*origin(calibration), "reading = matrix * true + bias, SI", *losses), rows, losses)
 
 
 def _written(comments: Iterable[str], rows: Iterable[Sequence[str]], losses: tuple[str, ...]) -> Exported:
@@ -77,8 +74,15 @@ def csv_thermal(calibration: Calibration) -> Exported:
     at = temperatures(measured, float(calibration.reference_temperature or 0.0))
     curves = [curve(calibration, name, at) for name in changing(calibration)]
     made_of = {group_name(p.name) for p in calibration.parameters if variable_of(group_name(p.name)) in THERMAL}
+    between, middle = dict.fromkeys(known, 0.0), 0.5 * (at[1:] + at[:-1])
+    for each in curves:
+        kind = next((kind for kind in known if group_name(each.name) == f"{kind}.bias"), None)
+        if kind is not None:
+            straight = 0.5 * (each.value[1:] + each.value[:-1])
+            off = np.abs(straight - curve(calibration, each.name, middle).value).max()
+            between[kind] = max(between[kind], float(off))
     losses = (
-        f"biases on straight lines between the rows are within {said(_between(calibration, curves, at))}",
+        f"biases on straight lines between the rows are within {said(between)}",
         *not_held(calibration, {group_name(each.name) for each in curves} | made_of),
         "parameters that do not change with temperature, and covariances, have no place in this file",
     )
@@ -110,19 +114,6 @@ def temperatures(measured: Range, reference: float) -> Array:
     first, last = math.ceil(measured.low / step), math.floor(measured.high / step)
     round_ones = np.round(np.arange(first, last + 1) * step, 1)
     return np.unique(np.concatenate([[measured.low, reference, measured.high], round_ones]))
-
-
-def _between(calibration: Calibration, curves: list[Curve], at: Array) -> dict[SensorKind, float]:
-    """How far biases on straight lines between the rows are from the calibration's, SI, by kind of sensor."""
-    middle = 0.5 * (at[1:] + at[:-1])
-    error = dict.fromkeys(models(calibration), 0.0)
-    for each in curves:
-        for kind in error:
-            if group_name(each.name) == f"{kind}.bias":
-                straight = 0.5 * (each.value[1:] + each.value[:-1])
-                off = np.abs(straight - curve(calibration, each.name, middle).value).max()
-                error[kind] = max(error[kind], float(off))
-    return error
 
 
 def mat(calibration: Calibration) -> Exported:
