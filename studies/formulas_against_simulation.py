@@ -30,9 +30,9 @@ from tumble.methods.paper.accuracy_formulas import (
 )
 from tumble.planning.bounds import begins, course_of
 from tumble.planning.budget import GROUPS, budget
-from tumble.planning.error_propagation import NAMES, BudgetedMethod
+from tumble.planning.error_propagation import BudgetedMethod
 from tumble.planning.requirements import require
-from tumble.planning.setup import Setup
+from tumble.planning.setup import NAMES, Setup
 from tumble.programme.positions import programme
 from tumble.rotation import axes_angles, axes_matrix, rotation_matrix
 from tumble.sensors.grades import DEGREE_PER_ROOT_HOUR, Grade, NoiseModel, Spread

@@ -19,10 +19,10 @@ from tumble.campaigns import trial
 from tumble.campaigns.campaign import Campaign, campaign_of, read_campaign, run_campaign
 from tumble.campaigns.engine import Executor, run, serially
 from tumble.campaigns.summary import SummaryLine, summary
-from tumble.campaigns.trial import BLOCK, NAMES, Cell, session_rows, statics_rows
+from tumble.campaigns.trial import BLOCK, Cell, session_rows, statics_rows
 from tumble.cli import main
 from tumble.errors import InputError, MissingExtraError
-from tumble.planning.setup import Setup
+from tumble.planning.setup import NAMES, Setup
 from tumble.rotation import rotation_matrix
 from tumble.sensors.grades import NoiseModel
 from tumble.simulation.observations import simulate_observations

@@ -20,8 +20,7 @@ from tumble.inference.step import solve
 from tumble.inference.turns_about import TurnsAbout
 from tumble.planning.bounds import Course, bound, bound_of, course_of, instrument_of
 from tumble.planning.budget import GROUPS, budget
-from tumble.planning.error_propagation import NAMES
-from tumble.planning.setup import Setup
+from tumble.planning.setup import NAMES, Setup
 from tumble.programme.positions import TRIPLES, Programme, from_attitudes, programme
 from tumble.reduction.observations import Observations
 from tumble.sensors.grades import GRADES, NoiseModel

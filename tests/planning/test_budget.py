@@ -14,8 +14,8 @@ from tests.support import ROOT
 from tests.support.formula_setup import GRAVITY, SEED, SETUP, SILENT, SIMULATION
 from tumble.errors import InputError, ProgrammeError
 from tumble.planning.budget import GROUPS, budget, indirect_coefficients
-from tumble.planning.error_propagation import BUDGETED_METHODS, NAMES, BudgetedMethod
-from tumble.planning.setup import Setup
+from tumble.planning.error_propagation import BUDGETED_METHODS, BudgetedMethod
+from tumble.planning.setup import NAMES, Setup
 from tumble.programme.positions import ANY_MOVE, Programme, programme
 from tumble.sensors.grades import NoiseModel, Spread
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR

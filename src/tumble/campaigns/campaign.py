@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
@@ -28,11 +28,11 @@ import polars as pl
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from tumble.campaigns.engine import Executor, Job, Progress, Row, run
-from tumble.campaigns.trial import NAMES, Cell, Source, session_rows, statics_rows
+from tumble.campaigns.trial import Cell, Source, session_rows, statics_rows
 from tumble.documents import text_of_document, toml_of, validated
 from tumble.errors import InputError
 from tumble.planning.bounds import instrument_of
-from tumble.planning.setup import Terms
+from tumble.planning.setup import NAMES, Terms
 from tumble.programme.positions import BUILT_IN
 from tumble.run.calibrate import DEFAULT_METHOD, ITERATED_METHODS, METHODS, Method
 from tumble.sensors.grades import GRADES
@@ -57,17 +57,21 @@ class Campaign:
 
     def job(self) -> Job:
         """The campaign as a job of trials × cells tasks."""
-        statics = self.kind == "statics"
-        rows = partial(statics_rows, self.seed)
-        if not statics:
+        types = {"grade": pl.String, "programme": pl.String, "positions": pl.Int64, "terms": pl.String}
+        schema: dict[str, Any] = {name: types.get(name, pl.Float64) for name in AXES} | {"method": pl.String}
+        names: Sequence[str] = NAMES[:9]
+        moments: Sequence[str] = ("mean", "square", "bound", "covered")
+        rows: Any = partial(statics_rows, self.seed)
+        if self.kind == "statics":
+            schema |= {"triads": pl.Int64, "failed": pl.Int64}
+        else:
             rows = partial(session_rows, self.seed, self.source, self.methods)
-        return Job(
-            definition=self.definition,
-            items=self.cells * self.trials,
-            task=rows,
-            label=label,
-            schema=_label_schema() | (_statics_schema() if statics else _session_schema(self.cells)),
-        )
+            instruments = [instrument_of(cell.setup, gyros=True) for cell in self.cells]
+            names, moments = tuple(dict.fromkeys(n for i in instruments for n in i.names)), ("error", "u", "bound")
+            schema |= {"accepted": pl.Boolean, "reasons": pl.String}
+        schema |= {f"{what}.{name}": pl.Float64 for what in moments for name in names}
+        items = self.cells * self.trials
+        return Job(definition=self.definition, items=items, task=rows, label=label, schema=schema)
 
 
 def run_campaign(
@@ -80,23 +84,6 @@ def run_campaign(
 def label(cell: Cell) -> Row:
     """The columns that tell a cell from others."""
     return {**cell.point} | ({} if cell.setup.by_hand is None else {"programme": None})
-
-
-def _label_schema() -> dict[str, Any]:
-    types = {"grade": pl.String, "programme": pl.String, "positions": pl.Int64, "terms": pl.String}
-    return {name: types.get(name, pl.Float64) for name in AXES}
-
-
-def _session_schema(cells: Iterable[Cell]) -> dict[str, Any]:
-    said = {"method": pl.String, "accepted": pl.Boolean, "reasons": pl.String}
-    names = dict.fromkeys(name for cell in cells for name in instrument_of(cell.setup, gyros=True).names)
-    return said | {f"{what}.{name}": pl.Float64 for what in ("error", "u", "bound") for name in names}
-
-
-def _statics_schema() -> dict[str, Any]:
-    counts = {"method": pl.String, "triads": pl.Int64, "failed": pl.Int64}
-    moments = ("mean", "square", "bound", "covered")
-    return counts | {f"{what}.{name}": pl.Float64 for what in moments for name in NAMES[:9]}
 
 
 # The file

@@ -95,7 +95,7 @@ def _local(workers: int) -> Iterator[Executor]:
 
 @contextmanager
 def _existing(address: str) -> Iterator[Executor]:
-    """A cluster that is there already."""
+    """A cluster that is there already. Raises InputError unless it has workers, all with this version of tumble."""
     _, distributed = _imported()
     expected = f"--cluster: expected the scheduler of a dask cluster at {address}, as tcp://HOST:PORT"
     try:
@@ -103,23 +103,18 @@ def _existing(address: str) -> Iterator[Executor]:
     except (OSError, TimeoutError, ValueError) as error:
         raise InputError(f"{expected}, found none that answers") from error
     with client:
-        _check_workers(client, address)
+        try:
+            versions: dict[str, str] = client.run(_version)
+        except ModuleNotFoundError as error:
+            raise InputError(
+                f"--cluster: expected workers of {address} with tumble {__version__}, found no tumble; install it there"
+            ) from error
+        if not versions:
+            raise InputError(f"--cluster: expected workers at {address}, found none; start some with `dask worker`")
+        for worker, version in versions.items():
+            if version != __version__:
+                raise InputError(f"--cluster: expected tumble {__version__} at worker {worker}, found {version}")
         yield on_cluster(client)
-
-
-def _check_workers(client: Client, address: str) -> None:
-    """Raise InputError unless there are workers and all have this version of tumble."""
-    try:
-        versions: dict[str, str] = client.run(_version)
-    except ModuleNotFoundError as error:
-        raise InputError(
-            f"--cluster: expected workers of {address} with tumble {__version__}, found no tumble; install it there"
-        ) from error
-    if not versions:
-        raise InputError(f"--cluster: expected workers at {address}, found none; start some with `dask worker`")
-    for worker, version in versions.items():
-        if version != __version__:
-            raise InputError(f"--cluster: expected tumble {__version__} at worker {worker}, found {version}")
 
 
 def _version() -> str:

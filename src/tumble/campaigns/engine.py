@@ -61,10 +61,14 @@ class Job:
     schema: Mapping[str, Any]
 
     @property
+    def identity(self) -> dict[str, Any]:
+        """The definition, the number of tasks and the version of tumble."""
+        return {**self.definition, "tasks": len(self.items), "software": f"tumble {__version__}"}
+
+    @property
     def sha256(self) -> str:
-        """Hash of the definition, the number of tasks and the version of tumble."""
-        text = json.dumps(self._identity(), sort_keys=True, allow_nan=False)
-        return hashlib.sha256(text.encode()).hexdigest()
+        """The hash of the identity."""
+        return hashlib.sha256(json.dumps(self.identity, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
     @property
     def columns(self) -> dict[str, Any]:
@@ -72,9 +76,6 @@ class Job:
         import polars as pl
 
         return {"task": pl.Int64, **self.schema, "error": pl.String}
-
-    def _identity(self) -> dict[str, Any]:
-        return {**self.definition, "tasks": len(self.items), "software": f"tumble {__version__}"}
 
 
 Chunk = Sequence[int]
@@ -196,7 +197,7 @@ def _begun(job: Job, folder: Path) -> bool:
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(f"{manifest}: expected the manifest of a job of tumble, found another file") from error
         if not same:
-            where, there, here = _difference("", content, job._identity())
+            where, there, here = _difference("", content, job.identity)
             raise InputError(
                 f"{folder}: was begun by another job: {where} is {_short(there)} there and {_short(here)} here; "
                 "give another folder"
@@ -205,7 +206,7 @@ def _begun(job: Job, folder: Path) -> bool:
     if folder.exists() and not (folder.is_dir() and all(path.name.startswith(".") for path in folder.iterdir())):
         raise InputError(f"{folder}: expected a new folder, or one that was begun by the same command, found another")
     folder.mkdir(parents=True, exist_ok=True)
-    content = {"format": 1, "sha256": job.sha256, **job._identity()}
+    content = {"format": 1, "sha256": job.sha256, **job.identity}
     with whole_file(manifest) as temporary:
         temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     return False

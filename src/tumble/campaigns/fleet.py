@@ -24,7 +24,6 @@ from tumble.campaigns.engine import Executor, Job, Progress, Row, run
 from tumble.documents import text_of_document
 from tumble.errors import InputError, needs_extra
 from tumble.recording.session_file import SESSION_FILE, read_session
-from tumble.result.calibration import Calibration
 from tumble.run.calibrate import Method, calibrate
 
 MANIFESTS = (".txt", ".csv")
@@ -114,21 +113,28 @@ def sessions_of(pattern: str) -> list[str]:
 
 
 def _listed(manifest: str) -> list[str]:
-    text = _text(manifest)
-    if manifest.lower().endswith(".csv"):
-        lines = _column(manifest, csv.DictReader(io.StringIO(text)))
-    else:
-        lines = [line for line in text.splitlines() if not line.lstrip().startswith("#")]
-    return [_from(manifest, line.strip()) for line in lines if line.strip()]
-
-
-def _column(manifest: str, table: csv.DictReader[str]) -> list[str]:
+    """What the lines of a manifest name, or the column of its table."""
     try:
-        if COLUMN not in (table.fieldnames or ()):
-            raise InputError(f"{manifest}: expected a column {COLUMN!r}, found {', '.join(table.fieldnames or ())}")
-        return [row[COLUMN] or "" for row in table]
-    except csv.Error as error:
-        raise InputError(f"{manifest}: expected rows of a CSV table, found in row {table.line_num}: {error}") from None
+        if _is_url(manifest):
+            system, path = _file_system(manifest)
+            text = str(system.cat_file(path).decode("utf-8-sig"))
+        else:
+            text = text_of_document(Path(manifest))
+    except UnicodeDecodeError as error:
+        raise InputError(f"{manifest}: expected UTF-8 text, found {error.reason}; save it as UTF-8") from None
+    except OSError as error:
+        raise InputError(f"{manifest}: expected a readable manifest, found: {error.strerror or error}") from None
+    lines = [line for line in text.splitlines() if not line.lstrip().startswith("#")]
+    if manifest.lower().endswith(".csv"):
+        table = csv.DictReader(io.StringIO(text))
+        try:
+            if COLUMN not in (table.fieldnames or ()):
+                raise InputError(f"{manifest}: expected a column {COLUMN!r}, found {', '.join(table.fieldnames or ())}")
+            lines = [row[COLUMN] or "" for row in table]
+        except csv.Error as error:
+            said = f"{manifest}: expected rows of a CSV table, found in row {table.line_num}: {error}"
+            raise InputError(said) from None
+    return [_from(manifest, line.strip()) for line in lines if line.strip()]
 
 
 def _from(manifest: str, session: str) -> str:
@@ -152,31 +158,16 @@ def _place(url: str) -> tuple[str, str]:
     return kind.lower(), rest.partition("/")[0].lower()
 
 
-def _text(manifest: str) -> str:
-    try:
-        if not _is_url(manifest):
-            return text_of_document(Path(manifest))
-        system, path = _file_system(manifest)
-        return str(system.cat_file(path).decode("utf-8-sig"))
-    except UnicodeDecodeError as error:
-        raise InputError(f"{manifest}: expected UTF-8 text, found {error.reason}; save it as UTF-8") from None
-    except OSError as error:
-        raise InputError(f"{manifest}: expected a readable manifest, found: {error.strerror or error}") from None
-
-
 def _matching(pattern: str) -> list[str]:
     """Folders with a session.toml that a glob matches, themselves or through the file."""
     if not _is_url(pattern):
         found = {Path(match) for match in glob.glob(pattern, recursive=True)}  # noqa: PTH207 — absolute ones too
-        folders = {p.parent if p.name == SESSION_FILE else p for p in found if _holds_session(p)}
-        return sorted(str(folder.absolute()) for folder in folders)
+        folders = {p.parent if p.name == SESSION_FILE else p for p in found}
+        held = (p for p in folders if p / SESSION_FILE in found or (p / SESSION_FILE).is_file())
+        return sorted(str(folder.absolute()) for folder in held)
     system, path = _file_system(pattern)
     matches = [str(match).removesuffix(f"/{SESSION_FILE}") for match in system.glob(path)]
     return sorted({system.unstrip_protocol(m) for m in matches if system.isfile(f"{m}/{SESSION_FILE}")})
-
-
-def _holds_session(path: Path) -> bool:
-    return path.name == SESSION_FILE or (path / SESSION_FILE).is_file()
 
 
 def _is_url(name: str) -> bool:
@@ -201,29 +192,16 @@ def calibrated(method: Method, _number: int, session: str) -> list[Row]:
     """The row of a session."""
     with _at_hand(session) as folder:
         try:
-            found = read_session(folder)
-            return [_row(calibrate(found, method=method))]
+            calibration = calibrate(read_session(folder), method=method)
         except InputError as error:
             return [{"error": str(error).replace(str(folder), session)}]
-
-
-def _row(calibration: Calibration) -> Row:
-    parameters, covariance = calibration.parameters, calibration.covariance
-    return {
-        "serial": calibration.serial,
-        "model": calibration.model,
-        "method": calibration.method,
-        "accepted": calibration.outcome.accepted,
-        "reasons": list(calibration.outcome.reasons),
-        "unobservable": list(calibration.outcome.unobservable),
-        "parameter": [p.name for p in parameters],
-        "value": [p.value for p in parameters],
-        "u": [p.u for p in parameters],
-        "unit": [p.unit for p in parameters],
-        "covariance": None if covariance is None else covariance.ravel().tolist(),
-        "rests": len(calibration.rests),
-        "log_sha256": calibration.provenance["log_sha256"],
-    }
+    parameters, covariance, outcome = calibration.parameters, calibration.covariance, calibration.outcome
+    row = {name: getattr(calibration, name) for name in ("serial", "model", "method")}
+    row |= {"accepted": outcome.accepted, "reasons": list(outcome.reasons), "unobservable": list(outcome.unobservable)}
+    row |= {"parameter": [p.name for p in parameters]}
+    row |= {name: [getattr(p, name) for p in parameters] for name in ("value", "u", "unit")}
+    row["covariance"] = None if covariance is None else covariance.ravel().tolist()
+    return [row | {"rests": len(calibration.rests), "log_sha256": calibration.provenance["log_sha256"]}]
 
 
 @contextmanager

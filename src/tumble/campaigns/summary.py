@@ -22,8 +22,8 @@ import numpy as np
 import polars as pl
 
 from tumble.campaigns.campaign import AXES
-from tumble.campaigns.trial import NAMES
 from tumble.files import whole_file
+from tumble.planning.setup import NAMES
 from tumble.sensors.parameters import group_of, positions_by_group
 from tumble.units import Array
 

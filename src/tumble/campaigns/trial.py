@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -28,12 +29,12 @@ from tumble.inference.linearisation import linearise
 from tumble.inference.step import joined, tell
 from tumble.inference.turns_about import TurnsAbout
 from tumble.planning.bounds import components_of, over_session
-from tumble.planning.setup import Setup
+from tumble.planning.setup import NAMES, Setup
 from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.run.calibrate import ITERATED_METHODS, METHODS, Method, calibrate
-from tumble.sensors.model import Block, triad_model
+from tumble.sensors.model import triad_model
 from tumble.sensors.parameters import limits_of
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import HandHeld, Scenario, itinerary, scenario_of
@@ -41,9 +42,6 @@ from tumble.simulation.session import session_in_memory
 from tumble.units import Array
 
 Source = Literal["observations", "log"]
-
-NAMES = tuple(name for kind in ("accel", "gyro") for name in Block(kind=kind, axes=np.eye(3)).names)
-"""The parameters of the linear model, in the order of the calibration file."""
 
 BLOCK = 4096
 """Triads in a trial of rests alone."""
@@ -79,13 +77,48 @@ def session_rows(seed: int, source: Source, methods: Sequence[Method], number: i
     Cramér–Rao bound of the observations; nothing where there is none."""
     rng = stream(seed, number)
     scenario = scenario_of(cell.setup, rng)
+    bounds: dict[str, float] = {}
     if source == "log":
-        session = session_in_memory(scenario, rng)
-        return [_from_session(scenario, session, method) for method in methods]
-    way = itinerary(scenario, stream(seed, number).spawn(1)[0])  # that of simulate_observations
-    observations = simulate_observations(scenario, rng)
-    bounds = {f"bound.{name}": u for name, u in bound(scenario, way.attitudes, observations).items()}
-    return [_from_observations(scenario, observations, method) | bounds for method in methods]
+        calibrated = partial(_of_session, session_in_memory(scenario, rng))
+    else:
+        way = itinerary(scenario, stream(seed, number).spawn(1)[0])  # that of simulate_observations
+        observations = simulate_observations(scenario, rng)
+        calibrated = partial(_of_observations, observations)
+        bounds = {f"bound.{name}": u for name, u in bound(scenario, way.attitudes, observations).items()}
+    out: list[Row] = []
+    for method in methods:
+        try:
+            reasons, values = calibrated(method)
+        except (InputError, np.linalg.LinAlgError) as error:
+            out.append({"method": method, "error": f"{type(error).__name__}: {error}"} | bounds)
+            continue
+        row: dict[str, Any] = {"method": method, "accepted": not reasons, "reasons": "; ".join(reasons)} | bounds
+        for name in values.keys() & scenario.truth.keys():
+            value, u = values[name]
+            row |= {f"error.{name}": value - scenario.truth[name], f"u.{name}": u}
+        out.append(row)
+    return out
+
+
+_Values = Mapping[str, tuple[float, float | None]]
+
+
+def _of_observations(observations: Observations, method: Method) -> tuple[Sequence[str], _Values]:
+    """Why a method does not accept its estimate, and value and u by parameter; those beyond the linear model have a
+    value in any case."""
+    estimate = METHODS[method](observations) if method in METHODS else ITERATED_METHODS[method](observations, 2)
+    linear = len(estimate.names) if estimate.instrument is None else estimate.instrument.linear_count
+    return verdict(estimate, observations).reasons, {
+        name: (float(estimate.values[i]), float(estimate.u[i]))
+        for i, name in enumerate(estimate.names)
+        if estimate.observable[i] or i >= linear
+    }
+
+
+def _of_session(session: Session, method: Method) -> tuple[Sequence[str], _Values]:
+    """The same of a log through the whole chain."""
+    calibration = calibrate(session, method=method)
+    return calibration.outcome.reasons, {p.name: (p.value, p.u) for p in calibration.parameters}
 
 
 def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> dict[str, float]:
@@ -102,39 +135,6 @@ def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> d
     determined = problem.spread / DETERMINED
     determined[instrument.linear_count :] = np.inf  # by their priors
     return {n: float(u) for n, u, s in zip(instrument.names, found, determined, strict=True) if u < s}
-
-
-def _from_observations(scenario: Scenario, observations: Observations, method: str) -> dict[str, Any]:
-    try:
-        estimate = METHODS[method](observations) if method in METHODS else ITERATED_METHODS[method](observations, 2)
-    except (InputError, np.linalg.LinAlgError) as error:
-        return {"method": method, "error": f"{type(error).__name__}: {error}"}
-    outcome = verdict(estimate, observations)
-    linear = len(estimate.names) if estimate.instrument is None else estimate.instrument.linear_count
-    values = {
-        name: (float(estimate.values[i]), float(estimate.u[i]))
-        for i, name in enumerate(estimate.names)
-        if estimate.observable[i] or i >= linear  # those beyond the linear model have a value in any case
-    }
-    return _row(method, outcome.reasons, values, scenario)
-
-
-def _from_session(scenario: Scenario, session: Session, method: Method) -> Row:
-    try:
-        calibration = calibrate(session, method=method)
-    except InputError as error:
-        return {"method": method, "error": f"{type(error).__name__}: {error}"}
-    values = {p.name: (p.value, p.u) for p in calibration.parameters}
-    return _row(method, calibration.outcome.reasons, values, scenario)
-
-
-def _row(
-    method: str, reasons: Sequence[str], values: Mapping[str, tuple[float, float | None]], scenario: Scenario
-) -> dict[str, Any]:
-    known = {name: found for name, found in values.items() if name in scenario.truth}
-    errors = {f"error.{name}": value - scenario.truth[name] for name, (value, _) in known.items()}
-    uncertainties = {f"u.{name}": u for name, (_, u) in known.items()}
-    return {"method": method, "accepted": not reasons, "reasons": "; ".join(reasons), **errors, **uncertainties}
 
 
 # Rests alone

@@ -37,7 +37,7 @@ from tumble.planning.setup import Setup, check_setup, with_all_groups
 from tumble.programme.positions import ANY_MOVE, Move, Position, Programme
 from tumble.programme.positions import programme as built_in
 from tumble.sensors.parameters import group_name, limits_of
-from tumble.units import Array, IntArray
+from tumble.units import Array
 
 Letter = Literal["A", "D"]
 
@@ -127,9 +127,9 @@ def _eliminated(rest: Array, joint: Array, triangle: Array) -> tuple[Array, Arra
     """What rests (N, r, ·) and the rows (N − 1, t, ·) that join each to the next show when what belongs to each is
     eliminated: rows (r, ·) on the last, in the form of a rest, and a triangle on the parameters, to which one is
     added."""
-    d, triangle = joint.shape[2] - rest.shape[2], triangle.copy()
-    factor = np.empty((len(rest), d, rest.shape[2] + d))
-    eliminate(rest, joint, _linked(len(rest)), factor, triangle)
+    N, d, triangle = len(rest), joint.shape[2] - rest.shape[2], triangle.copy()
+    factor = np.empty((N, d, rest.shape[2] + d))
+    eliminate(rest, joint, np.append(np.arange(N - 1), -1), factor, triangle)
     last = np.zeros(rest.shape[1:])
     last[:d, :d], last[:d, d:] = factor[-1, :, :d], factor[-1, :, 2 * d :]
     return last, triangle
@@ -137,22 +137,11 @@ def _eliminated(rest: Array, joint: Array, triangle: Array) -> tuple[Array, Arra
 
 def _triangles(rest: Array, joint: Array, triangle: Array) -> Array:
     """Triangles (q, p + 1, p + 1) after q chains of rests (q, n, r, ·) and the rows (q, n − 1, t, ·) that join them."""
-    out, d = np.repeat(triangle[None], len(rest), axis=0), joint.shape[3] - rest.shape[3]
-    factor, link = np.empty((rest.shape[1], d, rest.shape[3] + d)), _linked(rest.shape[1])
-    for chain_rest, chain_joint, found in zip(rest, joint, out, strict=True):
-        eliminate(chain_rest, chain_joint, link, factor, found)
+    out, n, d = np.repeat(triangle[None], len(rest), axis=0), rest.shape[1], joint.shape[3] - rest.shape[3]
+    factor, link = np.empty((n, d, rest.shape[3] + d)), np.append(np.arange(n - 1), -1)
+    for chain_rest, chain_joint, own in zip(rest, joint, out, strict=True):
+        eliminate(chain_rest, chain_joint, link, factor, own)
     return out
-
-
-def _linked(rests: int) -> IntArray:
-    """Every rest linked to the next."""
-    return np.append(np.arange(rests - 1), -1)
-
-
-def _backwards(joint: Array, d: int) -> Array:
-    """The rows (K, t, ·) that join rests, of d unknowns each, in a chain that is gone through from its end."""
-    swapped = np.concatenate([joint[..., d : 2 * d], joint[..., :d], joint[..., 2 * d :]], axis=-1)
-    return np.ascontiguousarray(swapped[::-1])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -179,7 +168,8 @@ class _Search:
             last, triangle = _eliminated(own, way.rows[0, : start - 1], triangle)
             chain.insert(0, _repeated(last, q))
         if after is not None:
-            joint = _backwards(way.rows[0, stop:], 3 + self.places.states)
+            joint, d = way.rows[0, stop:][::-1], 3 + self.places.states  # gone through from its end
+            joint = np.concatenate([joint[..., d : 2 * d], joint[..., :d], joint[..., 2 * d :]], axis=-1)
             last, more = _eliminated(rest[places[stop:][::-1]], joint, np.zeros_like(triangle))
             triangle = np.asarray(np.linalg.qr(np.concatenate([triangle, more]), mode="r"))
             chain.append(_repeated(last, q))
@@ -197,35 +187,31 @@ class _Search:
 
     def improved(self, way: Ways) -> tuple[Ways, float]:
         """A programme after exchanges, until none makes it better: of one position at a time or, where not every place
-        can be reached from every other, of up to two neighbours, and three while not all is determined."""
+        can be reached from every other, of up to two neighbours, and three while not all linear parameters are
+        determined."""
         if self.places.table.by_hand:
             return self._settled(way, (1,))
         way, value = self._settled(way, (1, 2))
-        return (way, value) if self._determined(way) else self._settled(way, (1, 2, 3))
+        spread = self.criterion.prior[: self.criterion.linear]
+        u = np.linalg.inv(self._triangle(way)[0, 1:-1, 1:-1])[: len(spread)]
+        determined = np.linalg.norm(u / spread[:, None], ord=2) < 1.0 / DETERMINED
+        return (way, value) if determined else self._settled(way, (1, 2, 3))
 
     def _settled(self, way: Ways, widths: Sequence[int]) -> tuple[Ways, float]:
         """A programme that no exchange of so many neighbours makes better."""
-        value = float(self.criterion.of_triangles(self._triangle(way))[0])
-        while True:
+        value, before = float(self.criterion.of_triangles(self._triangle(way))[0]), np.inf
+        while value < before:
             before = value
             for k in widths:
                 for start in range(way.places.shape[1] - k + 1):
                     other, found = self.exchanged(way, start, k)
                     if found < value * (1.0 - SAME):
                         way, value = other, found
-            if value == before:
-                return way, value
+        return way, value
 
     def _triangle(self, way: Ways) -> Array:
         """The triangle (1, p + 1, p + 1) of a programme."""
         return _triangles(self.places.chain(way.places[0])[None], way.rows, self.criterion.known)
-
-    def _determined(self, way: Ways) -> bool:
-        """Whether a programme determines all linear parameters."""
-        criterion = self.criterion
-        u = np.linalg.inv(self._triangle(way)[0, 1:-1, 1:-1])[: criterion.linear]
-        largest = np.linalg.norm(u / criterion.prior[: criterion.linear, None], ord=2)
-        return bool(largest < 1.0 / DETERMINED)
 
 
 def _repeated(last: Array, q: int) -> Array:
@@ -247,29 +233,24 @@ def optimised(
         raise InputError(f"positions: expected at least 2, found {positions}")
     setup = _timeless(setup)
     places = Places.of(table, setup, gyros=aim.gyros)
+    by = {
+        letter: _Search(places=places, criterion=Criterion.of(replace(aim, letter=letter), setup))
+        for letter in _FIRST[aim.letter]
+    }
     starts = [int(np.argmax(places.attitudes[:, 1, p] > UPRIGHT)) for p in range(3)]
     searches = [(start, first) for start in starts for first in _FIRST[aim.letter]]
-    found: list[tuple[Ways, float]] = []
+    ends: list[tuple[Ways, float]] = []
     for start, first in searches:
-        progress(len(found), len(searches))
-        found.append(_from(start, positions, places, setup, aim, first))
-    way, _ = min(found, key=lambda one: round(np.log(one[1]), 8))
+        progress(len(ends), len(searches))
+        end = by[first].improved(by[first].grown(start, positions))
+        ends.append(end if first == aim.letter else by[aim.letter].improved(end[0]))
+    way, _ = min(ends, key=lambda end: round(np.log(end[1]), 8))
     return Programme(
         name=f"{aim.letter}-optimal",
         positions=tuple(places.positions[place] for place in way.places[0]),
         moves=tuple(_move(*leg) for leg in zip(way.moves[0], way.turned[0], strict=True)),
         ordered=True,
     )
-
-
-def _from(start: int, positions: int, places: Places, setup: Setup, aim: Aim, first: Letter) -> tuple[Ways, float]:
-    """The programme that is found from a place on by one criterion first, and then by that of the aim."""
-    search = _Search(places=places, criterion=Criterion.of(aim, setup))
-    if first == aim.letter:
-        return search.improved(search.grown(start, positions))
-    other = _Search(places=places, criterion=Criterion.of(replace(aim, letter=first), setup))
-    way, _ = other.improved(other.grown(start, positions))
-    return search.improved(way)
 
 
 def _move(vector: Array, turned: bool) -> Move:
@@ -304,20 +285,21 @@ def next_positions(setup: Setup, aim: Aim = Aim(), table: TurnTable = ANY, *, co
     before, values, legs = candidates(timeless, aim, places)
     order = np.argsort(values, kind="stable")
     steps = np.flatnonzero(np.diff(np.log(values[order])) > ALIKE)
-    found = []
+    nexts = []
     for group in np.split(order, steps + 1)[:count]:
-        best = int(np.min(group))
+        best, programme = int(np.min(group)), setup.programme
         position, move = places.positions[legs.places[best, 0]], _move(legs.moves[best, 0], bool(legs.turned[best, 0]))
-        found.append(
+        longer = replace(programme, positions=(*programme.positions, position), moves=(*programme.moves, move))
+        nexts.append(
             Next(
                 position=position,
                 move=move,
                 as_good=len(group) - 1,
                 ratio=float(values[best] / before),
-                bound=bound(replace(setup, programme=extended(setup.programme, position, move)), gyros=aim.gyros),
+                bound=bound(replace(setup, programme=longer), gyros=aim.gyros),
             )
         )
-    return tuple(found)
+    return tuple(nexts)
 
 
 def candidates(setup: Setup, aim: Aim, places: Places) -> tuple[float, Array, Ways]:
@@ -350,11 +332,6 @@ def value_of(setup: Setup, aim: Aim = Aim()) -> float:
     """The criterion of a set-up's programme."""
     criterion = Criterion.of(aim, setup)
     return float(criterion.of_triangles(_closed(*_shown(setup, aim, criterion))[None])[0])
-
-
-def extended(programme: Programme, position: Position, move: Move) -> Programme:
-    """A programme with one more position at its end."""
-    return replace(programme, positions=(*programme.positions, position), moves=(*programme.moves, move))
 
 
 # Programmes beside each other

@@ -23,7 +23,7 @@ combination of unit length that is determined worst. For accelerometers alone th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,25 +40,20 @@ from tumble.inference.likelihood import Point, Problem, Rows, weights
 from tumble.inference.linearisation import linearise
 from tumble.inference.step import Told, tell, whitened_rows
 from tumble.inference.turns_about import TurnsAbout, own_axes, warms
-from tumble.methods.least_squares import Solution, least_squares
+from tumble.methods.least_squares import least_squares
 from tumble.planning.expected_sizes import expected
-from tumble.planning.setup import Setup, check_setup
+from tumble.planning.setup import ACCEL, GYRO, Setup, check_setup
 from tumble.planning.steady_turns import inertial_turns, steady_moments, white_turns
 from tumble.recording.session import Site
 from tumble.reduction.blocks.tuning import USUAL
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
-from tumble.reduction.turns.moments import Moments
-from tumble.reduction.turns.turns import TURN_FLOOR, VELOCITY_FLOOR, Turns
+from tumble.reduction.turns.turns import TURN_FLOOR, VELOCITY_FLOOR
 from tumble.rotation import rotation_vector
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.model import Block
 from tumble.sensors.parameters import positions_by_group
 from tumble.units import Array, BoolArray, IntArray
-
-ACCEL, GYRO = (Block(kind=kind, axes=np.eye(3)) for kind in ("accel", "gyro"))
-"""The triads of a set-up."""
 
 KEPT = 1e-3
 """Learned fraction from which a programme says anything of a group."""
@@ -148,15 +143,31 @@ def stated(setup: Setup, *, gyros: bool = True) -> Bound:
 
 
 def _bound(seen: View, setup: Setup, clock_u: float = 0.0) -> Bound:
-    """What the rows of a course say, with a time base of this relative standard uncertainty."""
-    instrument, linear = seen.problem.instrument, seen.problem.instrument.linear_count
-    told, spread = seen.told(), seen.problem.spread[:linear]
-    triangle = np.diag(np.append(known_before(seen.problem), 0.0))
+    """What the rows of a course say, with a time base of this relative standard uncertainty.
+
+    The covariance of the linear parameters, whatever gravity and the others are: with the columns of these first, the
+    triangle of all is R = (F X; 0 L), and L that of the linear ones. Gravity that is exact has no column."""
+    problem, instrument = seen.problem, seen.problem.instrument
+    linear, m = instrument.linear_count, len(instrument.names)
+    spread, own = problem.spread[:linear], slice(1, 1 + linear)
+    told = seen.told()
+    before = problem.measured[1].copy()
+    before[own] = 0.0
+    triangle = np.diag(np.append(np.where(before > 0.0, 1.0 / np.where(before > 0.0, before, 1.0), 0.0), 0.0))
     fold(told.sessions[0], triangle)
-    root, solution = _marginal(triangle[:-1, :-1], linear, spread)
-    root = np.hstack([over_session(seen.problem, told, root), by_clock(instrument, clock_u)[:, None]])
-    own = root @ root.T
-    natural = _natural_units(setup, instrument.units[:linear])
+    triangle = triangle[:-1, :-1]
+    others = np.setdiff1d(np.flatnonzero(triangle.any(axis=0)), np.arange(1, 1 + linear))
+    R, q = np.asarray(np.linalg.qr(np.hstack([triangle[:, others], triangle[:, own]]), mode="r")), len(others)
+    L = R[q : q + linear, q:]
+    solution = least_squares(L, np.zeros(len(L)), spread)
+    known = np.hstack([solution.gain, spread[:, None] * solution.null.T])
+    root = np.zeros((1 + m, known.shape[1] + q))
+    root[own, : known.shape[1]] = known
+    root[others] = np.hstack([-np.linalg.solve(R[:q, :q], R[:q, q:]) @ known, np.linalg.inv(R[:q, :q])])
+    root = np.hstack([over_session(problem, told, root), by_clock(instrument, clock_u)[:, None]])
+    covariance = root @ root.T
+    natural_sizes = {"m/s^2": setup.gravity, "rad/s": setup.turn_rate, "1": 1.0, "rad": 1.0}
+    natural = np.array([natural_sizes[unit] for unit in instrument.units[:linear]])
     direction, size, _ = np.linalg.svd(root[:linear] / natural[:, None])
     null = solution.null * spread / natural
     null /= np.linalg.norm(null, axis=1, keepdims=True)
@@ -165,14 +176,14 @@ def _bound(seen: View, setup: Setup, clock_u: float = 0.0) -> Bound:
         names=instrument.names,
         units=instrument.units,
         linear=linear,
-        covariance=own,
-        observable=np.append(solution.observable, np.ones(len(own) - linear, dtype=bool)),
+        covariance=covariance,
+        observable=np.append(solution.observable, np.ones(m - linear, dtype=bool)),
         natural=natural,
         null=null,
         condition=np.inf if len(null) else float(size[0]) / max(float(size[-1]), np.finfo(float).tiny),
         worst=worst * np.sign(worst[np.argmax(np.abs(worst))]),
         worst_u=np.inf if len(null) else float(size[0]),
-        further=tuple(findings(seen.problem, np.diag(own))),
+        further=tuple(findings(problem, np.diag(covariance))),
     )
 
 
@@ -180,23 +191,6 @@ def by_clock(instrument: Instrument, u: float) -> Array:
     """What a time base of this relative standard uncertainty changes in the parameters (m,); sensors read rates and
     forces, no increments."""
     return by_time_base(instrument.names, clocked(u, {"accel": False, "gyro": False}))
-
-
-def _marginal(triangle: Array, linear: int, spread: Array) -> tuple[Array, Solution]:
-    """A root (1 + m, ·) of the covariance of gravity and all parameters from their triangle (1 + m, 1 + m), and the
-    solution for the linear ones, whatever the others are: with the columns of these first, R = (F X; 0 L), L is the
-    triangle of the linear ones. Gravity that is exact has none."""
-    own, p = slice(1, 1 + linear), len(triangle)
-    others = np.setdiff1d(np.flatnonzero(triangle.any(axis=0)), np.arange(1, 1 + linear))
-    R = np.asarray(np.linalg.qr(np.hstack([triangle[:, others], triangle[:, own]]), mode="r"))
-    q = len(others)
-    F, X, L = R[:q, :q], R[:q, q:], R[q : q + linear, q:]
-    solution = least_squares(L, np.zeros(len(L)), spread)
-    known = np.hstack([solution.gain, spread[:, None] * solution.null.T])
-    root = np.zeros((p, known.shape[1] + q))
-    root[own, : known.shape[1]] = known
-    root[others] = np.hstack([-np.linalg.solve(F, X) @ known, np.linalg.inv(F)])
-    return root, solution
 
 
 def over_session(problem: Problem, told: Told, root: Array) -> Array:
@@ -230,12 +224,6 @@ def findings(problem: Problem, variance: Array) -> Iterator[GroupFinding]:
 def instrument_of(setup: Setup, gyros: bool) -> Instrument:
     """The instrument of a set-up: triads along the body axes with the groups of parameters it has."""
     return Instrument.of(ACCEL, GYRO if gyros else None, tuple(setup.further))
-
-
-def _natural_units(setup: Setup, units: Sequence[str]) -> Array:
-    """Sizes (m,) in SI of the units in which parameters are compared: gravity, the rate of the turns, 1, 1 rad."""
-    sizes = {"m/s^2": setup.gravity, "rad/s": setup.turn_rate, "1": 1.0, "rad": 1.0}
-    return np.array([sizes[unit] for unit in units])
 
 
 # The course of a programme
@@ -306,13 +294,6 @@ def begun(rest: Array, states: int) -> Array:
     return out
 
 
-def known_before(problem: Problem) -> Array:
-    """One over what is known before (1 + m,) of gravity and the parameters; nothing of the linear ones."""
-    u = problem.measured[1].copy()
-    u[1 : 1 + problem.instrument.linear_count] = 0.0
-    return np.where(u > 0.0, 1.0 / np.where(u > 0.0, u, 1.0), 0.0)
-
-
 def view(course: Course, setup: Setup, *, gyros: bool, still: Array | None = None) -> View:
     """The rows at perfect sensors and the attitudes of the course, with `still` (K,) s before and after the turns that
     belong to them. Raises InputError."""
@@ -338,17 +319,42 @@ def components_of(noise: NoiseModel) -> Components:
 def observed(
     course: Course, setup: Setup, instrument: Instrument, still: Array | None = None
 ) -> tuple[Observations, TurnsAbout | None]:
-    """What perfect sensors observe on a course, and its turns about the parameters of an instrument, where it has
-    gyros; with `still` (K,) s before and after the turns that belong to them. Raises InputError."""
-    gyros = instrument.gyro is not None
-    _check(setup, gyros)
-    about = _turns_about(course, setup, instrument, still) if gyros and len(course.first) > 0 else None
+    """What perfect sensors observe on a course, with the covariances of white noise, and its turns about the parameters
+    of an instrument, where it has gyros; with `still` (K,) s before and after the turns that belong to them. Raises
+    InputError for values that make no sense, and where there is no noise."""
+    check_setup(setup, 1)
+    noise, gyros = setup.noise, instrument.gyro is not None
+    for sensors, level in (
+        ("accelerometers", noise.accel_white + noise.accel_instability),
+        ("gyros", noise.gyro_white),
+    ):
+        if level == 0.0 and (gyros or sensors == "accelerometers"):
+            raise InputError(f"noise: expected {sensors} with noise, found none; without it there is no bound")
+    begin, earth, g = begins(course, setup), np.array(earth_rate(setup.latitude)), setup.gravity
+    turns = about = None
+    if gyros and len(course.first) > 0:
+        start, end = course.attitudes[course.first], course.attitudes[course.first + 1]
+        vector = inertial_turns(start, end, course.moves, course.seconds, setup.latitude)
+        moments, grown = steady_moments(vector, course.seconds, start, setup, own_axes(instrument), still)
+        ends = (g * start[:, 1], g * end[:, 1]), (earth @ start, earth @ end)
+        exact = (instrument.all_coefficients(np.zeros(len(instrument.names))), 0.0)
+        growing = grown if warms(instrument) else None
+        about = TurnsAbout.from_moments(moments, instrument.accel, exact, (np.eye(3), np.eye(3)), ends, growing)
+        T = course.seconds if still is None else course.seconds + 2.0 * still
+        rotation = (noise.gyro_white**2 * T + TURN_FLOOR**2)[:, None, None] * np.eye(3)
+        turns = white_turns(course.first, T, rotation, noise.accel_white**2 * T + VELOCITY_FLOOR**2, moments)
     observations = Observations(
         accel_block=ACCEL,
         gyro_block=instrument.gyro,
-        site=Site(latitude=setup.latitude, height=0.0, gravity=setup.gravity, gravity_u=setup.gravity_u),
-        rests=_rests(course, setup, gyros),
-        turns=None if about is None else _turns(course, setup, about.moments, still),
+        site=Site(latitude=setup.latitude, height=0.0, gravity=g, gravity_u=setup.gravity_u),
+        rests=Rests.of_white_noise(
+            begin,
+            begin + setup.rest,
+            accel=g * course.attitudes[:, 1],
+            gyro=(earth @ course.attitudes)[:, : 3 if gyros else 0],
+            densities=(noise.accel_white, noise.gyro_white),
+        ),
+        turns=turns,
         turn_samples=None,
         programme=None,
         position=None,
@@ -357,52 +363,8 @@ def observed(
     return observations, about
 
 
-def _turns_about(course: Course, setup: Setup, instrument: Instrument, still: Array | None) -> TurnsAbout:
-    """The turns of a course as perfect sensors record them."""
-    assert instrument.gyro is not None
-    start, end = course.attitudes[course.first], course.attitudes[course.first + 1]
-    vector = inertial_turns(start, end, course.moves, course.seconds, setup.latitude)
-    moments, grown = steady_moments(vector, course.seconds, start, setup, own_axes(instrument), still)
-    earth = np.array(earth_rate(setup.latitude))
-    ends = (setup.gravity * start[:, 1], setup.gravity * end[:, 1]), (earth @ start, earth @ end)
-    lefts, about = (np.eye(3), np.eye(3)), (instrument.all_coefficients(np.zeros(len(instrument.names))), 0.0)
-    growing = grown if warms(instrument) else None
-    return TurnsAbout.from_moments(moments, instrument.accel, about, lefts, ends, growing)
-
-
-def _check(setup: Setup, gyros: bool) -> None:
-    """Raise InputError for values that make no sense, and where there is no noise."""
-    check_setup(setup, 1)
-    noise = setup.noise
-    levels = {"accelerometers": noise.accel_white + noise.accel_instability}
-    levels |= {"gyros": noise.gyro_white} if gyros else {}
-    for sensors, level in levels.items():
-        if level == 0.0:
-            raise InputError(f"noise: expected {sensors} with noise, found none; without it there is no bound")
-
-
-def _rests(course: Course, setup: Setup, gyros: bool) -> Rests:
-    """What perfect sensors read at rest, with the covariances of white noise."""
-    noise, start = setup.noise, begins(course, setup)
-    return Rests.of_white_noise(
-        start,
-        start + setup.rest,
-        accel=setup.gravity * course.attitudes[:, 1],
-        gyro=(np.array(earth_rate(setup.latitude)) @ course.attitudes)[:, : 3 if gyros else 0],
-        densities=(noise.accel_white, noise.gyro_white),
-    )
-
-
 def begins(course: Course, setup: Setup, ramp: float = 0.0) -> Array:
     """When the rests of a course begin (N,), s, moves taking as long as they do and a `ramp`, s."""
     moved = np.zeros(len(course.attitudes))
     moved[course.first + 1] = course.seconds + ramp
     return np.asarray(setup.rest * np.arange(len(moved)) + np.cumsum(moved))
-
-
-def _turns(course: Course, setup: Setup, moments: Moments, still: Array | None) -> Turns:
-    """The turns with these moments, with the covariances of white noise."""
-    T, noise = course.seconds if still is None else course.seconds + 2.0 * still, setup.noise
-    rotation = noise.gyro_white**2 * T + TURN_FLOOR**2
-    velocity = noise.accel_white**2 * T + VELOCITY_FLOOR**2
-    return white_turns(course.first, T, rotation[:, None, None] * np.eye(3), velocity, moments)

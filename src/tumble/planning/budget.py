@@ -26,7 +26,7 @@ T₀, D and q are those of `tumble.planning.error_propagation`, the symbols thos
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -40,8 +40,6 @@ from tumble.methods.paper.accuracy_formulas import turn_bias_error
 from tumble.planning.bounds import begins, bound, course_of
 from tumble.planning.error_propagation import (
     BUDGETED_METHODS,
-    NAME_UNITS,
-    NAMES,
     BudgetedMethod,
     Plan,
     Seen,
@@ -50,10 +48,10 @@ from tumble.planning.error_propagation import (
     plan_of,
     second_order,
 )
-from tumble.planning.setup import Setup, check_setup
+from tumble.planning.setup import NAMES, Setup, check_setup
 from tumble.sensors.grades import spread_of
-from tumble.sensors.parameters import group_name, positions_by_group
-from tumble.units import DEGREE, DEGREE_PER_HOUR, Array, IntArray
+from tumble.sensors.parameters import group_name, positions_by_group, units_of
+from tumble.units import DEGREE, DEGREE_PER_HOUR, Array
 
 PlannedMethod = Literal["joint", "sequential", "scalar", "staged"]
 
@@ -138,15 +136,46 @@ def budget(setup: Setup, methods: Sequence[PlannedMethod] = BUDGETED_METHODS, it
     """
     check_setup(setup, iterations)
     rows: list[BudgetRow] = []
+
+    def add(
+        method: PlannedMethod, iteration: int, group: str, errors: Mapping[str, float], terms: Mapping[str, float]
+    ) -> None:
+        error = _rms(np.array(list(errors.values())) ** 2)
+        rows.append(
+            BudgetRow(
+                group=group,
+                method=method,
+                estimator=MAXIMUM_LIKELIHOOD if method == "joint" else ESTIMATORS[method][group],
+                iteration=iteration,
+                unit=UNITS[group],
+                error=error,
+                relative=error / spread_of(setup, group),
+                errors=errors,
+                terms=tuple(Term(name=n, error=e) for n, e in sorted(terms.items(), key=lambda term: -term[1])),
+            )
+        )
+
     for method in methods:
         if method == "joint":
-            rows += _joint_rows(setup)
+            least, alone = bound(setup), bound(replace(setup, further={}))
+            for group in least.groups:
+                error, noise = least.rms(group), alone.rms(group)
+                further = {"groups beyond the linear model": math.sqrt(max(error**2 - noise**2, 0.0))}
+                if math.isfinite(error):
+                    errors = {least.names[p]: float(least.u[p]) for p in positions_by_group(least.names)[group]}
+                    add(method, 1, group, errors, {"noise": noise} | (further if setup.further else {}))
             continue
         expect_linear(setup, method)
         pipeline = pipeline_of(setup, method)
         for iteration in range(1, iterations + 1):
-            rows += _rows(setup, pipeline, iteration)
-    return Budget(setup=setup, rows=tuple(rows), remarks=_remarks(setup, methods))
+            variances = pipeline.variances(iteration)
+            total = total_of(variances)
+            for group in pipeline.groups:
+                members, size = MEMBERS[group], size_of(setup, group)
+                errors = {NAMES[p]: size * math.sqrt(total[p]) for p in members}
+                terms = {name: size * _rms(v[members]) for name, v in variances.items() if v[members].any()}
+                add(method, iteration, group, errors, terms)
+    return Budget(setup=setup, rows=tuple(rows), remarks=tuple(_remarks(setup, methods)))
 
 
 def expect_linear(setup: Setup, method: BudgetedMethod) -> None:
@@ -158,70 +187,22 @@ def expect_linear(setup: Setup, method: BudgetedMethod) -> None:
         )
 
 
-def _joint_rows(setup: Setup) -> Iterator[BudgetRow]:
-    """The rows of the method joint: the bound, and what the groups beyond the linear model have of it."""
-    least, alone = bound(setup), bound(replace(setup, further={}))
-    for group in least.groups:
-        error, noise = least.rms(group), alone.rms(group)
-        if not math.isfinite(error):
-            continue
-        terms = {"noise": noise}
-        if setup.further:
-            terms["groups beyond the linear model"] = math.sqrt(max(error**2 - noise**2, 0.0))
-        errors = {least.names[p]: float(least.u[p]) for p in positions_by_group(least.names)[group]}
-        yield _row(setup, group, "joint", 1, errors, terms)
-
-
-def _rows(setup: Setup, pipeline: Pipeline, iteration: int) -> Iterator[BudgetRow]:
-    """The rows of another method after so many passes."""
-    variances = pipeline.variances(iteration)
-    for group in pipeline.groups:
-        members, size = members_of(group), size_of(setup, group)
-        total = sum((v[members] for v in variances.values()), np.zeros(len(members)))
-        errors = {NAMES[p]: size * math.sqrt(v) for p, v in zip(members, total, strict=True)}
-        terms = {name: size * _rms(v[members]) for name, v in variances.items() if v[members].any()}
-        yield _row(setup, group, pipeline.method, iteration, errors, terms)
-
-
-def _row(
-    setup: Setup,
-    group: str,
-    method: PlannedMethod,
-    iteration: int,
-    errors: Mapping[str, float],
-    terms: Mapping[str, float],
-) -> BudgetRow:
-    error = _rms(np.array(list(errors.values())) ** 2)
-    return BudgetRow(
-        group=group,
-        method=method,
-        estimator=MAXIMUM_LIKELIHOOD if method == "joint" else ESTIMATORS[method][group],
-        iteration=iteration,
-        unit=UNITS[group],
-        error=error,
-        relative=error / spread_of(setup, group),
-        errors=errors,
-        terms=tuple(Term(name=n, error=e) for n, e in sorted(terms.items(), key=lambda term: -term[1])),
-    )
-
-
-def _remarks(setup: Setup, methods: Sequence[PlannedMethod]) -> tuple[str, ...]:
+def _remarks(setup: Setup, methods: Sequence[PlannedMethod]) -> Iterator[str]:
     """What a set-up has that the formulas do not hold for."""
-    out = []
-    if set(methods) != {"joint"} and max(setup.table_error, setup.mounting_error) > LARGEST_DEVIATION:
-        out.append(
-            f"errors of table and mounting up to {max(setup.table_error, setup.mounting_error) / DEGREE:.3g}°: the "
-            f"formulas are of first order in them and hold up to {LARGEST_DEVIATION / DEGREE:g}°"
+    largest = max(setup.table_error, setup.mounting_error)
+    if set(methods) != {"joint"} and largest > LARGEST_DEVIATION:
+        yield (
+            f"errors of table and mounting up to {largest / DEGREE:.3g}°: the formulas are of first order in them and "
+            f"hold up to {LARGEST_DEVIATION / DEGREE:g}°"
         )
     rate = math.hypot(setup.gyro.bias, setup.noise.gyro_white / math.sqrt(setup.rest), setup.noise.gyro_instability)
     north = earth_rate(setup.latitude)[0]
     if rate > LARGEST_AZIMUTH * north and set(methods) & {"sequential", "scalar"}:
-        out.append(
+        yield (
             f"gyros off by {rate / DEGREE_PER_HOUR:.3g} °/h at rest, with {north / DEGREE_PER_HOUR:.3g} °/h of Earth's "
             "rate to find north by: the methods sequential and scalar do worse in gyro parameters than predicted, "
             "take staged"
         )
-    return tuple(out)
 
 
 LARGEST_DEVIATION = 5.0 * DEGREE
@@ -231,14 +212,10 @@ LARGEST_AZIMUTH = 0.1
 """Largest azimuth error of TRIAD, rad, likewise; the paper, too, wants biases an order below the Earth's rate."""
 
 
-UNITS = {group_name(name): unit for name, unit in zip(NAMES, NAME_UNITS, strict=True)}
+UNITS = {group_name(name): unit for name, unit in zip(NAMES, units_of(NAMES), strict=True)}
 """The SI unit of each group of parameters."""
-_MEMBERS = {group: np.array(members) for group, members in positions_by_group(NAMES).items()}
-
-
-def members_of(group: str) -> IntArray:
-    """Indices of a group's parameters."""
-    return _MEMBERS[group]
+MEMBERS = {group: np.array(members) for group, members in positions_by_group(NAMES).items()}
+"""Indices of the parameters of each group."""
 
 
 def size_of(setup: Setup, group: str) -> float:
@@ -261,7 +238,7 @@ def indirect_coefficients(setup: Setup) -> dict[str, tuple[float, float]]:
     once, twice = pipeline.by_table + pipeline.by_mounting, pipeline.twice[2]
     out = {}
     for group in ("gyro.scale", "gyro.axis"):
-        of = np.ix_(members_of(group), np.arange(12, len(NAMES)))
+        of = np.ix_(MEMBERS[group], np.arange(12, len(NAMES)))
         c1, c2 = (_rms(matrix[of] @ pipeline.spread[12:] ** 2) / spread_of(setup, group) for matrix in (once, twice))
         out[group] = (c1, c2)
     return out
@@ -304,16 +281,15 @@ class Pipeline:
         second = self._by_group("{} left by the pass before", fixed + scale**2 * linear + scale**4 * square)
         if iteration == 2:
             return second
-        gain = _gain(total_of(self.methodical(1, scale)), total_of(second)) ** (iteration - 2)
-        return {name: gain * variance for name, variance in second.items()}
+        gain, first = np.zeros(len(NAMES)), total_of(self.methodical(1, scale))
+        for members in MEMBERS.values():
+            before = float(first[members].mean())
+            gain[members] = total_of(second)[members].mean() / before if before > 0.0 else 0.0
+        return {name: gain ** (iteration - 2) * variance for name, variance in second.items()}
 
     def _by_group(self, name: str, matrix: Array) -> dict[str, Array]:
         """Variances (21,) that each group of parameters contributes through a matrix."""
-        out = {}
-        for group in GROUPS:
-            members = members_of(group)
-            out[name.format(group)] = matrix[:, members] @ self.spread[members] ** 2
-        return out
+        return {name.format(g): matrix[:, own] @ self.spread[own] ** 2 for g, own in MEMBERS.items()}
 
 
 def total_of(variances: Mapping[str, Array]) -> Array:
@@ -321,70 +297,47 @@ def total_of(variances: Mapping[str, Array]) -> Array:
     return sum(variances.values(), np.zeros(len(NAMES)))
 
 
-def _gain(first: Array, second: Array) -> Array:
-    """By how much the second pass reduced the variance of each parameter's group (21,)."""
-    gain = np.zeros(len(NAMES))
-    for members in map(members_of, GROUPS):
-        before = float(first[members].mean())
-        gain[members] = second[members].mean() / before if before > 0.0 else 0.0
-    return gain
-
-
 def pipeline_of(setup: Setup, method: BudgetedMethod) -> Pipeline:
-    """A method on the programme of a set-up."""
+    """A method on the programme of a set-up: the mean squares of T X, T² X and q(X), see the module's docstring."""
     plan = plan_of(setup.programme, method, turn_rate=setup.turn_rate, latitude=setup.latitude)
     T0, D = first_order(plan, method)
     table = 3 * len(plan.nominal)
     width = np.repeat([setup.table_error, setup.mounting_error], [table, 3])
-    v = width**2 / 3.0  # uniform
-    spread = np.concatenate(
-        [
-            np.repeat([setup.accel.bias / setup.gravity, setup.accel.scale, setup.accel.axis], 3),
-            np.repeat([setup.gyro.bias, setup.gyro.scale, setup.gyro.axis], [3, 3, 6]),
-        ]
-    )
+    v, fourth = width**2 / 3.0, width**4 / 5.0  # uniform
+    angles = [setup.accel.bias / setup.gravity, setup.accel.scale, setup.accel.axis]
+    spread = np.repeat([*angles, setup.gyro.bias, setup.gyro.scale, setup.gyro.axis], [3, 3, 3, 3, 3, 6])
+    # T² = c + Σ τ_k l_k + Σ τ_k τ_l A_kl
+    c, linear = T0 @ T0, T0 @ D + D @ T0
+    A = np.einsum("kpj,ljq->klpq", D, D)
+    S, own = 0.5 * (A + A.swapaxes(0, 1)), np.einsum("kkpq->kpq", A)
+    trace = np.tensordot(v, own, axes=1)
+    square = trace**2 + 2.0 * np.einsum("k,l,klpq->pq", v, v, S**2, optimize=True)
+    square += np.tensordot(fourth - 3.0 * v**2, own**2, axes=1)
+    # q(X) = Xᵀ Q X by polarisation, with the mean square (tr Q)² + 2 Σ Q_ij² for independent Gaussian X of unit spread
+    single = np.diag(spread)
+    diagonal = second_order(plan, method, single)
+    Q = 0.5 * (second_order(plan, method, single[:, None] + single) - diagonal[:, None] - diagonal)
+    Q[np.arange(len(Q)), np.arange(len(Q))] = diagonal
     return Pipeline(
         method=method,
         groups=GROUPS if plan.turns is not None else GROUPS[:4],
         exact=T0**2,
         by_table=np.tensordot(v[:table], D[:table] ** 2, axes=1),
         by_mounting=np.tensordot(v[table:], D[table:] ** 2, axes=1),
-        twice=_twice(T0, D, v, width**4 / 5.0),
-        second_order=_mean_square(lambda X: second_order(plan, method, X), spread),
+        twice=(c**2, 2.0 * c * trace + np.tensordot(v, linear**2, axes=1), square),
+        second_order=diagonal.sum(axis=0) ** 2 + 2.0 * (Q**2).sum(axis=(0, 1)),
         noise=_noise(setup, plan, method),
         spread=spread,
     )
 
 
-def _twice(T0: Array, D: Array, v: Array, fourth: Array) -> tuple[Array, Array, Array]:
-    """Mean squares (21, 21) of T² with T = T₀ + Σ τ_k D_k, in parts that grow with the 0th, 2nd and 4th power of τ; `v`
-    and `fourth` are the second and fourth moments of the independent τ_k. See the module's docstring."""
-    fixed = T0 @ T0
-    linear = T0 @ D + D @ T0
-    A = np.einsum("kpj,ljq->klpq", D, D)
-    S = 0.5 * (A + A.swapaxes(0, 1))
-    own = np.einsum("kkpq->kpq", A)
-    trace = np.tensordot(v, own, axes=1)
-    square = trace**2 + 2.0 * np.einsum("k,l,klpq->pq", v, v, S**2, optimize=True)
-    square += np.tensordot(fourth - 3.0 * v**2, own**2, axes=1)
-    return fixed**2, 2.0 * fixed * trace + np.tensordot(v, linear**2, axes=1), square
-
-
-def _mean_square(form: Callable[[Array], Array], spread: Array) -> Array:
-    """Mean squares (p,) of quadratic forms q(X) = Xᵀ Q X of independent Gaussian X with rms `spread` (m,):
-    (tr Q)² + 2 Σ Q_ij². `form` takes (..., m) to (..., p); Q is found by polarisation."""
-    m = len(spread)
-    single = np.diag(spread)
-    pair = single[:, None] + single[None, :]
-    diagonal = form(single)
-    Q = 0.5 * (form(pair) - diagonal[:, None] - diagonal[None, :])
-    Q[np.arange(m), np.arange(m)] = diagonal
-    return np.asarray(diagonal.sum(axis=0) ** 2 + 2.0 * (Q**2).sum(axis=(0, 1)))
+REST_NOISE = ("accelerometer noise at rest", "gyro noise at rest")
+"""The causes that longer rests reduce."""
 
 
 def _noise(setup: Setup, plan: Plan, method: BudgetedMethod) -> dict[str, Array]:
     """Variances (21,) of the parameters from noise, by cause, on an exact programme: each noise as if alone."""
-    N, K = len(plan.nominal), len(plan.duration)
+    N, K, noise, g = len(plan.nominal), len(plan.duration), setup.noise, setup.gravity
     rest, turn = np.eye(3 * N).reshape(3 * N, N, 3), np.eye(3 * K).reshape(3 * K, K, 3)
 
     def gains(m: int, accel: float | Array = 0.0, gyro: float | Array = 0.0, turn: float | Array = 0.0) -> Array:
@@ -393,40 +346,27 @@ def _noise(setup: Setup, plan: Plan, method: BudgetedMethod) -> dict[str, Array]
         seen = Seen(accel=at_rest + accel, gyro=at_rest + gyro, turn=in_turn + turn)
         return estimates(plan, method, plan.nominal, seen)
 
-    by_accel, by_gyro, by_turn = gains(3 * N, accel=rest), gains(3 * N, gyro=rest), gains(3 * K, turn=turn)
-    by_change = gains(3 * N, gyro=rest, turn=_in_turns(plan, rest))
     alike = np.exp(-np.abs(np.subtract.outer(*[begins(course_of(setup), setup)] * 2)) / CORRELATION_TIME)
-    seconds = np.repeat(plan.duration, 3)
+
+    def wandered(gains: Array, bias: str) -> Array:
+        """Variances (21,) by biases that are a process of unit variance, with what comes of each rest and axis
+        (3N, 21); those of a `bias` are about its mean over the session."""
+        of_rests = gains.reshape(N, 3, -1).copy()
+        of_rests[:, np.arange(3), MEMBERS[bias]] -= 1.0 / N
+        return np.asarray(np.einsum("icp,ij,jcp->p", of_rests, alike, of_rests))
+
+    carried: float | Array = 0.0  # by biases that in a turn are between those at its ends
+    if (turns := plan.turns) is not None:
+        between = 0.5 * (rest[:, turns.first] + rest[:, turns.first + 1])
+        carried = turn_bias_error(turns.start, turns.axis, turns.angle, plan.duration, between)
+    by_accel, by_gyro, by_turn = gains(3 * N, accel=rest), gains(3 * N, gyro=rest), gains(3 * K, turn=turn)
+    by_change = gains(3 * N, gyro=rest, turn=carried)
+    scale = np.isin(np.arange(len(NAMES)), MEMBERS["accel.scale"])
     return {
-        REST_NOISE[0]: (by_accel**2).sum(axis=0) * (setup.noise.accel_white / setup.gravity) ** 2 / setup.rest,
-        REST_NOISE[1]: (by_gyro**2).sum(axis=0) * setup.noise.gyro_white**2 / setup.rest,
-        "gyro noise in turns": seconds @ by_turn**2 * setup.noise.gyro_white**2,
-        "accelerometer instability": _wandered(by_accel, "accel.bias", alike)
-        * (setup.noise.accel_instability / setup.gravity) ** 2,
-        "gyro instability": _wandered(by_change, "gyro.bias", alike) * setup.noise.gyro_instability**2,
-        "uncertainty of gravity": np.isin(np.arange(len(NAMES)), members_of("accel.scale"))
-        * (setup.gravity_u / setup.gravity) ** 2,
+        REST_NOISE[0]: (by_accel**2).sum(axis=0) * (noise.accel_white / g) ** 2 / setup.rest,
+        REST_NOISE[1]: (by_gyro**2).sum(axis=0) * noise.gyro_white**2 / setup.rest,
+        "gyro noise in turns": np.repeat(plan.duration, 3) @ by_turn**2 * noise.gyro_white**2,
+        "accelerometer instability": wandered(by_accel, "accel.bias") * (noise.accel_instability / g) ** 2,
+        "gyro instability": wandered(by_change, "gyro.bias") * noise.gyro_instability**2,
+        "uncertainty of gravity": scale * (setup.gravity_u / g) ** 2,
     }
-
-
-REST_NOISE = ("accelerometer noise at rest", "gyro noise at rest")
-"""The causes that longer rests reduce."""
-
-
-def _wandered(gains: Array, bias: str, alike: Array) -> Array:
-    """Variances (21,) by biases that are a process of unit variance, `alike` from rest to rest (N, N), with what comes
-    of each rest and axis (3N, 21); those of a `bias` are about its mean over the session."""
-    N = len(alike)
-    of_rests = gains.reshape(N, 3, -1).copy()
-    of_rests[:, np.arange(3), members_of(bias)] -= 1.0 / N
-    return np.asarray(np.einsum("icp,ij,jcp->p", of_rests, alike, of_rests))
-
-
-def _in_turns(plan: Plan, gyro: Array) -> Array:
-    """Attitude errors (m, K, 3) that biases make which are gyro errors (m, N, 3) at rest: in a turn they are between
-    those at its ends."""
-    if plan.turns is None:
-        return np.zeros((len(gyro), 0, 3))
-    turns = plan.turns
-    between = 0.5 * (gyro[:, turns.first] + gyro[:, turns.first + 1])
-    return turn_bias_error(turns.start, turns.axis, turns.angle, plan.duration, between)

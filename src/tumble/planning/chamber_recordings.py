@@ -30,7 +30,6 @@ from tumble.reduction.blocks.tuning import USUAL
 from tumble.reduction.observations import Observations, Together
 from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.together import MOST_PARTS, SHORTEST_PART, WARMED, held
-from tumble.reduction.turns.turns import Turns
 from tumble.units import Array
 
 TYPICAL = 0.5
@@ -63,29 +62,28 @@ def rests_of(programme: Programme, count: int) -> Programme:
     )
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Recorded:
-    """A session as its log has it: the course with rests that warm in parts, which nothing turns between, and when each
-    begins and ends (N,), s."""
-
-    course: Course
-    start: Array
-    stop: Array
-
-
 def problem_of(
     setup: Setup, sessions: Sequence[ChamberSession], courses: Sequence[Course], *, gyros: bool
 ) -> tuple[Problem, Rows, Point]:
     """The sessions as one problem, its rows, and the point at which they are."""
     recorded = [_recorded(*each, setup, parts=len(sessions) > 1) for each in zip(sessions, courses, strict=True)]
-    course = _one_after_the_other([each.course for each in recorded])
+    before = np.cumsum([0, *(len(course.attitudes) for course, _, _ in recorded)])
+    course = Course(  # one after the other, without a turn from one to the next
+        attitudes=np.concatenate([each.attitudes for each, _, _ in recorded]),
+        first=np.concatenate([each[0].first + n for each, n in zip(recorded, before, strict=False)]).astype(np.int64),
+        moves=np.concatenate([each.moves for each, _, _ in recorded]),
+        seconds=np.concatenate([each.seconds for each, _, _ in recorded]),
+    )
     bare = replace(instrument_of(setup, gyros), further=())
-    observations = _warmed(observed(course, setup, bare)[0], setup, sessions, recorded)
+    starts, stops = [start for _, start, _ in recorded], [stop for _, _, stop in recorded]
+    observations = _warmed(observed(course, setup, bare)[0], setup, sessions, starts, stops)
     instrument, own = instruments_of(observations)
-    still = np.where(course.seconds > NO_TIME, 0.5 * setup.ramp + USUAL.margin_of(setup.rest), 0.0)
-    fresh, about = observed(course, setup, instrument, still)
-    observations = held(replace(observations, turns=_without_time(fresh.turns, course)))
-    problem = Problem.of(observations, instrument=instrument, own=own, usual=setup.further)
+    lasts = course.seconds > NO_TIME  # those between the parts of a rest are of no duration
+    fresh, about = observed(
+        course, setup, instrument, np.where(lasts, 0.5 * setup.ramp + USUAL.margin_of(setup.rest), 0.0)
+    )
+    turns = None if fresh.turns is None else replace(fresh.turns, duration=np.where(lasts, fresh.turns.duration, 0.0))
+    problem = Problem.of(held(replace(observations, turns=turns)), instrument=instrument, own=own, usual=setup.further)
     values, of_each = np.zeros(len(instrument.names)), np.zeros((len(problem.parts), len(problem.own_known)))
     if problem.lag is not None:
         values[problem.lag] = TYPICAL * setup.further["temperature.lag"]
@@ -93,8 +91,9 @@ def problem_of(
     return problem, _with_lag(problem.warmed(point), linearise(problem, point, about)), point
 
 
-def _recorded(session: ChamberSession, course: Course, setup: Setup, *, parts: bool) -> _Recorded:
-    """A session with its rests as a log has them, cut off at both ends, in `parts` where several are one estimate."""
+def _recorded(session: ChamberSession, course: Course, setup: Setup, *, parts: bool) -> tuple[Course, Array, Array]:
+    """A session as its log has it: the course with rests cut off at both ends and, in `parts` where several sessions
+    are one estimate, those that warm divided, which nothing turns between; and when each begins and ends (N,), s."""
     start, margin = begins(course, setup, setup.ramp), USUAL.margin_of(setup.rest)
     time, kelvin = session.course(float(start[-1]) + setup.rest)
     begin, end = start + margin, start + setup.rest - margin
@@ -108,67 +107,48 @@ def _recorded(session: ChamberSession, course: Course, setup: Setup, *, parts: b
     still = np.setdiff1d(last[:-1], at)
     first = np.setdiff1d(np.arange(len(seconds)), still)
     edges = [np.linspace(a, b, n + 1) for a, b, n in zip(begin, end, count, strict=True)]
-    return _Recorded(
-        course=Course(
-            attitudes=np.repeat(course.attitudes, count, axis=0),
-            first=first,
-            moves=moves[first],
-            seconds=seconds[first],
-        ),
-        start=np.concatenate([each[:-1] for each in edges]),
-        stop=np.concatenate([each[1:] for each in edges]),
-    )
-
-
-def _one_after_the_other(courses: Sequence[Course]) -> Course:
-    """Several courses as one, without a turn from one to the next."""
-    before = np.cumsum([0, *(len(course.attitudes) for course in courses)])
-    return Course(
-        attitudes=np.concatenate([course.attitudes for course in courses]),
-        first=np.concatenate([course.first + n for course, n in zip(courses, before, strict=False)]).astype(np.int64),
-        moves=np.concatenate([course.moves for course in courses]),
-        seconds=np.concatenate([course.seconds for course in courses]),
+    attitudes = np.repeat(course.attitudes, count, axis=0)
+    return (
+        Course(attitudes=attitudes, first=first, moves=moves[first], seconds=seconds[first]),
+        np.concatenate([each[:-1] for each in edges]),
+        np.concatenate([each[1:] for each in edges]),
     )
 
 
 def _warmed(
-    observations: Observations, setup: Setup, sessions: Sequence[ChamberSession], recorded: Sequence[_Recorded]
+    observations: Observations,
+    setup: Setup,
+    sessions: Sequence[ChamberSession],
+    starts: Sequence[Array],
+    stops: Sequence[Array],
 ) -> Observations:
     """The observations of sessions with times of their own and temperatures."""
-    start, stop = (np.concatenate([getattr(each, end) for each in recorded]) for end in ("start", "stop"))
-    counts = [len(each.start) for each in recorded]
+    start, stop, counts, rests = (
+        np.concatenate(starts),
+        np.concatenate(stops),
+        list(map(len, starts)),
+        observations.rests,
+    )
     file = np.repeat(np.arange(len(sessions)), counts)
-    courses = [session.course(each.stop[-1]) for session, each in zip(sessions, recorded, strict=True)]
+    courses = [session.course(own[-1]) for session, own in zip(sessions, stops, strict=True)]
     thermometers = Thermometers.of({i: (time, kelvin[:, None]) for i, (time, kelvin) in enumerate(courses)})
     longer = (setup.rest / (stop - start))[:, None, None]
-    rests = observations.rests
-    return replace(
-        observations,
-        rests=replace(
-            rests,
-            file=file,
-            start=start,
-            stop=stop,
-            accel_covariance=longer * rests.accel_covariance,
-            gyro_covariance=longer * rests.gyro_covariance,
-            temperatures=thermometers.means(file, start, stop).kelvin,
-        ),
-        thermometers=thermometers,
-        together=Together(
-            names=tuple(session.name for session in sessions),
-            session=file,
-            number=np.concatenate([np.arange(count) for count in counts]),
-        )
-        if len(sessions) > 1
-        else None,
+    together = Together(
+        names=tuple(session.name for session in sessions),
+        session=file,
+        number=np.concatenate([np.arange(count) for count in counts]),
     )
-
-
-def _without_time(turns: Turns | None, course: Course) -> Turns | None:
-    """The turns with those between the parts of a rest as what they are: of no duration."""
-    if turns is None:
-        return None
-    return replace(turns, duration=np.where(course.seconds > NO_TIME, turns.duration, 0.0))
+    rests = replace(
+        rests,
+        file=file,
+        start=start,
+        stop=stop,
+        accel_covariance=longer * rests.accel_covariance,
+        gyro_covariance=longer * rests.gyro_covariance,
+        temperatures=thermometers.means(file, start, stop).kelvin,
+    )
+    several = together if len(sessions) > 1 else None
+    return replace(observations, rests=rests, thermometers=thermometers, together=several)
 
 
 def _with_lag(problem: Problem, rows: Rows) -> Rows:

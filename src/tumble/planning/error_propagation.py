@@ -39,23 +39,15 @@ from tumble.methods.paper.accuracy_formulas import (
     turns_of,
 )
 from tumble.methods.paper.scalar import scalar_rows
+from tumble.planning.setup import NAMES
 from tumble.programme.positions import Programme
 from tumble.rotation import rotation_matrix, rotation_vector_near, unit_vector
-from tumble.sensors.model import Block, triad_model
-from tumble.sensors.parameters import units_of
+from tumble.sensors.model import triad_model
 from tumble.units import Array, IntArray
 
 _N, _E = 0, 2
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 """The accelerometers between whose axes the angles yx, zx, zy are."""
-_ACCEL = Block(kind="accel", axes=np.eye(3))
-_GYRO = Block(kind="gyro", axes=np.eye(3))
-
-NAMES = _ACCEL.names + _GYRO.names
-"""The 21 parameters, in the order of the calibration file."""
-
-NAME_UNITS = units_of(NAMES)
-"""The SI unit of each of `NAMES`."""
 
 BudgetedMethod = Literal["sequential", "scalar", "staged"]
 
@@ -88,38 +80,16 @@ def plan_of(programme: Programme, method: BudgetedMethod, *, turn_rate: float, l
     Raises ProgrammeError for a programme without the positions the method needs."""
     nominal = np.array([position.matrix for position in programme.positions])
     u = nominal[:, 1, :]
-    has_turns = any(move.axis is not None for move in programme.moves)
-    turns = turns_of(programme) if has_turns else None
-    plan = Plan(
-        nominal=nominal,
-        turns=turns,
-        duration=np.abs(turns.angle) / turn_rate if turns is not None else np.empty(0),
-        indirect=indirect_matrix(programme) if has_turns else np.empty((0, 9)),
-        indirect_accel=indirect_accelerometer_matrix(programme) if has_turns else np.empty((0, 9)),
-        standing=tuple(np.flatnonzero(np.abs(u[:, p]) > 1.0 - _NEAR) for p in range(3)),
-        oblique=tuple(np.flatnonzero(_astride(u, *pair)) for pair in _PAIRS),
-        latitude=latitude,
+    standing = tuple(np.flatnonzero(np.abs(u[:, p]) > 1.0 - _NEAR) for p in range(3))
+    oblique = tuple(  # on either side of the horizon in a vertical plane
+        np.flatnonzero((np.abs(u[:, p] + u[:, q]) < _NEAR) & (np.abs(u[:, 3 - p - q]) < _NEAR)) for p, q in _PAIRS
     )
-    _check_positions(programme, method, u, plan)
-    return plan
-
-
-_NEAR = 1e-6
-
-
-def _astride(u: Array, p: int, q: int) -> Array:
-    """Which rests have axes p and q 45° on either side of the horizon in a vertical plane."""
-    return np.asarray((np.abs(u[:, p] + u[:, q]) < _NEAR) & (np.abs(u[:, 3 - p - q]) < _NEAR))
-
-
-def _check_positions(programme: Programme, method: BudgetedMethod, u: Array, plan: Plan) -> None:
-    """Raise ProgrammeError unless a method finds the positions it needs."""
     if method == "sequential":
-        both = [{*np.sign(u[rests, p])} == {-1.0, 1.0} for p, rests in enumerate(plan.standing)]
-        wanted = dict(zip(("X up and down", "Y up and down", "Z up and down"), both, strict=True))
+        both = [{*np.sign(u[rests, p])} == {-1.0, 1.0} for p, rests in enumerate(standing)]
+        there = dict(zip(("X up and down", "Y up and down", "Z up and down"), both, strict=True))
         pairs = ("X and Y", "X and Z", "Y and Z")
-        wanted |= {f"{n} 45° up and down": len(r) > 0 for n, r in zip(pairs, plan.oblique, strict=True)}
-        missing = [name for name, there in wanted.items() if not there]
+        there |= {f"{pair} 45° up and down": len(rests) > 0 for pair, rests in zip(pairs, oblique, strict=True)}
+        missing = [name for name, found in there.items() if not found]
         if missing:
             raise ProgrammeError(
                 f"programme {programme.name}: expected rests with {missing[0]} for the method sequential, found none; "
@@ -131,6 +101,21 @@ def _check_positions(programme: Programme, method: BudgetedMethod, u: Array, pla
             f"programme {programme.name}: expected positions that determine nine accelerometer parameters, "
             f"found {rank}; take rough-table, nine or cube-26"
         )
+    has_turns = any(move.axis is not None for move in programme.moves)
+    turns = turns_of(programme) if has_turns else None
+    return Plan(
+        nominal=nominal,
+        turns=turns,
+        duration=np.abs(turns.angle) / turn_rate if turns is not None else np.empty(0),
+        indirect=indirect_matrix(programme) if has_turns else np.empty((0, 9)),
+        indirect_accel=indirect_accelerometer_matrix(programme) if has_turns else np.empty((0, 9)),
+        standing=standing,
+        oblique=oblique,
+        latitude=latitude,
+    )
+
+
+_NEAR = 1e-6
 
 
 # What is seen, to first order in the parameters, and what the estimators make of it
@@ -184,10 +169,20 @@ def estimates(plan: Plan, method: BudgetedMethod, attitudes: Array, seen: Seen) 
     bias = _gyro_bias(plan, method, L, accel, seen.gyro)
     if plan.turns is None:
         return np.concatenate([accel_values, bias, np.zeros((*bias.shape[:-1], 9))], axis=-1)
-    corrected = _without_bias(plan, L, Seen(accel=accel, gyro=seen.gyro, turn=seen.turn), bias)
-    matrix = plan.indirect if method != "staged" else _logged_matrix(plan, attitudes)
-    gyro_values = solved(matrix, _differences(plan, L, corrected))
-    return np.concatenate([accel_values, bias, gyro_values], axis=-1)
+    start = L[..., plan.turns.first, :, :]
+    axis, angle = _rotation_between(start, L[..., plan.turns.last, :, :], plan.turns)
+    by_bias = turn_bias_error(start, axis, angle, plan.duration, bias[..., None, :])
+    unbiased = Seen(accel=accel, gyro=seen.gyro - bias[..., None, :], turn=seen.turn - by_bias)
+    matrix = plan.indirect
+    if method == "staged":  # with the Jacobian from the logged rate, §6.6: Earth's rate and TRIAD at the start included
+        of_gyros = _seen(plan, attitudes)
+        of_gyros = Seen(
+            accel=np.zeros((9, *of_gyros.accel.shape[-2:])),
+            gyro=of_gyros.gyro[..., 12:, :, :],
+            turn=of_gyros.turn[..., 12:, :, :],
+        )
+        matrix = transposed(_differences(plan, L, of_gyros))[..., None, :, :]
+    return np.concatenate([accel_values, bias, solved(matrix, _differences(plan, L, unbiased))], axis=-1)
 
 
 def _sequential_accelerometers(plan: Plan, u: Array, accel: Array) -> Array:
@@ -229,15 +224,6 @@ def _gyro_bias(plan: Plan, method: BudgetedMethod, L: Array, accel: Array, gyro:
     return solved(u, dot(u, gyro) + dot_product_error(north, plan.latitude))
 
 
-def _without_bias(plan: Plan, L: Array, seen: Seen, bias: Array) -> Seen:
-    """What is seen when gyro biases (..., m, 3) are taken off."""
-    assert plan.turns is not None
-    start = L[..., plan.turns.first, :, :]
-    axis, angle = _rotation_between(start, L[..., plan.turns.last, :, :], plan.turns)
-    by_bias = turn_bias_error(start, axis, angle, plan.duration, bias[..., None, :])
-    return Seen(accel=seen.accel, gyro=seen.gyro - bias[..., None, :], turn=seen.turn - by_bias)
-
-
 def _differences(plan: Plan, L: Array, seen: Seen) -> Array:
     """Horizontal differences y (..., m, 2K), north and east of each turn in order. The attitude is TRIAD's at the first
     rest of a series, held in rests and carried through the turns."""
@@ -252,15 +238,6 @@ def _differences(plan: Plan, L: Array, seen: Seen) -> Array:
         y.append(horizontal_differences(change, α))
         ψ = ψ + change
     return np.concatenate(y, axis=-1)
-
-
-def _logged_matrix(plan: Plan, attitudes: Array) -> Array:
-    """Matrix (..., 1, 2K, 9) of the indirect method with the Jacobian from the logged rate, §6.6: of the real turns,
-    Earth's rate and TRIAD at the start of the series included."""
-    seen = _seen(plan, attitudes)
-    no_accel = np.zeros((9, *seen.accel.shape[-2:]))
-    gyro_only = Seen(accel=no_accel, gyro=seen.gyro[..., 12:, :, :], turn=seen.turn[..., 12:, :, :])
-    return transposed(_differences(plan, attitudes[..., None, :, :, :], gyro_only))[..., None, :, :]
 
 
 # What a pass leaves
@@ -309,14 +286,9 @@ def second_order(plan: Plan, method: BudgetedMethod, X: Array) -> Array:
     gyro = np.zeros((*X.shape[:-1], 9))
     if plan.turns is not None:
         by_accel = solved(plan.indirect, -applied(plan.indirect_accel, accel))
-        gyro = solved(plan.indirect, _turns_second_order(plan.turns, method, X[..., 12:])) + by_accel
+        beyond = [_turns_beyond(plan.turns, method, sign * X[..., 12:]) for sign in (1.0, -1.0)]
+        gyro = solved(plan.indirect, 0.5 * (beyond[0] + beyond[1])) + by_accel  # what is of even order
     return np.concatenate([accel, bias, gyro], axis=-1)
-
-
-def _turns_second_order(turns: KnownTurns, method: BudgetedMethod, values: Array) -> Array:
-    """What the differences y (..., 2K) of exact turns have beyond the matrix of the method times the gyros' k and γ
-    (..., 9), to second order: half the sum for these values and their opposites."""
-    return 0.5 * (_turns_beyond(turns, method, values) + _turns_beyond(turns, method, -values))
 
 
 def _turns_beyond(turns: KnownTurns, method: BudgetedMethod, values: Array) -> Array:

@@ -52,6 +52,8 @@ CHANGING = ("accel.bias", "accel.scale", "gyro.bias", "gyro.scale")
 """The groups that change with temperature."""
 SCALES = ("accel.scale", "gyro.scale")
 """Those that want more than rests."""
+POOR = 10.0
+"""How many times less than the best of them a recording says of scale factors that it hardly determines."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -252,10 +254,22 @@ def _notes(
     """What the recordings do not show, and why."""
     observations = problem.observations
     ramps = [session for session in planned if session.high - session.low > PASSED]
-    left = [g.name for g in further if variable_of(g.name) in THERMAL and max(g.learned) < LITTLE]
-    if left:
-        yield f"left to what is usual: {', '.join(left)}; {_remedy(planned, ramps)}"
-    yield from _scales(planned)
+    usual = [g.name for g in further if variable_of(g.name) in THERMAL and max(g.learned) < LITTLE]
+    if usual:
+        levels = len({round(0.5 * (session.low + session.high) / APART) for session in planned})
+        remedy = {
+            1: "there is one temperature; take three, or a ramp there and back",
+            2: "at two temperatures slopes are seen and no curvature; take a third between them",
+        }.get(levels, "take temperatures further apart")
+        remedy = "take more rests along the ramp, each axis up and down" if ramps else remedy
+        yield f"left to what is usual: {', '.join(usual)}; {remedy}"
+    best = {group: min(session.alone.get(group, math.inf) for session in planned) for group in SCALES}
+    for session in planned:
+        if poor := [g for g in SCALES if session.alone.get(g, 0.0) > POOR * best[g]]:
+            yield (
+                f"{session.name}: its {session.rests} rests determine biases, and {' and '.join(poor)} hardly: these "
+                "want each axis up and down and a turn about each, at every temperature"
+            )
     if not over_a_range(observations):
         yield ("the temperatures span less than 10 K: hysteresis is not looked for")
     elif ramps and (at := problem.lag) is not None and not both_ways(observations):
@@ -277,27 +291,3 @@ def _notes(
             )
     if len(planned) > 1:
         yield "a launch each: u of the biases contains what they change by from one power-on to the next"
-
-
-def _remedy(planned: Sequence[PlannedSession], ramps: Sequence[PlannedSession]) -> str:
-    """What would show them."""
-    levels = sorted({round(0.5 * (session.low + session.high) / APART) for session in planned})
-    if ramps:
-        return "take more rests along the ramp, each axis up and down"
-    if len(levels) < 2:
-        return "there is one temperature; take three, or a ramp there and back"
-    if len(levels) < 3:
-        return "at two temperatures slopes are seen and no curvature; take a third between them"
-    return "take temperatures further apart"
-
-
-def _scales(planned: Sequence[PlannedSession]) -> Iterator[str]:
-    """Recordings that say little of scale factors: ten times less than the best of them."""
-    best = {group: min(session.alone.get(group, math.inf) for session in planned) for group in SCALES}
-    for session in planned:
-        poor = [g for g in SCALES if session.alone.get(g, 0.0) > 10.0 * best[g]]
-        if poor:
-            yield (
-                f"{session.name}: its {session.rests} rests determine biases, and {' and '.join(poor)} hardly: these "
-                "want each axis up and down and a turn about each, at every temperature"
-            )

@@ -9,7 +9,7 @@ ways round for a half turn, and else, if the device may be taken in hand, any mo
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,6 @@ from tumble.rotation import rotation_vector
 from tumble.units import DEGREE, Array, BoolArray, IntArray
 
 _AXES = "NUE"
-_T = TypeVar("_T", Array, IntArray, BoolArray)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -54,8 +53,7 @@ SMALLEST_STEP = 5.0
 """Degrees; with finer ones there are too many places to try."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Ways:
+class Ways(NamedTuple):
     """Ways (q) through k places each with e legs: places (q, k), rotation vectors of the moves (q, e, 3), which are
     turns of the table (q, e), and the whitened rows (q, e, t, 2d + p + 1) that join the rests at their ends, see
     `View.whitened`."""
@@ -68,27 +66,20 @@ class Ways:
     def followed(self, chosen: IntArray, others: Ways, then: IntArray, *, meeting: bool = False) -> Ways:
         """Ways of these, each followed by one of others; if `meeting`, the last place of the one is the first of the
         other."""
-        return Ways(
-            places=np.concatenate([self.places[chosen], others.places[then][:, int(meeting) :]], axis=1),
-            moves=np.concatenate([self.moves[chosen], others.moves[then]], axis=1),
-            turned=np.concatenate([self.turned[chosen], others.turned[then]], axis=1),
-            rows=np.concatenate([self.rows[chosen], others.rows[then]], axis=1),
-        )
+        then_places, *then_legs = (each[then] for each in others)
+        second = [then_places[:, int(meeting) :], *then_legs]
+        parts: list[Any] = [np.concatenate([a[chosen], b], axis=1) for a, b in zip(self, second, strict=True)]
+        return Ways(*parts)
 
     def spliced(self, start: int, stop: int, others: Ways, chosen: int) -> Ways:
         """One way with the places start … stop − 1, and the legs to, between and from them, replaced by those of
         another."""
         first = max(start - 1, 0)
-
-        def put(old: _T, new: _T, a: int) -> _T:
-            return np.concatenate([old[:, :a], new[chosen : chosen + 1], old[:, stop:]], axis=1)
-
-        return Ways(
-            places=put(self.places, others.places, start),
-            moves=put(self.moves, others.moves, first),
-            turned=put(self.turned, others.turned, first),
-            rows=put(self.rows, others.rows, first),
-        )
+        parts: list[Any] = [
+            np.concatenate([old[:, :a], new[chosen : chosen + 1], old[:, stop:]], axis=1)
+            for old, new, a in zip(self, others, (start, first, first, first), strict=True)
+        ]
+        return Ways(*parts)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -199,12 +190,8 @@ class Places:
             rest = self.ways(place, after, k - 1) if onward is not None else self.ways(None, place, k - 1)
             each, this = np.arange(len(rest.places)), np.full(len(rest.places), i)
             parts.append(legs.followed(this, rest, each) if onward is not None else rest.followed(each, legs, this))
-        return Ways(
-            places=np.concatenate([part.places for part in parts]),
-            moves=np.concatenate([part.moves for part in parts]),
-            turned=np.concatenate([part.turned for part in parts]),
-            rows=np.concatenate([part.rows for part in parts]),
-        )
+        joined: list[Any] = [np.concatenate(each) for each in zip(*parts, strict=True)]
+        return Ways(*joined)
 
 
 def _turns(axes: str, step: float, angles: range, signs: tuple[int, ...]) -> list[str]:

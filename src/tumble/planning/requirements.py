@@ -21,12 +21,12 @@ from tumble.planning.budget import (
     GROUPS,
     LARGEST_DEVIATION,
     MAXIMUM_LIKELIHOOD,
+    MEMBERS,
     REST_NOISE,
     UNITS,
     Pipeline,
     PlannedMethod,
     expect_linear,
-    members_of,
     pipeline_of,
     size_of,
     total_of,
@@ -93,7 +93,7 @@ class Requirements(Brief):
 
     @property
     def mounting_error(self) -> float:
-        """Largest error of the mounting, rad, that meets every requirement that can be met."""
+        """The same of the mounting."""
         return min((row.mounting_error for row in self.met), default=0.0)
 
     @property
@@ -138,15 +138,23 @@ def require(
             )
         return Requirements(setup=setup, method=method, iteration=1, rows=_rows_of_joint(wanted, setup))
     expect_linear(setup, method)
-    pipeline = pipeline_of(_unit_ratio(setup), method)
+    larger = max(setup.table_error, setup.mounting_error)
+    table, mounting = (setup.table_error / larger, setup.mounting_error / larger) if larger > 0.0 else (1.0, 1.0)
+    unit = replace(setup, table_error=table, mounting_error=mounting)
+    pipeline = pipeline_of(unit, method)
     _check_wanted(wanted, pipeline.groups)
-    rows = []
-    for group, value in wanted.items():
-        if group == "gyro.bias" and gyro_bias != "programme":
-            demand = _single_rest_demand(setup, pipeline, iteration, gyro_bias)
-        else:
-            demand = _demand(setup, pipeline, iteration, group)
-        rows.append(_requirement(_unit_ratio(setup), group, value, demand))
+    single = gyro_bias != "programme"
+    rows = [
+        _requirement(
+            unit,
+            group,
+            value,
+            _single_rest_demand(unit, pipeline, iteration, gyro_bias)
+            if single and group == "gyro.bias"
+            else _demand(unit, pipeline, iteration, group),
+        )
+        for group, value in wanted.items()
+    ]
     return Requirements(setup=setup, method=method, iteration=iteration, rows=tuple(rows))
 
 
@@ -184,9 +192,13 @@ def _rows_of_joint(wanted: Mapping[str, float], setup: Setup) -> tuple[Requireme
         enough = next((i for i, error in enumerate(least) if error <= value), None)
         row = Requirement(group=group, estimator=MAXIMUM_LIKELIHOOD, wanted=value, unit=UNITS[group])
         if enough is not None:
-            rest = _shortest(setup, group, value, rests[max(enough - 1, 0)], rests[enough])
-            table = LARGEST_DEVIATION
-            rows.append(replace(row, limited=False, table_error=table, mounting_error=table, rest=rest))
+            short, long = rests[max(enough - 1, 0)], rests[enough]
+            while long > 1.01 * short:  # to 1 %
+                middle = math.sqrt(short * long)
+                met = bound(replace(setup, rest=middle)).rms(group) <= value
+                short, long = (short, middle) if met else (middle, long)
+            any_table = LARGEST_DEVIATION
+            rows.append(replace(row, limited=False, table_error=any_table, mounting_error=any_table, rest=long))
             continue
         size, unit = engineering(UNITS[group], least[best])
         reached = (
@@ -198,17 +210,6 @@ def _rows_of_joint(wanted: Mapping[str, float], setup: Setup) -> tuple[Requireme
         remedy = "take another programme (tumble plan), average launches, or a better grade"
         rows.append(replace(row, reason=f"{group}: {reached}; {remedy}"))
     return tuple(rows)
-
-
-def _shortest(setup: Setup, group: str, wanted: float, short: float, long: float) -> float:
-    """The shortest rest, s, to 1 %, between one that is too short, unless they are one, and one that is long enough."""
-    while long > 1.01 * short:
-        middle = math.sqrt(short * long)
-        if bound(replace(setup, rest=middle)).rms(group) <= wanted:
-            long = middle
-        else:
-            short = middle
-    return long
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -224,7 +225,7 @@ class _Demand:
 
 def _demand(setup: Setup, pipeline: Pipeline, iteration: int, group: str) -> _Demand:
     """Of the method with the whole programme."""
-    members, square = members_of(group), size_of(setup, group) ** 2
+    members, square = MEMBERS[group], size_of(setup, group) ** 2
 
     def variance(causes: Mapping[str, Array]) -> dict[str, float]:
         return {name: square * float(v[members].mean()) for name, v in causes.items()}
@@ -240,63 +241,35 @@ def _demand(setup: Setup, pipeline: Pipeline, iteration: int, group: str) -> _De
     )
 
 
-def _single_rest_demand(setup: Setup, pipeline: Pipeline, iteration: int, estimator: BiasEstimator) -> _Demand:
+_SINGLE_REST = {
+    "vertical": ("one rest, axis vertical, Eq. (18)", "accelerometer error × horizontal Earth's rate"),
+    "polar": ("one rest, axis along the Earth's, Eq. (17)", "azimuth error of TRIAD, δω²/2Ω"),
+}
+"""What one rest is called, and what its error is where there is neither table error nor noise."""
+
+
+def _single_rest_demand(unit: Setup, pipeline: Pipeline, iteration: int, estimator: BiasEstimator) -> _Demand:
     """Of one rest per gyro, vertical (18) or polar (17), with the accelerometers as each pass leaves them: the bias
     that a pass has left is what the next one sees."""
-    accel = members_of("accel.bias")
-    ratio = _unit_ratio(setup)
-    tilt = math.sqrt((ratio.table_error**2 + ratio.mounting_error**2) / 3.0)
-    north, up, _ = earth_rate(setup.latitude)
+    tilt = math.sqrt((unit.table_error**2 + unit.mounting_error**2) / 3.0)
+    north, up, _ = earth_rate(unit.latitude)
     level, steep = (north, up) if estimator == "vertical" else (0.0, EARTH_RATE)
+    words, cause = _SINGLE_REST[estimator]
 
     def variance(scale: float) -> float:
-        left = setup.gyro.bias**2
+        bias2 = unit.gyro.bias**2
         for i in range(1, iteration + 1):
-            b2 = float(total_of(pipeline.methodical(i, scale))[accel].mean())
-            curved = 3.0 * (left / (2.0 * EARTH_RATE)) ** 2 if estimator == "polar" else 0.0
-            left = level**2 * b2 + (scale * tilt) ** 2 * (steep**2 * b2 + left) + curved
-        return left
+            b2 = float(total_of(pipeline.methodical(i, scale))[MEMBERS["accel.bias"]].mean())
+            curved = 3.0 * (bias2 / (2.0 * EARTH_RATE)) ** 2 if estimator == "polar" else 0.0
+            bias2 = level**2 * b2 + (scale * tilt) ** 2 * (steep**2 * b2 + bias2) + curved
+        return bias2
 
     floor = variance(0.0)
     return _Demand(
-        estimator=_SINGLE_REST[estimator],
-        fixed={_FLOOR[estimator]: floor, "gyro instability": setup.noise.gyro_instability**2},
-        rest_noise=setup.noise.gyro_white**2,
+        estimator=words,
+        fixed={cause: floor, "gyro instability": unit.noise.gyro_instability**2},
+        rest_noise=unit.noise.gyro_white**2,
         deviations=lambda scale: variance(scale) - floor,
-    )
-
-
-_SINGLE_REST = {"vertical": "one rest, axis vertical, Eq. (18)", "polar": "one rest, axis along the Earth's, Eq. (17)"}
-
-_FLOOR = {
-    "vertical": "accelerometer error × horizontal Earth's rate",
-    "polar": "azimuth error of TRIAD, δω²/2Ω",
-}
-
-
-def _requirement(unit: Setup, group: str, wanted: float, demand: _Demand) -> Requirement:
-    """The inverse: what of wanted² is left over what no table can help goes to deviations and to the noise of rests."""
-    fixed = sum(demand.fixed.values())
-    free = wanted**2 - fixed
-    row = Requirement(group=group, estimator=demand.estimator, wanted=wanted, unit=UNITS[group])
-    if free <= 0.0:
-        cause = max(demand.fixed, key=lambda name: demand.fixed[name])
-        size, name = engineering(UNITS[group], math.sqrt(fixed))
-        reason = (
-            f"{group}: expected an accuracy of at least {math.sqrt(fixed) / size:.3g} {name}, which an exact table and "
-            f"endless rests leave (mostly {cause}), found {wanted / size:.3g} {name}; "
-            f"{_REMEDY.get(cause, 'take another pass or method')}"
-        )
-        return replace(row, reason=reason)
-    noisy = demand.rest_noise > 0.0
-    largest = LARGEST_DEVIATION / max(unit.table_error, unit.mounting_error)
-    scale = _largest(demand.deviations, (1.0 - REST_SHARE) * free if noisy else free, largest)
-    return replace(
-        row,
-        limited=scale < largest,
-        table_error=scale * unit.table_error,
-        mounting_error=scale * unit.mounting_error,
-        rest=demand.rest_noise / (REST_SHARE * free) if noisy else 0.0,
     )
 
 
@@ -310,20 +283,34 @@ _REMEDY: Mapping[str, str] = {
 }
 
 
-def _largest(function: Callable[[float], float], limit: float, most: float) -> float:
-    """The largest x up to `most` with function(x) ≤ limit, of a function that grows from zero."""
+def _requirement(unit: Setup, group: str, wanted: float, demand: _Demand) -> Requirement:
+    """The inverse: what of wanted² is left over what no table can help goes to deviations and to the noise of rests."""
     from scipy.optimize import brentq
 
-    if function(most) <= limit:
-        return most
-    return float(brentq(lambda x: function(x) - limit, 0.0, most, rtol=1e-9))
-
-
-def _unit_ratio(setup: Setup) -> Setup:
-    """The set-up with the larger of table and mounting error 1 rad, in its ratio, or both if they are zero."""
-    larger = max(setup.table_error, setup.mounting_error)
-    table, mounting = (setup.table_error / larger, setup.mounting_error / larger) if larger > 0.0 else (1.0, 1.0)
-    return replace(setup, table_error=table, mounting_error=mounting)
+    fixed = sum(demand.fixed.values())
+    free = wanted**2 - fixed
+    row = Requirement(group=group, estimator=demand.estimator, wanted=wanted, unit=UNITS[group])
+    if free <= 0.0:
+        cause = max(demand.fixed, key=lambda name: demand.fixed[name])
+        size, name = engineering(UNITS[group], math.sqrt(fixed))
+        reason = (
+            f"{group}: expected an accuracy of at least {math.sqrt(fixed) / size:.3g} {name}, which an exact table and "
+            f"endless rests leave (mostly {cause}), found {wanted / size:.3g} {name}; "
+            f"{_REMEDY.get(cause, 'take another pass or method')}"
+        )
+        return replace(row, reason=reason)
+    noisy = demand.rest_noise > 0.0
+    permitted = (1.0 - REST_SHARE) * free if noisy else free
+    scale = largest = LARGEST_DEVIATION / max(unit.table_error, unit.mounting_error)
+    if demand.deviations(largest) > permitted:
+        scale = float(brentq(lambda x: demand.deviations(x) - permitted, 0.0, largest, rtol=1e-9))
+    return replace(
+        row,
+        limited=scale < largest,
+        table_error=scale * unit.table_error,
+        mounting_error=scale * unit.mounting_error,
+        rest=demand.rest_noise / (REST_SHARE * free) if noisy else 0.0,
+    )
 
 
 def _check_wanted(wanted: Mapping[str, float], groups: Sequence[str]) -> None:

@@ -15,6 +15,8 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from typing import Literal
 
+import numpy as np
+
 from tumble.brief import Brief
 from tumble.earth import normal_gravity
 from tumble.errors import InputError
@@ -23,6 +25,7 @@ from tumble.programme.positions import programme as built_in
 from tumble.recording.session import USUAL_CLOCK_U
 from tumble.sensors.grades import GRADES, NoiseModel, Spread
 from tumble.sensors.grades import grade as grade_named
+from tumble.sensors.model import Block
 from tumble.sensors.parameters import usual_sizes
 from tumble.units import DEGREE
 from tumble.usual_setup import (
@@ -42,6 +45,12 @@ from tumble.usual_setup import (
 
 Terms = Literal["linear", "full"]
 """The parameters of an instrument: bias, scale factor and axis angles alone, or all groups of the table."""
+
+ACCEL, GYRO = (Block(kind=kind, axes=np.eye(3)) for kind in ("accel", "gyro"))
+"""The triads of a set-up, along the body axes."""
+
+NAMES = ACCEL.names + GYRO.names
+"""The 21 parameters of the linear model, in the order of the calibration file."""
 
 _programme = cache(built_in)
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from tumble.errors import InputError
 from tumble.rotation import UP, skew
 from tumble.sensors.instrument import is_linear
 from tumble.sensors.model import Block
-from tumble.simulation.scenario import Scenario, itinerary
+from tumble.simulation.scenario import Itinerary, Scenario, itinerary
 from tumble.simulation.sensors import SimulatedBlock
 from tumble.units import Array
 
@@ -44,78 +44,59 @@ _CHUNK = 1 << 13
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Recording:
-    """A simulated log and what really happened. `time` (N,), s; `accel` (N, n), m/s²; `gyro` (N, n), rad/s;
-    `attitudes` (R, 3, 3), true body → geographic at the rests; `rests` (R, 2), their start and stop, s;
-    `moves` (R − 1, 3), rotation vectors in the geographic frame, rad; `positions` (R,), which position of the
-    programme each rest is (of the random ones, if hand-held)."""
+class Recording(Itinerary):
+    """A simulated log and what really happened: `time` (N,), s; `accel` (N, n), m/s²; `gyro` (N, n), rad/s."""
 
     time: Array
     accel: Array
     gyro: Array
-    attitudes: Array
-    rests: Array
-    moves: Array
-    positions: tuple[int, ...]
 
 
 def record(scenario: Scenario, rng: np.random.Generator) -> Recording:
-    """Run a scenario in memory. Attitudes and times do not depend on the noise.
+    """Run a scenario in memory. Attitudes and times do not depend on the noise. Accelerometers may be late, each by a
+    time of its own.
 
     Raises InputError, one line, if the scenario is impossible or too long."""
     geometry, noise = rng.spawn(2)
-    way = itinerary(scenario, geometry)
-    samples = float(way.rests[-1, 1]) * float(scenario.profile.sample_rate)
+    way, fs = itinerary(scenario, geometry), scenario.profile.sample_rate
+    samples = float(way.rests[-1, 1]) * float(fs)
     if not samples <= _MAX_SAMPLES:
         raise InputError(f"session: expected at most {_MAX_SAMPLES:g} samples, found {samples:.3g}")
-    time, accel, gyro = _readings(scenario, way.attitudes, way.moves, way.rests, noise)
-    return Recording(
-        time=time,
-        accel=accel,
-        gyro=gyro,
-        attitudes=way.attitudes,
-        rests=way.rests,
-        moves=way.moves,
-        positions=way.positions,
-    )
-
-
-def _readings(
-    scenario: Scenario, attitudes: Array, moves: Array, rests: Array, rng: np.random.Generator
-) -> tuple[Array, Array, Array]:
-    """Time and readings of both blocks, of which the accelerometers may be late, each by a time of its own."""
-    fs = scenario.profile.sample_rate
-    N = math.floor(rests[-1, 1] * fs + 1e-6)
-    of_accel, of_gyro = rng.spawn(2)
+    N = math.floor(way.rests[-1, 1] * fs + 1e-6)
+    of_accel, of_gyro = noise.spawn(2)
     late, which = np.unique(scenario.instrument.delays(scenario.values), return_inverse=True)
     streams = [of_accel] if len(late) == 1 else of_accel.spawn(len(late))
     accel = np.empty((scenario.accel.size, N))
     for k, (behind, own) in enumerate(zip(late.tolist(), streams, strict=True)):
-        sensors = _SampledBlock.of(scenario.accel, scenario, rests, own, behind)
-        accel[which == k] = _block_readings(sensors, attitudes, moves, rests)[which == k]
-    gyro = _block_readings(_SampledBlock.of(scenario.gyro, scenario, rests, of_gyro, 0.0), attitudes, moves, rests)
-    return np.arange(1, N + 1) / fs, accel.T, gyro.T
+        accel[which == k] = _block_readings(scenario.accel, scenario, way, own, behind)[which == k]
+    gyro = _block_readings(scenario.gyro, scenario, way, of_gyro, 0.0)
+    happened = {field.name: getattr(way, field.name) for field in fields(way)}
+    return Recording(time=np.arange(1, N + 1) / fs, accel=accel.T, gyro=gyro.T, **happened)
 
 
-def _block_readings(sensors: _SampledBlock, attitudes: Array, moves: Array, rests: Array) -> Array:
-    """Readings (n, N) of a block, piece by piece: rest, move, rest, …
+def _block_readings(block: Block, scenario: Scenario, way: Itinerary, rng: np.random.Generator, late: float) -> Array:
+    """Readings (n, N) of a block that is `late`, s, piece by piece: rest, move, rest, …
 
     A sample belongs to a rest if all of its interval does."""
-    fs, shifted = sensors.scenario.profile.sample_rate, rests + sensors.late
+    fs, rests = scenario.profile.sample_rate, way.rests
+    sensors = SimulatedBlock.of(block, scenario, way.middle)
+    out = np.empty((block.size, math.floor(rests[-1, 1] * fs + 1e-6)))
+    sampled = _SampledBlock(sensors=sensors, scenario=scenario, late=late, rng=rng, readings=out)
+    shifted = rests + late
     shifted[0, 0], shifted[-1, 1] = rests[0, 0], rests[-1, 1]
     edges = np.column_stack([np.ceil(shifted[:, 0] * fs - 1e-6), np.floor(shifted[:, 1] * fs + 1e-6)]).astype(int)
-    normal = np.empty((len(rests), len(sensors.readings)))
-    for i, L in enumerate(attitudes):
-        normal[i] = sensors.rng.standard_normal(normal.shape[1])
+    normal = np.empty((len(rests), block.size))
+    for i, L in enumerate(way.attitudes):
+        normal[i] = rng.standard_normal(block.size)
         for first, last in _chunks(edges[i, 0], edges[i, 1]):
-            sensors.put(first, last, sensors.at_rest(L, first, last))
-        for first, last in _chunks(edges[i, 1], edges[i + 1, 0]) if i < len(moves) else ():
-            sensors.put(first, last, sensors.in_move(L, moves[i], float(shifted[i, 1]), first, last))
-    bias = sensors.sensors.bias(normal, rests)
-    for first, last in _chunks(0, sensors.readings.shape[1]) if np.any(bias.values) else ():
-        begins = (np.arange(first, last) + 1e-6) / fs - sensors.late  # that of a rest, where it begins with it
-        sensors.readings[:, first:last] += bias.at(np.asarray(begins, dtype=float)).T
-    return sensors.readings
+            sampled.put(first, last, sampled.at_rest(L, first, last))
+        for first, last in _chunks(edges[i, 1], edges[i + 1, 0]) if i < len(way.moves) else ():
+            sampled.put(first, last, sampled.in_move(L, way.moves[i], float(shifted[i, 1]), first, last))
+    bias = sensors.bias(normal, rests)
+    for first, last in _chunks(0, out.shape[1]) if np.any(bias.values) else ():
+        begins = (np.arange(first, last) + 1e-6) / fs - late  # that of a rest, where it begins with it
+        out[:, first:last] += bias.at(np.asarray(begins, dtype=float)).T
+    return out
 
 
 def _chunks(first: int, last: int) -> Iterator[tuple[int, int]]:
@@ -133,23 +114,6 @@ class _SampledBlock:
     late: float
     rng: np.random.Generator
     readings: Array
-
-    @staticmethod
-    def of(block: Block, scenario: Scenario, rests: Array, rng: np.random.Generator, late: float) -> _SampledBlock:
-        """A block, ready to fill."""
-        samples = math.floor(rests[-1, 1] * scenario.profile.sample_rate + 1e-6)
-        return _SampledBlock(
-            sensors=SimulatedBlock.of(block, scenario, 0.25 * float(rests[0].sum() + rests[-1].sum())),
-            scenario=scenario,
-            late=late,
-            rng=rng,
-            readings=np.empty((block.size, samples)),
-        )
-
-    @property
-    def linear(self) -> bool:
-        """Whether the mean reading of a sample is that of the mean of what the block measures."""
-        return not np.any(self.sensors.arms) and is_linear(self.sensors.block, self.sensors.coefficients)
 
     def put(self, first: int, last: int, means: Array) -> None:
         """Samples of mean readings (last − first, n), or (1, n) for all of them."""
@@ -194,8 +158,11 @@ class _SampledBlock:
         nodes = panels[:-1, None] + np.diff(panels)[:, None] * _NODES
         theta = profile.angle((nodes + passed) / fs, total)
         waves = np.stack([np.ones_like(theta), np.cos(theta), np.sin(theta)])
-        vertical = scenario.site.gravity + _vibration(scenario, nodes - self.late * fs, first)
-        if not self.linear:
+        vertical, vibration = np.full(1, scenario.site.gravity), scenario.vibration
+        if vibration.amplitude > 0.0:
+            seconds = (first + nodes - self.late * fs) / fs
+            vertical = vertical + vibration.amplitude * np.sin(2.0 * np.pi * vibration.frequency * seconds)
+        if np.any(self.sensors.arms) or not is_linear(self.sensors.block, self.sensors.coefficients):
             rate, change = profile.rates((nodes + passed) / fs, total)
             earth_b, axis_b = np.moveaxis(waves, 0, -1) @ _turning(n, earth) @ L, n @ L
             means = self.read(
@@ -237,12 +204,3 @@ def _panels(scenario: Scenario, total: float, passed: float, samples: int) -> Ar
     kinks = np.array([0.0, profile.ramp, T - profile.ramp, T]) * profile.sample_rate - passed
     inside = kinks[(kinks > 0.0) & (kinks < samples)]
     return np.unique(np.concatenate([np.arange(samples * each + 1) / each, inside]))
-
-
-def _vibration(scenario: Scenario, nodes: Array, first: int) -> Array:
-    """Specific force of the vibration, m/s², at `nodes`, samples after sample `first` begins."""
-    vibration = scenario.vibration
-    if vibration.amplitude == 0.0:
-        return np.zeros(1)
-    t = (first + nodes) / scenario.profile.sample_rate
-    return np.asarray(vibration.amplitude * np.sin(2.0 * np.pi * vibration.frequency * t))

@@ -15,7 +15,7 @@ from decimal import Decimal
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.planning.setup import Setup
+from tumble.planning.setup import ACCEL, GYRO, Setup
 from tumble.programme.positions import ANY_MOVE, Move, Programme
 from tumble.recording.session import Site
 from tumble.rotation import UP, rotation_matrix, rotation_vector, rotation_vector_near
@@ -142,13 +142,15 @@ def scenario_of(
     setup: Setup, rng: np.random.Generator, *, serial: str = "simulated", vibration: Vibration = NO_VIBRATION
 ) -> Scenario:
     """A scenario of a set-up: a triad of each kind along the body axes, with errors drawn from its spreads."""
-    accel, gyro = (Block(kind=kind, axes=np.eye(3)) for kind in ("accel", "gyro"))
-    linear = draw_parameters(setup, (accel, gyro), rng)
+    course: OnTable | HandHeld = OnTable(
+        programme=setup.programme, table_error=setup.table_error, mounting_error=setup.mounting_error
+    )
+    linear = draw_parameters(setup, (ACCEL, GYRO), rng)
     return Scenario(
-        course=_course_of(setup),
-        accel=accel,
-        gyro=gyro,
-        truth=linear | draw_further(setup.further, accel, gyro, rng),
+        course=course if setup.by_hand is None else HandHeld(positions=setup.by_hand),
+        accel=ACCEL,
+        gyro=GYRO,
+        truth=linear | draw_further(setup.further, ACCEL, GYRO, rng),
         noise=setup.noise,
         profile=profile_of(setup),
         site=Site(latitude=setup.latitude, height=setup.height, gravity=setup.gravity, gravity_u=setup.gravity_u),
@@ -169,19 +171,10 @@ def profile_of(setup: Setup) -> Profile:
     )
 
 
-def _course_of(setup: Setup) -> OnTable | HandHeld:
-    if setup.by_hand is not None:
-        return HandHeld(positions=setup.by_hand)
-    return OnTable(programme=setup.programme, table_error=setup.table_error, mounting_error=setup.mounting_error)
-
-
 def draw_parameters(instrument: Setup | Grade, blocks: Sequence[Block], rng: np.random.Generator) -> dict[str, float]:
     """True values by parameter name of blocks, Gaussian with the spreads of a set-up or a grade."""
-    values: dict[str, float] = {}
-    for block in blocks:
-        for name in block.names:
-            values[name] = spread_of(instrument, name) * float(rng.standard_normal())
-    return values
+    names = [name for block in blocks for name in block.names]
+    return {name: spread_of(instrument, name) * float(rng.standard_normal()) for name in names}
 
 
 def draw_further(spreads: Mapping[str, float], accel: Block, gyro: Block, rng: np.random.Generator) -> dict[str, float]:
@@ -217,14 +210,26 @@ class Itinerary:
 
 
 def itinerary(scenario: Scenario, rng: np.random.Generator) -> Itinerary:
-    """Attitudes, moves and times of a scenario. Raises InputError, one line, if the scenario is impossible."""
+    """Attitudes, moves and times of a scenario; of the two ways round, a move goes the one nearer to the nominal move,
+    or the shorter one if any movement will do. Raises InputError, one line, if the scenario is impossible."""
     _check(scenario)
+    profile = scenario.profile
     positions, attitudes, nominal = _attitudes(scenario.course, rng)
-    moves = np.array([_move(a, b, m) for a, b, m in zip(attitudes[:-1], attitudes[1:], nominal, strict=True)])
-    moves = moves.reshape(-1, 3)
+    moves = np.empty((len(nominal), 3))
+    for i, move in enumerate(nominal):
+        turned = attitudes[i + 1] @ attitudes[i].T
+        if move.axis is None or move.angle is None:
+            moves[i] = rotation_vector(turned)
+        else:
+            moves[i] = rotation_vector_near(turned, move.angle * move.axis)
+    rests = np.full(len(moves) + 1, profile.rest)
+    rests[0] = profile.first_rest
+    durations = [profile.duration(float(np.linalg.norm(move))) for move in moves]
+    with np.errstate(over="ignore"):  # too long a session is refused after
+        stops = np.cumsum(rests + np.concatenate([[0.0], durations]))
     return Itinerary(
         attitudes=attitudes,
-        rests=_timetable(scenario.profile, moves),
+        rests=np.column_stack([stops - rests, stops]),
         moves=moves,
         positions=positions,
         programmed=tuple(move.axis is not None for move in nominal),
@@ -232,10 +237,14 @@ def itinerary(scenario: Scenario, rng: np.random.Generator) -> Itinerary:
 
 
 def _attitudes(course: OnTable | HandHeld, rng: np.random.Generator) -> tuple[tuple[int, ...], Array, tuple[Move, ...]]:
-    """Which position comes when, the true attitudes (R, 3, 3), and the nominal moves between them."""
+    """Which position comes when, the true attitudes (R, 3, 3), and the nominal moves between them. By hand they are
+    uniform over all orientations: of quaternions of Gaussian components."""
     if isinstance(course, HandHeld):
+        from scipy.spatial.transform import Rotation
+
         n = course.positions
-        return tuple(range(n)), _random_rotations(n, rng), (ANY_MOVE,) * (n - 1)
+        drawn = Rotation.from_quat(rng.standard_normal((n, 4)), scalar_first=True).as_matrix()
+        return tuple(range(n)), np.asarray(drawn), (ANY_MOVE,) * (n - 1)
     n = len(course.programme.positions)
     order = np.arange(n) if course.programme.ordered else rng.permutation(n)
     nominal = np.array([course.programme.positions[i].matrix for i in order])
@@ -244,32 +253,6 @@ def _attitudes(course: OnTable | HandHeld, rng: np.random.Generator) -> tuple[tu
     mounting = rotation_matrix(course.mounting_error * rng.uniform(-1.0, 1.0, 3))
     table = rotation_matrix(course.table_error * rng.uniform(-1.0, 1.0, (n, 3)))
     return tuple(order.tolist()), table @ nominal @ mounting, course.programme.moves
-
-
-def _random_rotations(n: int, rng: np.random.Generator) -> Array:
-    """n rotation matrices, uniform over all orientations: of quaternions of Gaussian components."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_quat(rng.standard_normal((n, 4)), scalar_first=True).as_matrix())
-
-
-def _move(start: Array, end: Array, nominal: Move) -> Array:
-    """Rotation vector, geographic frame, rad, of the rotation from one true attitude to the next: of the two
-    ways round, the one nearer to the nominal move, or the shorter one if any movement will do."""
-    turned = end @ start.T
-    if nominal.axis is None or nominal.angle is None:
-        return rotation_vector(turned)
-    return rotation_vector_near(turned, nominal.angle * nominal.axis)
-
-
-def _timetable(profile: Profile, moves: Array) -> Array:
-    """Start and stop of every rest, s, shape (R, 2)."""
-    rests = np.full(len(moves) + 1, profile.rest)
-    rests[0] = profile.first_rest
-    durations = [profile.duration(float(np.linalg.norm(move))) for move in moves]
-    with np.errstate(over="ignore"):  # too long a session is refused after
-        stops = np.cumsum(rests + np.concatenate([[0.0], durations]))
-    return np.column_stack([stops - rests, stops])
 
 
 # -------------------- checks --------------------
@@ -281,9 +264,10 @@ MOST_POSITIONS = 100_000
 def _check(scenario: Scenario) -> None:
     """Raise InputError if a scenario is one nothing can be recorded of."""
     profile, vibration = scenario.profile, scenario.vibration
-    _expect("sample rate", profile.sample_rate, "Hz")
-    _expect("rate", profile.rate / DEGREE, "deg/s")
-    _expect("ramp", profile.ramp, "s")
+    sizes = [("sample rate", profile.sample_rate, "Hz"), ("rate", profile.rate / DEGREE, "deg/s")]
+    for what, value, unit in (*sizes, ("ramp", profile.ramp, "s")):
+        if not 0.0 < value < math.inf:
+            raise InputError(f"{what}: expected more than 0, in {unit}, found {value:g}")
     shortest = 2.0 / profile.sample_rate
     for what, rest in (("first rest", profile.first_rest), ("rest", profile.rest)):
         if not shortest <= rest < math.inf:
@@ -294,25 +278,17 @@ def _check(scenario: Scenario) -> None:
             f"vibration: expected more than 0 and at most {highest:g} Hz (ten cycles a sample), "
             f"found {vibration.frequency:g} Hz"
         )
-    if isinstance(scenario.course, HandHeld):
-        if scenario.course.positions < 1:
-            raise InputError(f"positions: expected at least 1, found {scenario.course.positions}")
-        if scenario.course.positions > MOST_POSITIONS:
-            raise InputError(
-                f"positions: expected at most {MOST_POSITIONS}, found {Decimal(scenario.course.positions):.6g}"
-            )
+    course = scenario.course
+    if isinstance(course, HandHeld):
+        if not 1 <= course.positions <= MOST_POSITIONS:
+            least = "least 1" if course.positions < 1 else f"most {MOST_POSITIONS}"
+            raise InputError(f"positions: expected at {least}, found {Decimal(course.positions):.6g}")
     else:
-        _expect("table error", scenario.course.table_error / DEGREE, "deg", zero=True)
-        _expect("mounting error", scenario.course.mounting_error / DEGREE, "deg", zero=True)
+        for what, error in (("table error", course.table_error), ("mounting error", course.mounting_error)):
+            if not 0.0 <= error < math.inf:
+                raise InputError(f"{what}: expected 0 or more, in deg, found {error / DEGREE:g}")
     missing = sorted(set(scenario.names) ^ set(scenario.truth))
     if missing:
         raise InputError(
             f"truth: expected a value for every parameter and no other, found a difference in {missing[0]}"
         )
-
-
-def _expect(what: str, value: float, unit: str, *, zero: bool = False) -> None:
-    """Raise InputError unless a value is finite and positive, or zero where that is allowed."""
-    if not (0.0 < value < math.inf or (zero and value == 0.0)):
-        least = "0 or more" if zero else "more than 0"
-        raise InputError(f"{what}: expected {least}, in {unit}, found {value:g}")

@@ -14,7 +14,7 @@ from tumble.documents import json_of, text_of_document
 from tumble.errors import InputError
 from tumble.files import FilePath, nothing_left, whole_file
 from tumble.planning.setup import Setup
-from tumble.programme.positions import BUILT_IN, Programme
+from tumble.programme.positions import BUILT_IN
 from tumble.recording.session import Session
 from tumble.recording.session_file import SESSION_FILE, session_of, write_session
 from tumble.sensors.model import Block
@@ -23,7 +23,6 @@ from tumble.simulation.scenario import NO_VIBRATION, OnTable, Scenario, Vibratio
 from tumble.simulation.temperature_profile import (
     LAG_NAME,
     REFERENCE_NAME,
-    Climate,
     TemperatureProfile,
     draw_lag,
     draw_thermal,
@@ -96,7 +95,9 @@ def write_simulation(
             raise InputError(f"{folder}: expected a new folder, found {said} in it; give another one")
     recording = record(scenario, rng)
     truth = {name: scenario.truth[name] for name in scenario.names}
-    truth |= _truth_of(scenario.climate)
+    if (climate := scenario.climate) is not None:
+        truth |= {REFERENCE_NAME: climate.reference - ZERO_CELSIUS}
+        truth |= {LAG_NAME: climate.lag} if climate.lag != 0.0 else {}
     try:
         with nothing_left(folder) as output:
             _write_log(output.new_file(log), scenario, recording)
@@ -106,14 +107,6 @@ def write_simulation(
     except OSError as error:
         raise InputError(f"{folder}: expected a folder to write to, found: {error.strerror or error}") from None
     return folder
-
-
-def _truth_of(climate: Climate | None) -> dict[str, float]:
-    """What truth.json has of the temperature: the reference, °C, and the lag, s, where there is one."""
-    if climate is None:
-        return {}
-    reference = {REFERENCE_NAME: climate.reference - ZERO_CELSIUS}
-    return reference | ({LAG_NAME: climate.lag} if climate.lag != 0.0 else {})
 
 
 def session_in_memory(scenario: Scenario, rng: np.random.Generator) -> Session:
@@ -134,13 +127,10 @@ def read_truth(path: Path) -> dict[str, float]:
         raise InputError(f"{path}: expected a truth.json as `tumble simulate` writes it: {error.strerror}") from error
     except ValueError as error:
         raise InputError(f"{path}: expected a truth.json as `tumble simulate` writes it: {error}") from error
-    if not isinstance(content, dict) or not all(map(_finite, content.values())):
+    numbers: list[Any] = list(content.values()) if isinstance(content, dict) else [None]
+    if not all(type(each) in (int, float) and abs(each) < _LARGEST for each in numbers):
         raise InputError(f"{path}: expected an object of parameter names and numbers, found something else")
-    return content
-
-
-def _finite(value: object) -> bool:
-    return isinstance(value, float | int) and not isinstance(value, bool) and abs(value) < _LARGEST
+    return dict(content)
 
 
 def _columns(block: Block) -> list[str]:
@@ -195,7 +185,9 @@ def _content(scenario: Scenario, log_format: LogFormat) -> dict[str, Any]:
         names = list(thermometer_columns(scenario.climate, np.zeros(1)))
         content["log"]["temperature"] = {"columns": names, "unit": "degC"}
     if isinstance(scenario.course, OnTable):
-        content["programme"] = _programme_content(scenario.course.programme)
+        listed = scenario.course.programme
+        attitudes = [{"attitude": position.attitude} for position in listed.positions]
+        content["programme"] = {"name": listed.name} if listed.name in BUILT_IN else {"position": attitudes}
     return content
 
 
@@ -204,9 +196,3 @@ def _block_content(block: Block, unit: str) -> dict[str, Any]:
     if not np.array_equal(block.axes, np.eye(3)):
         content["axes"] = block.axes.tolist()
     return content
-
-
-def _programme_content(listed: Programme) -> dict[str, Any]:
-    if listed.name in BUILT_IN:
-        return {"name": listed.name}
-    return {"position": [{"attitude": position.attitude} for position in listed.positions]}

@@ -16,12 +16,12 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.planning.chamber_recordings import ChamberSession, CourseOfTemperature, rests_of
+from tumble.planning.chamber_recordings import ChamberSession, rests_of
 from tumble.planning.setup import Setup
 from tumble.reduction.rests.thermometer import MOVED, Thermometers, followed
 from tumble.sensors.grades import GRADES
@@ -51,7 +51,7 @@ class Climate:
         sensors = self.sensors(time)
         x = (sensors - self.span[0]) / self.span[1]
         warmer = sensors - self.reference
-        came = self.record.direction(_first(time), time)
+        came = self.record.direction(np.zeros(len(time), dtype=np.int64), time)
         hysteresis = came * np.maximum(1.0 - x**2, 0.0)
         every: dict[Variable, Array] = {"temperature": warmer, "temperature²": warmer**2, "hysteresis": hysteresis}
         return {variable: values[:, thermometer] for variable, values in every.items()}
@@ -82,11 +82,6 @@ class Climate:
         """What the thermometers recorded."""
         records: Mapping[int, tuple[Array, Array]] = {0: (self.time, self.kelvin)}
         return Thermometers.of(records)
-
-
-def _first(time: Array) -> IntArray:
-    """The number of the file of every time: the first."""
-    return np.zeros(len(time), dtype=np.int64)
 
 
 REFERENCE = 25.0
@@ -221,26 +216,22 @@ def chamber_sessions(text: str, setup: Setup) -> tuple[ChamberSession, ...]:
     >>> [len(one.programme.positions) for one in chamber_sessions("-20/4,20,-20:60:-20/30", Setup.of())]
     [4, 15, 30]
     """
-    return tuple(_session(part.strip(), setup) for part in text.split(","))
+    sessions = []
+    for part in map(str.strip, text.split(",")):
+        profile, slash, count = part.partition("/")
+        course, programme = temperature_profile(profile), setup.programme
+        if slash:
+            if not re.fullmatch(r"\d{1,3}", count) or not 1 <= int(count) <= MOST_RESTS:
+                raise InputError(
+                    f"temperature: {part!r}: expected how many rests, 1 to {MOST_RESTS}, after the slash, found "
+                    f"{count!r}"
+                )
+            programme = rests_of(programme, int(count))
+        sessions.append(ChamberSession(name=part, programme=programme, course=partial(_mean_course, course)))
+    return tuple(sessions)
 
 
-def _session(text: str, setup: Setup) -> ChamberSession:
-    profile, slash, count = text.partition("/")
-    course, programme = temperature_profile(profile), setup.programme
-    if slash:
-        if not re.fullmatch(r"\d{1,3}", count) or not 1 <= int(count) <= MOST_RESTS:
-            raise InputError(
-                f"temperature: {text!r}: expected how many rests, 1 to {MOST_RESTS}, after the slash, found {count!r}"
-            )
-        programme = rests_of(programme, int(count))
-    return ChamberSession(name=text, programme=programme, course=_course(course))
-
-
-def _course(profile: TemperatureProfile) -> CourseOfTemperature:
-    """The mean of its thermometers."""
-
-    def course(duration: float) -> tuple[Array, Array]:
-        climate = profile.climate(duration)
-        return climate.time, climate.kelvin.mean(axis=1)
-
-    return course
+def _mean_course(profile: TemperatureProfile, duration: float) -> tuple[Array, Array]:
+    """The mean of the thermometers of a profile: times, s, and temperatures, K."""
+    climate = profile.climate(duration)
+    return climate.time, climate.kelvin.mean(axis=1)
