@@ -141,6 +141,7 @@ CALLS = {
     "export": "export_calibration",
     "fleet": "fleet",
     "inspect": "inspect_session",
+    "mission": "mission",
     "new": "new_session",
     "noise": "noise",
     "plan": "plan",

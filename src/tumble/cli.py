@@ -77,6 +77,10 @@ COMMANDS: Mapping[str, Mapping[str, str]] = {
         "check": "Test from a few rests of its device what has changed since CALIBRATION, and by how much.",
         "compare": "Differences of two calibration files in units of their combined uncertainty, and E_n numbers.",
         "apply": "Correct the recording of SESSION with CALIBRATION, a calibration file of the same device.",
+        "mission": (
+            "What CALIBRATION, a calibration file, means for a vehicle: heading, tilt and position after 10, 60 and "
+            "600 s without aid, with what contributes, before and after calibration."
+        ),
         "noise": (
             "Allan deviation: the noise of every sensor, from the longest rest of SESSION or from all of a LOG at rest."
         ),

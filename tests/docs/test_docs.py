@@ -46,6 +46,7 @@ RUN = (
     "docs/reference/conventions.md",
     "docs/howto/cube.md",
     "docs/howto/where-u-comes-from.md",
+    "docs/howto/mission.md",
     "docs/howto/ellipsoid.md",
     "docs/howto/waved-about.md",
     "docs/evidence/xsens.md",
