@@ -18,14 +18,14 @@ import pytest
 from click.testing import CliRunner
 
 from tumble import cli, compiled, uncompiled
-from tumble.inference import elimination, residual_loops, row_loops
+from tumble.inference import elimination
 from tumble.reduction import kernels
 from tumble.reduction.turns import moment_kernels, moments
 from tumble.reduction.turns.moments import BlockCompensation, Compensation, OwnAxes, Pieces, moments_of
 from tumble.sensors import fixed_point
 from tumble.units import Array
 
-LOOPS = kernels, moment_kernels, elimination, row_loops, residual_loops, fixed_point
+LOOPS = kernels, moment_kernels, elimination, fixed_point
 MODULES = dict(zip(compiled.LOOPS, LOOPS, strict=True))
 pytestmark = pytest.mark.skipif(bool(compiled.as_python()), reason="the loops are not compiled here")
 
@@ -60,64 +60,12 @@ def chain(module: ModuleType) -> list[Array]:
     own, shared = module.put_back(factor, given[2], parameters, covariance, unknowns)
     Z, component = rng.standard_normal((4, 5, 6)), np.array([0, 0, 1, 2, 2, 4])
     whitening = module.whitening(np.tile(np.eye(5), (4, 1, 1)), Z, component, np.array([0.1, 0.0, 0.3, 0.0, 0.2]))
-    vertical, attitudes = rng.standard_normal((9, 3)), np.zeros((9, 3, 3))
-    vertical /= np.linalg.norm(vertical, axis=1)[:, None]
-    module.carry(vertical, np.linalg.qr(rng.standard_normal((8, 3, 3)))[0], given[2], 0.1 * np.arange(9.0), attitudes)
-    return [factor, triangle, unknowns, own, shared, whitening, attitudes]
+    return [factor, triangle, unknowns, own, shared, whitening]
 
 
 def test_elimination_is_that_of_python_to_the_bit() -> None:
     for found, expected in zip(chain(elimination), chain(as_python("inference/elimination")), strict=True):
         np.testing.assert_array_equal(found, expected)
-
-
-def residuals(module: ModuleType) -> list[Array]:
-    """What a step leaves of rows, of one rest and of two, and what that says of components of variance."""
-    rng = np.random.default_rng(2)
-    known = rng.standard_normal((4, 3)), rng.standard_normal((2, 4, 3, 3)), rng.standard_normal((4, 3, 7))
-    Z, component, step = rng.standard_normal((3, 5, 6)), np.array([0, 0, 1, 2, 2, 4]), rng.standard_normal(7)
-    found, slope, information = [], np.zeros(5), np.zeros((5, 5))
-    for angles in (3, 6):
-        covariance = np.tile(np.eye(5), (3, 1, 1))
-        left = module.leave(rng.standard_normal((3, 5, angles + 8)), np.array([0, 2, 1]), known, step, covariance)
-        module.score(Z, component, (left, covariance), slope, information)
-        found += [left, covariance]
-    return [*found, slope, information]
-
-
-def test_residuals_are_those_of_python_to_the_bit() -> None:
-    every = residuals(as_python("inference/residual_loops"))
-    for found, expected in zip(residuals(residual_loops), every, strict=True):
-        np.testing.assert_array_equal(found, expected)
-
-
-def likelihood_rows(module: ModuleType) -> list[Array]:
-    """All rows of four sensors at three attitudes and of the turns between them, one of nearly π."""
-    rng = np.random.default_rng(4)
-    attitudes, axes = np.linalg.qr(rng.standard_normal((3, 3, 3)))[0], rng.standard_normal((4, 3))
-    attitudes *= np.linalg.det(attitudes)[:, None, None]
-    rests, D = np.zeros((3, 9, 12)), rng.standard_normal((4, 15, 7))
-    about = attitudes, np.array([0.0, 9.8, 0.0]), np.array([1e-5, 2e-5, 0.0])
-    for kind in (0, 1):
-        model = rng.standard_normal((4, 15)), D, np.array([0, 1, 4, 7, 11, 14])
-        module.add_rests(about, (axes, kind), model, rng.standard_normal((3, 4)), rests, 4 * kind)
-    C = attitudes[:2] @ np.swapaxes(attitudes[1:], 1, 2) @ np.diag([1.0, -1.0, -1.0])
-    at, turned = (
-        (attitudes, np.array([0, 1]), np.array([1, 2])),
-        (C, np.array([3.0, 4.0]), np.tile(np.eye(3), (2, 1, 1))),
-    )
-    by, by_bias = rng.standard_normal((2, 6, 8)), rng.standard_normal((2, 6, 8))
-    turns, bias = np.zeros((2, 7, 15)), np.zeros((2, 7, 8))
-    module.add_turns(at, turned, (np.array([1e-5, 2e-5, 0.0]), 9.8, True), (by, by_bias), turns, bias)
-    r = np.array([[0.1, -0.2, 3.0], [1e-9, 0.0, 1e-3]])
-    moved = module.turned(attitudes, rng.standard_normal((3, 3)))
-    return [rests, turns, bias, moved, module.inverse_left_jacobian(r)]
-
-
-def test_rows_of_the_likelihood_are_those_of_python() -> None:
-    expected = likelihood_rows(as_python("inference/row_loops"))
-    for found, each in zip(likelihood_rows(row_loops), expected, strict=True):
-        np.testing.assert_allclose(found, each, rtol=1e-12, atol=1e-12)
 
 
 def test_moments_are_those_of_python(monkeypatch: pytest.MonkeyPatch) -> None:

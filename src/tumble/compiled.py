@@ -15,8 +15,6 @@ LOOPS = (
     "reduction/kernels",
     "reduction/turns/moment_kernels",
     "inference/elimination",
-    "inference/row_loops",
-    "inference/residual_loops",
     "sensors/fixed_point",
 )
 

@@ -34,11 +34,11 @@ try:
 except ImportError:
     from tumble import uncompiled as cython
 
-# C: from libc.math cimport cos, fabs, sin, sqrt
+# C: from libc.math cimport sqrt
 # C: from libc.stdint cimport int64_t
 
 if not cython.compiled:
-    from numpy import cos, fabs, sin, sqrt
+    from numpy import sqrt
 
 ROUNDING = 1e-10
 """A column that an elimination leaves with less than this part of its length has nothing left in it."""
@@ -457,56 +457,3 @@ def _inverse(factor: Array, inverse: Array) -> None:
             for c in range(a + 1, b + 1):
                 total -= factor[a, c] * inverse[c, b]
             inverse[a, b] = total / factor[a, a]
-
-
-# C: cpdef carry(const double[:, :] vertical, const double[:, :, :] C, const int64_t[:] link, const double[:] turned,
-# C:     double[:, :, ::1] attitudes)
-def carry(vertical: Array, C: Array, link: IntArray, turned: Array, attitudes: Array) -> None:
-    """Attitudes (N, 3, 3) with the verticals (N, 3), and with the heading that the turns C (K, 3, 3) carry along each
-    chain, whose first heading is any; in turn k the Earth turns by `turned[k]` about the vertical."""
-    with cython.nogil:
-        for i in range(vertical.shape[0]):
-            north = attitudes[i, 0]
-            north[:] = 0.0
-            if i > 0 and link[i - 1] >= 0:
-                _turn_north(attitudes[i - 1], C[link[i - 1]], turned[link[i - 1]], north)
-            _complete(vertical[i], attitudes[i], north)
-
-
-# C: cdef void _turn_north(const double[:, ::1] before, const double[:, :] C, double turned, double[::1] north
-# C:     ) noexcept nogil
-def _turn_north(before: Array, C: Array, turned: float, north: Array) -> None:
-    """North of the attitude before, less by how far the Earth turns, after the turn C."""
-    cosine, sine = cos(turned), sin(turned)
-    for a in range(3):
-        for b in range(3):
-            north[a] += (cosine * before[0, b] - sine * before[2, b]) * C[b, a]
-
-
-# C: cdef void _complete(const double[:] u, double[:, ::1] L, double[::1] north) noexcept nogil
-def _complete(u: Array, L: Array, north: Array) -> None:
-    """An attitude with the vertical u and a north that is near to north, or any where it is none."""
-    along = _dot(north, u)
-    if fabs(_dot(north, north) - along * along) < 1e-2:  # nothing before, or north has become the vertical
-        least = 0
-        for a in range(1, 3):
-            if fabs(u[a]) < fabs(u[least]):
-                least = a
-        north[:] = 0.0
-        north[least] = 1.0
-        along = u[least]
-    for a in range(3):
-        north[a] -= along * u[a]
-    size = sqrt(_dot(north, north))
-    for a in range(3):
-        north[a] /= size
-        L[1, a] = u[a]
-    L[2, 0] = north[1] * u[2] - north[2] * u[1]
-    L[2, 1] = north[2] * u[0] - north[0] * u[2]
-    L[2, 2] = north[0] * u[1] - north[1] * u[0]
-
-
-# C: cdef double _dot(const double[:] a, const double[:] b) noexcept nogil
-def _dot(a: Array, b: Array) -> float:
-    """Scalar product of vectors of three."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]  # type: ignore[no-any-return]

@@ -93,7 +93,7 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
         axes, correlation = _axes(fitted)
         value, vectors = np.linalg.eigh(correlation)
         normal = special.ndtri(_sequence(points, len(axes)))
-        z = WIDER * normal @ (vectors * np.sqrt(value)).T
+        z = WIDER * normal @ (vectors * np.sqrt(value)) @ vectors.T
         log_q -= 0.5 * (normal**2).sum(axis=1)
         for own, axis in zip(z.T, axes, strict=True):
             x = np.interp(special.ndtr(own), axis.cumulative, axis.phi)

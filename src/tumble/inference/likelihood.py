@@ -46,12 +46,11 @@ import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.inference.hyperparameters import NO_COMPONENTS, Components, Noise, Weights
-from tumble.inference.row_loops import turned
 from tumble.inference.session_spans import SessionSpan, session_spans
 from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.variables import GROWING, Variables, by_lag, variables_of
 from tumble.reduction.observations import Observations
-from tumble.rotation import rotation_matrix, skew
+from tumble.rotation import UP, rotation_matrix, skew
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import SensorModel, beyond_body
 from tumble.sensors.parameters import Variable, limits_of
@@ -90,10 +89,11 @@ class Point:
         """The point after steps of gravity and the parameters (1 + m,), of the angles (N, 3) of the attitudes, and of
         what each session has of its own (S, q). The heading turns everything about the vertical, exactly: it may be off
         by much."""
+        tilt = (bases(self.attitudes)[:, :, :2] @ angles[:, :2, None])[:, :, 0]
         return Point(
             values=self.values + parameters[1:],
             gravity=self.gravity + parameters[0],
-            attitudes=turned(self.attitudes, angles),
+            attitudes=rotation_matrix(angles[:, 2:] * UP) @ self.attitudes @ rotation_matrix(tilt),
             own=self.own if own is None else self.own + own,
         )
 

@@ -1,5 +1,5 @@
-"""Residuals and Jacobians of the likelihood at a point (`tumble.inference.likelihood`): rows of rests and turns, which
-loops write (`tumble.inference.row_loops`), of spare gyros, of attitudes known beforehand, and of the priors."""
+"""Residuals and Jacobians of the likelihood at a point (`tumble.inference.likelihood`): rows of rests and turns, of
+spare gyros, of attitudes known beforehand, and of the priors."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 
 from tumble.inference.elimination import fold
 from tumble.inference.likelihood import Point, Problem, Rows, bases
-from tumble.inference.row_loops import add_rests, add_turns, inverse_left_jacobian
 from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.variables import GROWING
-from tumble.rotation import UP, rotation_vector
-from tumble.sensors.model import beyond_body
-from tumble.sensors.parameters import CONSTANT, RATE
+from tumble.rotation import UP, rotation_matrix, rotation_vector, skew
+from tumble.sensors.instrument import functions
+from tumble.sensors.model import Block, beyond_body
+from tumble.sensors.parameters import CONSTANT, FORCE, OWN_CUBE, OWN_SIZE, PAIRS, PRODUCTS, RATE
 from tumble.units import Array
 
 
@@ -50,24 +50,40 @@ def with_priors(rows: Rows, problem: Problem, point: Point, about: TurnsAbout | 
 
 
 def _rest_rows(problem: Problem, point: Point, model: tuple[Array, Array]) -> Array:
-    """ŷ − Σ K β of all sensors, and the prior of the attitudes."""
-    instrument, (K, D), n = problem.instrument, model, 0
-    rests, N = problem.observations.rests, len(point.attitudes)
-    known = problem.prior.attitude is not None
-    rows = np.zeros((N, len(K) + 3 * known, 5 + problem.width))
-    about = point.attitudes, point.gravity * UP, problem.earth
-    for kind, block in enumerate(instrument.blocks):
-        last = n + block.size
-        observed = rests.accel if kind == 0 else rests.gyro
-        own = K[n:last], D[n:last], instrument.used[block.kind]
-        add_rests(about, (block.axes, kind), own, observed, rows, n)
-        n = last
-    if problem.observations.site.gravity_u == 0.0:
-        rows[:, :, 3] = 0.0
+    """ŷ − Σ K β of all sensors (4), and the prior of the attitudes."""
+    instrument, rests, L, n = problem.instrument, problem.observations.rests, point.attitudes, problem.sensors
+    f, w = point.gravity * L[:, 1], problem.earth @ L
+    basis, m = bases(L), len(point.values)
+    turned = skew(f) @ basis, skew(w) @ basis  # by which the three angles change f and ω
+    turned[0][:, :, 2] = 0.0  # exactly
+    rows = np.zeros((len(L), n + 3 * (problem.prior.attitude is not None), 5 + problem.width))
+    first = 0
+    for block, observed in zip(instrument.blocks, (rests.accel, rests.gyro), strict=False):
+        own, used, first = slice(first, first + block.size), instrument.used[block.kind], first + block.size
+        K, D, beta = model[0][own], model[1][own][:, used], functions(block, f, w)
+        by_force, by_rate = _slopes(block, K, f, w)
+        rows[:, own, :3] = by_force @ turned[0] + by_rate @ turned[1]
+        if problem.observations.site.gravity_u > 0.0:
+            rows[:, own, 3] = (by_force @ L[:, 1, :, None])[:, :, 0]
+        rows[:, own, 4 : 4 + m] = np.swapaxes(np.swapaxes(beta[:, :, used], 0, 1) @ D, 0, 1)
+        rows[:, own, -1] = observed - (beta * K).sum(axis=2)
     _add_changes(problem, point, rows[:, :n], 4, 0)
-    if known:
+    if problem.prior.attitude is not None:
         rows[:, n:] = _attitude_rows(problem, point)
     return rows
+
+
+def _slopes(block: Block, K: Array, f: Array, w: Array) -> tuple[Array, Array]:
+    """Derivatives (N, n, 3) of the readings of a block by specific forces and rates (N, 3), with coefficients K."""
+    square = np.zeros((len(K), 3, 3))
+    for (k, other), column in zip(PAIRS, K[:, PRODUCTS].T, strict=True):
+        square[:, k, other] += column
+        square[:, other, k] += column
+    by_force = K[:, FORCE] + np.swapaxes(f @ square, 0, 1)
+    by_rate = np.broadcast_to(K[:, RATE], by_force.shape)
+    own = (f if block.kind == "accel" else w) @ block.axes.T
+    along = (K[:, OWN_SIZE] * np.sign(own) + 3.0 * K[:, OWN_CUBE] * own**2)[:, :, None] * block.axes
+    return (by_force + along, by_rate) if block.kind == "accel" else (by_force, by_rate + along)
 
 
 def _add_changes(
@@ -99,23 +115,56 @@ def at_reference(problem: Problem, point: Point, rows: Rows) -> Array:
 
 
 def _turn_rows(problem: Problem, point: Point, about: TurnsAbout, model: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Rotation and velocity of the turns, what more than three gyros say of themselves, and the coefficients of all for
-    a bias of the accelerometers and gyros."""
-    turns, instrument = problem.observations.turns, problem.instrument
+    """Rotation and velocity of the turns, (13) and (14), what more than three gyros say of themselves, and the
+    coefficients of all for a bias of the accelerometers and gyros."""
+    turns, instrument, g = problem.observations.turns, problem.instrument, point.gravity
     assert turns is not None
     by = about.rows(instrument, point.values, model, problem.width)
     _add_changes(problem, point, by, 0, 1, about.growing_columns(model[1]))
     (spare, free), t = _spare_rows(problem, point, about, model), 6 if instrument.in_velocities else 3
     rows = np.zeros((len(turns), problem.rows_of_turn, 8 + problem.width))
-    bias = np.zeros((len(turns), problem.rows_of_turn, about.paths.shape[2]))
-    ends, turned = (point.attitudes, turns.first, turns.last), (about.C, turns.duration, problem.earth_turned)
-    place = problem.earth, point.gravity, instrument.in_velocities
-    add_turns(ends, turned, place, (by, about.paths[..., CONSTANT]), rows, bias)
+    bias, by_bias = np.zeros((len(turns), problem.rows_of_turn, problem.sensors)), about.paths[..., CONSTANT]
+
+    phi, start, end = by[:, :3, -1], point.attitudes[turns.first], point.attitudes[turns.last]
+    C, basis = rotation_matrix(phi) @ about.C, bases(start)
+    r = rotation_vector(C @ np.swapaxes(end, 1, 2) @ problem.earth_turned @ start)
+    left = inverse_left_jacobian(r)
+    by_rotation = left @ left_jacobian(phi)
+    rows[:, :3, :3] = -np.swapaxes(left, 1, 2) @ basis
+    rows[:, :3, 3:6] = left @ C @ bases(end)
+    rows[:, :3, 7:-1], rows[:, :3, -1] = by_rotation @ by[:, :3, :-1], r
+    bias[:, :3] = by_rotation @ by_bias[:, :3]
+    if instrument.in_velocities:  # ∫ e^{[Ω×]s} ds = T (I + [x×]/2 + [x×]²/6), x = Ω T
+        x = skew(turns.duration[:, None] * problem.earth)
+        gained = g * turns.duration[:, None] * UP
+        sideways = ((x / 2.0 + x @ x / 6.0) @ gained[:, :, None])[:, :, 0]  # the heading has a part in this alone
+        vertical, level = ((each[:, None] @ start)[:, 0] for each in (gained, sideways))
+        predicted = vertical + level
+        rows[:, 3:6, :2], rows[:, 3:6, 2:3] = skew(predicted) @ basis[:, :, :2], skew(level) @ basis[:, :, 2:]
+        rows[:, 3:6, 6] = predicted / g
+        rows[:, 3:6, 7:-1], rows[:, 3:6, -1] = by[:, 3:, :-1], by[:, 3:, -1] - predicted
+        bias[:, 3:6] = by_bias[:, 3:]
     if problem.observations.site.gravity_u == 0.0:
         rows[:, :, 6] = 0.0
     rows[:, t:, 7:] = spare
     bias[:, t:, instrument.accel.size :] = turns.duration[:, None, None] * free
     return rows, bias
+
+
+def left_jacobian(r: Array) -> Array:
+    """J_l(r) (…, 3, 3) = I + (1 − cos a)/a² [r×] + (a − sin a)/a³ [r×]², of small angles by its series."""
+    a, cross = np.linalg.norm(r, axis=-1)[..., None, None], skew(r)
+    second, wide = 1.0 / 6.0 - a**2 / 120.0, a >= 1e-2
+    np.divide(a - np.sin(a), a**3, out=second, where=wide)
+    return np.asarray(np.eye(3) + 0.5 * np.sinc(0.5 * a / np.pi) ** 2 * cross + second * (cross @ cross))
+
+
+def inverse_left_jacobian(r: Array) -> Array:
+    """J_l⁻¹(r) (…, 3, 3) = I − [r×]/2 + (1/a² − 1/(2 a tan(a/2))) [r×]², likewise; its transpose is J_r⁻¹(r)."""
+    a, cross = np.linalg.norm(r, axis=-1)[..., None, None], skew(r)
+    wide = np.where(a >= 1e-2, a, 1.0)
+    second = np.where(a >= 1e-2, wide**-2 - 0.5 / (wide * np.tan(0.5 * wide)), 1.0 / 12.0 + a**2 / 720.0)
+    return np.asarray(np.eye(3) - 0.5 * cross + second * (cross @ cross))
 
 
 def _spare_rows(problem: Problem, point: Point, about: TurnsAbout, model: tuple[Array, Array]) -> tuple[Array, Array]:

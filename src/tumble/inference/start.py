@@ -10,15 +10,15 @@ from __future__ import annotations
 import numpy as np
 
 from tumble.earth import EARTH_RATE
-from tumble.inference.elimination import carry
 from tumble.inference.likelihood import Point, Problem
 from tumble.inference.maximum import At
 from tumble.inference.turns_about import TurnsAbout
-from tumble.rotation import skew, unit_vector
+from tumble.rotation import UP, rotation_matrix, skew, tangent_basis, unit_vector
 from tumble.units import Array
 
 ROUGH_TURN = 1e-2  # rad: what the start takes the turns to err by
 ROUGH_EFFECT = 1e-3  # rad: second-order effect that the start puts up with
+VERTICAL = 1e-2  # a north with so little across the vertical is none, and any is taken
 
 
 def start_of(problem: Problem) -> tuple[At, tuple[Array, ...]]:
@@ -72,16 +72,20 @@ def _started_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[Tu
 
 
 def headings(problem: Problem, vertical: Array, values: Array, about: TurnsAbout | None) -> Array:
-    """Attitudes (N, 3, 3) with these verticals. With N', E' the axes of a chain whose heading is any, the rates at
-    rest are ω − Ω_U u = δ + a N' + s E', where the gyros still err by δ: linear in δ and in a and s of each chain."""
-    observations, link = problem.observations, problem.link
-    attitudes = np.empty((len(vertical), 3, 3))
-    turns = observations.turns
-    if about is None or turns is None:
-        C, turned = np.empty((0, 3, 3)), np.empty(0)
-    else:
-        C, turned = about.C, turns.duration * problem.earth[1]
-    carry(np.ascontiguousarray(vertical), np.ascontiguousarray(C), link, turned, attitudes)
+    """Attitudes (N, 3, 3) with these verticals. With N', E' the axes of a chain whose heading is any, carried along by
+    the turns, the rates at rest are ω − Ω_U u = δ + a N' + s E', where the gyros still err by δ: linear in δ and in a
+    and s of each chain."""
+    observations, turns = problem.observations, problem.observations.turns
+    north = -tangent_basis(vertical)[:, 1]
+    if about is not None and turns is not None:
+        around = rotation_matrix(-turns.duration[:, None] * problem.earth[1] * UP)
+        for i, k in zip(turns.first.tolist(), range(len(turns)), strict=True):
+            before = np.array([north[i], vertical[i], np.cross(north[i], vertical[i])])
+            after = (around[k] @ before @ about.C[k])[0]
+            level = after - (after @ vertical[i + 1]) * vertical[i + 1]
+            if level @ level > VERTICAL:
+                north[i + 1] = level / np.sqrt(level @ level)
+    attitudes = np.stack([north, vertical, np.cross(north, vertical)], axis=1)
     if observations.gyro_block is None or problem.earth[0] == 0.0:
         return attitudes
     rate = problem.gyro_model(values).apply(observations.rests.gyro) - problem.earth[1] * vertical

@@ -19,14 +19,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.blas import dtrmm
 from scipy.linalg.lapack import dtrtri
 
 from tumble.inference.elimination import eliminate, fold, put_back
 from tumble.inference.hyperparameters import SCATTER, Noise, Weights
 from tumble.inference.in_run import InRun
 from tumble.inference.likelihood import Problem, Rows
-from tumble.inference.residual_loops import leave, score
 from tumble.inference.session_spans import SessionSpan
 from tumble.units import Array, IntArray
 
@@ -248,44 +246,52 @@ def inverse_of(triangle: Array) -> Array:
 
 
 def left(problem: Problem, step: Step) -> Left:
-    """What a step leaves of the residuals."""
-    rest, turn = step.told.whitened
-    of_rests = np.zeros(rest.shape[:2]), np.zeros((*rest.shape[:2], rest.shape[1]))
-    of_turns = np.empty(turn.shape[:2]), np.empty((*turn.shape[:2], turn.shape[1]))
-    known = step.unknowns, *step.shared
+    """What a step leaves of the residuals. With A the columns of the unknowns of a rest, or of two, of covariance S, B
+    those of all others, of covariance C = U Uᵀ, and T that of the former with the latter, the covariance is
+
+        1 − G Aᵀ − A Gᵀ − (B U)(B U)ᵀ,   G = ½ A S + B Tᵀ"""
+    (rest, turn), (S, T) = step.told.whitened, step.shared
+    out = [(np.empty(rows.shape[:2]), np.empty((*rows.shape[:2], rows.shape[1]))) for rows in (rest, turn)]
     for s, part in enumerate(problem.parts):
-        others, every = np.concatenate([step.own[s], step.parameters]), np.arange(part.rests.start, part.rests.stop)
-        for rows, first, (residual, covariance), own in (
-            (rest[part.rests], every, of_rests, part.rests),
-            (turn[part.turns], part.rests.start + part.first, of_turns, part.turns),
+        others, i = np.concatenate([step.own[s], step.parameters]), part.rests.start + part.first
+        both = np.concatenate([
+            np.concatenate([S[0, i], S[1, i]], axis=2),
+            np.concatenate([np.swapaxes(S[1, i], 1, 2), S[0, i + 1]], axis=2),
+        ], axis=1)  # fmt: skip
+        ends = np.concatenate([step.unknowns[i], step.unknowns[i + 1]], axis=1), both, np.hstack([T[i], T[i + 1]])
+        each = step.unknowns[part.rests], S[0, part.rests], T[part.rests]
+        for rows, (unknowns, own, shared), (residual, covariance), where in (
+            (rest[part.rests], each, out[0], part.rests),
+            (turn[part.turns], ends, out[1], part.turns),
         ):
-            predicted = _predicted(rows, step.roots[s])
-            residual[own] = leave(rows, first, known, others, predicted)
-            covariance[own] = predicted
-    return Left(rest=of_rests, turn=of_turns)
-
-
-def _predicted(rows: Array, root: Array) -> Array:
-    """Covariances (M, r, r) of what rows predict with unknowns (p,) whose covariance has this `root`, alone."""
-    M, r, _ = rows.shape
-    by = rows[:, :, -1 - len(root) : -1].reshape(M * r, len(root))
-    along = dtrmm(1.0, root.T, by.T, lower=1).T.reshape(M, r, len(root))
-    return np.asarray(along @ np.swapaxes(along, 1, 2))
+            A, B = np.split(rows[:, :, :-1], [own.shape[1]], axis=2)
+            residual[where] = rows[:, :, -1] - (A @ unknowns[:, :, None])[:, :, 0] - B @ others
+            G = 0.5 * A @ own + B @ np.swapaxes(shared, 1, 2)
+            BU, GA = (B.reshape(-1, len(others)) @ step.roots[s]).reshape(B.shape), G @ np.swapaxes(A, 1, 2)
+            covariance[where] = np.eye(rows.shape[1]) - GA - np.swapaxes(GA, 1, 2) - BU @ np.swapaxes(BU, 1, 2)
+    return Left(rest=out[0], turn=out[1])
 
 
 def scatter_score(noise: Noise, step: Step, after: Left) -> tuple[Array, Array, Array]:
     """The score (c,) of the restricted likelihood by the variances of the components of scatter, its information
-    (c, c), of which the part within a rest and within a turn is taken, and the score by the variance of the scatter of
-    every sensor at rest (n,), in parts of that of its kind. Raises LinAlgError where residuals are beyond all
-    measure."""
-    weights = step.told.weights
-    (at_rest, of_rest), (in_turn, of_turn) = noise.at_rest(weights.components), noise.turn_directions
-    n = len(of_rest)
-    by_sensor, of_sensors = np.zeros(n), np.zeros((n, n))
-    score(weights.rest @ at_rest, np.arange(n), after.rest, by_sensor, of_sensors)
-    kind = np.eye(len(SCATTER))[of_rest]
-    slope, information = by_sensor @ kind, kind.T @ of_sensors @ kind
-    score(weights.turn @ in_turn, of_turn, after.turn, slope, information)
+    (c, c), of which the part within a rest and within a turn is taken,
+
+        ½ (|Zᵀr|² − tr ZᵀCZ),   ½ Σ (ZᵀCZ)²
+
+    with r and C what is left of whitened residuals and Z whitened directions, and the score by the variance of the
+    scatter of every sensor at rest (n,), in parts of that of its kind. Raises LinAlgError where residuals are beyond
+    all measure."""
+    weights, slope, by_sensor = step.told.weights, np.zeros(len(SCATTER)), np.zeros(0)
+    information = np.zeros((len(SCATTER),) * 2)
+    for W, (r, C), (Z, of) in (
+        (weights.turn, after.turn, noise.turn_directions),
+        (weights.rest, after.rest, noise.at_rest(weights.components)),
+    ):
+        WZ, kind = W @ Z, np.eye(len(SCATTER))[of]
+        seen = np.swapaxes(WZ, 1, 2) @ C @ WZ
+        by_sensor = 0.5 * ((r[:, None] @ WZ)[:, 0] ** 2 - np.diagonal(seen, axis1=1, axis2=2)).sum(axis=0)
+        slope += by_sensor @ kind
+        information += 0.5 * kind.T @ (seen**2).sum(axis=0) @ kind
     if not (np.isfinite(slope).all() and np.isfinite(information).all()):
         raise np.linalg.LinAlgError("residuals are beyond all measure")
     return slope, information, by_sensor
