@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import tumble
-from tumble.inference.common_errors import by_time_base, clocked, common_rounding
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import Problem, noise_of
 from tumble.inference.linearisation import linearise
+from tumble.inference.sources import by_time_base, clocked, common_rounding
 from tumble.inference.start import start_of
 from tumble.planning.setup import Setup
 from tumble.reduction.noise.rounding import Rounding

@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
-
 import numpy as np
 import pytest
 
-from tumble.inference import lag as of_lag
+from tumble.inference.lag import LAGS_ABOUT, resolved
 from tumble.units import Array
 
 
 @pytest.mark.parametrize(("centre", "spread"), [(-20.0, 190.0), (3.0, 15.0), (17.0, 2.0), (-41.0, 0.6)])
-def test_mean_and_spread_of_a_lag_are_those_of_its_likelihood(
-    monkeypatch: pytest.MonkeyPatch, centre: float, spread: float
-) -> None:
+def test_mean_and_spread_of_a_lag_are_those_of_its_likelihood(centre: float, spread: float) -> None:
     """The likelihood of a ramp, from a lag that is held at −20 s, be it much narrower than the grid and away from it;
     the parameters move with the lag."""
 
-    def about(_fitted: object, _free: object, lags: Array, _components: object) -> tuple[Array, Array]:
+    def at_lags(lags: Array) -> tuple[Array, Array]:
         return ((lags - centre) / spread) ** 2, np.column_stack([np.zeros_like(lags), 2.0 * lags])
 
-    monkeypatch.setattr(of_lag, "_about", about)
-    nothing = cast(Any, None)
-    lags, weight, moved = of_lag._resolved(nothing, nothing, -20.0 + of_lag.LAGS_ABOUT)
+    lags, weight, moved = resolved(at_lags, -20.0 + LAGS_ABOUT)
     mean = float(weight @ lags)
     assert mean == pytest.approx(centre, abs=0.03 * spread)
     assert np.sqrt(weight @ (lags - mean) ** 2) == pytest.approx(spread, rel=0.03)

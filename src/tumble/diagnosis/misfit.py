@@ -28,8 +28,7 @@ from tumble.diagnosis.lost_samples import (
 from tumble.diagnosis.projection import Remaining
 from tumble.inference.estimate import Estimate, HyperparameterEstimate
 from tumble.inference.hyperparameters import REST_MODES, SCATTER, Components
-from tumble.inference.likelihood import Linearised
-from tumble.inference.session_spans import SessionSpan
+from tumble.inference.likelihood import Linearised, SessionSpan
 from tumble.reduction.observations import Observations
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD
 

@@ -29,7 +29,7 @@ from tumble.inference.elimination import fold
 from tumble.inference.hyperparameters import Components, Noise
 from tumble.inference.likelihood import Linearised, Problem, Rows
 from tumble.inference.linearisation import with_priors
-from tumble.inference.step import Left, Step, completed, inverse_of, left, tell, with_own
+from tumble.inference.step import Left, Step, inverse_of, left, solve, tell, with_own
 from tumble.units import Array
 
 SEEN_HEADING = 0.05
@@ -143,7 +143,7 @@ class Remaining:
     def of(linearised: Linearised, components: Components) -> Remaining:
         """What is left of all rows."""
         problem, (rows, noise) = linearised.problem, _with_norths(linearised, linearised.rows)
-        step = completed(problem, rows, tell(problem, rows, noise.weights(components)))
+        step = solve(problem, rows, noise.weights(components))
         return Remaining(step=step, left=left(problem, step))
 
 
@@ -165,8 +165,6 @@ def _as_large_as_they_are(linearised: Linearised) -> Problem:
 
 def _rows(noise: Noise, rests: slice, turns: slice) -> float:
     """How many rows of rests and turns there are but for those that were left out."""
-    if noise.kept is None:
-        return float(noise.rest[rests, 0].size + noise.turn[turns, 0].size)
     return float((noise.kept[0][rests] ** 2).sum() + (noise.kept[1][turns] ** 2).sum())
 
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from tumble.diagnosis.linearised_session import Concerns
 from tumble.diagnosis.observability import faces_and_edges, most_telling, standing
-from tumble.inference.common_errors import common_covariances
 from tumble.inference.estimate import SEEN, Estimate
+from tumble.inference.sources import common_covariances
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.rotation import onto_body, skew, tangent_basis

@@ -25,16 +25,14 @@ The equation is docs/explanation/mathematics.md (12).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from tumble.reduction.turns.array_motion import ArrayMoments
 from tumble.rotation import skew
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.model import Block
 from tumble.sensors.parameters import PAIRS
-from tumble.units import G_STANDARD, Array, IntArray
+from tumble.units import G_STANDARD, Array
 
 ROUNDS = 15
 SETTLED = 1e-7  # m
@@ -55,26 +53,16 @@ _PAIR = np.zeros((3, 3), dtype=np.int64)
 _PAIR[_FIRST, _SECOND] = _PAIR[_SECOND, _FIRST] = np.arange(len(PAIRS))
 
 
-def _squares() -> Array:
-    """Ω²_ij (3, 3, 6) as combinations of the products ω_k ω_l."""
-    out = np.zeros((3, 3, 6))
-    for i in range(3):
-        out[i, np.arange(3), _PAIR[i]] += 1.0
-        out[i, i, [0, 3, 5]] -= 1.0
-    return out
-
-
-def _by_rate_error() -> Array:
-    """∂(ω_i ω_j)/∂E_kl (3, 3, 6, 6) as combinations of the products."""
-    out = np.zeros((3, 3, 6, 6))
-    for m, (i, j) in enumerate(PAIRS):
-        for k in range(3):
-            out[i, k, m, _PAIR[j, k]] += 1.0
-            out[j, k, m, _PAIR[i, k]] += 1.0
-    return out
-
-
-_SQUARES, _BY_RATE_ERROR = _squares(), _by_rate_error()
+_SQUARES = np.zeros((3, 3, 6))
+"""Ω²_ij as combinations of the products ω_k ω_l."""
+_BY_RATE_ERROR = np.zeros((3, 3, 6, 6))
+"""∂(ω_i ω_j)/∂E_kl as combinations of the products."""
+for _i in range(3):
+    _SQUARES[_i, np.arange(3), _PAIR[_i]] += 1.0
+    _SQUARES[_i, _i, [0, 3, 5]] -= 1.0
+    for _m, (_first, _second) in enumerate(PAIRS):
+        _BY_RATE_ERROR[_first, _i, _m, _PAIR[_second, _i]] += 1.0
+        _BY_RATE_ERROR[_second, _i, _m, _PAIR[_first, _i]] += 1.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -113,56 +101,50 @@ def _rate_error(instrument: Instrument, values: Array) -> Array:
     return np.asarray(np.linalg.inv(read) - np.eye(3))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Place:
-    """Where the likelihood is taken: lever arms r (n, 3), the delay, s, and the error E (3, 3) of the rates."""
-
-    r: Array
-    delay: float
-    E: Array
-
-    @property
-    def common(self) -> Array:
-        """The delay and E (10,)."""
-        return np.append(self.delay, self.E)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _LinearRows:
-    """A sample's rows as linear functions of x: `left` (n, c) of what the readings leave, `own` (n, s, c) of the
-    unknowns of a sensor, its lever arm last, `common` (10, n, c) of the delay and of E; and N Nᵀ (n, n), `free`."""
-
-    left: Array
-    own: Array
-    common: Array
-    free: Array
-
-    @cached_property
-    def freed(self) -> tuple[Array, Array]:
-        """N Nᵀ times `left` and `common`."""
-        return self.free @ self.left, self.free @ self.common
-
-
 def array_levers(moments: ArrayMoments, instrument: Instrument, values: Array) -> ArrayLevers:
-    """The likelihood, with the sensitivities of the accelerometers that the instrument has at `values` (m,)."""
-    accel = instrument.accel
-    K = instrument.model(accel, values).matrix
-    at = _Place(r=np.zeros((accel.size, 3)), delay=0.0, E=_rate_error(instrument, values))
-    centre = np.concatenate([np.zeros(3 * accel.size - 3), at.common])
-    variances = np.ones(len(moments.counts))
+    """The likelihood, with the sensitivities of the accelerometers that the instrument has at `values` (m,).
+
+    With x the moments of a class of samples, M = Σ x xᵀ over the variances of the classes and N the combinations that
+    no force and no ω̇ explain, the rows of all sensors are Nᵀ (left − Σ own a − Σ common b) x of the unknowns a of
+    single sensors, lever arms last, and the delay and E, b. What is no lever arm is eliminated from the normal
+    equations."""
+    accel, K = instrument.accel, instrument.model(instrument.accel, values).matrix
+    n, order, E = accel.size, accel.channels[:-1], _rate_error(instrument, values)
+    r, delay, variances = np.zeros((n, 3)), 0.0, np.ones(len(moments.counts))
+    centre = np.concatenate([np.zeros(3 * n - 3), [delay], E.ravel()])
+    known = np.concatenate([np.full(3 * n - 3, LEVER), [DELAY], np.full(9, RATE_ERROR)]) ** -2.0
+    s = len(OWN) + 3  # unknowns of a sensor
+    place = np.arange(n * s).reshape(n, s)
+    kept, out = np.append(place[order, -3:].ravel(), n * s + np.arange(COMMON)), place[:, :-3].ravel()
     for _ in range(ROUNDS):
-        linear = _linear(moments, K, at)
-        normal, gradient, nuisance = _normal(moments, accel, linear, variances)
-        order = accel.channels[:-1]
-        about = np.concatenate([at.r[order].ravel(), at.common])
-        step = _step(normal, gradient, about - centre)
-        variances = _variances(moments, linear, nuisance.own(step, order), step[-COMMON:])
-        r = at.r.copy()
-        r[order] += step[:-COMMON].reshape(-1, 3)
-        at = _Place(r=r, delay=at.delay + step[-COMMON], E=at.E + step[1 - COMMON :].reshape(3, 3))
+        left, own, common, free = _linear(moments, K, r, delay, E)
+        M = np.tensordot(1.0 / variances, moments.sums, axes=1)
+        weighted, freed = own @ M, free @ common
+        every, right = np.zeros((n * s + COMMON, n * s + COMMON)), np.zeros(n * s + COMMON)
+        by_sensor = np.tensordot(weighted, own, axes=([2], [2])) * free[:, None, :, None]
+        every[:-COMMON, :-COMMON] = by_sensor.reshape(n * s, n * s)
+        every[:-COMMON, -COMMON:] = np.einsum("pac,epc->pae", weighted, freed).reshape(n * s, COMMON)
+        every[-COMMON:, :-COMMON] = every[:-COMMON, -COMMON:].T
+        every[-COMMON:, -COMMON:] = np.tensordot(common @ M, freed, axes=([1, 2], [1, 2]))
+        right[:-COMMON] = np.einsum("pac,pc->pa", weighted, free @ left).ravel()
+        right[-COMMON:] = np.einsum("epc,pc->e", common @ M, free @ left)
+        inner, back = every[np.ix_(out, out)] + np.diag(np.tile(OWN**-2.0, n)), every[np.ix_(kept, out)]
+        solved = np.linalg.solve(inner, np.column_stack([every[np.ix_(out, kept)], right[out]]))
+        normal, gradient = every[np.ix_(kept, kept)] - back @ solved[:, :-1], right[kept] - back @ solved[:, -1]
+
+        about = np.concatenate([r[order].ravel(), [delay], E.ravel()])
+        step = np.linalg.solve(normal + np.diag(known), gradient - known * (about - centre))  # reasonable is a prior
+        levers = np.zeros((n, 3))
+        levers[order] = step[:-COMMON].reshape(-1, 3)
+        of_sensors = np.column_stack([(solved[:, -1] - solved[:, :-1] @ step).reshape(n, s - 3), levers])
+        residual = left - np.einsum("psc,ps->pc", own, of_sensors) - np.tensordot(step[-COMMON:], common, axes=1)
+        shown = np.einsum("pc,bcd,pd->b", free @ residual, moments.sums, residual, optimize=True)
+        degrees = np.maximum(moments.counts, 1.0) * np.trace(free)
+        variances = np.where(moments.counts > 0.0, shown / degrees, 1.0)
+        r, delay, E = r + levers, delay + step[-COMMON], E + step[1 - COMMON :].reshape(3, 3)
         if np.abs(step[:-COMMON]).max() < SETTLED:
             break
-    share = (1.0 - 2.0 / (accel.size - 6)) ** 2
+    share = (1.0 - 2.0 / (n - 6)) ** 2
     normal, gradient = _with_floor(share * normal, share * gradient)
     size, direction = np.linalg.eigh(normal)
     seen = size > OUT_OF_RANGE * size[-1]
@@ -171,86 +153,34 @@ def array_levers(moments: ArrayMoments, instrument: Instrument, values: Array) -
     return ArrayLevers(about=about, root=root, excess=excess)
 
 
-def _linear(moments: ArrayMoments, K: Array, at: _Place) -> _LinearRows:
-    """The rows about a point. Without lever arms, at first, the angular acceleration is that of the gyros."""
-    where, width = moments.columns, moments.sums.shape[1]
-    squared, placed = _squared(moments, at), bool(np.any(at.r))
-    pulled = np.einsum("ijc,pj->pic", squared, at.r)
+def _linear(moments: ArrayMoments, K: Array, r: Array, delay: float, E: Array) -> tuple[Array, Array, Array, Array]:
+    """A sample's rows about lever arms r (n, 3), a delay and an error E (3, 3) of the rates, as linear functions of x:
+    what the readings leave (n, c), of the unknowns of a sensor (n, s, c), of the delay and of E (10, n, c); and N Nᵀ
+    (n, n)."""
+    where, width, placed = moments.columns, moments.sums.shape[1], bool(np.any(r))
+    squared = np.zeros((3, 3, width))  # Ω² of the rates (I + E) ω at t − τ
+    squared[..., where["products"]] = _SQUARES @ (np.einsum("ijkl,ij->kl", _BY_RATE_ERROR, E) + np.eye(6))
+    squared[..., where["change"]], squared[..., where["bend"]] = -delay * _SQUARES, 0.5 * delay**2 * _SQUARES
+    pulled = np.einsum("ijc,pj->pic", squared, r)
     left = -np.einsum("pi,pic->pc", K, pulled)
     left[:, where["readings"]] += np.eye(len(K))
-    H = np.hstack([K, np.cross(at.r, K)]) if placed else K
+    H = np.hstack([K, np.cross(r, K)]) if placed else K
     seen = np.linalg.pinv(H) @ left
-    turning = np.zeros((3, width))
+    turning = np.zeros((3, width))  # without lever arms, at first, the angular acceleration is that of the gyros
     turning[:, where["turning"]] = np.eye(3)
     turning = seen[3:] if placed else turning
     own = np.zeros((len(K), len(OWN) + 3, width))
-    own[:, 0, where["one"]], own[:, 1:4] = 1.0, seen[:3] + pulled - skew(at.r) @ turning
+    own[:, 0, where["one"]], own[:, 1:4] = 1.0, seen[:3] + pulled - skew(r) @ turning
     own[:, 4, where["forces"]] = np.where(_FIRST == _SECOND, 1.0, 2.0) * K[:, _FIRST] * K[:, _SECOND]
     own[:, 5, where["jerk"]] = -K
     own[:, 6:] = np.einsum("pi,ijc->pjc", K, squared)
     own[:, 6:] += np.einsum("pi,kij,kc->pjc", K, skew(np.eye(3)), turning)
-    whirl = np.einsum("pi,ijm,pj->pm", K, _SQUARES, at.r)
+    whirl = np.einsum("pi,ijm,pj->pm", K, _SQUARES, r)
     common = np.zeros((COMMON, len(K), width))
-    common[0][:, where["change"]], common[0][:, where["bend"]] = -whirl, at.delay * whirl
+    common[0][:, where["change"]], common[0][:, where["bend"]] = -whirl, delay * whirl
     common[1:, :, where["products"]] = np.einsum("pm,eml->epl", whirl, _BY_RATE_ERROR.reshape(9, 6, 6))
     N = np.linalg.qr(H, mode="complete")[0][:, H.shape[1] :]
-    return _LinearRows(left=left, own=own, common=common, free=N @ N.T)
-
-
-def _squared(moments: ArrayMoments, at: _Place) -> Array:
-    """Ω² (3, 3, c) of the rates (I + E) ω at t − τ."""
-    where = moments.columns
-    out = np.zeros((3, 3, moments.sums.shape[1]))
-    out[..., where["products"]] = _SQUARES @ (np.einsum("ijkl,ij->kl", _BY_RATE_ERROR, at.E) + np.eye(6))
-    out[..., where["change"]], out[..., where["bend"]] = -at.delay * _SQUARES, 0.5 * at.delay**2 * _SQUARES
-    return out
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _OfSensors:
-    """What every sensor has of its own (n, s'), `found` less `by` (n, s', q) times the step of the others."""
-
-    found: Array
-    by: Array
-
-    def own(self, step: Array, order: IntArray) -> Array:
-        """All unknowns (n, s) of the sensors, lever arms included."""
-        lever = np.zeros((len(self.found), 3))
-        lever[order] = step[:-COMMON].reshape(-1, 3)
-        return np.column_stack([self.found - self.by @ step, lever])
-
-
-def _normal(
-    moments: ArrayMoments, accel: Block, linear: _LinearRows, variances: Array
-) -> tuple[Array, Array, _OfSensors]:
-    """Normal matrix (q, q) and right side (q,) of the lever arms and of what is common, with variances (B,) of the
-    classes, and what was eliminated."""
-    M = np.tensordot(1.0 / variances, moments.sums, axes=1)
-    n, s = linear.own.shape[:2]
-    weighted, (left, common) = linear.own @ M, linear.freed
-    every = np.zeros((n * s + COMMON, n * s + COMMON))
-    own = np.tensordot(weighted, linear.own, axes=([2], [2])) * linear.free[:, None, :, None]
-    every[:-COMMON, :-COMMON] = own.reshape(n * s, n * s)
-    every[:-COMMON, -COMMON:] = np.einsum("pac,epc->pae", weighted, common).reshape(n * s, COMMON)
-    every[-COMMON:, :-COMMON] = every[:-COMMON, -COMMON:].T
-    every[-COMMON:, -COMMON:] = np.tensordot(linear.common @ M, common, axes=([1, 2], [1, 2]))
-    right = np.zeros(n * s + COMMON)
-    right[:-COMMON] = np.einsum("pac,pc->pa", weighted, left).ravel()
-    right[-COMMON:] = np.einsum("epc,pc->e", linear.common @ M, left)
-    place = np.arange(n * s).reshape(n, s)
-    kept = np.concatenate([place[accel.channels[:-1], -3:].ravel(), n * s + np.arange(COMMON)])
-    out = place[:, :-3].ravel()
-    inner = every[np.ix_(out, out)] + np.diag(np.tile(OWN**-2.0, n))
-    solved = np.linalg.solve(inner, np.column_stack([every[np.ix_(out, kept)], right[out]]))
-    back = every[np.ix_(kept, out)]
-    nuisance = _OfSensors(found=solved[:, -1].reshape(n, s - 3), by=solved[:, :-1].reshape(n, s - 3, -1))
-    return every[np.ix_(kept, kept)] - back @ solved[:, :-1], right[kept] - back @ solved[:, -1], nuisance
-
-
-def _step(normal: Array, gradient: Array, off: Array) -> Array:
-    """The step (q,) with what is reasonable as prior of all, which are `off` (q,) its centre."""
-    known = np.concatenate([np.full(len(off) - COMMON, LEVER), [DELAY], np.full(9, RATE_ERROR)]) ** -2.0
-    return np.asarray(np.linalg.solve(normal + np.diag(known), gradient - known * off))
+    return left, own, common, N @ N.T
 
 
 def _with_floor(normal: Array, gradient: Array) -> tuple[Array, Array]:
@@ -263,11 +193,3 @@ def _with_floor(normal: Array, gradient: Array) -> tuple[Array, Array]:
     inner[-1, -1] += DELAY_FLOOR**-2.0
     less = np.linalg.solve(inner, np.column_stack([normal[first], gradient[first]]))
     return normal - normal[:, first] @ less[:, :-1], gradient - normal[:, first] @ less[:, -1]
-
-
-def _variances(moments: ArrayMoments, linear: _LinearRows, own: Array, common: Array) -> Array:
-    """The variances (B,) that the residuals after a step show; 1 in a class without samples."""
-    residual = linear.left - np.einsum("psc,ps->pc", linear.own, own) - np.tensordot(common, linear.common, axes=1)
-    shown = np.einsum("pc,bcd,pd->b", linear.free @ residual, moments.sums, residual, optimize=True)
-    degrees = np.maximum(moments.counts, 1.0) * np.trace(linear.free)
-    return np.where(moments.counts > 0.0, shown / degrees, 1.0)

@@ -13,8 +13,7 @@ below LEAST_WEIGHT are left out, by number; the estimate is that of all others, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import special
@@ -37,8 +36,6 @@ LEAST_WEIGHT = 0.1
 STANDS_OUT = 3.0
 """Sigmas by the scale of the others: where none is further out the maximum is as good as a robust one. One of
 fourteen turns that spoils that scale is never beyond 3.9."""
-SETTLED = 0.05
-"""A change of weights that is none."""
 LEFT_OUT = 1e-6
 """The weight of what is left out."""
 FREE = 0.01
@@ -48,34 +45,24 @@ ROUNDED = 1e-9
 LEAST_CHANCE = 1e-300
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Falls:
-    """By group of a rest's accelerometers, its gyros (N,) and of the turns (K,): falls of chi-square without each, and
-    the directions in which it has residuals; of what is left out, the chi-square of its readings about what all others
-    predict."""
-
-    falls: tuple[Array, Array, Array]
-    counts: tuple[Array, Array, Array]
+Falls = tuple[list[Array], list[Array]]
+"""By group of a rest's accelerometers, its gyros (N,) and of the turns (K,): falls of chi-square without each, and the
+directions in which it has residuals; of what is left out, the chi-square of its readings about what all others
+predict."""
 
 
 def residuals(problem: Problem, noise: Noise, weights: Weights, after: Left) -> Falls:
     """How far rests and turns are from a fit by what it leaves of the rows of these weights."""
-    rest_kept, turn_kept = kept(noise)
-    rest = weights.rest, after.rest, rest_kept
-    groups = *((*rest, rows) for rows in _of_sensors(problem)), (weights.turn, after.turn, turn_kept, slice(None))
+    rest, turn = (weights.rest, after.rest, noise.kept[0]), (weights.turn, after.turn, noise.kept[1])
+    groups = *((*rest, rows) for rows in _of_sensors(problem)), (*turn, slice(None))
     falls, counts = zip(*(_falls(*group) for group in groups), strict=True)
-    return Falls(falls=falls, counts=counts)
+    return list(falls), list(counts)
 
 
 def _of_sensors(problem: Problem) -> tuple[slice, slice]:
     """The rows of a rest that are the accelerometers' and the gyros'."""
     n = problem.observations.accel_block.size
     return slice(n), slice(n, n + problem.observations.rests.gyro.shape[1])
-
-
-def kept(noise: Noise) -> tuple[Array, Array]:
-    """Square roots of the weights of single rows."""
-    return (np.ones(noise.rest.shape[:2]), np.ones(noise.turn.shape[:2])) if noise.kept is None else noise.kept
 
 
 def _falls(W: Array, after: tuple[Array, Array], kept: Array, rows: slice) -> tuple[Array, Array]:
@@ -90,45 +77,32 @@ def _falls(W: Array, after: tuple[Array, Array], kept: Array, rows: slice) -> tu
     variance, directions = np.linalg.eigh(Q * size[:, :, None] * size[:, None, :])
     seen = variance > FREE
     square = ((pull * size)[:, None] @ directions)[:, 0] ** 2
-    fall = (square / np.where(seen, variance, np.inf)).sum(axis=1)
-    count = seen.sum(axis=1)
-    weight = kept[:, rows]
+    fall, count, weight = (square / np.where(seen, variance, np.inf)).sum(axis=1), seen.sum(axis=1), kept[:, rows]
     for i in np.flatnonzero(weight.min(axis=1) < 1.0):
         some = variance[i] > ROUNDED * variance[i].max()
-        along = directions[i][:, some]
-        spread = np.diag(1.0 / variance[i][some])
+        along, spread = directions[i][:, some], np.diag(1.0 / variance[i][some])
         less = whole[i] * (1.0 - np.outer(weight[i], weight[i])) / np.outer(size[i], size[i])
-        own = spread - along.T @ less @ along
         difference = spread @ along.T @ (pull[i] * size[i])
-        fall[i], count[i] = difference @ np.linalg.solve(own, difference), len(difference)
+        fall[i], count[i] = difference @ np.linalg.solve(spread - along.T @ less @ along, difference), len(difference)
     return fall, count
 
 
 def student(shown: Falls) -> list[Array]:
     """The weights of Student-t rows: of the accelerometers and of the gyros at rest, by rest, and of the turns."""
-    every = zip(shown.falls, shown.counts, strict=True)
-    return [np.minimum((NU + count) / (NU + fall), 1.0) for fall, count in every]
+    return [np.minimum((NU + count) / (NU + fall), 1.0) for fall, count in zip(*shown, strict=True)]
 
 
 def weighted(problem: Problem, noise: Noise, weights: list[Array]) -> Noise:
     """The noise with weights of the accelerometers and of the gyros at rest, by rest, and of the turns."""
-    rest, turn = np.ones(noise.rest.shape[:2]), np.ones(noise.turn.shape[:2])
+    rest, turn = np.ones(noise.rest.shape[:2]), np.broadcast_to(np.sqrt(weights[2])[:, None], noise.turn.shape[:2])
     for rows, own in zip(_of_sensors(problem), weights, strict=False):
         rest[:, rows] = np.sqrt(own)[:, None]
-    turn[:] = np.sqrt(weights[2])[:, None]
     return replace(noise, kept=(rest, turn))
-
-
-def same_weights(kept: tuple[Array, Array] | None, before: tuple[Array, Array]) -> bool:
-    """Whether the weights of single rows have settled."""
-    assert kept is not None
-    return all(bool(np.all(np.abs(a**2 - b**2) < SETTLED)) for a, b in zip(kept, before, strict=True))
 
 
 def left_out(problem: Problem, noise: Noise) -> tuple[BoolArray, BoolArray, BoolArray]:
     """The rests whose accelerometers, and whose gyros, and the turns that are left out."""
-    rest, turn = kept(noise)
-    parts = *(rest[:, rows] for rows in _of_sensors(problem)), turn
+    parts = *(noise.kept[0][:, rows] for rows in _of_sensors(problem)), noise.kept[1]
     accel, gyro, by_turn = (np.any(part < LEAST_WEIGHT**0.5, axis=1) for part in parts)
     return accel, gyro, by_turn
 
@@ -138,7 +112,7 @@ def sigmas(problem: Problem, noise: Noise, weights: Weights, after: Left) -> tup
     sigmas of the same probability: by Fisher's distribution, for the scale is that of the others."""
     shown, fits = residuals(problem, noise, weights, after), chi_squares(problem, after)
     every = list[Array]()
-    for fall, count, omitted, name in zip(shown.falls, shown.counts, left_out(problem, noise), GROUPS[:3], strict=True):
+    for fall, count, omitted, name in zip(*shown, left_out(problem, noise), GROUPS[:3], strict=True):
         degrees = fits[name].degrees if name in fits else 0.0
         k = np.maximum(count, 1)
         others = np.maximum(degrees - k * max(1, omitted.sum()), 1.0)
@@ -165,15 +139,3 @@ def chi_squares(problem: Problem, after: Left, components: Components | None = N
             scatter_unit=unit,
         )
     return out
-
-
-def with_total(fits: Mapping[str, Fit], alone: Mapping[str, Fit]) -> Mapping[str, Fit]:
-    """The same, and that of everything with the noise within rests `alone`."""
-    every = alone.values()
-    total = Fit(
-        chi_square=sum(each.chi_square for each in every),
-        degrees=sum(each.degrees for each in every),
-        scatter=0.0,
-        scatter_unit="",
-    )
-    return {**fits, TOTAL: total}

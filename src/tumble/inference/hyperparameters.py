@@ -20,21 +20,30 @@ need of an element of φ; `table` makes those of a problem, in their order. Addi
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from tumble.inference.elimination import whitening
 from tumble.inference.variables import at_two_temperatures, both_ways
-from tumble.sensors.parameters import Variable, variable_of
+from tumble.sensors.parameters import variable_of
 from tumble.units import Array, BoolArray, IntArray
 
 if TYPE_CHECKING:
     from tumble.inference.likelihood import Problem
 
-SCATTER = ("accel", "gyro", "turn", "velocity", "apart", "jumps", "aliased", "aliased_apart")
+SCATTER_WORDS = {
+    "accel": ("m/s^2", "readings of the accelerometers at rest"),
+    "gyro": ("rad/s", "readings of the gyros at rest"),
+    "turn": ("rad", "rotations of the turns"),
+    "velocity": ("m/s", "velocities of the turns"),
+    "apart": ("rad", "what spare gyros say of the turns"),
+    "jumps": ("1", "velocities over jumps between samples"),
+    "aliased": ("1", "rotations over jumps between samples"),
+    "aliased_apart": ("1", "what spare gyros say over jumps between samples"),
+}
+SCATTER = tuple(SCATTER_WORDS)
 """The components of scatter, white from rest to rest and from turn to turn."""
 OF_TURNS = SCATTER[2:]
 """Those that concern turns alone."""
@@ -48,7 +57,7 @@ SHEET, STATED, GUESSED = 2.0, 3.0, 10.0
 one that is guessed."""
 UNLIKE = 3.0
 """The same of the scatter and the in-run bias of a sensor, over those of the others of its kind."""
-REST_MODES = {"accel": "readings of the accelerometers at rest", "gyro": "readings of the gyros at rest"}
+REST_MODES = {name: SCATTER_WORDS[name][1] for name in SCATTER[:2]}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -112,7 +121,7 @@ class Noise:
     turn: Array
     rest_directions: tuple[Array, IntArray]
     turn_directions: tuple[Array, IntArray]
-    kept: tuple[Array, Array] | None = None
+    kept: tuple[Array, Array]
 
     def at_rest(self, components: Components) -> tuple[Array, IntArray]:
         """The directions of the scatter at rest, those of sensors unlike others longer, and what they are of."""
@@ -122,10 +131,8 @@ class Noise:
     def weights(self, components: Components) -> Weights:
         """The weights of the rows with components of variance."""
         variances = components.variances
-        rest = whitening(self.rest, *self.at_rest(components), variances)
-        turn = whitening(self.turn, *self.turn_directions, variances)
-        if self.kept is not None:
-            rest, turn = rest * self.kept[0][:, None], turn * self.kept[1][:, None]
+        rest = whitening(self.rest, *self.at_rest(components), variances) * self.kept[0][:, None]
+        turn = whitening(self.turn, *self.turn_directions, variances) * self.kept[1][:, None]
         return Weights(rest=rest, turn=turn, components=components)
 
 
@@ -155,6 +162,12 @@ class Hyperparameter:
     within: float = 0.0
     members: slice | None = None
 
+    @staticmethod
+    def of_size(name: str, words: str, place: Place, too_small: float, members: slice) -> Hyperparameter:
+        """p of a size λ = exp(max(p, 0)) that may be too small by a factor."""
+        within = float(np.log(too_small))
+        return Hyperparameter(name=name, unit="1", words=words, place=place, usual=1.0, within=within, members=members)
+
     @property
     def bounded(self) -> bool:
         """Whether values below zero are those at zero: p of λ = exp(max(p, 0))."""
@@ -183,111 +196,74 @@ class Hyperparameter:
 def table(problem: Problem, noise: Noise, seen: BoolArray) -> tuple[Hyperparameter, ...]:
     """The hyperparameters of a problem: the components of scatter that are `seen`, the in-run biases, and the groups
     whose size is by a prior."""
-    return (*_scatter(noise, seen), *_in_run(problem), *_groups(problem))
+    observations, blocks, entries = problem.observations, problem.instrument.blocks, list[Hyperparameter]()
 
-
-def _scatter(noise: Noise, seen: BoolArray) -> Iterator[Hyperparameter]:
-    """The components of scatter: each stands beside the noise along its directions."""
-    units = dict(zip(SCATTER, ("m/s^2", "rad/s", "rad", "m/s", "rad", "1", "1", "1"), strict=True))
-    words = (
-        *REST_MODES.values(),
-        *("rotations of the turns", "velocities of the turns", "what spare gyros say of the turns"),
-        *("velocities over jumps between samples", "rotations over jumps between samples"),
-        "what spare gyros say over jumps between samples",
-    )
+    # components of scatter: each stands beside the noise along its directions
     both = (noise.rest, *noise.rest_directions), (noise.turn, *noise.turn_directions)
-    for place, (name, said) in enumerate(zip(SCATTER, words, strict=True)):
-        if not seen[place]:
-            continue
-        beside = list[float]()
-        for covariance, Z, of in both:
-            own = Z[:, :, of == place]
-            if own.size:
-                along = (own**2).sum(axis=1)
-                size = np.einsum("kaq,kab,kbq->kq", own, covariance, own)[along > 0.0] / along[along > 0.0] ** 2
-                beside.extend(size.ravel().tolist())
-        if beside:
-            usual = float(np.sqrt(np.median(beside)))
-            yield Hyperparameter(name=name, unit=units[name], words=said, place="scatter", usual=usual)
+    for number, (name, (unit, words)) in enumerate(SCATTER_WORDS.items()):
+        beside = [np.zeros(0)]
+        for covariance, Z, of in both if seen[number] else ():
+            along, own = Z[:, :, of == number], (Z[:, :, of == number] ** 2).sum(axis=1)
+            size = np.einsum("kaq,kab,kbq->kq", along, covariance, along)
+            beside.append(size[own > 0.0] / own[own > 0.0] ** 2)
+        if len(every := np.concatenate(beside)):
+            usual = float(np.sqrt(np.median(every)))
+            entries.append(Hyperparameter(name=name, unit=unit, words=words, place="scatter", usual=usual))
 
-
-def _in_run(problem: Problem) -> Iterator[Hyperparameter]:
-    """In-run biases of both kinds, and sensors whose bias wanders more than that of the others."""
-    rests, first = problem.observations.rests, 0
-    if len(rests) < 2:
-        return
-    covariances = rests.accel_covariance, rests.gyro_covariance
-    for block, covariance in zip(problem.instrument.blocks, covariances, strict=False):
-        kind, unit = ("accel", "m/s^2") if block.kind == "accel" else ("gyro", "rad/s")
-        noise = float(np.sqrt(np.median(np.trace(covariance, axis1=1, axis2=2)) / block.size))
-        usual = problem.observations.in_run.get(kind, noise)
-        words = {"accel": "accelerometers", "gyro": "gyros"}[kind]
-        yield Hyperparameter(
-            name=f"{kind}_in_run",
-            unit=unit,
-            words=f"in-run bias of the {words}",
-            place="in-run",
-            usual=usual,
-            within=IN_RUN_WITHIN,
+    # in-run biases of both kinds, and sensors whose bias wanders more than that of the others
+    rests, first = observations.rests, 0
+    covariances = (rests.accel_covariance, rests.gyro_covariance) if len(rests) > 1 else ()
+    for block, covariance in zip(blocks, covariances, strict=False):
+        kind, words = block.kind, "accelerometers" if block.kind == "accel" else "gyros"
+        noise_u = float(np.sqrt(np.median(np.trace(covariance, axis1=1, axis2=2)) / block.size))
+        entries.append(
+            Hyperparameter(
+                name=f"{kind}_in_run",
+                unit=SCATTER_WORDS[kind][0],
+                words=f"in-run bias of the {words}",
+                place="in-run",
+                usual=observations.in_run.get(kind, noise_u),
+                within=IN_RUN_WITHIN,
+            )
         )
-        yield Hyperparameter(
-            name=f"{kind}_time",
-            unit="s",
-            words=f"correlation time of the in-run bias of the {words}",
-            place="time",
-            usual=CORRELATION_TIME,
-            within=IN_RUN_WITHIN,
+        entries.append(
+            Hyperparameter(
+                name=f"{kind}_time",
+                unit="s",
+                words=f"correlation time of the in-run bias of the {words}",
+                place="time",
+                usual=CORRELATION_TIME,
+                within=IN_RUN_WITHIN,
+            )
         )
         for c, sensor in enumerate(block.sensors if block.size > 1 else ()):
-            yield Hyperparameter(
-                name=f"{kind}.in_run.{sensor}",
-                unit="1",
-                words=f"scatter and in-run bias of {kind} {sensor} over those of the others",
-                place="unlike",
-                usual=1.0,
-                within=float(np.log(UNLIKE)),
-                members=slice(first + c, first + c + 1),
-            )
+            said = f"scatter and in-run bias of {kind} {sensor} over those of the others"
+            member = slice(first + c, first + c + 1)
+            entries.append(Hyperparameter.of_size(f"{kind}.in_run.{sensor}", said, "unlike", UNLIKE, member))
         first += block.size
 
-
-def _groups(problem: Problem) -> Iterator[Hyperparameter]:
-    """The groups of parameters beyond the linear model, in common and of each session. The lag multiplies others: a
-    wide prior would let both grow. Curvatures are not wider than usual where there are but two temperatures, nor is a
-    hysteresis where they came one way: what a bias has beyond its usual size would be taken for one."""
-    observations = problem.observations
-    held: set[Variable | None] = {"lag"}
-    if at_two_temperatures(observations):
-        held.add("temperature²")
-    if not both_ways(observations):
-        held.add("hysteresis")
-    places: tuple[tuple[Place, dict[str, slice]], ...] = (
-        ("group", problem.instrument.members),
-        ("own group", problem.own_members),
-    )
-    for place, groups in places:
+    # groups of parameters beyond the linear model. The lag multiplies others: a wide prior would let both grow.
+    # Curvatures are not wider than usual where there are but two temperatures, nor is a hysteresis where they came one
+    # way: what a bias has beyond its usual size would be taken for one.
+    two, both_sides = at_two_temperatures(observations), both_ways(observations)
+    held = {"lag", "temperature²" if two else "lag", "lag" if both_sides else "hysteresis"}
+    common = {name: own for name, own in problem.instrument.members.items() if variable_of(name) not in held}
+    sizes: tuple[tuple[Place, dict[str, slice]], ...] = ("group", common), ("own group", problem.own_members)
+    for place, groups in sizes:
         for name, members in groups.items():
-            if place == "group" and variable_of(name) in held:
-                continue
-            yield Hyperparameter(
-                name=name,
-                unit="1",
-                words=f"size of {name} over the usual one",
-                place=place,
-                usual=1.0,
-                within=float(np.log(observations.too_small.get(name, STATED))),
-                members=members,
-            )
+            factor, said = observations.too_small.get(name, STATED), f"size of {name} over the usual one"
+            entries.append(Hyperparameter.of_size(name, said, place, factor, members))
+    return tuple(entries)
 
 
 def components_of(entries: tuple[Hyperparameter, ...], phi: Array, sensors: int) -> Components:
     """The components of variance at φ."""
-    values = {h.name: h.value(p) for h, p in zip(entries, phi.tolist(), strict=True) if h.place != "unlike"}
-    unlike = np.ones(sensors)
+    known, unlike = dict[str, Any](), np.ones(sensors)
     for h, p in zip(entries, phi.tolist(), strict=True):
-        if h.place == "unlike":
+        if h.place in ("scatter", "in-run", "time"):
+            known[h.name] = h.value(p)
+        elif h.place == "unlike":
             unlike[h.members] = h.value(p)
-    known: dict[str, Any] = {each.name: values[each.name] for each in fields(Components) if each.name in values}
     return Components(**known, unlike=unlike)
 
 

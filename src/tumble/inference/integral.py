@@ -30,11 +30,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from tumble.inference.hyperparameters import components_of, sized
 from tumble.inference.in_run import mean_along
-from tumble.inference.linearisation import with_priors
 from tumble.inference.maximum import Evaluated, Maximum
-from tumble.inference.step import deviance, joined, tell
 from tumble.inference.uncertainty_budget import contributions
 from tumble.units import Array
 
@@ -221,20 +218,15 @@ class Conditional:
 
 def conditional(fitted: Maximum, phi: Array) -> Conditional:
     """The posterior at φ."""
-    entries, free = fitted.entries, fitted.free
-    components, problem = components_of(entries, phi, free.sensors), sized(free, entries, phi)
-    rows = with_priors(fitted.at.rows, problem, fitted.at.point, fitted.at.about)
-    told = tell(problem, rows, fitted.at.noise.weights(components))
-    known = joined(problem, rows, told)
-    value = -0.5 * deviance(problem, told, known)
-    value += sum(h.prior(p)[0] for h, p in zip(entries, phi.tolist(), strict=True))
-    step, biases, mean = known.parameters.copy(), 1 + free.biases, None
+    here = Evaluated.of(fitted.free, fitted.entries, fitted.at, phi)
+    problem, told, known = here.problem, here.told, here.known
+    step, biases, mean = known.parameters.copy(), 1 + fitted.free.biases, None
     root = known.roots[0][len(problem.own_known) :][biases]
     if told.process is not None and len(problem.parts) == 1:
         mean = mean_along(told)
         step[biases] += mean[0] + mean[1] @ np.concatenate([known.own[0], known.parameters])
     return Conditional(
-        value=float(value),
+        value=here.value,
         step=step,
         covariances=contributions(problem, fitted.at, told, known, mean),
         process_step=known.parameters[biases],

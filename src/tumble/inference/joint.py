@@ -17,10 +17,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.inference.common_errors import common_covariances
 from tumble.inference.estimate import (
     DETERMINED,
     Estimate,
+    Fit,
     GroupFinding,
     HyperparameterEstimate,
     Integral,
@@ -28,7 +28,7 @@ from tumble.inference.estimate import (
     OwnEstimate,
     ProcessBias,
 )
-from tumble.inference.fits import chi_squares, left_out, sigmas, with_total
+from tumble.inference.fits import TOTAL, chi_squares, left_out, sigmas
 from tumble.inference.hyperparameters import SCATTER, Components
 from tumble.inference.integral import POINTS, Posterior, posterior
 from tumble.inference.lag import KEPT, maximum_with_lag
@@ -36,7 +36,7 @@ from tumble.inference.likelihood import NO_PRIOR, Linearised, Prior, Problem, in
 from tumble.inference.linearisation import at_reference
 from tumble.inference.maximum import MAX_ITERATIONS, Maximum, without_outliers
 from tumble.inference.prediction import prediction
-from tumble.inference.sources import UncertaintyBudget, source
+from tumble.inference.sources import UncertaintyBudget, common_covariances, source
 from tumble.inference.start import start_of
 from tumble.inference.step import left
 from tumble.inference.turns_about import TurnsAbout
@@ -74,8 +74,10 @@ def _estimate(
     free: Problem, fitted: Maximum, shown: Posterior, increments: tuple[Array, ...], by_lag: Array
 ) -> Estimate:
     problem, instrument, noise, best = fitted.problem, fitted.problem.instrument, fitted.at.noise, fitted.best
-    accel_sigmas, gyro_sigmas, turn_sigmas = sigmas(problem, noise, best.step.told.weights, best.left)
-    alone = chi_squares(problem, left(problem, fitted.at.solved(problem, Components())))
+    accel_sigmas, gyro_sigmas, turn_sigmas = sigmas(problem, noise, best.told.weights, best.left)
+    alone = chi_squares(problem, left(problem, fitted.at.solved(problem, Components()))).values()
+    chi_square, degrees = (sum(getattr(fit, name) for fit in alone) for name in ("chi_square", "degrees"))
+    total = Fit(chi_square=chi_square, degrees=degrees, scatter=0.0, scatter_unit="")
     observations, linear = problem.observations, instrument.linear_count
     values = fitted.at.point.values + shown.step[1:]
     common = {**common_covariances(observations, instrument), "lag": by_lag}
@@ -104,7 +106,7 @@ def _estimate(
         gyro_rest_sigmas=gyro_sigmas,
         turn_sigmas=turn_sigmas,
         increments=increments,
-        fits=with_total(chi_squares(problem, best.left, fitted.components), alone),
+        fits={**chi_squares(problem, best.left, fitted.components), TOTAL: total},
         converged=fitted.converged,
         instrument=instrument,
         groups=findings,

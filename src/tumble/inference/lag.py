@@ -7,6 +7,7 @@ holds the likeliest lag, and in the end its probability is summed over a grid: d
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,6 @@ import numpy as np
 from tumble.inference.hyperparameters import Components, components_of
 from tumble.inference.likelihood import Point, Problem
 from tumble.inference.maximum import At, Maximum, likeliest, maximum
-from tumble.inference.step import Step
 from tumble.units import Array
 
 LAGS = (-100.0, -25.0, 0.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
@@ -32,124 +32,73 @@ KEPT = 1e-3  # learned fraction of a group that the session says anything of
 
 
 def maximum_with_lag(problem: Problem, at: At, iterations: int) -> tuple[Maximum, Array]:
-    """The maximum with the likeliest lag, which is held, and what is to be added to the
-    covariance (m, m) of the parameters because the lag is not known: with the solutions θ(λ)
+    """The maximum with the likeliest lag, which is held, and what is to be added to the covariance (m, m) of the
+    parameters because the lag is not known: with the solutions θ(λ)
 
         C = C(λ) + E[(θ(λ) − E θ)(θ(λ) − E θ)ᵀ]                                                                   (35)
 
     Where a session hardly shows the lag, its likelihood is no parabola, and mean and spread are not those of the
     maximum. The lag that is held in the end is its mean."""
-    none = np.zeros((len(problem.instrument.names),) * 2)
-    if problem.lag is None:
-        return likeliest(problem, at, iterations), none
-    held = _held(problem, 0.0)
-    fitted = likeliest(held, At.of(held, at.point, at.about), iterations)
-    problem = replace(problem, bias_after=fitted.free.bias_after)
+    lag, free = problem.lag, problem
+    if lag is None:
+        return likeliest(problem, at, iterations), np.zeros((len(problem.instrument.names),) * 2)
+    expected, u = (float(values[1 + lag]) for values in problem.measured)
+
+    def held(value: float, sizes: Problem, point: Point, near: At) -> tuple[Problem, At]:
+        """The problem with this lag, which is known, and groups of these sizes, linearised at a point with it."""
+        measured, values = (sizes.measured[0].copy(), sizes.measured[1].copy()), point.values.copy()
+        measured[0][1 + lag], measured[1][1 + lag], values[lag] = value, LAG_HELD, value
+        known = replace(free, measured=measured, own_known=sizes.own_known, lag_known=True)
+        return known, At.of(known, replace(point, values=values), near.about, near.noise.kept)
+
+    def again(value: float) -> Maximum:
+        return maximum(*held(value, free, fitted.point, fitted.at), fitted.best.phi, iterations)
+
+    def solutions(sizes: Problem, components: Components) -> Callable[[Array], tuple[Array, Array]]:
+        def at_lags(lags: Array) -> tuple[Array, Array]:
+            every = [held(value, sizes, fitted.point, fitted.at) for value in lags.tolist()]
+            steps = [near.solved(known, components) for known, near in every]
+            moved_by = np.array([step.parameters for step in steps])
+            moved_by[:, 1 + lag] = lags
+            return np.array([step.deviance for step in steps]) + ((lags - expected) / u) ** 2, moved_by
+
+        return at_lags
+
+    fitted = likeliest(*held(0.0, free, at.point, at), iterations)
+    free = replace(free, bias_after=fitted.free.bias_after)
     tried = {0.0}
     for _ in range(LAG_ROUNDS):
         # by the φ that the lag before has led to, which may hide another one, and by the usual
-        found = {_likeliest_lag(fitted, problem, sized) for sized in (True, False)} - tried
-        maxima = [fitted, *(_again(fitted, problem, lag, iterations) for lag in sorted(found))]
-        best = max(maxima, key=lambda each: each.best.value - 0.5 * _prior_of_lag(problem, _lag_of(each, problem)))
-        tried |= found
+        usual = components_of(fitted.entries, np.array([h.centre for h in fitted.entries]), free.sensors)
+        grids = solutions(fitted.problem, fitted.components), solutions(free, usual)
+        every = [resolved(at_lags, np.array(LAGS))[:2] for at_lags in grids]
+        likely = {float(lags[np.argmax(weight / np.gradient(lags))]) for lags, weight in every} - tried
+        maxima = [fitted, *map(again, sorted(likely))]
+        best = max(maxima, key=lambda each: each.best.value - 0.5 * ((each.point.values[lag] - expected) / u) ** 2)
+        tried |= likely
         if best is fitted:
             break
         fitted = best
-    lags, weight, moved_by = _resolved(fitted, problem, _lag_of(fitted, problem) + LAGS_ABOUT)
+    at_lags = solutions(fitted.problem, fitted.components)
+    lags, weight, moved_by = resolved(at_lags, fitted.point.values[lag] + LAGS_ABOUT)
     moved_by -= weight @ moved_by
-    fitted = _again(fitted, problem, float(weight @ lags), iterations)
-    return fitted, ((moved_by.T * weight) @ moved_by)[1:, 1:]
+    return again(float(weight @ lags)), ((moved_by.T * weight) @ moved_by)[1:, 1:]
 
 
-def _lag_of(fitted: Maximum, free: Problem) -> float:
-    """The lag that a maximum holds."""
-    assert free.lag is not None
-    return float(fitted.point.values[free.lag])
-
-
-def _likeliest_lag(fitted: Maximum, free: Problem, sized: bool) -> float:
-    """The likeliest lag about a maximum, with its φ or with the usual one."""
-    best = fitted.best
-    usual = np.array([h.centre for h in fitted.entries])
-    components = fitted.components if sized else components_of(fitted.entries, usual, free.sensors)
-    about = fitted if sized else replace(fitted, best=replace(best, problem=free))
-    lags, weight, _ = _resolved(about, free, np.array(LAGS), components)
-    return float(lags[np.argmax(weight / np.gradient(lags))])
-
-
-def _again(fitted: Maximum, free: Problem, lag: float, iterations: int) -> Maximum:
-    """The maximum with another lag."""
-    assert free.lag is not None
-    held, phi = _held(free, lag), fitted.best.phi
-    start = At.of(held, _point_of(fitted.point, free.lag, lag), fitted.at.about, fitted.at.noise.kept)
-    return maximum(held, start, phi, iterations)
-
-
-def _prior_of_lag(problem: Problem, lag: float) -> float:
-    """What the prior adds to the sum of squares."""
-    assert problem.lag is not None
-    expected, u = (values[1 + problem.lag] for values in problem.measured)
-    return float(((lag - expected) / u) ** 2)
-
-
-def _held(problem: Problem, lag: float) -> Problem:
-    """The problem with a lag that is known."""
-    assert problem.lag is not None
-    expected, u = (values.copy() for values in problem.measured)
-    expected[1 + problem.lag], u[1 + problem.lag] = lag, LAG_HELD
-    return replace(problem, measured=(expected, u), lag_known=True)
-
-
-def _point_of(point: Point, where: int, lag: float) -> Point:
-    """A point with another lag."""
-    values = point.values.copy()
-    values[where] = lag
-    return replace(point, values=values)
-
-
-def _at_lag(fitted: Maximum, free: Problem, lag: float, components: Components) -> Step:
-    """The step from the point of a maximum to the solution with a lag, φ being that of the maximum."""
-    assert free.lag is not None
-    held, wide = _held(free, lag), fitted.problem.measured
-    u = held.measured[1].copy()
-    others = np.arange(len(u)) != 1 + free.lag
-    u[others] = wide[1][others]
-    held = replace(held, measured=(held.measured[0], u), own_known=fitted.problem.own_known)
-    at = At.of(held, _point_of(fitted.point, free.lag, lag), fitted.at.about, fitted.at.noise.kept)
-    return at.solved(held, components)
-
-
-def _resolved(
-    fitted: Maximum, free: Problem, lags: Array, components: Components | None = None
-) -> tuple[Array, Array, Array]:
-    """Lags, their probabilities, and what the solutions move gravity and the parameters by (L, 1 + m): those of a first
-    grid, and between them as many as resolve the likelihood, which may be narrow, and steep to one side."""
-    deviance, moved_by = _about(fitted, free, lags, components)
-    for _ in range(HALVINGS):
-        weight = _probabilities(lags, deviance)
-        if weight.max() < RESOLVED:
+def resolved(at_lags: Callable[[Array], tuple[Array, Array]], lags: Array) -> tuple[Array, Array, Array]:
+    """Lags in ascending order, their probabilities, and what the solutions move gravity and the parameters by
+    (L, 1 + m), of −2 ln likelihood and solutions `at_lags`: those of a first grid, and between them as many as resolve
+    the likelihood, which may be narrow, and steep to one side."""
+    deviance, moved_by = at_lags(lags)
+    for halved in range(HALVINGS + 1):
+        weight = np.exp(-0.5 * (deviance - deviance.min())) * np.gradient(lags)
+        weight /= weight.sum()
+        if weight.max() < RESOLVED or halved == HALVINGS:
             break
         heavy = weight > 0.1 * RESOLVED
         between = np.flatnonzero(heavy[1:] | heavy[:-1])
         more = 0.5 * (lags[between] + lags[between + 1])
-        others, moved_others = _about(fitted, free, more, components)
+        others, moved_others = at_lags(more)
         lags, deviance = np.insert(lags, between + 1, more), np.insert(deviance, between + 1, others)
         moved_by = np.insert(moved_by, between + 1, moved_others, axis=0)
-    return lags, _probabilities(lags, deviance), moved_by
-
-
-def _about(fitted: Maximum, free: Problem, lags: Array, components: Components | None) -> tuple[Array, Array]:
-    """−2 log of the likelihoods (L,) of lags, with the prior, and what their solutions move gravity and the parameters
-    by (L, 1 + m)."""
-    assert free.lag is not None
-    steps = [_at_lag(fitted, free, lag, components or fitted.components) for lag in lags.tolist()]
-    deviance = [step.deviance + _prior_of_lag(free, lag) for step, lag in zip(steps, lags.tolist(), strict=True)]
-    moved_by = np.array([step.parameters for step in steps])
-    moved_by[:, 1 + free.lag] = lags
-    return np.array(deviance), moved_by
-
-
-def _probabilities(lags: Array, deviance: Array) -> Array:
-    """Of lags of these −2 log likelihoods, in ascending order."""
-    weight = np.exp(-0.5 * (deviance - deviance.min())) * np.gradient(lags)
-    return np.asarray(weight / weight.sum())
+    return lags, weight, moved_by

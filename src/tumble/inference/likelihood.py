@@ -17,23 +17,20 @@ their limits, which decide what the data leave open and are nothing beside what 
 instruments usually have. What n > 3 gyros say of a turn beyond its rotation is n − 3 rows more.
 
 Several sessions of one instrument have the parameters in common, and of their own, besides attitudes, what differs from
-launch to launch or drifts within one (`OWN`): changes of biases and scale factors with priors. These are eliminated
-with the attitudes, session by session, so that the cost is linear in the number of sessions.
+launch to launch or drifts within one (`OWN`): changes of biases and scale factors with priors, which are eliminated
+with the attitudes, session by session.
 
 Attitudes change in the body, L → L exp([δ×]), with δ in the basis t₁, t₂, u of the rest, so that
 
-    du = u × δ = t₂ δ₁ − t₁ δ₂,   dω = ω × δ,   dr = J_r⁻¹(r) δ_i − J_l⁻¹(r) C δ_j + J_l⁻¹(r) J_l(φ) dφ
+    du = u × δ = t₂ δ₁ − t₁ δ₂,   dω = ω × δ,   dr = J_r⁻¹(r) δ_i − J_l⁻¹(r) C δ_j + J_l⁻¹(r) J_l(φ) dφ             (14)
 
-J_l(r) is the left Jacobian of the rotation group, J_r(r) = J_l(r)ᵀ. A turn of everything about the vertical leaves the
-accelerometers and turns as they are; in this basis its coefficients vanish exactly, so that a heading that the gyros do
-not see stays free and takes no information from the others. Without a latitude the Earth's rate is noise, Ω/√3 an axis.
+J_l(r) is the left Jacobian of the rotation group, J_r(r) = J_l(r)ᵀ. In this basis the coefficients of a heading that
+the gyros do not see vanish exactly: it stays free and takes no information from the others.
 
-Noise. Beside the noise within rests a session has components of variance (`Components`): a scatter of the readings of
-accelerometers and gyros from rest to rest; of the rotations and of the velocities of the turns, and of what n > 3 gyros
-say beyond the rotation; the error of velocities over forces that jump between samples (18), and of rotations over rates
-that do. The gyros of an array are not read at one instant, so that rates that jump from sample to sample make them
-disagree, too. The bias of every sensor is a process in time beside that (`tumble.inference.in_run`), with its states
-among the unknowns of the rests.
+Noise (16), (17). Beside that within rests a session has components of variance
+(`tumble.inference.hyperparameters.Components`), and the bias of every sensor is a process in time
+(`tumble.inference.in_run`), with its states among the unknowns of the rests. Without a latitude the Earth's rate is
+noise, Ω/√3 an axis.
 """
 
 from __future__ import annotations
@@ -46,7 +43,6 @@ import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.inference.hyperparameters import NO_COMPONENTS, Components, Noise, Weights
-from tumble.inference.session_spans import SessionSpan, session_spans
 from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.variables import GROWING, Variables, by_lag, variables_of
 from tumble.reduction.observations import Observations
@@ -143,6 +139,17 @@ class Rows:
         return replace(self, rest=wide_rest, turn=wide_turn, prior=prior)
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SessionSpan:
+    """Where one of several sessions stands among the rests and turns of all, the turn among its own after each of its
+    rests, or −1, and the rest (K,) among its own before each of its turns."""
+
+    rests: slice
+    turns: slice
+    link: IntArray
+    first: IntArray
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Problem:
     """A session as the likelihood sees it: `link` (N,), the turn after each rest or −1, `chain` (N,), the number of
@@ -162,6 +169,8 @@ class Problem:
     """The sessions."""
     of_session: tuple[IntArray, IntArray]
     """The session of every rest (N,) and turn (K,)."""
+    before_turn: IntArray
+    """The rest (K,) before each turn."""
     own: Instrument | None = None
     """What each of several sessions has of its own, beside the linear model, and"""
     own_known: Array = field(default_factory=lambda: np.zeros(0))
@@ -210,7 +219,18 @@ class Problem:
                 np.full(len(group.names(own.block(group))), (usual or {}).get(group.name, group.limit))
                 for group in own.further
             ]
-        parts, of_session = session_spans(observations, link)
+        before = np.zeros(0, dtype=np.int64) if turns is None else turns.first
+        session = np.zeros(len(link), dtype=np.int64) if observations.session is None else observations.session
+        edges, turn_edges = (np.searchsorted(of, np.arange(session[-1] + 2)) for of in (session, session[before]))
+        parts = tuple(
+            SessionSpan(
+                rests=slice(rest, rest_end),
+                turns=slice(turn, turn_end),
+                link=np.where(link[rest:rest_end] < 0, -1, link[rest:rest_end] - turn),
+                first=before[turn:turn_end] - rest,
+            )
+            for rest, rest_end, turn, turn_end in zip(edges, edges[1:], turn_edges, turn_edges[1:], strict=False)
+        )
         measured = np.append(site.gravity, start), np.append(site.gravity_u, known)
         return Problem(
             observations=observations,
@@ -223,7 +243,8 @@ class Problem:
             usual=measured,
             variables=variables_of(observations),
             parts=parts,
-            of_session=of_session,
+            of_session=(session, session[before]),
+            before_turn=before,
             own=own,
             own_known=np.concatenate(own_known),
             own_usual=np.concatenate(own_known),
@@ -240,12 +261,6 @@ class Problem:
             (slice(own.start + further, own.stop + further), base, variable) for own, base, variable in self.own.changes
         ]
         return self.instrument.changes + shifted
-
-    @cached_property
-    def before_turn(self) -> IntArray:
-        """The rest (K,) before each turn."""
-        turns = self.observations.turns
-        return np.zeros(0, dtype=np.int64) if turns is None else turns.first
 
     @cached_property
     def own_members(self) -> dict[str, slice]:
@@ -291,11 +306,9 @@ class Problem:
     @cached_property
     def changed(self) -> tuple[IntArray, IntArray]:
         """Where the parameters (c,) stand that are changes of others, and where these stand."""
-        every = [np.arange(0)], [np.arange(0)]
-        for own, base, _ in self.changes:
-            every[0].append(np.arange(own.start, own.stop))
-            every[1].append(np.arange(base.start, base.stop))
-        return np.concatenate(every[0]), np.concatenate(every[1])
+        every, none = np.arange(self.width), np.arange(0)
+        own = np.concatenate([none, *(every[own] for own, _, _ in self.changes)])
+        return own, np.concatenate([none, *(every[base] for _, base, _ in self.changes)])
 
     def going(self, of: Variables, place: int) -> Array:
         """What the changes (·, c) go with at rest (`place` 0), in the turns (1), or by how much a second that grows in
@@ -401,18 +414,13 @@ class Linearised:
 def instruments_of(observations: Observations) -> tuple[Instrument, Instrument | None]:
     """The instrument with all groups whose usual size observations know and which they may show; and, of several
     sessions, that with what each has of its own."""
-    accel, gyro, usual = observations.accel_block, observations.gyro_block, observations.usual
+    blocks, usual = (observations.accel_block, observations.gyro_block), observations.usual
     variables = set(variables_of(observations))
     if observations.together is None:
-        return Instrument.of(accel, gyro, usual, variables), None
-    own = changing_with(observations, OWN)
-    return Instrument.of(accel, gyro, usual, variables - set(OWN)), own
-
-
-def changing_with(observations: Observations, variables: tuple[Variable, ...]) -> Instrument:
-    """The instrument of the linear model and of its changes with some variables."""
-    every = Instrument.of(observations.accel_block, observations.gyro_block, observations.usual, variables)
-    return replace(every, further=tuple(group for group in every.further if group.variable in variables))
+        return Instrument.of(*blocks, usual, variables), None
+    own = Instrument.of(*blocks, usual, OWN)
+    own = replace(own, further=tuple(group for group in own.further if group.variable in OWN))
+    return Instrument.of(*blocks, usual, variables - set(OWN)), own
 
 
 # Noise
@@ -442,48 +450,36 @@ def unseen_rate(problem: Problem) -> float:
 
 def _noise_of_session(problem: Problem) -> Noise:
     """All of it that does not change with the parameters: without what an error of the rotation on the way does to the
-    velocity."""
-    observations, rests = problem.observations, problem.observations.rests
-    gyro, n = observations.gyro_block, rests.accel.shape[1]
+    velocity, of the turns docs/explanation/mathematics.md (16)."""
+    observations, rests, turns = problem.observations, problem.observations.rests, problem.observations.turns
+    gyro, n, earth = observations.gyro_block, rests.accel.shape[1], unseen_rate(problem)
     blocks = [rests.accel_covariance]
     if gyro is not None:
-        blocks.append(rests.gyro_covariance + unseen_rate(problem) * gyro.axes @ gyro.axes.T)
+        blocks.append(rests.gyro_covariance + earth * gyro.axes @ gyro.axes.T)
     if problem.prior.attitude is not None:
         blocks.append(np.broadcast_to(problem.prior.attitude**2 * np.eye(3), (len(rests), 3, 3)))
-    rest = _diagonal(blocks)
-    sensors, t = n + rests.gyro.shape[1], problem.rows_of_turn
+    rest, t, v = _diagonal(blocks), problem.rows_of_turn, 3 if problem.instrument.in_velocities else 0
+    sensors, spare = n + rests.gyro.shape[1], t - v - 3
+    at_rest = np.broadcast_to(np.eye(rest.shape[1], sensors), (len(rests), rest.shape[1], sensors))
     of_rest = np.repeat([0, 1], [n, sensors - n])
-    at_rest = np.broadcast_to(np.eye(rest.shape[1], sensors), (len(rests), rest.shape[1], sensors)), of_rest
-    v = 3 if problem.instrument.in_velocities else 0
-    spare = t - v - 3
-    of_turn = np.repeat([2, 3, 4, 5, 7, 6], [3, v, spare, v, spare, 3])
-    turns = observations.turns
-    if turns is None or not len(turns):
-        empty = np.zeros((0, t, len(of_turn)))
-        return Noise(rest=rest, turn=np.zeros((0, t, t)), rest_directions=at_rest, turn_directions=(empty, of_turn))
-    Z = np.zeros((len(turns), t, len(of_turn)))
-    Z[:, :, :t] = np.eye(t)
-    turned = turns.duration > 0.0  # between the parts of a rest nothing is
-    Z[~turned, : 3 + v] = 0.0
-    Z[:, 3 : 3 + v, t : t + v] = np.sqrt(turns.jumps)[:, None, None] * np.eye(v)
-    Z[:, 3 + v :, t + v : -3] = np.sqrt(turns.aliased)[:, None, None] * np.eye(spare)
-    Z[:, :3, -3:] = np.sqrt(turns.aliased)[:, None, None] * np.eye(3)
-    return Noise(rest=rest, turn=_turn_noise(problem), rest_directions=at_rest, turn_directions=(Z, of_turn))
-
-
-def _turn_noise(problem: Problem) -> Array:
-    """Covariance (K, t, t) of the rows of the turns: docs/explanation/mathematics.md (16), without what rotations do to
-    velocities."""
-    turns, readings = problem.observations.turns, problem.observations.turn_readings
-    assert turns is not None
-    blocks = [turns.covariance + turns.duration[:, None, None] ** 2 * unseen_rate(problem) * np.eye(3)]
-    if problem.instrument.in_velocities:
-        blocks.append(turns.velocity_covariance)
-    if readings is not None:
-        assert problem.observations.gyro_block is not None
-        free = beyond_body(problem.observations.gyro_block.axes)
-        blocks.append(free @ readings.covariance @ free.T)
-    return _diagonal(blocks)
+    of_turn = np.repeat([2, 3, 4, 5, 7, 6], [3, v, spare, v, spare, 3])  # places in SCATTER
+    turn, Z = np.zeros((0, t, t)), np.zeros((len(problem.before_turn), t, len(of_turn)))
+    if turns is not None and len(turns):
+        blocks = [turns.covariance + turns.duration[:, None, None] ** 2 * earth * np.eye(3)]
+        if v:
+            blocks.append(turns.velocity_covariance)
+        if (readings := observations.turn_readings) is not None:
+            assert gyro is not None
+            free = beyond_body(gyro.axes)
+            blocks.append(free @ readings.covariance @ free.T)
+        turn, jumps, aliased = _diagonal(blocks), np.sqrt(turns.jumps), np.sqrt(turns.aliased)
+        Z[:, :, :t] = np.eye(t)
+        Z[turns.duration <= 0.0, : 3 + v] = 0.0  # between the parts of a rest nothing is turned
+        Z[:, 3 : 3 + v, t : t + v] = jumps[:, None, None] * np.eye(v)
+        Z[:, 3 + v :, t + v : -3] = aliased[:, None, None] * np.eye(spare)
+        Z[:, :3, -3:] = aliased[:, None, None] * np.eye(3)
+    kept = np.ones(rest.shape[:2]), np.ones(turn.shape[:2])
+    return Noise(rest=rest, turn=turn, rest_directions=(at_rest, of_rest), turn_directions=(Z, of_turn), kept=kept)
 
 
 def _diagonal(blocks: list[Array]) -> Array:

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import cached_property
 
 import numpy as np
 
@@ -33,7 +34,6 @@ from tumble.inference.fits import (
     LEFT_OUT,
     STANDS_OUT,
     residuals,
-    same_weights,
     sigmas,
     student,
     weighted,
@@ -50,7 +50,7 @@ from tumble.inference.hyperparameters import (
 )
 from tumble.inference.likelihood import Point, Problem, Rows, noise_of
 from tumble.inference.linearisation import linearise, with_priors
-from tumble.inference.step import Left, Step, left, scatter_score, solve
+from tumble.inference.step import Known, Left, Step, Told, completed, joined, left, scatter_score, solve, tell
 from tumble.inference.turns_about import TurnsAbout
 from tumble.units import Array, BoolArray
 
@@ -68,6 +68,8 @@ STEPS = 6
 """Steps over φ at one linearisation at most."""
 CONVERGED = 1e-3
 """Of the standard uncertainty: a step of x that is negligible."""
+SETTLED = 0.05
+"""A change of the weight of a row that is none."""
 GAIN = 0.5 * 0.05**2
 """What ℓ would still gain by each element of φ where φ counts as settled: they are within 0.05 of their standard
 deviations, root mean square."""
@@ -110,88 +112,125 @@ class At:
     def of(problem: Problem, point: Point, about: TurnsAbout | None, kept: tuple[Array, Array] | None = None) -> At:
         """The rows of a problem at a point, and their noise, with the square roots of the weights that are `kept`."""
         rows = linearise(problem, point, about)
-        return At(point=point, about=about, rows=rows, noise=replace(noise_of(problem, rows), kept=kept))
+        noise = noise_of(problem, rows)
+        return At(point=point, about=about, rows=rows, noise=noise if kept is None else replace(noise, kept=kept))
 
     def solved(self, problem: Problem, components: Components) -> Step:
         """The least-squares step from here with the priors of a problem and components of variance."""
         return solve(problem, with_priors(self.rows, problem, self.point, self.about), self.noise.weights(components))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Evaluated:
-    """ℓ at φ and one linearisation: its `value`, `gradient` (D,) and the `information` (D, D) of the score as far as it
-    is had in closed form; the problem with priors of that size, the step and what it leaves."""
+    """ℓ at φ and one linearisation: its `value`, the problem with priors of that size, what the rows tell and what is
+    known by them and the priors; when they are asked for, the step, what it leaves, and the score."""
 
+    entries: tuple[Hyperparameter, ...]
+    at: At
     phi: Array
     value: float
-    gradient: Array
-    information: Array
     problem: Problem
-    step: Step
-    left: Left
+    told: Told
+    known: Known
 
     @staticmethod
-    def of(problem: Problem, entries: tuple[Hyperparameter, ...], at: At, phi: Array) -> Evaluated:
-        """ℓ and its score at φ."""
-        components, wide = components_of(entries, phi, problem.sensors), sized(problem, entries, phi)
-        step = at.solved(wide, components)
-        after = left(wide, step)
-        by_variance, of_variance, by_sensor = scatter_score(at.noise, step, after)
-        twice = 2.0 * components.variances
-        scatter, of_scatter = twice * by_variance, np.outer(twice, twice) * of_variance
-        by_size, by_time, told = (np.zeros(0),) * 3 if step.told.process is None else step.told.process.scores(step)
-        square = (at.point.values + step.parameters[1:] - wide.measured[0][1:]) ** 2 + step.covariance.diagonal()[1:]
-        own_variance = np.diagonal(step.own_covariance, axis1=1, axis2=2)[:, : len(wide.own_known)]
-        own_square = (at.point.own + step.own) ** 2 + own_variance
+    def of(
+        problem: Problem, entries: tuple[Hyperparameter, ...], at: At, phi: Array, told: Told | None = None
+    ) -> Evaluated:
+        """ℓ at φ; what the rows tell may be known where no component of variance is another one."""
+        sizes = sized(problem, entries, phi)
+        rows = with_priors(at.rows, sizes, at.point, at.about)
+        told = told or tell(sizes, rows, at.noise.weights(components_of(entries, phi, problem.sensors)))
+        known = joined(sizes, rows, told)
+        value = -0.5 * known.deviance + sum(h.prior(p)[0] for h, p in zip(entries, phi.tolist(), strict=True))
+        return Evaluated(entries=entries, at=at, phi=phi, value=float(value), problem=sizes, told=told, known=known)
+
+    @cached_property
+    def step(self) -> Step:
+        """The least-squares step."""
+        return completed(self.problem, self.told, self.known)
+
+    @cached_property
+    def left(self) -> Left:
+        """What it leaves of the residuals."""
+        return left(self.problem, self.step)
+
+    @property
+    def gradient(self) -> Array:
+        """∂ℓ/∂φ (D,)."""
+        return self.score[0]
+
+    @property
+    def information(self) -> Array:
+        """The information (D, D) of the score as far as it is had in closed form."""
+        return self.score[1]
+
+    @cached_property
+    def score(self) -> tuple[Array, Array]:
+        """Gradient and information: (24) of scatter, (25) of in-run biases, (26) of groups, and those of the priors."""
+        step, problem, point, D = self.step, self.problem, self.at.point, len(self.entries)
+        by_variance, of_variance, by_sensor = scatter_score(self.at.noise, step, self.left)
+        twice = 2.0 * self.told.weights.components.variances
+        by_size, by_time, learned = (
+            np.zeros((3, problem.sensors)) if (p := step.told.process) is None else p.scores(step)
+        )
+        expected, s = (each[1:] for each in problem.measured)
+        q, variance = len(problem.own_known), np.diagonal(step.own_covariance, axis1=1, axis2=2)
+        of_groups = dict[str, tuple[Array, Array]]()
+        for place, c, v, size in (
+            ("group", (point.values + step.parameters[1:] - expected)[None], variance[:1, q + 1 :], s),
+            ("own group", point.own + step.own, variance[:, :q], problem.own_known),
+        ):
+            told = 2.0 * np.clip(1.0 - v / size**2, 0.0, 1.0)
+            of_groups[place] = ((c**2 + v) / size**2 - 1.0).sum(axis=0), told.sum(axis=0)
+
+        gradient, information, scatter = np.zeros(D), np.zeros((D, D)), list[int]()
         accelerometers = problem.instrument.accel.size
-        D, place = len(entries), list[int]()
-        value, gradient, information = -0.5 * step.deviance, np.zeros(D), np.zeros((D, D))
-        for i, (h, p) in enumerate(zip(entries, phi.tolist(), strict=True)):
+        for i, (h, phi) in enumerate(zip(self.entries, self.phi.tolist(), strict=True)):
             kind = slice(accelerometers) if h.name.startswith("accel") else slice(accelerometers, None)
             if h.place == "scatter":
-                place.append(i)
-                gradient[i] = scatter[SCATTER.index(h.name)]
+                scatter.append(i)
+                gradient[i] = (twice * by_variance)[SCATTER.index(h.name)]
             elif h.place == "in-run":
-                gradient[i], information[i, i] = by_size[kind].sum(), 2.0 * told[kind].sum()
+                gradient[i], information[i, i] = by_size[kind].sum(), 2.0 * learned[kind].sum()
             elif h.place == "time":
-                gradient[i], information[i, i] = by_time[kind].sum(), 0.5 * told[kind].sum()
+                gradient[i], information[i, i] = by_time[kind].sum(), 0.5 * learned[kind].sum()
             elif h.place == "unlike":
                 own = twice[SCATTER.index(h.name.partition(".")[0])] * by_sensor[h.members]
                 gradient[i] = by_size[h.members].sum() + own.sum()
-                information[i, i] = 2.0 * told[h.members].sum() + len(problem.link) * SENSED
+                information[i, i] = 2.0 * learned[h.members].sum() + len(problem.link) * SENSED
             else:
-                s, c2, variance = (
-                    (wide.measured[1][1:][h.members], square[h.members], step.covariance.diagonal()[1:][h.members])
-                    if h.place == "group"
-                    else (wide.own_known[h.members], own_square[:, h.members], own_variance[:, h.members])
-                )
-                gradient[i] = (c2 / s**2 - 1.0).sum()
-                information[i, i] = 2.0 * np.clip(1.0 - variance / s**2, 0.0, 1.0).sum()
-            density, slope, curvature = h.prior(p)
-            value += density
+                by, of = of_groups[h.place]
+                gradient[i], information[i, i] = by[h.members].sum(), of[h.members].sum()
+            _, slope, curvature = h.prior(phi)
             gradient[i] += slope
             information[i, i] += curvature
-        index = [SCATTER.index(entries[i].name) for i in place]
-        information[np.ix_(place, place)] += of_scatter[np.ix_(index, index)]
-        return Evaluated(
-            phi=phi, value=value, gradient=gradient, information=information, problem=wide, step=step, left=after
-        )
+        index = [SCATTER.index(self.entries[i].name) for i in scatter]
+        information[np.ix_(scatter, scatter)] += (np.outer(twice, twice) * of_variance)[np.ix_(index, index)]
+        return gradient, information
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Maximum:
-    """The maximum: the problem with groups of usual size, the hyperparameters and ℓ there, the linearisation it is of,
-    the point after the last step, B (D, D), the changes of the parameters by linearisation, and why the iteration
-    ended."""
+    """The maximum: the problem with groups of usual size, ℓ there, the point after the last step, B (D, D), the changes
+    of the parameters by linearisation, and why the iteration ended."""
 
     free: Problem
-    entries: tuple[Hyperparameter, ...]
     best: Evaluated
-    at: At
     point: Point
     curvature: Array
     increments: tuple[Array, ...]
     status: Status
+
+    @property
+    def entries(self) -> tuple[Hyperparameter, ...]:
+        """The hyperparameters."""
+        return self.best.entries
+
+    @property
+    def at(self) -> At:
+        """The linearisation that it is of."""
+        return self.best.at
 
     @property
     def converged(self) -> bool:
@@ -201,7 +240,7 @@ class Maximum:
     @property
     def components(self) -> Components:
         """The components of variance at the maximum."""
-        return self.best.step.told.weights.components
+        return self.best.told.weights.components
 
     @property
     def problem(self) -> Problem:
@@ -245,23 +284,16 @@ def maximum(
         phi = best.phi
         point, by = moved(best.problem, at.point, best.step, keep=len(increments) >= TO_AND_FRO)
         increments.append(by)
-        about, kept, weights_settled = integrated(problem, point, at.about), at.noise.kept, True
+        about, kept = integrated(problem, point, at.about), at.noise.kept
         if robust:
-            shown = residuals(best.problem, at.noise, best.step.told.weights, best.left)
+            shown = residuals(best.problem, at.noise, best.told.weights, best.left)
             kept = weighted(problem, at.noise, student(shown)).kept
-            weights_settled = at.noise.kept is not None and same_weights(kept, at.noise.kept)
+        weights_settled = all(np.all(np.abs(a**2 - b**2) < SETTLED) for a, b in zip(kept, at.noise.kept, strict=True))
         ended = negligible(best.problem, best.step) and about is at.about and gain < enough and weights_settled
         if ended or len(increments) >= iterations:
-            return Maximum(
-                free=problem,
-                entries=entries,
-                best=best,
-                at=at,
-                point=point,
-                curvature=B,
-                increments=tuple(increments),
-                status=Status.converged if ended else Status.ran_out,
-            )
+            status = Status.converged if ended else Status.ran_out
+            changes = tuple(increments)
+            return Maximum(free=problem, best=best, point=point, curvature=B, increments=changes, status=status)
         at = At.of(problem, point, about, kept)
 
 
@@ -304,12 +336,12 @@ def likeliest(problem: Problem, at: At, iterations: int = MAX_ITERATIONS) -> Max
 def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maximum:
     """The maximum without the rests and turns that do not fit; the same where all do."""
     problem, at = fitted.free, fitted.at
-    weights = fitted.best.step.told.weights
+    weights = fitted.best.told.weights
     if max(float(each.max(initial=0.0)) for each in sigmas(problem, at.noise, weights, fitted.best.left)) < STANDS_OUT:
         return fitted
     by_student = maximum(problem, at, fitted.best.phi, iterations, robust=True)
     at, best = by_student.at, by_student.best
-    out = [w < LEAST_WEIGHT for w in student(residuals(problem, at.noise, best.step.told.weights, best.left))]
+    out = [w < LEAST_WEIGHT for w in student(residuals(problem, at.noise, best.told.weights, best.left))]
     if not any(each.any() for each in out):
         return fitted
     noise = weighted(problem, at.noise, [np.where(each, LEFT_OUT, 1.0) for each in out])
@@ -355,7 +387,10 @@ def moved(problem: Problem, point: Point, step: Step, keep: bool = False) -> tup
     parameters, angles, own = _with_gravity_kept(problem, step)
     share = 1.0 / max(1.0, float(np.max(np.abs(parameters[1:]) / problem.spread)))
     angles, chain = share * angles, problem.chain
-    hidden = np.bincount(chain, heading_information(problem, step)) < UNSEEN**-2 * _overshot(step)
+    # chi-square after a step per row, 1 at least: so many times less is known than the noise has it. A heading by
+    # residuals that are many times the Earth's rate would turn to and fro.
+    rows = sum(each.shape[0] * each.shape[1] for each in step.told.whitened)
+    hidden = np.bincount(chain, heading_information(problem, step)) < UNSEEN**-2 * max(1.0, step.square / rows)
     if keep or hidden.any():
         mean = np.bincount(chain, angles[:, 2]) / np.bincount(chain)
         angles[:, 2] -= np.where(hidden | keep, mean, 0.0)[chain]
@@ -375,13 +410,6 @@ def _with_gravity_kept(problem: Problem, step: Step) -> tuple[Array, Array, Arra
     angles = step.angles - by_gravity * step.shared[1][:, :3, q]
     own = step.own - by_gravity * step.own_covariance[:, :q, q]
     return step.parameters - by_gravity * step.covariance[:, 0], angles, own
-
-
-def _overshot(step: Step) -> float:
-    """Chi-square after a step per row, 1 at least: so many times less is known than the noise has it. A heading by
-    residuals that are many times the Earth's rate would turn to and fro."""
-    rest, turn = step.told.whitened
-    return float(max(1.0, step.square / (rest.shape[0] * rest.shape[1] + turn.shape[0] * turn.shape[1])))
 
 
 def heading_information(problem: Problem, step: Step) -> Array:

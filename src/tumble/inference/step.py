@@ -24,8 +24,7 @@ from scipy.linalg.lapack import dtrtri
 from tumble.inference.elimination import eliminate, fold, put_back
 from tumble.inference.hyperparameters import SCATTER, Noise, Weights
 from tumble.inference.in_run import InRun
-from tumble.inference.likelihood import Problem, Rows
-from tumble.inference.session_spans import SessionSpan
+from tumble.inference.likelihood import Problem, Rows, SessionSpan
 from tumble.units import Array, IntArray
 
 
@@ -34,18 +33,13 @@ class Known:
     """What is known once the attitudes are eliminated: the least-squares step of gravity and the parameters (1 + m,),
     and of what each session has of its `own` (S, q); `roots` U (S, q + 1 + m, q + 1 + m), triangles, of the covariances
     U Uᵀ of what each has of its own, then gravity and the parameters; the sum of squares that is left, priors included;
-    and the diagonal of the triangle it is from."""
+    and −2 ln of the restricted likelihood, less its constant."""
 
     parameters: Array
     own: Array
     roots: Array
     square: float
-    pivots: Array
-
-    @property
-    def variances(self) -> Array:
-        """Of what each session has of its own, gravity and the parameters (S, q + 1 + m)."""
-        return np.asarray((self.roots**2).sum(axis=2))
+    deviance: float
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -65,14 +59,12 @@ class Told:
 class Step(Known):
     """The least-squares step, with the `unknowns` (N, d) of the rests, angles and then states of in-run biases; the
     covariance of gravity and the parameters, and that of each session, of what it has of its own, gravity and the
-    parameters; twice the negative logarithm of the restricted likelihood, less its constant; what the rows told; and
-    `shared`, covariances of the unknowns of the rests with themselves and those of the next (2, N, d, d) and with the
-    others (N, d, p)."""
+    parameters; what the rows told; and `shared`, covariances of the unknowns of the rests with themselves and those of
+    the next (2, N, d, d) and with the others (N, d, p)."""
 
     covariance: Array
     own_covariance: Array
     unknowns: Array
-    deviance: float
     told: Told
     shared: tuple[Array, Array]
 
@@ -93,13 +85,13 @@ class Left:
 
 def solve(problem: Problem, rows: Rows, weight: Weights) -> Step:
     """The least-squares step with the attitudes eliminated, and with what each session has of its own."""
-    return completed(problem, rows, tell(problem, rows, weight))
+    told = tell(problem, rows, weight)
+    return completed(problem, told, joined(problem, rows, told))
 
 
-def completed(problem: Problem, rows: Rows, told: Told) -> Step:
-    """The least-squares step of what rows have told and of their priors."""
-    known, N, d = joined(problem, rows, told), len(problem.link), told.factor.shape[1]
-    unknowns, shared = np.empty((N, d)), []
+def completed(problem: Problem, told: Told, known: Known) -> Step:
+    """The least-squares step of what is known once the attitudes are eliminated, with these put back."""
+    q, unknowns, shared = len(problem.own_known), np.empty(told.factor.shape[:2]), []
     own_covariance = known.roots @ np.swapaxes(known.roots, 1, 2)
     for part, own, covariance in zip(problem.parts, known.own, own_covariance, strict=True):
         both, link = np.concatenate([own, known.parameters]), _links(part, told.process)
@@ -108,12 +100,11 @@ def completed(problem: Problem, rows: Rows, told: Told) -> Step:
         parameters=known.parameters,
         own=known.own,
         roots=known.roots,
-        covariance=own_covariance[0, len(problem.own_known) :, len(problem.own_known) :],
-        own_covariance=own_covariance,
         square=known.square,
-        pivots=known.pivots,
+        deviance=known.deviance,
+        covariance=own_covariance[0, q:, q:],
+        own_covariance=own_covariance,
         unknowns=unknowns,
-        deviance=deviance(problem, told, known),
         told=told,
         shared=(np.concatenate([each[0] for each in shared], axis=1), np.concatenate([each[1] for each in shared])),
     )
@@ -152,14 +143,25 @@ def joined(problem: Problem, rows: Rows, told: Told) -> Known:
         heads.append(wide[:q])
         fold(triangle, wide[q:, q:])
         triangle = wide[q:, q:]
-    parameters, root = _solved(triangle)
-    own = [_put_back_own(head, parameters, root) for head in heads]
+    exact = int(triangle[0, 0] == 0.0)  # gravity, of which the step is zero then
+    p = len(triangle) - 1
+    parameters, root = np.zeros(p), np.zeros((p, p))
+    root[exact:, exact:] = inverse_of(triangle[exact:p, exact:p])
+    parameters[exact:] = root[exact:, exact:] @ triangle[exact:p, p]
+    own, roots = zip(*(_put_back_own(head, parameters, root) for head in heads), strict=True)
+
+    whitened = np.concatenate([each.diagonal(0, 1, 2).ravel() for each in (told.weights.rest, told.weights.turn)])
+    pivots = np.concatenate([told.factor.diagonal(0, 1, 2).ravel(), *(h.diagonal() for h in (*heads, triangle[:-1]))])
+    sizes = [problem.measured[1][1 + problem.instrument.linear_count :], np.tile(problem.own_known, len(heads))]
+    logarithms = (np.log(each[each > 0.0]).sum() for each in (np.abs(pivots), np.concatenate(sizes)))
+    steps = 0.0 if told.process is None else told.process.log_determinant
+    square = float(triangle[-1, -1] ** 2)
     return Known(
         parameters=parameters,
-        own=np.array([each[0] for each in own]),
-        roots=np.array([each[1] for each in own]),
-        square=float(triangle[-1, -1] ** 2),
-        pivots=np.concatenate([each.diagonal() for each in (*heads, triangle[:-1])]),
+        own=np.array(own),
+        roots=np.array(roots),
+        square=square,
+        deviance=float(2.0 * (sum(logarithms) - np.log(whitened).sum()) + steps + square),
     )
 
 
@@ -212,29 +214,6 @@ def _put_back_own(head: Array, parameters: Array, root: Array) -> tuple[Array, A
     by_parameter = -inverse @ head[:, q:-1]
     whole[:q, :q], whole[:q, q:], whole[q:, q:] = inverse, by_parameter @ root, root
     return inverse @ head[:, -1] + by_parameter @ parameters, whole
-
-
-def deviance(problem: Problem, told: Told, known: Known) -> float:
-    """−2 log of the restricted likelihood, less its constant."""
-    own = told.weights.rest, told.weights.turn
-    whitened = np.concatenate([each.diagonal(0, 1, 2).ravel() for each in own])
-    pivots = np.abs(np.concatenate([told.factor.diagonal(0, 1, 2).ravel(), known.pivots]))
-    steps = 0.0 if told.process is None else told.process.log_determinant
-    of_each = np.tile(problem.own_known, len(problem.parts))
-    sizes = np.concatenate([problem.measured[1][1 + problem.instrument.linear_count :], of_each])
-    priors = np.log(sizes[sizes > 0.0]).sum()
-    return float(2.0 * (np.log(pivots[pivots > 0.0]).sum() - np.log(whitened).sum() + priors) + steps + known.square)
-
-
-def _solved(triangle: Array) -> tuple[Array, Array]:
-    """Step (1 + m,) of gravity and the parameters, and a root of their covariance; of gravity zero where it is taken as
-    exact."""
-    first = int(triangle[0, 0] == 0.0)
-    p = len(triangle) - 1
-    step, root = np.zeros(p), np.zeros((p, p))
-    root[first:, first:] = inverse_of(triangle[first:p, first:p])
-    step[first:] = root[first:, first:] @ triangle[first:p, p]
-    return step, root
 
 
 def inverse_of(triangle: Array) -> Array:

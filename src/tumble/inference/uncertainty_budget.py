@@ -31,7 +31,6 @@ Source: JCGM 100:2008 (GUM), 5.1; EA-4/02 M:2022, section 4.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -52,7 +51,7 @@ def contributions(
     weighed with; the biases are those of the session where their `mean` is given (`mean_along`)."""
     noise, d, q, size = at.noise, told.factor.shape[1], len(problem.own_known), len(known.parameters)
     components, (rest, turn) = told.weights.components, told.whitened
-    apart = told.weights if noise.kept is None else replace(noise, kept=None).weights(components)
+    apart = told.weights.rest / noise.kept[0][:, None], told.weights.turn / noise.kept[1][:, None]
     _, by_next, by, _ = given = given_others(told.factor)
     out = dict[str, Array]()
 
@@ -74,7 +73,7 @@ def contributions(
 
         # covariances by source (38)
         K = rest[part.rests, :, :d] @ Z[:-1] + rest[part.rests, :, d:-1] @ Z_x
-        H = np.swapaxes(apart.rest[part.rests], 1, 2) @ K
+        H = np.swapaxes(apart[0][part.rests], 1, 2) @ K
         for name, S in _of_rests(problem, noise):
             add(name, _through(S[part.rests], H))
         directions, of = noise.at_rest(components)
@@ -82,7 +81,7 @@ def contributions(
             add(name, covariance)
         rows, first = turn[part.turns], part.first
         K = rows[:, :, :d] @ Z[first] + rows[:, :, d : 2 * d] @ Z[first + 1] + rows[:, :, 2 * d : -1] @ Z_x
-        H = np.swapaxes(apart.turn[part.turns], 1, 2) @ K
+        H = np.swapaxes(apart[1][part.turns], 1, 2) @ K
         for name, S in _of_turns(problem, at):
             add(name, _through(S[part.turns], H))
         directions, of = noise.turn_directions

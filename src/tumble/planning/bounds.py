@@ -31,13 +31,13 @@ import numpy as np
 from tumble.brief import Brief
 from tumble.earth import earth_rate
 from tumble.errors import InputError
-from tumble.inference.common_errors import by_time_base, clocked
 from tumble.inference.elimination import fold
 from tumble.inference.estimate import GroupFinding
 from tumble.inference.hyperparameters import Components
 from tumble.inference.in_run import InRun, mean_along
 from tumble.inference.likelihood import Point, Problem, Rows, weights
 from tumble.inference.linearisation import linearise
+from tumble.inference.sources import by_time_base, clocked
 from tumble.inference.step import Told, tell, whitened_rows
 from tumble.inference.turns_about import TurnsAbout, own_axes, warms
 from tumble.methods.least_squares import least_squares

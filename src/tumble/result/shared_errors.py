@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tumble.inference.common_errors import by_time_base, clocked
+from tumble.inference.sources import by_time_base, clocked
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import by_gravity, shared_gravity
 from tumble.result.parts import Parameter

@@ -17,11 +17,10 @@ from tumble.diagnosis.linear_model import judged, left_out, taken_as_nothing
 from tumble.diagnosis.undetermined import one_attitude
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
-from tumble.inference.common_errors import by_time_base, clocked
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.hyperparameters import GUESSED, SHEET, STATED
 from tumble.inference.joint import joint
-from tumble.inference.sources import of_fit, source
+from tumble.inference.sources import by_time_base, clocked, of_fit, source
 from tumble.methods.ellipsoid import ellipsoid
 from tumble.methods.paper.scalar import scalar
 from tumble.methods.paper.sequential import sequential

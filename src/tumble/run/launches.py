@@ -19,10 +19,9 @@ import numpy as np
 
 from tumble.errors import InputError
 from tumble.files import FilePath
-from tumble.inference.common_errors import by_time_base, clocked
 from tumble.inference.estimate import GroupFinding, Outcome
 from tumble.inference.prediction import Prediction, prediction
-from tumble.inference.sources import UncertaintyBudget, source
+from tumble.inference.sources import UncertaintyBudget, by_time_base, clocked, source
 from tumble.methods.ellipsoid_fit import TRIAD
 from tumble.methods.magnetometer import NAMES
 from tumble.recording.circumstances import AirConditions, Circumstances
