@@ -103,6 +103,7 @@ COMMANDS: Mapping[str, Mapping[str, str]] = {
     "To pass on and to keep": {
         "report": "Report of a calibration, or of several of one device, in one file that needs nothing else.",
         "export": "Write CALIBRATION, a calibration file, in the format of another program.",
+        "upload": "Write CALIBRATION, a calibration file, into PX4 or ArduPilot over MAVLink.",
         "registry": "Devices, launches, calibrations and acceptance limits over years.",
     },
     "Many at once": {
