@@ -16,7 +16,7 @@ import polars as pl
 import pytest
 from click.testing import CliRunner
 
-from tests.support.calibrated import calibration
+from tests.support.calibrated import calibration, warmed
 from tests.views.test_report import Page, opened, pdf_text
 from tumble.acceptance.certificate import Party, read_certificate
 from tumble.acceptance.conformity import judge_value
@@ -334,10 +334,12 @@ def real(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_certificate_of_all_groups_has_nine_pages_at_most_and_no_large_file(real: Path) -> None:
+def test_a_certificate_of_all_groups_has_eight_pages_at_most_and_no_large_file(real: Path) -> None:
     with opened(real / "c.pdf") as document:
         pages = [" ".join(page.get_text().split()) for page in document]
-    assert len(pages) <= 9
+    assert len(pages) <= 8
+    for wanted in ("Known to", "matrix⁻¹ · (reading − bias)", "K₂ (a·f)²", "accel.lever", "head of the laboratory"):
+        assert wanted in pages[0]  # formula and residual terms where it is said what readings are known to
     assert all(len(text) > 300 for text in pages)  # no line that has spilt over
     assert (real / "c.html").stat().st_size < 300_000
     assert (real / "c.pdf").stat().st_size < 300_000
@@ -369,6 +371,28 @@ def printed(text: str) -> float:
     """A number with a power of ten as a report writes it."""
     mantissa, _, power = text.replace("−", "-").partition("·10")
     return float(mantissa) * 10.0 ** int(power.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")) or "0")
+
+
+def test_the_correction_over_temperature_follows_from_what_is_printed(tmp_path: Path) -> None:
+    """The reading 10 K above the reference, by the printed matrix, bias and coefficients at the printed true values."""
+    files(tmp_path, certificate=CERTIFICATE.replace('state = "as-left"\nas_found = "before.json"\n', ""))
+    replace(warmed(calibration()), circumstances=RECORDED).write(tmp_path / "warm.json")
+    write_report(tmp_path / "warm.json", tmp_path / "c.html", certificate=tmp_path / "certificate.toml")
+    page = Page.of(tmp_path / "c.html")
+    assert "with matrix and bias alone: exact at the reference temperature" in page.whole
+    assert "of its sensor: ." not in page.whole
+    value = {row["parameter"]: printed(row["value, SI"]) for row in page.table("parameter", "value, SI", "unit")}
+    matrices = [np.array(matrix) for matrix in page.matrices()]
+    for kind, (M, b), (reading, true) in (
+        ("accel", matrices[:2], matrices[10:12]),
+        ("gyro", matrices[5:7], matrices[12:14]),
+    ):
+        bias, scale = (
+            np.array([10.0 * value[f"{kind}.{what}.{i}.t1"] + 100.0 * value[f"{kind}.{what}.{i}.t2"] for i in "xyz"])
+            for what in ("bias", "scale")
+        )
+        longer = 1.0 + scale / np.linalg.norm(M, axis=1)
+        np.testing.assert_allclose((M @ true[:, 0]) * longer + b[:, 0] + bias, reading[:, 0], rtol=0.0, atol=2e-8)
 
 
 def test_what_matrix_and_bias_leave_is_the_size_of_what_they_have_not() -> None:

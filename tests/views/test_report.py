@@ -789,7 +789,7 @@ def test_parameters_are_judged_by_limits(file: Path, content: Any, tmp_path: Pat
         ("accel.bias.y", "fail"),
         ("accel.bias.z", "conditional pass"),
     ]
-    assert "accepted, incoming: fail, periodic: pass" in page.whole
+    assert "calibration accepted, incoming check: fail, periodic check: pass" in page.whole
     assert "Decision rule: pass where the value is inside its limits by at least U (95.45 %)" in page.whole
 
 
@@ -798,7 +798,7 @@ def test_limits_that_are_met_are_accepted(tmp_path: Path) -> None:
     (tmp_path / "limits.toml").write_text('format = 1\n[periodic]\n"accel.bias" = "1 g"\n', encoding="utf-8")
     result = command(file, "-o", tmp_path / "report.pdf", "--limits", tmp_path / "limits.toml")
     assert result.exit_code == 0, result.stderr
-    assert "accepted, periodic: pass" in pdf_text(tmp_path / "report.pdf")
+    assert "calibration accepted, periodic check: pass" in pdf_text(tmp_path / "report.pdf")
 
 
 # -------------------- the command --------------------

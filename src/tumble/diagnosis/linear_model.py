@@ -37,7 +37,7 @@ from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis, unit_vector
 from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.parameters import FORCE, positions_by_group, shown_in, units_of
-from tumble.units import Array
+from tumble.units import Array, two_digits
 
 _NOTHING = 1e-9
 """Of the largest singular value: what rests do not determine is moved by nothing that they show."""
@@ -83,7 +83,7 @@ def left_out(estimate: Estimate, observations: Observations, whole: Observations
         by, known = float(np.sqrt((moved[at] ** 2).mean())), float(np.sqrt((u[at] ** 2).mean()))
         if by > known:
             size, unit = shown_in(name, units_of(block.names)[at[0]], by)
-            sizes.append(f"{_WORDS[name]} by {by / size:.2g} {unit}")
+            sizes.append(f"{_WORDS[name]} by {two_digits(by / size)} {unit}")
     if not sizes:
         return ()
     return (

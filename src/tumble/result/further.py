@@ -28,6 +28,8 @@ OPEN = 2.0
 """The u of single biases over that of the corrected specific force from which on they are open singly."""
 OTHER_THAN_TWO = 0.05
 """Coverage factors this far from 2 are shown."""
+NOTHING = 1e-9
+"""m/s², rad/s: what the rounding of double precision leaves."""
 UNSEEN = 0.05
 """A scatter could be there unseen where chance would hide it in more than this part of all sessions."""
 SENSORS = {"accel": "accelerometer", "gyro": "gyro", "mag": "magnetometer"}
@@ -215,6 +217,8 @@ def left_by_matrix(calibration: Calibration) -> LeftByMatrix | None:
 
 def left_said(left: LeftByMatrix) -> str:
     """What matrix and bias alone leave, in a line."""
+    if max(left.force, left.rate or 0.0) < NOTHING:
+        return "with matrix and bias alone: exact at the reference temperature"
 
     def shown(unit: str, largest: float, rms: float) -> str:
         size, per = engineering(unit, largest)

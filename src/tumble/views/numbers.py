@@ -163,6 +163,11 @@ def degrees(parameter: Parameter) -> str:
     return "∞" if parameter.dof is None else f"{parameter.dof:.{1 if parameter.dof < 100.0 else 0}f}"
 
 
+def unit_text(unit: str) -> str:
+    """An SI unit with its exponents above the line: m/s²."""
+    return unit.translate({ord("^"): None} | dict(zip(map(ord, "24"), "²⁴", strict=True)))
+
+
 def device_name(serial: str, model: str | None) -> str:
     """A device by its serial number, with its type."""
     return serial if model is None else f"{serial} ({model})"

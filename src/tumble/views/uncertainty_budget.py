@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tumble.inference.sources import Source
 from tumble.result.calibration import Calibration
 from tumble.result.uncertainty_budget import shares_by_group, what_would_help
-from tumble.sensors.parameters import beyond_linear
-from tumble.units import engineering
+from tumble.sensors.parameters import beyond_linear, shown_in
 from tumble.views.blocks import Block, Figure, Section, Table, Text, section, table
 from tumble.views.numbers import percent, shown_units, significant
 from tumble.views.render.pictures import COLOURS, FAINT, PAGE, drawn
@@ -47,7 +47,7 @@ def share_table(calibration: Calibration) -> Table:
     large = [s for s in order.tolist() if every[:, s].max() >= SHOWN]
     rows = []
     for s in large:
-        row = {"source": budget[s].words, "type": budget[s].type, **_size(budget[s].u, budget[s].unit)}
+        row = {"source": budget[s].words, "type": budget[s].type, **_size(budget[s])}
         row["dof"] = _degrees(budget[s].dof)
         rows.append(row | {group: percent(float(share[s])) for group, share in shares.items()})
     small = [s for s in order.tolist() if s not in large]
@@ -70,7 +70,8 @@ def parameter_budget(calibration: Calibration, name: str) -> Table:
         return {
             "source": words,
             "type": kind,
-            **_size(None, ""),
+            "u": "",
+            "unit": "",
             "sensitivity": "",
             f"contribution, {unit}": _two(contribution / size),
             "share": percent(share),
@@ -79,7 +80,7 @@ def parameter_budget(calibration: Calibration, name: str) -> Table:
 
     lines = calibration.uncertainty_budget(name)
     for line in (each for each in lines if each.share >= SHOWN):
-        of_source = _size(line.u, line.unit)
+        of_source = _size(line)
         of_source["sensitivity"] = "" if line.sensitivity is None else _two(line.sensitivity)
         rows.append(row(line.words, line.type, line.contribution, line.dof, line.share) | of_source)
     if small := [each for each in lines if each.share < SHOWN]:
@@ -99,12 +100,13 @@ def _degrees(dof: float | None) -> str:
     return "∞" if dof is None else _two(dof)
 
 
-def _size(u: float | None, unit: str) -> dict[str, str]:
-    """The standard uncertainty of a source in its unit; nothing where it is of several quantities."""
-    if u is None:
+def _size(source: Source) -> dict[str, str]:
+    """The standard uncertainty of a source in its unit, that of its group where it is the prior of one; nothing where
+    it is of several quantities."""
+    if source.u is None:
         return {"u": "", "unit": ""}
-    size, shown = engineering(unit, u)
-    return {"u": _two(u / size), "unit": "" if shown == "1" else shown}
+    size, shown = shown_in(source.name.removeprefix("prior."), source.unit, source.u)
+    return {"u": _two(source.u / size), "unit": "" if shown == "1" else shown}
 
 
 def budget_section(calibration: Calibration, name: str = "") -> Section | None:

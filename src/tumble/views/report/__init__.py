@@ -5,7 +5,8 @@
 The content is put together once; the templates only show it. Needs the extra `tumble[report]`.
 
     document     the order of the sections, the first page, what a certificate adds
-    result       parameters, limits, several calibrations, how to apply them, frame, correlations, iterations
+    result       parameters, limits, several calibrations, correlations, iterations
+    application  how to apply it: matrices, the whole correction, test vectors, the frame
     recording    site, rests and turns against the programme, residuals, noise
     over_temperature, figures, drawings
                  plots; drawings: sphere and frame

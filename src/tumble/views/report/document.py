@@ -19,7 +19,7 @@ from tumble.result.calibration import Calibration
 from tumble.views.blocks import Document, Facts, Items, Letterhead, Part, Section, Signature, Tone, section
 from tumble.views.numbers import NONE, device_name, fixed, significant
 from tumble.views.registry import TONES
-from tumble.views.report import over_temperature, recording, result
+from tumble.views.report import application, over_temperature, recording, result
 from tumble.views.uncertainty_budget import budget_section
 
 _MOST_MOMENTS = 3
@@ -121,7 +121,8 @@ def _verdict(calibrations: Sequence[Calibration], checks: Sequence[Sequence[Verd
     worst: dict[str, Result] = {}
     for check in (check for judged in checks for check in judged):
         worst[check.occasion] = min(check.result, worst.get(check.occasion, "pass"), key=RESULTS.index)
-    both = ", ".join([accepted, *(f"{occasion}: {of_check}" for occasion, of_check in worst.items())])
+    each = (f"{occasion} check: {of_check}" for occasion, of_check in worst.items())
+    both = ", ".join([f"calibration {accepted}", *each])
     if not worst:
         return accepted, "doubt" if remarked else "good", both
     badge = min(worst.values(), key=RESULTS.index)
@@ -153,8 +154,8 @@ def _for_the_laboratory(
     yield result.limits(calibration, acceptance, checks)
     yield _notes(*further.remarks(calibration), *calibration.notes)
     yield result.launches(calibration)
-    yield result.application(calibration)
-    yield result.frame(calibration, f"{key}-frame")
+    yield application.application(calibration)
+    yield application.frame(calibration, f"{key}-frame")
     yield recording.site(recordings)
     yield from (recording.found(each, f"{key}-sphere{i}") for i, each in enumerate(recordings))
     yield from (recording.residuals(each, f"{key}-residuals{i}") for i, each in enumerate(recordings))
@@ -185,8 +186,8 @@ def _for_customers(
     yield result.launches(calibration)
     yield result.beyond(calibration, for_customers=True)
     yield over_temperature.section(calibration, f"{key}-temperature")
-    yield result.application(calibration)
-    yield result.frame(calibration, f"{key}-frame")
+    yield application.application(calibration)
+    yield application.frame(calibration, f"{key}-frame")
     if any(each.site != recordings[0].site for each in recordings):
         yield recording.site(recordings)
     yield from (recording.measured(each) for each in recordings)

@@ -1,10 +1,9 @@
-"""The result in a report: parameters, limits, several calibrations beside each other, how it is applied, the frame,
-correlations, iterations."""
+"""The result in a report: parameters, limits, several calibrations beside each other, correlations, iterations."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +15,6 @@ from tumble.result.accepted import WORDS, accepted_kinds
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import expanded
 from tumble.result.further import (
-    SENSORS,
     by_group,
     decided_by_priors,
     described,
@@ -30,17 +28,12 @@ from tumble.result.further import (
     verdicts,
 )
 from tumble.result.parts import Parameter
-from tumble.sensors.model import SensorModel
-from tumble.sensors.parameters import group_name, variable_of
-from tumble.units import Array, engineering
+from tumble.units import engineering
 from tumble.views.blocks import (
     Block,
     Facts,
     Figure,
-    Formula,
     Items,
-    Matrices,
-    Matrix,
     Section,
     Table,
     Text,
@@ -63,53 +56,19 @@ from tumble.views.numbers import (
     with_expanded,
 )
 from tumble.views.registry import TONES
-from tumble.views.report import drawings, figures
+from tumble.views.report import figures
+from tumble.views.report.application import terms_of
 
-_TEST_VECTORS = {"accel": (1.0, -2.0, 9.5), "gyro": (0.1, -0.2, 0.3), "mag": (0.4, -0.2, 0.3)}
-"""True values (m/s², rad/s, unit of the field) near which the readings of the test vectors are."""
 _STRONGEST = 8
 _MOST_ROWS = 26
 """Rows of the table of results that the page for the customer has room for."""
 _MOST_LARGE, _MOST_WITH_WORDS = 9, 12
 """Columns for which the page has room in the larger type, and in the smaller one with the parameters in words."""
-_MOST_UNHALVED = 12
-"""Rows of a narrow table from which on it stands in halves."""
-MODEL_DIGITS, TRUE_DIGITS = 10, 8
-"""Digits behind the point of matrices and biases (SI), and of the true values of test vectors that they give."""
 OVER_TEMPERATURE = (
     "Biases and scale factors are judged at the temperature where they are worst, with U there; other parameters are "
     "the same at all temperatures. Beyond what was measured nothing passes."
 )
 _CHECKS = {"incoming": "Incoming inspection", "periodic": "Periodic check"}
-_HEADINGS = {"accel": "Accelerometers", "gyro": "Gyros", "mag": "Magnetometer, in its own frame"}
-_FRAMES = {
-    "accelerometer": "X is along the axis of the X accelerometer, Z is normal to the plane of the axes of the X and Y "
-    "accelerometers, Y completes. The accelerometer angles xy, xz and yz are zero by definition.",
-    "paper": "Z is along the axis of the Z accelerometer, Y in the plane of the axes of the Y and Z accelerometers, X "
-    "completes. The matrix of the accelerometers is diag(1 + k) times a unit upper-triangular matrix of the angles.",
-    "symmetric": "The frame in which the matrix of the accelerometers is symmetric: the one nearest to the axes of all "
-    "three.",
-    "case": "X, Y and Z are normal to the mounting faces of the case.",
-}
-_NUMBERED_FRAME = (
-    "Accelerometer 0 is along its nominal axis, and accelerometer 1 in the nominal plane of both. An angle p.1 turns "
-    "the axis of sensor p about the perpendicular to the nominal axes of sensors 0 and p, p.2 about the perpendicular "
-    "to that and to its own."
-)
-_TERMS = {
-    "accel.quadratic": "K₂ (a·f)² (accel.quadratic)",
-    "accel.cubic": "K₃ (a·f)³ (accel.cubic)",
-    "accel.asymmetry": "κ |a·f| (accel.asymmetry)",
-    "gyro.asymmetry": "κ |a·ω| (gyro.asymmetry)",
-    "gyro.cubic": "K₃ (a·ω)³ (gyro.cubic)",
-    "gyro.g_sensitivity": "G·f (gyro.g_sensitivity, by the components X, Y, Z of f)",
-}
-"""What the groups beyond the linear model add to a reading, at rest and at constant rate."""
-_IN_MOTION = {
-    "accel.lever": "a·(ω̇ × l + ω × (ω × l)) with the lever arm l (accel.lever)",
-    "accel.delay": "the reading of a time later by accel.delay",
-    "accel.single_delay": "single delays (accel.delay.x and so on) likewise",
-}
 
 
 # -------------------- values --------------------
@@ -173,6 +132,11 @@ def result(
         left = left_by_matrix(calibration)
         alone = "" if left is None else f", with the whole correction; {left_said(left)}"
         blocks.append(Text(text=f"Known to (standard uncertainty): {predicted(calibration.prediction)}{alone}."))
+        correction = "Matrix and bias: true = matrix⁻¹ · (reading − bias)."
+        if left is not None:
+            correction += f" The whole correction takes from a reading besides: {terms_of(calibration)}."
+        numbers = "Numbers, formulas and test vectors are in the section “How to apply it”."
+        blocks.append(Text(text=f"{correction} {numbers}", tone="small"))
     if outcome.unobservable:
         blocks.append(Text(text=f"Not determined: {', '.join(outcome.unobservable)}."))
     if limits_elsewhere(calibration, acceptance):
@@ -219,22 +183,25 @@ def beyond(calibration: Calibration, *, for_customers: bool = False) -> Section 
     `for_customers` the parameters alone."""
     further, rows = further_parameters(calibration.parameters), []
     units = shown_units(further)
+    priors = any(p.prior is not None for p in further)
     for p in further:
         size, unit = units[p.name]
         row = dict(zip(("parameter", "value", "u"), (p.name, *cells(p.value, p.u, size)), strict=True))
-        row |= {"k": factor(p), "unit": unit, "prior": "" if p.prior is None else significant(p.prior / size, 4)}
-        rows.append(row | {"learned": percent(p.learned)})
-    caption = (
-        "u is the standard uncertainty, k u the half width of the interval of 95.45 %, prior a standard deviation, as "
-        "widened."
-    )
+        row |= {"k": factor(p), "unit": unit}
+        if priors:
+            prior = "" if p.prior is None else significant(p.prior / size, 4)
+            row |= {"prior": prior, "learned": percent(p.learned)}
+        rows.append(row)
+    caption = "u is the standard uncertainty, k u the half width of the interval of 95.45 %"
+    caption += ", prior a standard deviation, as widened." if priors else "."
     parameters = table(rows, caption=caption, dense=True) if rows else None
     if for_customers:
-        meant = (
-            "What a reading has beside bias, scale factors and axes. Of each there was a prior, a standard deviation "
-            "over such instruments; learned is how much of its variance the recording has taken off: at 0 % only the "
-            "prior is known."
-        )
+        meant = "What a reading has beside bias, scale factors and axes."
+        if priors:
+            meant += (
+                " Of each there was a prior, a standard deviation over such instruments; learned is how much of its "
+                "variance the recording has taken off: at 0 % only the prior is known."
+            )
         return section("Beyond bias, scale factors and axes", Text(text=meant), parameters) if parameters else None
     meant = (
         "Each group has a prior, the standard deviation over instruments of its grade or that of the data sheet; where "
@@ -361,157 +328,6 @@ def limits(calibration: Calibration, acceptance: Limits | None, checks: Sequence
             rows.append(row)
         blocks.append(table(rows, words=("parameter", "unit", "verdict")))
     return section("Limits and verdict", *blocks)
-
-
-# -------------------- how to apply it --------------------
-
-
-def application(calibration: Calibration) -> Section:
-    """The model, what a reading is, the matrices and a test vector for each block, and what is beyond them."""
-    models = {"accel": calibration.accel, "gyro": calibration.gyro, "mag": calibration.mag}
-    known = {kind: model for kind, model in models.items() if model is not None}
-    blocks: list[Block] = [Text(text="The sensors follow the model"), Formula(name="model")]
-    meant = (
-        "with the specific force (m/s²; at rest, axis up, +g) or the angular rate (rad/s) in the body frame as the "
-        "true value. "
-    )
-    if calibration.frame == "paper" and calibration.accel is not None:
-        meant += (
-            "The parameters of the accelerometers are those of the frame “paper”: k belongs to the diagonal of the "
-            "matrix, and the angles xy, xz and yz, times the diagonal element of their row, stand above it. Other "
-            "sensors follow the formula below. "
-        )
-    meant += "The rows of the matrix are the sensitivities of the sensors times their axes"
-    triads = any(len(model.matrix) <= 3 for model in known.values()) or not known
-    if triads:
-        three = (
-            f"{meant}: for three sensors along the body axes, k being the scale-factor errors and γ the axis angles,"
-        )
-        corrected = Text(text="A reading is corrected by")
-        blocks += [Text(text=three), Formula(name="axes"), corrected, Formula(name="apply")]
-    if any(len(model.matrix) > 3 for model in known.values()):
-        least = "by least squares, matrix⁺ being the pseudo-inverse:"
-        which = f"One of more sensors {least}" if triads else f"{meant}. A reading is corrected {least}"
-        blocks += [Text(text=which), Formula(name="apply_redundant")]
-    blocks += _what_a_reading_is(calibration)
-    left = left_by_matrix(calibration)
-    if left is not None:
-        linear = f"This is the linear model, {left_said(left)}; the whole correction is at the end of the section."
-        blocks.append(Text(text=linear))
-    if not known:
-        blocks.append(Text(text="No matrix can be given: a parameter it needs was not determined."))
-    for kind, model in known.items():  # matrix, its inverse and bias, and a reading with what comes out
-        unit, reading = _unit(calibration, kind), test_reading(kind, model)
-        symbol = "pseudo-inverse matrix⁺" if len(model.matrix) > 3 else "matrix⁻¹"
-        bias = Matrix(symbol="bias", rows=_numbers(model.bias[:, None]), unit=unit)
-        blocks += [
-            Text(text=_HEADINGS[kind], tone="label"),
-            Matrices(matrices=(Matrix(symbol="matrix", rows=_numbers(model.matrix)), bias)),
-            Matrices(matrices=(Matrix(symbol=symbol, rows=_numbers(model.inverse())),)),
-            Text(text="Test vector: with these numbers, this reading gives this true value."),
-            _test_vector(reading, model.apply(reading), unit),
-        ]
-    return section("How to apply it", *blocks, *(_whole_correction(calibration) if left is not None else ()))
-
-
-def _what_a_reading_is(calibration: Calibration) -> list[Block]:
-    rows = [
-        {
-            "column of the log": column,
-            "sensor": SENSORS.get(kind, kind),
-            "raw unit": readings.unit + (" per sample" if readings.increments else ""),
-            "scale (raw per SI unit)": significant(scale, 10),
-            "offset (raw)": significant(offset, 10),
-        }
-        for kind, readings in calibration.readings.items()
-        for column, scale, offset in zip(readings.columns, readings.scale, readings.offset, strict=True)
-    ]
-    if not rows:
-        return [Text(text="A reading is the output in SI after the nominal scale and offset of the device.")]
-    meant = "A reading is the output in SI after the nominal scale and offset: (raw − offset) / scale"
-    if any(readings.increments for readings in calibration.readings.values()):
-        meant += ", for increments divided by the interval of the sample"
-    return [Text(text=meant + "."), table(rows, words=("column of the log", "sensor", "raw unit"))]
-
-
-def _unit(calibration: Calibration, kind: str) -> str:
-    """The unit of a block's readings and biases."""
-    unit = next((p.unit for p in calibration.parameters if group_name(p.name) == f"{kind}.bias"), "")
-    return {"m/s^2": "m/s²"}.get(unit, unit)
-
-
-def _test_vector(reading: Array, true: Array, unit: str) -> Matrices:
-    columns = (("reading", reading, 6), ("true", true, TRUE_DIGITS))
-    return Matrices(
-        matrices=tuple(
-            Matrix(symbol=symbol, rows=tuple((fixed(v, digits),) for v in vector), unit=unit)
-            for symbol, vector, digits in columns
-        )
-    )
-
-
-def _whole_correction(calibration: Calibration) -> Iterator[Block]:
-    """What the groups beyond the linear model add to a reading, their values in full, and a test vector."""
-    compensator = calibration.compensator
-    further = [p for p in further_parameters(calibration.parameters) if variable_of(p.name) != "time"]
-    present = {group_name(p.name) for p in further}
-    static, moving = (
-        "; ".join(words for group, words in terms.items() if group in present) for terms in (_TERMS, _IN_MOTION)
-    )
-    meant = (
-        "A reading has, beside matrix · true + bias, for the specific force f and the rate ω in the body frame and the "
-        f"nominal sensing direction a of its sensor: {static}. With these it is corrected by repeating true ← "
-        "matrix⁻¹ · (reading − bias − these terms at true), from true = 0, until nothing changes (six times), the "
-        "force before the rate."
-    )
-    meant += f" In motion accelerometers have besides: {moving}." if moving else ""
-    if compensator.warm:
-        meant += (
-            " Bias and scale factor change with the temperature T of the sensor by (T − T₀) times .t1 and (T − T₀)² "
-            "times .t2 from their values at the reference temperature T₀."
-        )
-    yield Text(text="The whole correction", tone="label")
-    yield Text(text=meant)
-    rows = [{"parameter": p.name, "value, SI": significant(p.value, 8), "unit": p.unit} for p in further]
-    yield table(rows, dense=True, halves=len(rows) > _MOST_UNHALVED)
-    assert calibration.accel is not None
-    readings = {"accel": test_reading("accel", calibration.accel)}
-    true = {"accel": compensator.force(readings["accel"][None])}
-    if calibration.gyro is not None:
-        readings["gyro"] = test_reading("gyro", calibration.gyro)
-        true["gyro"] = compensator.rate(readings["gyro"][None], true["accel"])
-    warm = " and the reference temperature" if compensator.warm else ""
-    yield Text(
-        text=f"Test vector of the whole correction, at a constant rate{warm}: these readings together give these true "
-        "values."
-    )
-    for kind, reading in readings.items():
-        yield _test_vector(reading, true[kind][0], _unit(calibration, kind))
-
-
-def test_reading(kind: str, model: SensorModel) -> Array:
-    """The reading (n,) of a test vector, exact to six digits behind the point."""
-    return np.asarray(model.predict(np.array(_TEST_VECTORS[kind])).round(6))
-
-
-def _numbers(matrix: Array) -> tuple[tuple[str, ...], ...]:
-    return tuple(tuple(fixed(float(v), MODEL_DIGITS) for v in row) for row in matrix)
-
-
-def frame(calibration: Calibration, name: str) -> Section:
-    """The body frame in words and as a picture."""
-    words = _FRAMES.get(calibration.frame, "It is described in the documentation of the software.")
-    if calibration.frame == "accelerometer" and any(p.name == "accel.bias.0" for p in calibration.parameters):
-        words = _NUMBERED_FRAME
-    picture = None
-    if calibration.accel is not None:
-        times = drawings.lean_factor([m for m in (calibration.accel, calibration.gyro) if m is not None])
-        larger = f", their deviations from the body axes drawn {times:.0f} times larger" if times > 1.0 else ""
-        caption = f"The body frame X, Y, Z and the sensing axes in it{larger}."
-        svg = drawings.frame(name, calibration.accel, calibration.gyro)
-        picture = Figure(svg=svg, caption=caption, width=drawings.FRAME)
-    said = Text(text=f"Body frame “{calibration.frame}”, right-handed. {words}")
-    return section("The frame", said, picture)
 
 
 # -------------------- uncertainty --------------------
