@@ -13,7 +13,7 @@ from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.recording.session import Channels, Session
 from tumble.reduction.observations import Observations
-from tumble.reduction.rests import exclusion
+from tumble.reduction.rests.matching import left_out
 from tumble.reduction.rests.rests import Rests
 from tumble.result.calibration import Calibration, SensingAxes
 from tumble.result.coverage import MANY_DEGREES, with_degrees
@@ -64,7 +64,7 @@ def result_of(
         programme=None if observations.programme is None else observations.programme.name,
         readings=readings_of_session(session),
         notes=bridged
-        + exclusion.said(session.excluded)
+        + left_out(session.excluded)
         + observations.notes
         + gravity_doubted(observations.site)
         + unchecked(estimate)

@@ -29,9 +29,8 @@ from tumble.recording.session_file import session_from
 from tumble.reduction.blocks.reducer import Reduction, reduce_log
 from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.observations import Observations, observe
-from tumble.reduction.rests import exclusion
 from tumble.reduction.rests.blemishes import without_blemishes
-from tumble.reduction.rests.matching import Match, match_rests
+from tumble.reduction.rests.matching import Match, match_rests, without_rests, without_times, without_turns
 from tumble.reduction.rests.segmentation import RestSpan, Segmentation, find_rests
 from tumble.reduction.together import held, in_parts
 from tumble.reduction.turns.turns import torn_turns
@@ -116,7 +115,7 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
         reduction = without_blemishes(reduction)
         segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
         faults = faults or normalised(reduction, segmentation.rests, onto_body(session.accel_block.axes))
-        segmentation = exclusion.without_times(reduction, segmentation, session.excluded)
+        segmentation = without_times(reduction, segmentation, session.excluded)
         segmentation = replace(segmentation, stated_rate=session.log.rate)
         if session.gyro_block is not None and session.log.gyro is not None:
             reduction = without_unknown_turns(reduction, segmentation.rests, session.gyro_block, session.log.gyro)
@@ -200,6 +199,6 @@ def _matched(observed: Observed) -> tuple[Reduction, Match, tuple[str, ...]] | O
     match = match_rests(session, observed.reduction, observed.segmentation)
     if not match.rests:
         return no_rests(observed.segmentation)
-    reduction = exclusion.without_turns(observed.reduction, match, session.excluded)
-    match = exclusion.without_rests(match, session.excluded)
+    reduction = without_turns(observed.reduction, match, session.excluded)
+    match = without_rests(match, session.excluded)
     return reduction, match, torn_turns(match.rests, reduction.gaps) if session.gyro_block is not None else ()

@@ -21,8 +21,7 @@ from tumble.recording.session import Exclusion, Session
 from tumble.reduction.blocks.reducer import Reduction
 from tumble.reduction.observations import observe
 from tumble.reduction.rests.blemishes import without_blemishes
-from tumble.reduction.rests.exclusion import without_rests
-from tumble.reduction.rests.matching import Match
+from tumble.reduction.rests.matching import Match, without_rests
 from tumble.reduction.rests.segmentation import RestSpan
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import group_name, positions_by_group, shown_in, usual_sizes

@@ -17,7 +17,7 @@ from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Exclusion
 from tumble.reduction.blocks.reducer import Reducer, Reduction
 from tumble.reduction.rests.blemishes import without_blemishes
-from tumble.reduction.rests.exclusion import without_times
+from tumble.reduction.rests.matching import without_times
 from tumble.reduction.rests.segmentation import RestSpan, find_rests
 from tumble.units import ZERO_CELSIUS, Array
 

@@ -57,6 +57,10 @@ class LevelFunction:
         ]
 
 
+_G, _G_AND_DRIFT, _STEP, _G_AND_STEP = [0, 1, 2, 3], [0, 1, 2, 3, 4], [0, 5], [0, 1, 2, 3, 5]
+"""Which columns of b, G, d, s are tried together."""
+
+
 def level_function(
     rates: list[Array],
     goes_with: tuple[list[Array], list[Array]],
@@ -69,8 +73,8 @@ def level_function(
     """G, d and s from the mean rates of rests of at least `least` blocks and of stretches off the level, by file, and
     from the forces and times that they go with. None where no function of these explains to `limit` (rad/s) the levels
     of most, or one level does as well."""
-    found = [(k, i, j) for k, spans in enumerate(rests) for i, j in spans if j - i >= least]
-    stretches = found + [(s.place, s.first, s.last) for s in off]
+    of_rests = [(k, i, j) for k, spans in enumerate(rests) for i, j in spans if j - i >= least]
+    stretches = of_rests + [(s.place, s.first, s.last) for s in off]
     if len(stretches) < tuning.level_stretches:
         return None
     (force, time), sizes = goes_with, [*(3 * [tuning.g_sensitivity]), tuning.level_drift, tuning.level_drift]
@@ -92,11 +96,9 @@ def level_function(
         follow = _near(rows[:, more], level, limit)
         if explains_more(follow, near):
             used, near = more, follow
-    in_order = (
-        np.sort(at) if len(off) >= tuning.beside_jump else np.empty(0)
-    )  # else the level was followed to every rest
+    in_order = np.sort(at)[tuning.beside_jump - 1 : len(at) + 1 - tuning.beside_jump]
     most = near
-    for before, after in pairwise(in_order[tuning.beside_jump - 1 : len(at) + 1 - tuning.beside_jump]):
+    for before, after in pairwise(in_order) if len(off) >= tuning.beside_jump else ():  # else followed to every rest
         stepped = rows.copy()
         stepped[:, 5] = usual[4] * (at > 0.5 * (before + after))
         for more in (_STEP, _G_AND_STEP):
@@ -107,19 +109,22 @@ def level_function(
     if used == [0]:
         return None
     some, fitted = rows[:, used], np.zeros((6, 3))
-    fitted[used] = _least_squares(some[near], level[near], np.ones(int(near.sum())))
+    fitted[used] = _least_squares(some[near], level[near])[0]
     fitted[1:] *= usual[:, None]
     accepted: list[list[Span]] = [[] for _ in rates]
     for n, (k, i, j) in enumerate(stretches):
-        if near[n] and (n < len(found) or _predicted(some, level, near, n, limit, tuning.level_uncertainty)):
+        follows = bool(near[n])
+        if follows and n >= len(of_rests):  # whether the others determine its level, and it is there
+            others = near & (np.arange(len(near)) != n)
+            predicted, normal = _least_squares(some[others], level[others])
+            uncertain = float(some[n] @ np.linalg.solve(normal, some[n]))
+            distance = float(np.linalg.norm(level[n] - some[n] @ predicted))
+            follows = uncertain < tuning.level_uncertainty**2 and distance < limit * math.sqrt(1.0 + uncertain)
+        if follows:
             accepted[k].append((i, j))
     return LevelFunction(
         g_sensitivity=fitted[1:4].T, drift=fitted[4], step=fitted[5], step_at=float(step_at), accepted=accepted
     )
-
-
-_G, _G_AND_DRIFT, _STEP, _G_AND_STEP = [0, 1, 2, 3], [0, 1, 2, 3, 4], [0, 5], [0, 1, 2, 3, 5]
-"""Which columns of b, G, d, s are tried together."""
 
 
 def times_of(edges: list[Array]) -> list[Array]:
@@ -137,42 +142,20 @@ def core(first: int, last: int, window: int) -> Span:
 
 
 def _near(rows: Array, level: Array, limit: float) -> BoolArray:
-    """Which levels (N, 3) are within `limit` of the function with the smallest sum of distances."""
-    fitted = _least_distances(rows, level, limit)
-    return np.asarray(np.linalg.norm(level - rows @ fitted, axis=1) < limit)
-
-
-def _least_squares(rows: Array, level: Array, weight: Array) -> Array:
-    """Bias, G, d and s (6, 3), or some of them, by weighted least squares; rows are scaled so that all but the bias are
-    1 where they are usual, in limits."""
-    normal = (rows * weight[:, None]).T @ rows + _usual(rows)
-    return np.asarray(np.linalg.solve(normal, (rows * weight[:, None]).T @ level))
-
-
-def _usual(rows: Array) -> Array:
-    """The weight of all but the bias being of the usual size, and of nothing known of the bias."""
-    return np.diag([0.0, *(rows.shape[1] - 1) * [1.0]])
-
-
-def _least_distances(rows: Array, level: Array, limit: float) -> Array:
-    """Bias, G, d and s (6, 3), or some of them, with the smallest sum of distances from the levels, distances below
-    the tenth part of `limit` squared (weights iterated)."""
+    """Which levels (N, 3) are within `limit` of the function with the smallest sum of distances, those below the tenth
+    part of `limit` squared (weights iterated)."""
     weight = np.ones(len(rows))
     for _ in range(50):
-        fitted = _least_squares(rows, level, weight)
-        distance = np.linalg.norm(level - rows @ fitted, axis=1)
+        distance = np.linalg.norm(level - rows @ _least_squares(rows, level, weight)[0], axis=1)
         before, weight = weight, 0.1 * limit / np.maximum(distance, 0.1 * limit)
         if np.array_equal(weight, before):
             break
-    return fitted
+    return np.asarray(distance < limit)
 
 
-def _predicted(rows: Array, level: Array, near: BoolArray, k: int, limit: float, most: float) -> bool:
-    """Whether the other stretches near the function determine the level of stretch k, to `most` times what a level is
-    uncertain by, and it is there."""
-    others = near & (np.arange(len(rows)) != k)
-    fitted = _least_squares(rows[others], level[others], np.ones(int(others.sum())))
-    normal = rows[others].T @ rows[others] + _usual(rows)
-    uncertain = float(rows[k] @ np.linalg.solve(normal, rows[k]))
-    distance = float(np.linalg.norm(level[k] - rows[k] @ fitted))
-    return uncertain < most**2 and distance < limit * math.sqrt(1.0 + uncertain)
+def _least_squares(rows: Array, level: Array, weight: Array | float = 1.0) -> tuple[Array, Array]:
+    """Bias, G, d and s (6, 3), or some of them, by weighted least squares, and the normal matrix; rows are scaled so
+    that all but the bias, of which nothing is known, are 1 where they are usual, in limits."""
+    weighted = np.broadcast_to(weight, len(rows))[:, None] * rows
+    normal = weighted.T @ rows + np.diag([0.0, *(rows.shape[1] - 1) * [1.0]])
+    return np.asarray(np.linalg.solve(normal, weighted.T @ level)), normal

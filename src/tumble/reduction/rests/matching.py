@@ -1,24 +1,28 @@
-"""Rests found in a log, matched to the positions of a programme.
+"""Rests found in a log, matched to the positions of a programme, less what a session leaves out.
 
 Verticals are compared (bias taken off by the median difference), for programmes in order also the turns as the
 gyros saw them. Rests that follow each other without a turn between them are one position; without gyros, rests in a
 row with one vertical are the positions in a row that have it; in a programme in any order rests in a row with one
 vertical are one position. A rest that cannot be the programme's position, a
 missing or a surplus one, is a `ProgrammeError` that names the position.
+
+Times that [[exclude]] of session.toml leaves out are taken out of the rests before: a rest is what is left of it, if
+that is long enough. Rests and turns by number are those of the results, and are left out after the matching, so that a
+rest of a programme that is left out is not missing.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
 
-from tumble.errors import ProgrammeError
-from tumble.programme.positions import Position, Programme, from_attitudes, programme
-from tumble.recording.session import ProgrammeSpec, Session
-from tumble.reduction.blocks.reducer import BLOCK_SECONDS, FileBlocks, Reduction
-from tumble.reduction.rests.segmentation import RestSpan, Segmentation
+from tumble.errors import ProgrammeError, SessionError
+from tumble.programme.positions import Programme, from_attitudes, programme
+from tumble.recording.session import Exclusion, ProgrammeSpec, Session
+from tumble.reduction.blocks.reducer import BLOCK_SECONDS, Reduction
+from tumble.reduction.rests.segmentation import RestSpan, Segmentation, unrecorded
 from tumble.units import DEGREE, Array, IntArray
 
 POSITION_LIMIT = 7.0 * DEGREE
@@ -46,32 +50,45 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
     if spec is None:
         return Match(rests=segmentation.rests, programme=None, position=None)
     listed = programme(spec.name) if spec.name is not None else from_attitudes([p.attitude for p in spec.positions])
-    _check_stated(listed, reduction.files[0], spec)
-    rests = _with_stated(reduction, segmentation.rests, spec)
+    rests = _with_stated(listed, reduction, segmentation.rests, spec)
     if not rests:
         return Match(rests=(), programme=listed, position=np.empty(0, dtype=np.int64))
     by_file = reduction.by_file
     means = np.array([by_file[s.file].accel.mean(s.first, s.last) for s in rests])
     readings = means @ np.linalg.pinv(session.log.accel.axes).T
-    verticals = _verticals(readings, listed, session.site.gravity)
+    expected = np.array([p.vertical_b for p in listed.positions])
+    verticals = _verticals(readings, expected, session.site.gravity)
+    off = np.arccos(np.clip(expected @ verticals.T, -1.0, 1.0))
     why_missing = (
         f"was it skipped or shorter than {segmentation.tuning.still} s? "
         + "".join(f"{sentence}; " for sentence in segmentation.passed_over())
         + "`tumble inspect` shows what was found and rejected"
     )
     if not listed.ordered:
-        return Match(rests=rests, programme=listed, position=_any_order(listed, rests, verticals, why_missing))
-    seen = session.log.gyro is not None
-    groups = _groups(session, reduction, rests) if seen else _groups_by_vertical(listed, verticals)
+        return Match(rests=rests, programme=listed, position=_any_order(listed, rests, verticals, off, why_missing))
+    if session.log.gyro is None:
+        groups = _groups_by_vertical(expected, verticals)
+    else:
+        groups = [[0]]  # those without a turn between them together
+        for i in range(1, len(rests)):
+            turned = _rotation_between(session, reduction, rests[i - 1], rests[i])
+            if turned is not None and float(np.linalg.norm(turned)) < SAME_ATTITUDE:
+                groups[-1].append(i)
+            else:
+                groups.append([i])
     first = [group[0] for group in groups]
-    _check_order(listed, [rests[i] for i in first], verticals[first], why_missing)
+    _check_order(listed, [rests[i] for i in first], verticals[first], off[:, first], why_missing)
     _check_turns(session, reduction, listed, rests, groups)
     position = np.array([next(k for k, group in enumerate(groups) if i in group) for i in range(len(rests))])
     return Match(rests=rests, programme=listed, position=position)
 
 
-def _check_stated(listed: Programme, file: FileBlocks, spec: ProgrammeSpec) -> None:
-    """Stated rests are in the (first) file, and long enough to have a mean."""
+def _with_stated(
+    listed: Programme, reduction: Reduction, found: tuple[RestSpan, ...], spec: ProgrammeSpec
+) -> tuple[RestSpan, ...]:
+    """Rests found, with those that a position states by its times in their place: these are in the (first) file, and
+    long enough to have a mean."""
+    file, stated = reduction.files[0], []
     for k, p in enumerate(spec.positions):
         if p.start is None or p.stop is None:
             continue
@@ -85,15 +102,7 @@ def _check_stated(listed: Programme, file: FileBlocks, spec: ProgrammeSpec) -> N
                 f"programme {listed.name}, {_named(listed, k)}: expected a rest of at least {SHORTEST_STATED:g} s, "
                 f"found start {p.start:g} s and stop {p.stop:g} s"
             )
-
-
-def _with_stated(reduction: Reduction, found: tuple[RestSpan, ...], spec: ProgrammeSpec) -> tuple[RestSpan, ...]:
-    """Rests found, with those that a position states by its times in their place."""
-    stated = [
-        RestSpan.between(reduction.files[0], p.start, p.stop)
-        for p in spec.positions
-        if p.start is not None and p.stop is not None
-    ]
+        stated.append(RestSpan.between(file, p.start, p.stop))
     kept = [s for s in found if not any(s.file == t.file and s.start < t.stop and t.start < s.stop for t in stated)]
     return tuple(sorted([*kept, *stated], key=lambda s: (s.file, s.start)))
 
@@ -106,28 +115,13 @@ def _rotation_between(session: Session, reduction: Reduction, before: RestSpan, 
         return None
     level = 0.5 * (blocks.gyro.mean(before.first, before.last) + blocks.gyro.mean(after.first, after.last))
     between = slice(before.last, after.first)
-    seconds = np.diff(blocks.edges)[between, None]
-    turned = ((blocks.gyro.means[between] - level) * seconds).sum(axis=0)
+    turned = ((blocks.gyro.means[between] - level) * np.diff(blocks.edges)[between, None]).sum(axis=0)
     return np.asarray(np.linalg.pinv(session.log.gyro.axes) @ turned)
 
 
-def _groups(session: Session, reduction: Reduction, rests: tuple[RestSpan, ...]) -> list[list[int]]:
-    """Indices of rests, those without a turn between them together."""
-    groups = [[0]]
-    for i in range(1, len(rests)):
-        turned = _rotation_between(session, reduction, rests[i - 1], rests[i])
-        still = turned is not None and float(np.linalg.norm(turned)) < SAME_ATTITUDE
-        if still:
-            groups[-1].append(i)
-        else:
-            groups.append([i])
-    return groups
-
-
-def _groups_by_vertical(listed: Programme, verticals: Array) -> list[list[int]]:
+def _groups_by_vertical(expected: Array, verticals: Array) -> list[list[int]]:
     """Indices of rests by position where no gyro sees the turns between them: a turn about the vertical hardly shows,
     so that rests in a row with one vertical belong to all positions in a row that have it."""
-    expected = np.array([p.vertical_b for p in listed.positions])
     same = np.argmax(expected @ expected.T > 1.0 - 1e-9, axis=1)
     nearest = same[np.argmax(verticals @ expected.T, axis=1)]
     lengths: dict[int, list[int]] = {}
@@ -135,27 +129,20 @@ def _groups_by_vertical(listed: Programme, verticals: Array) -> list[list[int]]:
         lengths.setdefault(vertical, []).append(len(list(run)))
     groups: list[list[int]] = []
     for vertical, members in groupby(range(len(verticals)), key=nearest.tolist().__getitem__):
-        rests, left = list(members), lengths[vertical]
-        positions = left.pop(0) if len(left) > 1 else left[0]
+        rests, runs = list(members), lengths[vertical]
+        positions = runs.pop(0) if len(runs) > 1 else runs[0]
         parts = np.array_split(rests, positions) if len(rests) >= positions else [np.array(rests)] * positions
         groups += [part.tolist() for part in parts]
     return groups
 
 
-def _verticals(readings: Array, listed: Programme, gravity: float) -> Array:
-    """Directions of the vertical in the body (N, 3), freed from bias by the median difference from the nearest
-    position of the programme."""
-    expected = np.array([p.vertical_b for p in listed.positions])
+def _verticals(readings: Array, expected: Array, gravity: float) -> Array:
+    """Directions of the vertical in the body (N, 3), freed from bias by the median difference from the nearest of
+    those that are expected."""
     unit = readings / np.linalg.norm(readings, axis=1, keepdims=True)
-    nearest = expected[np.argmax(unit @ expected.T, axis=1)]
-    bias = np.median(readings - gravity * nearest, axis=0)
+    bias = np.median(readings - gravity * expected[np.argmax(unit @ expected.T, axis=1)], axis=0)
     free = readings - bias if np.linalg.norm(bias) < BIAS_LIMIT * gravity else readings
     return np.asarray(free / np.linalg.norm(free, axis=1, keepdims=True))
-
-
-def _off(vertical: Array, position: Position) -> float:
-    """Angle, rad, between a vertical and a position's."""
-    return float(np.arccos(np.clip(vertical @ position.vertical_b, -1.0, 1.0)))
 
 
 def _named(listed: Programme, k: int) -> str:
@@ -167,23 +154,22 @@ def _seen(vertical: Array) -> str:
     return "(" + ", ".join(f"{v:+.2f}" for v in vertical) + ")"
 
 
-def _check_order(listed: Programme, rests: list[RestSpan], verticals: Array, why_missing: str) -> None:
-    """Every position has its rest, in order."""
+def _check_order(listed: Programme, rests: list[RestSpan], verticals: Array, off: Array, why_missing: str) -> None:
+    """Every position has its rest, in order; the vertical of rest j is `off` that of position k by off[k, j], rad."""
     expected = len(listed.positions)
     if len(rests) == expected:
         for k, (rest, vertical) in enumerate(zip(rests, verticals, strict=True)):
-            off = _off(vertical, listed.positions[k])
-            if off > POSITION_LIMIT:
-                others = [j for j, p in enumerate(listed.positions) if _off(vertical, p) <= POSITION_LIMIT]
+            if off[k, k] > POSITION_LIMIT:
+                others = np.flatnonzero(off[:, k] <= POSITION_LIMIT).tolist()
                 like = f", which is that of {_named(listed, others[0])}" if others else ""
                 raise ProgrammeError(
                     f"programme {listed.name}, {_named(listed, k)}: expected the vertical "
                     f"{_seen(listed.positions[k].vertical_b)} in the body, found {_seen(vertical)} at "
-                    f"{rest.start:.1f}–{rest.stop:.1f} s, {off / DEGREE:.1f}° off{like}; at most "
+                    f"{rest.start:.1f}–{rest.stop:.1f} s, {off[k, k] / DEGREE:.1f}° off{like}; at most "
                     f"{POSITION_LIMIT / DEGREE:.0f}° can be the same position"
                 )
         return
-    missing, surplus = _alignment(listed, verticals)
+    missing, surplus = _alignment(off)
     counted = f"programme {listed.name}: expected {expected} rests, found {len(rests)}"
     if missing:
         raise ProgrammeError(f"{counted}; no rest for {_named(listed, missing[0])}: {why_missing}")
@@ -194,19 +180,15 @@ def _check_order(listed: Programme, rests: list[RestSpan], verticals: Array, why
     )
 
 
-def _alignment(listed: Programme, verticals: Array) -> tuple[list[int], list[int]]:
+def _alignment(off: Array) -> tuple[list[int], list[int]]:
     """Positions without a rest and rests without a position, by the alignment of both lists that leaves the fewest."""
-    n, m = len(listed.positions), len(verticals)
-    off = np.array([[_off(v, p) for v in verticals] for p in listed.positions])
+    i, j = off.shape
     cost = np.where(off <= POSITION_LIMIT, off, np.inf)
-    total = np.full((n + 1, m + 1), np.inf)
-    total[:, 0], total[0, :] = np.arange(n + 1.0), np.arange(m + 1.0)
-    for i in range(1, n + 1):
-        for j in range(1, m + 1):
-            total[i, j] = min(total[i - 1, j - 1] + cost[i - 1, j - 1], total[i - 1, j] + 1.0, total[i, j - 1] + 1.0)
+    total = np.add.outer(np.arange(i + 1.0), np.arange(j + 1.0))
+    for k, m in np.ndindex(i, j):
+        total[k + 1, m + 1] = min(total[k, m] + cost[k, m], total[k, m + 1] + 1.0, total[k + 1, m] + 1.0)
     missing: list[int] = []
     surplus: list[int] = []
-    i, j = n, m
     while i or j:
         if i and j and total[i, j] == total[i - 1, j - 1] + cost[i - 1, j - 1]:
             i, j = i - 1, j - 1
@@ -240,10 +222,11 @@ def _check_turns(
             )
 
 
-def _any_order(listed: Programme, rests: tuple[RestSpan, ...], verticals: Array, why_missing: str) -> IntArray:
+def _any_order(
+    listed: Programme, rests: tuple[RestSpan, ...], verticals: Array, off: Array, why_missing: str
+) -> IntArray:
     """The position of every rest. Every position must have one, and once: rests that follow each other in it, as of a
     cube turned on its face, count as one."""
-    off = np.array([[_off(v, p) for v in verticals] for p in listed.positions])
     nearest = np.argmin(off, axis=0)
     for j, rest in enumerate(rests):
         k = int(nearest[j])
@@ -273,3 +256,69 @@ def _any_order(listed: Programme, rests: tuple[RestSpan, ...], verticals: Array,
             "use every rest as it is found"
         )
     return np.asarray(nearest)
+
+
+# What a session leaves out
+
+
+def without_times(reduction: Reduction, found: Segmentation, excluded: tuple[Exclusion, ...]) -> Segmentation:
+    """The rests of a log without the stretches of time that are left out; of a rest the longest part remains."""
+    rests = list(found.rests)
+    for one in excluded:
+        if one.start is not None and one.stop is not None:
+            parts = [_longest(reduction, span, one.file, one.start, one.stop) for span in rests]
+            rests = [span for span in parts if span is not None]
+    return replace(found, rests=tuple(rests))
+
+
+def _longest(reduction: Reduction, span: RestSpan, file: int, start: float, stop: float) -> RestSpan | None:
+    """The longer part of a rest before or after a stretch of time; None where none is long enough."""
+    if span.file != file or start >= span.stop or stop <= span.start:
+        return span
+    edges = reduction.by_file[file].edges
+    before = span.first, min(span.last, int(np.searchsorted(edges, start + 1e-9, side="right")) - 1)
+    after = max(span.first, int(np.searchsorted(edges, stop - 1e-9))), span.last
+    first, last = max(before, after, key=lambda part: part[1] - part[0])
+    if last <= first or edges[last] - edges[first] < reduction.tuning.rest:
+        return None
+    return RestSpan(file=file, first=first, last=last, start=float(edges[first]), stop=float(edges[last]))
+
+
+def without_turns(reduction: Reduction, match: Match, excluded: tuple[Exclusion, ...]) -> Reduction:
+    """A reduction in which the turns that are left out by number were not recorded."""
+    turns = _numbered(excluded, "turn", len(match.rests) - 1)
+    ends = [match.rests[turn - 1 : turn + 1] for turn in turns]
+    gaps = [unrecorded(before, after, 1, "left out", why="") for before, after in ends]  # `left_out` tells it
+    return replace(reduction, gaps=(*reduction.gaps, *gaps)) if gaps else reduction
+
+
+def without_rests(match: Match, excluded: tuple[Exclusion, ...]) -> Match:
+    """The rests to use without those that are left out by number."""
+    numbers = _numbered(excluded, "rest", len(match.rests))
+    kept = [i for i in range(len(match.rests)) if i + 1 not in numbers]
+    position = None if match.position is None else match.position[kept]
+    return replace(match, rests=tuple(match.rests[i] for i in kept), position=position) if numbers else match
+
+
+def _numbered(excluded: tuple[Exclusion, ...], what: str, count: int) -> list[int]:
+    """The numbers of what is left out, "rest" or "turn". Raises SessionError for one of which there are not so many."""
+    numbers = []
+    for one in excluded:
+        number = one.rest if what == "rest" else one.turn
+        if number is not None:
+            if number > count:
+                where = "without" if one.by == "request" else f"session.toml: exclude.{what}"
+                raise SessionError(f"{where}: expected a {what} from 1 to {count}, found {number}")
+            numbers.append(number)
+    return numbers
+
+
+def left_out(excluded: tuple[Exclusion, ...]) -> tuple[str, ...]:
+    """What a session leaves out, as notes."""
+    notes = []
+    for one in excluded:
+        in_file = f" of file {one.file + 1}" if one.file else ""
+        what = f"{one.start:g}–{one.stop:g} s{in_file}" if one.start is not None else f"turn {one.turn}"
+        what = what if one.rest is None else f"rest {one.rest}"
+        notes.append(f"left out by {one.by}: {what}" + (f": {one.reason}" if one.reason else ""))
+    return tuple(notes)

@@ -35,7 +35,7 @@ import numpy as np
 
 from tumble.earth import EARTH_RATE
 from tumble.recording.rows.gaps import Gap
-from tumble.reduction.blocks.reducer import ChannelState, FileBlocks, Reduction
+from tumble.reduction.blocks.reducer import FileBlocks, Reduction
 from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.rests.gyro_levels import OffLevel, Span, core, level_function, times_of
 from tumble.sensors.model import Block
@@ -74,16 +74,8 @@ class RestSpan:
 
 def unrecorded(before: RestSpan, after: RestSpan, samples: int, what: str, why: str) -> Gap:
     """A turn between two rests that is taken as not recorded, for so many of its samples."""
-    return Gap(
-        file=before.file,
-        row=0,
-        time=before.stop,
-        samples=samples,
-        what=what,
-        stop=after.start,
-        integrable=False,
-        why=why,
-    )
+    at, stop = before.stop, after.start
+    return Gap(file=before.file, row=0, time=at, samples=samples, what=what, stop=stop, integrable=False, why=why)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -131,30 +123,28 @@ class Segmentation:
     def jumped(self) -> tuple[str, ...]:
         """That the level of the gyros at rest jumps once between two of the rests, and what to do; nothing where it
         does not."""
-        if self.jump is None:
+        jump = self.jump
+        before = 0 if jump is None else sum((r.file, r.start) < (jump.file, jump.time) for r in self.rests)
+        if jump is None or not 0 < before < len(self.rests):
             return ()
-        before = [r for r in self.rests if (r.file, r.start) < (self.jump.file, self.jump.time)]
-        after = self.rests[len(before) :]
-        if not before or not after:
-            return ()
-        last, first = len(before), len(before) + 1
         return (
-            f"the level of the gyros at rest jumps by {self.jump.size / DEGREE:.2g} °/s between rest {last} (to "
-            f"{before[-1].stop:z.1f} s) and rest {first} (from {after[0].start:z.1f} s) and stays there: a driver that "
-            f"measured the bias anew, or another device; calibrate the {last} rests before it and the {len(after)} "
-            "after it as launches of their own, each with the times of the others in [[exclude]]",
+            f"the level of the gyros at rest jumps by {jump.size / DEGREE:.2g} °/s between rest {before} (to "
+            f"{self.rests[before - 1].stop:z.1f} s) and rest {before + 1} (from {self.rests[before].start:z.1f} s) and "
+            "stays there: a driver that measured the bias anew, or another device; calibrate the "
+            f"{before} rests before it and the {len(self.rests) - before} after it as launches of their own, each with "
+            "the times of the others in [[exclude]]",
         )
 
     def passed_over(self) -> tuple[str, ...]:
         """Quiet stretches that were nearly rests, counted, in words: the too short ones, and those discarded for the
         level of the gyros."""
         by = "" if self.stated_rate is None else f", by log.rate_hz = {self.stated_rate:g}, which no time confirms"
-        what = {
+        reasons: dict[Fails, str] = {
             "duration": f"too short: rests must be {self.tuning.still} s{by}",
             "level": "discarded because the gyros read otherwise than at rest",
         }
         sentences = []
-        for fails, why in what.items():
+        for fails, why in reasons.items():
             if seconds := sorted(r.stop - r.start for r in self.rejected if r.fails == fails):
                 alike = seconds[-1] - seconds[0] < 0.05
                 length = f"{seconds[0]:.1f} s" if alike else f"{seconds[0]:.1f}–{seconds[-1]:.1f} s"
@@ -165,7 +155,7 @@ class Segmentation:
     def unused(self) -> tuple[str, ...]:
         """Every quiet stretch that is not used as a rest, with its times and durations and why not: a sentence for each
         reason."""
-        reasons = {
+        reasons: dict[Fails, str] = {
             "level": "the accelerometers are quiet, but the gyros read otherwise than at rest",
             "scatter": "the gyros are quiet, but the accelerometers are not",
             "vertical": f"the vertical moves by more than {self.tuning.tilt / DEGREE:g}°",
@@ -173,12 +163,10 @@ class Segmentation:
         }
         sentences = []
         for fails, why in reasons.items():
-            quiet = [r for r in self.rejected if r.fails == fails]
-            if quiet:
+            if quiet := [r for r in self.rejected if r.fails == fails]:
                 spans = ", ".join(f"{r.start:z.1f}–{r.stop:z.1f}" for r in quiet[:MOST_SPANS])
                 more = f" and {len(quiet) - MOST_SPANS} more" if len(quiet) > MOST_SPANS else ""
-                total = sum(r.stop - r.start for r in quiet)
-                because = quiet[0].reason if len(quiet) == 1 else why
+                total, because = sum(r.stop - r.start for r in quiet), quiet[0].reason if len(quiet) == 1 else why
                 sentences.append(f"not used as rests: {spans} s{more}, {total:.1f} s in all: {because}")
         return tuple(sentences)
 
@@ -186,89 +174,76 @@ class Segmentation:
 def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmentation:
     """The rests of a reduced log (module docstring)."""
     tuning = reduction.tuning
-    usual = _SearchedLog.of(reduction, accel, gyro, tuning).rests()
+    usual = _Search(reduction, accel, gyro, tuning).rests()
     short = sum(r.fails == "duration" and r.stop - r.start >= tuning.short_rest for r in usual.rejected)
     if short <= 2 * len(usual.rests):
         return usual
-    again = _SearchedLog.of(reduction, accel, gyro, tuning.for_short_rests(reduction.rate)).rests()
+    again = _Search(reduction, accel, gyro, tuning.for_short_rests(reduction.rate)).rests()
     # what is too short is said as in any other recording
     return replace(again, tuning=tuning) if len(again.rests) >= len(usual.rests) + tuning.fewest_short else usual
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _SearchedLog:
-    """A log that is searched with windows of so many blocks: by file the block means of the specific force, m/s², and
-    of the rate, rad/s (none without gyros), in the body, and what coarse channels may do to these without anything
+class _Search:
+    """The search of a log with windows of so many blocks: by file the block means of the specific force, m/s², and of
+    the rate, rad/s (none without gyros), in the body, and what coarse channels may do to these without anything
     moving."""
 
-    files: tuple[FileBlocks, ...]
-    forces: list[Array]
-    rates: list[Array] | None
-    force_step: float
-    rate_step: float
-    window: int
-    tuning: Tuning
-    still: int
-    """How long to lie still, s, as it is said."""
-
-    @staticmethod
-    def of(reduction: Reduction, accel: Block, gyro: Block | None, tuning: Tuning) -> _SearchedLog:
-        files = reduction.files
+    def __init__(self, reduction: Reduction, accel: Block, gyro: Block | None, tuning: Tuning) -> None:
+        self.files, self.tuning, self.still = reduction.files, tuning, reduction.tuning.still
+        self.window = max(2, round(tuning.window * reduction.rate / self.files[0].size))
         # column after column in memory: sums over three numbers a row are slow
-        forces = [np.asfortranarray(f.accel.means @ np.linalg.pinv(accel.axes).T) for f in files]
-        rates = None
+        self.forces = [np.asfortranarray(f.accel.means @ np.linalg.pinv(accel.axes).T) for f in self.files]
+        self.rates: list[Array] | None = None
         if gyro is not None:
-            rates = [np.asfortranarray(f.gyro.means @ np.linalg.pinv(gyro.axes).T) for f in files]
-        return _SearchedLog(
-            files=files,
-            forces=forces,
-            rates=rates,
-            force_step=ACCEL_ROUNDING + _resolution(reduction.accel_channels),
-            rate_step=GYRO_ROUNDING + _resolution(reduction.gyro_channels),
-            window=max(2, round(tuning.window * reduction.rate / files[0].size)),
-            tuning=tuning,
-            still=reduction.tuning.still,
+            self.rates = [np.asfortranarray(f.gyro.means @ np.linalg.pinv(gyro.axes).T) for f in self.files]
+        self.force_step, self.rate_step = (
+            rounding + float(np.linalg.norm([channel.step for channel in channels if np.isfinite(channel.step)]))
+            for rounding, channels in (
+                (ACCEL_ROUNDING, reduction.accel_channels),
+                (GYRO_ROUNDING, reduction.gyro_channels),
+            )
         )
 
     def rests(self) -> Segmentation:
         """Steps 1 to 4 and 6 of the module docstring."""
-        tuning, window = self.tuning, self.window
+        tuning, window, rates = self.tuning, self.window, self.rates
         scatter = [_moving_scatter(force, window) for force in self.forces]
         floor = self._floor(np.concatenate(scatter))
-        factor = tuning.floor_factor if self.rates is None else tuning.scatter_factor
+        factor = tuning.floor_factor if rates is None else tuning.scatter_factor
         scatter_limit = factor * floor + self.force_step
         calm = [s < scatter_limit for s in scatter]
-        if self.rates is None:
+        if rates is None:
             step = [_moving_step(force, window) for force in self.forces]
             step_limit = tuning.floor_factor * self._floor(np.concatenate(step)) + self.force_step
             spans = [_runs(c & (s < step_limit)) for c, s in zip(calm, step, strict=True)]
             return self._assembled(spans, None, scatter_limit, None, [])
-        rates = self.rates
         quiet = [s < tuning.quiet_factor * floor + self.force_step for s in scatter]
         spans, unmoved, rate_limit = self._still(rates, calm, quiet)
         off = self._off_level(rates, calm, spans, rate_limit)
+        # the limit of the distance of a level that the noise within stretches asks for
+        stretches = [(k, i, j) for k, of_file in enumerate(spans) for i, j in of_file if j - i >= 2 * window]
+        stretches += [(s.place, s.first, s.last) for s in off]
+        noise = [np.sqrt(rates[k][slice(*core(i, j, window))].var(axis=0).sum() / window) for k, i, j in stretches]
+        noise_limit = self._rate_limit(np.array([*noise, 0.0]))
         goes_with = self.forces, times_of([f.edges for f in self.files])
-        level = level_function(rates, goes_with, spans, off, self._noise_limit(rates, spans, off), window, tuning)
+        level = level_function(rates, goes_with, spans, off, noise_limit, window, tuning)
         if level is not None:
             rates = level.without(rates, *goes_with)
             spans, unmoved, rate_limit = self._still(rates, calm, quiet)
             spans = [_overlapping(new, like) for new, like in zip(spans, level.accepted, strict=True)]
             off = self._off_level(rates, calm, spans, rate_limit)
-        rejected = [
-            Rejected.of(
-                self.files[s.place],
-                (s.first, s.last),
-                "level",
+        rejected = []
+        for s in off:
+            reason = (
                 f"the accelerometers are quiet, but the gyros read {np.linalg.norm(s.rate) / DEGREE:.2g} °/s off "
                 f"their level at rest, more than {rate_limit / DEGREE:.2g} °/s: a slow turn, or a bias that depends on "
-                "attitude",
+                "attitude"
             )
-            for s in off
-        ]
-        for f, s, still, c in zip(self.files, scatter, unmoved, calm, strict=True):
+            rejected.append(Rejected.of(self.files[s.place], (s.first, s.last), "level", reason))
+        for f, shaken, still, c in zip(self.files, scatter, unmoved, calm, strict=True):
             for i, j in still:
                 if not c[i:j].any() and f.edges[j] - f.edges[i] >= tuning.rest:
-                    reason = f"accelerometer scatter {s[i:j].max():.2g} m/s^2 within a second is above "
+                    reason = f"accelerometer scatter {shaken[i:j].max():.2g} m/s^2 within a second is above "
                     rejected.append(Rejected.of(f, (i, j), "scatter", f"{reason}{scatter_limit:.2g} m/s^2"))
         whole = self._assembled(spans, rates, scatter_limit, rate_limit, rejected)
         if level is None or not np.any(level.step):
@@ -328,13 +303,6 @@ class _SearchedLog:
                     out.append(OffLevel(place=k, first=i, last=j, rate=rate))
         return out
 
-    def _noise_limit(self, rates: list[Array], spans: list[list[Span]], off: list[OffLevel]) -> float:
-        """The limit of the distance of a level, rad/s, that the noise within stretches asks for."""
-        stretches = [(k, i, j) for k, of_file in enumerate(spans) for i, j in of_file if j - i >= 2 * self.window]
-        stretches += [(s.place, s.first, s.last) for s in off]
-        cores = [rates[k][slice(*core(i, j, self.window))] for k, i, j in stretches]
-        return self._rate_limit(np.array([*(np.sqrt(w.var(axis=0).sum() / self.window) for w in cores), 0.0]))
-
     def _rate_limit(self, distances: Array) -> float:
         """Which distance from their level gyros have at rest at most, rad/s, from the distances of quiet blocks."""
         return self.tuning.floor_factor * self._floor(distances) + 2.0 * EARTH_RATE + self.rate_step
@@ -371,13 +339,21 @@ class _SearchedLog:
         tuning, rests = self.tuning, list[RestSpan]()
         for k, (f, force) in enumerate(zip(self.files, self.forces, strict=True)):
             signals = [(force, self.force_step)] + ([] if rates is None else [(rates[k], self.rate_step)])
-            for first, last in _merged([self._extended(signals, i, j) for i, j in spans[k]]):
+            joined: list[Span] = []
+            for first, last in sorted(self._extended(signals, i, j) for i, j in spans[k]):
+                if joined and first < joined[-1][1]:
+                    joined[-1] = joined[-1][0], max(last, joined[-1][1])
+                elif last > first:
+                    joined.append((first, last))
+            for first, last in joined:
                 duration = float(f.edges[last] - f.edges[first])
                 margin = tuning.margin_of(duration)
-                before, after = margin if first > 0 else 0.0, margin if last < len(f.edges) - 1 else 0.0
+                before, after = margin if first > 0 else 0.0, margin if last < len(f) else 0.0
                 span = RestSpan.between(f, f.edges[first] + before, f.edges[last] - after)
                 too_short = duration - before - after < tuning.rest - 1e-9
-                tilt = _tilt(force[first:last], self.window)
+                mean = force[first:last].mean(axis=0)
+                off = np.linalg.norm(_moving_mean(force[first:last], self.window) - mean, axis=1).max()
+                tilt = float(off / np.linalg.norm(mean))
                 if too_short or span.last - span.first < tuning.fewest_blocks:
                     if duration > 0.5:
                         reason = f"{duration:.1f} s is too short: rests must be {self.still} s"
@@ -403,56 +379,27 @@ class _SearchedLog:
         cores = [values[first + tenth : last - tenth] for values, _ in signals]
         means, sigmas = [core.mean(axis=0) for core in cores], [np.sqrt(core.var(axis=0).sum()) for core in cores]
 
-        def inside(rows: slice) -> BoolArray:
-            each = [
-                np.linalg.norm(values[rows] - mean, axis=1) <= self.tuning.edge * sigma + rounding
-                for (values, rounding), mean, sigma in zip(signals, means, sigmas, strict=True)
-            ]
-            return np.asarray(np.logical_and.reduce(each))
+        def end(block: int, way: int) -> int:
+            """Where blocks are no longer like the stretch, from one of them on, backwards (−1) or forwards (1)."""
+            while True:
+                rows = slice(max(0, block - _STRIDE), block) if way < 0 else slice(block, block + _STRIDE)
+                each = [
+                    np.linalg.norm(values[rows] - mean, axis=1) <= self.tuning.edge * sigma + rounding
+                    for (values, rounding), mean, sigma in zip(signals, means, sigmas, strict=True)
+                ]
+                inside = np.logical_and.reduce(each)[::way]
+                alike = len(inside) if inside.all() else int(np.argmin(inside))
+                block += way * alike
+                if alike < _STRIDE:
+                    return block
 
-        half, blocks = min(self.window, last - first) // 2, len(signals[0][0])
-        start, stop = first + half, last - half
-        while start > 0 and (added := _run_at_end(inside(slice(max(0, start - _STRIDE), start)))):
-            start -= added
-            if added < _STRIDE:
-                break
-        while stop < blocks and (added := _run_at_end(inside(slice(stop, stop + _STRIDE))[::-1])):
-            stop += added
-            if added < _STRIDE:
-                break
-        return start, stop
-
-
-def _resolution(channels: tuple[ChannelState, ...]) -> float:
-    """What the steps of coarse channels may do to a block mean without anything moving."""
-    return float(np.linalg.norm([channel.step for channel in channels if np.isfinite(channel.step)]))
+        half = min(self.window, last - first) // 2
+        return end(first + half, -1), end(last - half, 1)
 
 
 def _overlapping(spans: list[Span], others: list[Span]) -> list[Span]:
     """The stretches that overlap one of the others."""
     return [(i, j) for i, j in spans if any(i < b and a < j for a, b in others)]
-
-
-def _run_at_end(flags: BoolArray) -> int:
-    """How many of the last flags in a row are true."""
-    return len(flags) if flags.all() else int(np.argmin(flags[::-1]))
-
-
-def _tilt(force: Array, window: int) -> float:
-    """How far (rad) the one-second means of the specific force (K, 3) go from the mean of all."""
-    mean = force.mean(axis=0)
-    return float(np.linalg.norm(_moving_mean(force, window) - mean, axis=1).max() / np.linalg.norm(mean))
-
-
-def _merged(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Stretches in order, overlapping ones joined."""
-    out: list[tuple[int, int]] = []
-    for first, last in sorted(spans):
-        if out and first < out[-1][1]:
-            out[-1] = (out[-1][0], max(last, out[-1][1]))
-        elif last > first:
-            out.append((first, last))
-    return out
 
 
 def _moving_mean(values: Array, window: int) -> Array:
@@ -500,18 +447,15 @@ def _window_of(rows: int, window: int) -> IntArray:
 def _densest(points: Array) -> Array:
     """The point of a cloud with the nearest neighbours, from at most DENSITY_POINTS of them evenly spread."""
     points = points[:: -(-len(points) // DENSITY_POINTS)]
-    neighbour = min(len(points) - 1, max(3, len(points) // 20))
-    few = (points[i : i + AT_A_TIME] for i in range(0, len(points), AT_A_TIME))
-    return np.asarray(points[np.argmin(np.concatenate([_to_neighbour(each, points, neighbour) for each in few]))])
+    neighbour, nearest = min(len(points) - 1, max(3, len(points) // 20)), []
+    for i in range(0, len(points), AT_A_TIME):
+        some = points[i : i + AT_A_TIME]
+        squares = sum((own[:, None] - column) ** 2 for own, column in zip(some.T, points.T, strict=True))
+        nearest.append(np.partition(squares, neighbour, axis=1)[:, neighbour])
+    return np.asarray(points[np.argmin(np.concatenate(nearest))])
 
 
-def _to_neighbour(points: Array, others: Array, neighbour: int) -> Array:
-    """Squared distances (m,) of points from the others that are their k-th neighbours, they themselves the 0-th."""
-    squares = sum((own[:, None] - column) ** 2 for own, column in zip(points.T, others.T, strict=True))
-    return np.asarray(np.partition(squares, neighbour, axis=1)[:, neighbour])
-
-
-def _runs(flags: BoolArray) -> list[tuple[int, int]]:
+def _runs(flags: BoolArray) -> list[Span]:
     """[first, last) of every row of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]])))
     return [(int(i), int(j)) for i, j in edges.reshape(-1, 2)]
