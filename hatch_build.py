@@ -172,8 +172,9 @@ def _c_of(loops: str, folder: Path, built_from: str, compiler: str) -> Path:
     text = (SOURCE / f"tumble/{loops}.py").read_text(encoding="utf-8")
     copy = folder / f"tumble/{loops}.py"
     copy.parent.mkdir(parents=True, exist_ok=True)
-    for package in (copy.parent, copy.parent.parent):
-        (package / "__init__.py").touch()
+    for package in copy.parents:
+        if folder in package.parents:
+            (package / "__init__.py").touch()
     copy.write_text(text + CHECK.format(built_from=built_from, compiler=compiler), encoding="utf-8")
     declared = "".join(f"{line}\n" for line in DECLARED.findall(text))
     copy.with_suffix(".pxd").write_text(f"cimport cython\n{declared}", encoding="utf-8")

@@ -34,8 +34,7 @@ from tumble.reduction.noise.rounding import Rounding, rounding
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
 from tumble.reduction.turns.moments import BlockCompensation, Compensation, integrate
-from tumble.reduction.turns.turn_samples import TurnSamples
-from tumble.reduction.turns.turns import Turns, aliased_rotations
+from tumble.reduction.turns.turns import Turns, TurnSamples, aliased_rotations
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block

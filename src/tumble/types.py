@@ -50,9 +50,9 @@ from tumble.reduction.turns.array_motion import ArrayMoments as ArrayMoments
 from tumble.reduction.turns.moments import Compensation as Compensation
 from tumble.reduction.turns.moments import Moments as Moments
 from tumble.reduction.turns.moments import OwnAxes as OwnAxes
-from tumble.reduction.turns.turn_samples import TurnSamples as TurnSamples
 from tumble.reduction.turns.turns import TurnReadings as TurnReadings
 from tumble.reduction.turns.turns import Turns as Turns
+from tumble.reduction.turns.turns import TurnSamples as TurnSamples
 from tumble.result.parts import Readings as Readings
 from tumble.result.parts import SensorsAtRest as SensorsAtRest
 from tumble.result.parts import SourceContributions as SourceContributions

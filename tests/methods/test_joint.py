@@ -30,7 +30,7 @@ from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.observations import Observations
-from tumble.reduction.turns.turn_samples import TurnSamples
+from tumble.reduction.turns.turns import TurnSamples
 from tumble.run.calibrate import calibrate
 from tumble.sensors.grades import GRADES, NoiseModel, Spread
 from tumble.sensors.model import Block

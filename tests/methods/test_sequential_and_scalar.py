@@ -37,7 +37,7 @@ from tumble.reduction.observations import Observations, observe
 from tumble.reduction.rests.matching import match_rests
 from tumble.reduction.rests.rests import Rests
 from tumble.reduction.rests.segmentation import find_rests
-from tumble.reduction.turns.turn_samples import TurnSamples
+from tumble.reduction.turns.turns import TurnSamples
 from tumble.rotation import axes_matrix
 from tumble.sensors.model import Block, triad_model, triad_parameters
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array, IntArray

@@ -26,8 +26,7 @@ from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.noise.coloured_noise import WHITE
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import ACCEL_FLOOR, GYRO_FLOOR, Rests
-from tumble.reduction.turns.turn_samples import TurnSamples
-from tumble.reduction.turns.turns import TURN_FLOOR, TurnReadings, Turns
+from tumble.reduction.turns.turns import TURN_FLOOR, TurnReadings, Turns, TurnSamples
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array

@@ -23,9 +23,8 @@ from tumble.reduction.blocks.reducer import Reducer, Reduction
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.rests.matching import Match
 from tumble.reduction.rests.segmentation import RestSpan, find_rests
-from tumble.reduction.turns import turn_samples
-from tumble.reduction.turns.turn_samples import TurnSamples
-from tumble.reduction.turns.turns import rotations_of_independent
+from tumble.reduction.turns import turns
+from tumble.reduction.turns.turns import TurnSamples, rotations_of_independent
 from tumble.rotation import rotation_matrix, tangent_basis
 from tumble.sensors.model import Block, SensorModel
 from tumble.simulation.recording import Recording, record
@@ -153,7 +152,7 @@ def test_turns_cut_into_pieces_are_the_same(
     whole = observations.turns_about(true_gyros(scenario))
     kept = observations.turn_samples
     assert kept is not None
-    monkeypatch.setattr(turn_samples, "BATCH_SAMPLES", batch)
+    monkeypatch.setattr(turns, "BATCH_SAMPLES", batch)
     again = TurnSamples(samples=kept.samples, start=kept.start, stop=kept.stop)
     assert len(list(again.pieces())) > 1
     cut = replace(observations, turn_samples=again).turns_about(true_gyros(scenario))

@@ -12,7 +12,7 @@ from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.programme.positions import programme
 from tumble.reduction.observations import Observations
-from tumble.reduction.turns.turn_samples import AHEAD
+from tumble.reduction.turns.turns import AHEAD
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.model import Block, SensorModel

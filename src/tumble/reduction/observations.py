@@ -40,10 +40,10 @@ from tumble.reduction.turns.moments import (
     growing_moments,
     integrate,
 )
-from tumble.reduction.turns.turn_samples import TurnSamples
 from tumble.reduction.turns.turns import (
     TurnReadings,
     Turns,
+    TurnSamples,
     linear_compensation,
     reduced_turns,
     turn_readings,

@@ -21,8 +21,7 @@ from tumble.reduction.rests.matching import Match
 from tumble.reduction.rests.rests import Rests
 from tumble.reduction.rests.segmentation import RestSpan
 from tumble.reduction.rests.thermometer import Thermometers
-from tumble.reduction.turns.turn_samples import TurnSamples
-from tumble.reduction.turns.turns import TurnReadings, Turns
+from tumble.reduction.turns.turns import TurnReadings, Turns, TurnSamples
 from tumble.units import Array, IntArray
 
 WARMED = 1.0

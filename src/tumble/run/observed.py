@@ -33,8 +33,7 @@ from tumble.reduction.rests.blemishes import without_blemishes
 from tumble.reduction.rests.matching import Match, match_rests, without_rests, without_times, without_turns
 from tumble.reduction.rests.segmentation import RestSpan, Segmentation, find_rests
 from tumble.reduction.together import held, in_parts
-from tumble.reduction.turns.turns import torn_turns
-from tumble.reduction.turns.unknown_turns import without_unknown_turns
+from tumble.reduction.turns.turns import torn_turns, without_unknown_turns
 from tumble.rotation import onto_body
 from tumble.units import IntArray
 

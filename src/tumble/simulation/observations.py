@@ -33,8 +33,15 @@ from tumble.planning.steady_turns import inertial_turns, white_turns
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
-from tumble.reduction.turns.turn_samples import AHEAD, TurnSamples
-from tumble.reduction.turns.turns import TURN_FLOOR, VELOCITY_FLOOR, VELOCITY_STEP, TurnReadings, Turns
+from tumble.reduction.turns.turns import (
+    AHEAD,
+    TURN_FLOOR,
+    VELOCITY_FLOOR,
+    VELOCITY_STEP,
+    TurnReadings,
+    Turns,
+    TurnSamples,
+)
 from tumble.rotation import onto_body, rotation_matrix, skew
 from tumble.simulation.scenario import Itinerary, OnTable, Scenario, itinerary
 from tumble.simulation.sensors import InRunBias, SimulatedBlock

@@ -44,8 +44,8 @@ def without_blemishes(reduction: Reduction) -> Reduction:
     by_file = [list(_blemishes(reduction, reduction.samples, f, side)) for f in reduction.files]
     if not any(by_file):
         return reduction
-    files = tuple(_mended(f, own, side) if own else f for f, own in zip(reduction.files, by_file, strict=True))
-    return replace(reduction, files=files, blemishes=tuple(one for own in by_file for one in own))
+    files = tuple(_mended(f, bad, side) if bad else f for f, bad in zip(reduction.files, by_file, strict=True))
+    return replace(reduction, files=files, blemishes=tuple(one for bad in by_file for one in bad))
 
 
 def _blemishes(reduction: Reduction, samples: MotionSamples, f: FileBlocks, side: int) -> Iterator[Blemish]:
@@ -234,29 +234,20 @@ def blemish_notes(reduction: Reduction, spans: Sequence[RestSpan]) -> tuple[str,
     ]
     if not inside:
         return ()
-    rests = [f"{number}" for number in sorted({number for number, _ in inside})]
-    bad, first = _counted(sum(one.samples for _, one in inside), "about"), inside[0][1].start
-    return (f"{bad} left out of rest{_listed(rests)}, with a tenth of a second each; the first at {first:.1f} s",)
+    bad, rests = sum(one.samples for _, one in inside), sorted({number for number, _ in inside})
+    left_out = _told(bad, "about", "left out of rest", [str(number) for number in rests])
+    return (f"{left_out}, with a tenth of a second each; the first at {inside[0][1].start:.1f} s",)
 
 
 def bad_sample_notes(bad: BadSamples, first: IntArray) -> tuple[str, ...]:
     """The bad samples that were replaced in turns, which begin at rests `first` (K,), counted, in words."""
-    if not len(bad.at):
-        return ()
     turns = [f"{i} to {i + 1}" for i in (np.unique(first[bad.turn]) + 1).tolist()]
-    return (f"{_counted(len(bad.at), 'beside')} replaced by what is between these in the turn{_listed(turns)}",)
+    replaced = "replaced by what is between these in the turn"
+    return (_told(len(bad.at), "beside", replaced, turns),) if turns else ()
 
 
-def _counted(count: int, where: str) -> str:
-    """Such as "2 bad samples, far off those beside them,"."""
-    return (
-        f"1 bad sample, far off those {where} it,"
-        if count == 1
-        else f"{count} bad samples, far off those {where} them,"
-    )
-
-
-def _listed(names: list[str]) -> str:
-    """Such as "s 4, 6", with the plural of what is counted."""
-    more = f" and {len(names) - 5} more" if len(names) > 5 else ""
-    return f"{'' if len(names) == 1 else 's'} {', '.join(names[:5])}{more}"
+def _told(count: int, where: str, what: str, names: list[str]) -> str:
+    """Such as "2 bad samples, far off those beside them, left out of rests 4, 6"."""
+    bad, them = ("1 bad sample", "it") if count == 1 else (f"{count} bad samples", "them")
+    plural, more = "s" if len(names) > 1 else "", f" and {len(names) - 5} more" if len(names) > 5 else ""
+    return f"{bad}, far off those {where} {them}, {what}{plural} {', '.join(names[:5])}{more}"

@@ -94,12 +94,12 @@ def reduced_rests(
     pairs = [(by_file[s.file], slice(s.first, s.last)) for s in spans]
     series = {kind: [getattr(f, kind).means[span] for f, span in pairs] for kind in kinds}
     mean = {kind: np.array([getattr(f, kind).mean(span.start, span.stop) for f, span in pairs]) for kind in kinds}
-    durations = np.array([s.stop - s.start for s in spans])
+    seconds = np.array([s.stop - s.start for s in spans])[:, None]
     kelvin = [f.temperature[span] for f, span in pairs if f.temperature is not None]
     of_lag: KelvinAtLag | None = None
     if len(kelvin) == len(pairs):
         thermometers, read = thermometers_of(reduction), np.concatenate(kelvin)
-        file = np.repeat([s.file for s in spans], [len(each) for each in kelvin])
+        file = np.repeat([s.file for s in spans], [len(of_rest) for of_rest in kelvin])
         time = np.concatenate([f.edges[1:][span] for f, span in pairs])
 
         def warmth(lag: float) -> Array:
@@ -107,19 +107,34 @@ def reduced_rests(
             return read if lag == 0.0 else thermometers.means(file, time, time, lag).kelvin
 
         of_lag = warmth
+    rounded: dict[str, Rounding] = {}
+
+    def spread(kind: Literal["accel", "gyro", "magnetometer"], by_noise: Array, floor: float) -> Array:
+        """Covariances (N, n, n) of the means of rests by noise and rounding, which is noted."""
+        channels: Sequence[ChannelState] = getattr(reduction, f"{kind}_channels")
+        ends = {f.file: getattr(f, kind).ends for f in reduction.files}
+        every, of_rests = list(ends.values()), [ends[s.file][s.first : s.last] for s in spans]
+        rounded[kind] = rounding(every[0] if len(every) == 1 else np.concatenate(every), of_rests, channels)
+        return np.asarray(by_noise + np.diag(floor**2 + rounded[kind].of_rest ** 2))
+
+    def of_means(noise: ColouredNoise, kind: str) -> Array:
+        return np.array([noise.covariance_of_mean(len(s), i) for i, s in enumerate(series[kind])])
+
+    def density(covariance: Array) -> Array:
+        """Noise density (N, n), unit/√Hz, behind the covariance of the means."""
+        return np.asarray(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) * seconds))
+
     accel_quiet = without_warming(series["accel"], of_lag, accel.thermometer)
-    rounded = {"accel": channel_rounding(reduction, spans, "accel")}
-    accel_spread = accel_covariance(accel_quiet, accel) + np.diag(ACCEL_FLOOR**2 + rounded["accel"].of_rest ** 2)
+    accel_spread = spread("accel", accel_covariance(accel_quiet, accel), ACCEL_FLOOR)
     gyro_noise, gyro_spread = None, np.empty((len(spans), 0, 0))
     if gyro is not None:
         gyro_noise = fit_coloured_noise(without_warming(series["gyro"], of_lag, gyro.thermometer))
-        rounded["gyro"] = channel_rounding(reduction, spans, "gyro")
-        gyro_spread = _spread(gyro_noise, series["gyro"], rounded["gyro"], GYRO_FLOOR)
+        gyro_spread = spread("gyro", of_means(gyro_noise, "gyro"), GYRO_FLOOR)
     field_spread = None
     if reduction.magnetometer_channels:
-        rounded_field = channel_rounding(reduction, spans, "magnetometer")
-        noise = fit_coloured_noise(series["magnetometer"])
-        field_spread = _spread(noise, series["magnetometer"], rounded_field, 0.0)
+        field_noise = fit_coloured_noise(series["magnetometer"])
+        field_spread = spread("magnetometer", of_means(field_noise, "magnetometer"), 0.0)
+        del rounded["magnetometer"]
     rests = Rests(
         file=np.array([s.file for s in spans]),
         start=np.array([s.start for s in spans]),
@@ -127,22 +142,16 @@ def reduced_rests(
         accel=mean["accel"],
         accel_covariance=accel_spread,
         accel_drift=drift(series["accel"]),
-        accel_noise=density(accel_spread, durations),
+        accel_noise=density(accel_spread),
         gyro=mean["gyro"],
         gyro_covariance=gyro_spread,
         gyro_drift=drift(series["gyro"]),
-        gyro_noise=density(gyro_spread, durations),
-        temperatures=None if of_lag is None else np.array([each.mean(axis=0) for each in kelvin]),
+        gyro_noise=density(gyro_spread),
+        temperatures=None if of_lag is None else np.array([of_rest.mean(axis=0) for of_rest in kelvin]),
         magnetometer=None if field_spread is None else mean["magnetometer"],
         magnetometer_covariance=field_spread,
     )
     return rests, accel_quiet, gyro_noise, rounded
-
-
-def _spread(noise: ColouredNoise, series: list[Array], of_channels: Rounding, floor: float) -> Array:
-    """Covariances (N, n, n) of the means of rests by noise and rounding."""
-    by_noise = np.array([noise.covariance_of_mean(len(s), i) for i, s in enumerate(series)])
-    return np.asarray(by_noise + np.diag(floor**2 + of_channels.of_rest**2))
 
 
 def thermometers_of(reduction: Reduction) -> Thermometers:
@@ -150,11 +159,8 @@ def thermometers_of(reduction: Reduction) -> Thermometers:
     return Thermometers.of({f.file: (f.edges[1:], f.temperature) for f in reduction.files if f.temperature is not None})
 
 
-# How uncertain mean readings are, from what the rests themselves show
-
-
 def accel_covariance(series: list[Array], block: Block) -> Array:
-    """Covariance (N, n, n) of the mean accelerometer readings.
+    """Covariance (N, n, n) of the mean accelerometer readings, from what the rests themselves show.
 
     A rest in which the body slowly tilts shows it in the horizontal directions, where it would pass for sensor
     noise; the vertical, and for n > 3 the directions that no specific force explains, are free of it to first
@@ -164,33 +170,23 @@ def accel_covariance(series: list[Array], block: Block) -> Array:
     size = np.where(size > 0.0, size, 1.0)
     mean = np.array([s.mean(axis=0) for s in series])
     force = mean @ np.linalg.pinv(block.axes).T
-    force = force - _rough_bias(force)
+    # the centre of the sphere through the specific forces is the bias, where they tell it
+    rows = np.column_stack([2.0 * force, np.ones(len(force))])
+    (*centre, _), _, rank, singular = np.linalg.lstsq(rows, (force**2).sum(axis=1))
+    seen = rank == 4 and len(force) >= 6 and singular[-1] > 0.1
+    if seen and np.linalg.norm(centre) < 0.5 * np.linalg.norm(force, axis=1).mean():
+        force = force - centre
     tilted = np.einsum("pk,ijk->ipj", block.axes, tangent_basis(force / np.linalg.norm(force, axis=1, keepdims=True)))
     basis, _ = np.linalg.qr(tilted / size[:, None], mode="complete")
     rotated = [s / size @ q for s, q in zip(series, basis, strict=True)]
     variance = np.empty_like(mean)
     for group in (slice(0, 2), slice(2, None)):
-        columns = [r[:, group][:, [c]] for r in rotated for c in range(r[:, group].shape[1])]
+        columns = [column[:, None] for r in rotated for column in r[:, group].T]
         fit = fit_coloured_noise(columns)
-        each = [fit.covariance_of_mean(len(x), i)[0, 0] for i, x in enumerate(columns)]
-        variance[:, group] = np.array(each).reshape(len(series), -1).mean(axis=1, keepdims=True)
+        of_columns = [fit.covariance_of_mean(len(x), i)[0, 0] for i, x in enumerate(columns)]
+        variance[:, group] = np.array(of_columns).reshape(len(series), -1).mean(axis=1, keepdims=True)
     scaled = basis * size[:, None]
-    covariance = scaled * variance[:, None, :] @ np.swapaxes(scaled, 1, 2)
-    return np.asarray(covariance)
-
-
-def _rough_bias(force: Array) -> Array:
-    """The centre (3,) of the sphere through specific forces (N, 3) at rest; zero where they do not tell."""
-    rows = np.column_stack([2.0 * force, np.ones(len(force))])
-    solution, _, rank, singular = np.linalg.lstsq(rows, (force**2).sum(axis=1))
-    size = float(np.linalg.norm(force, axis=1).mean())
-    seen = rank == 4 and len(force) >= 6 and singular[-1] > 0.1
-    return np.asarray(solution[:3]) if seen and float(np.linalg.norm(solution[:3])) < 0.5 * size else np.zeros(3)
-
-
-def density(covariance: Array, seconds: Array) -> Array:
-    """Noise density (N, n), unit/√Hz, behind the covariance of the means."""
-    return np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) * seconds[:, None])
+    return np.asarray(scaled * variance[:, None, :] @ np.swapaxes(scaled, 1, 2))
 
 
 def drift(series: list[Array]) -> Array:
@@ -200,14 +196,3 @@ def drift(series: list[Array]) -> Array:
         x = np.arange(len(s)) - 0.5 * (len(s) - 1)
         out.append(x @ s / (x @ x) * len(s))
     return np.array(out)
-
-
-def channel_rounding(
-    reduction: Reduction, spans: tuple[RestSpan, ...], kind: Literal["accel", "gyro", "magnetometer"]
-) -> Rounding:
-    """The rounding of one kind of channels."""
-    channels: Sequence[ChannelState] = getattr(reduction, f"{kind}_channels")
-    ends = {f.file: getattr(f, kind).ends for f in reduction.files}
-    rests = [ends[s.file][s.first : s.last] for s in spans]
-    every = list(ends.values())
-    return rounding(every[0] if len(every) == 1 else np.concatenate(every), rests, channels)

@@ -1,29 +1,32 @@
-"""Turns: rotation and velocity from rest to rest, their sensitivities, and covariances from the noise of the rests."""
+"""Turns: rotation and velocity from rest to rest, their sensitivities, covariances from the noise of the rests, and the
+samples they are integrated from.
+
+Left out and named are turns of which the gyros do not say where they have led. Numbers of a converter end at 2^k − 1
+and −2^k: a gyro that reads this in a turn turned faster than it can say. Turns of gyros in physical units, whose
+converter is not known, are judged by whether they fit. And a reading of more than half a turn from sample to sample is
+no reading: what a turn by more is cannot be told from one the other way round.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise
 
 import numpy as np
 
 from tumble.recording.rows.gaps import Gap
+from tumble.recording.session import Channels
 from tumble.reduction.blocks.motion_samples import MotionSamples
-from tumble.reduction.blocks.reducer import Reduction
+from tumble.reduction.blocks.reducer import Reduction, extremes
 from tumble.reduction.noise.coloured_noise import ColouredNoise
 from tumble.reduction.noise.rounding import Rounding
-from tumble.reduction.rests.blemishes import bad_samples_of_turns
+from tumble.reduction.rests.blemishes import NO_BAD_SAMPLES, BadSamples, bad_samples_of_turns
 from tumble.reduction.rests.rests import Rests
-from tumble.reduction.rests.segmentation import RestSpan
-from tumble.reduction.turns.moments import (
-    BlockCompensation,
-    Compensation,
-    Moments,
-    integrate,
-    moments_of,
-)
-from tumble.reduction.turns.turn_samples import TurnSamples
+from tumble.reduction.rests.segmentation import RestSpan, unrecorded
+from tumble.reduction.turns.array_motion import read_by
+from tumble.reduction.turns.moments import BlockCompensation, Compensation, Pieces, integrate, moments_of
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array, IntArray
 
@@ -35,6 +38,16 @@ FOURTH_DIFFERENCES = 70.0
 BEYOND_NOISE = 9.0
 """Times the variance by noise: where independent samples would make no more, nothing is said of them."""
 TURN_FLOOR = 1e-10  # rad: no mean and no turn is taken to be better known, a simulation without noise included
+BATCH_SAMPLES = 2**17
+"""Of turns, that are in memory at a time: 7 MB."""
+KEPT_SAMPLES = 2**19
+"""So few of turns are gathered once and stay in memory: 29 MB."""
+AHEAD = 2
+"""Samples kept ahead of every piece of a turn, which the first step wants."""
+CONVERTERS = 2.0 ** np.arange(11, 32)
+"""2^k of converters of 12 to 32 bits."""
+EXACT = 1e-6
+HALF_TURN = math.pi
 
 _BODY = Block(kind="gyro", axes=np.eye(3))
 
@@ -74,14 +87,66 @@ class TurnReadings:
     covariance: Array
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TurnSamples:
+    """Where the samples of the turns are: turn k is samples start[k] … stop[k] − 1 of `samples`, the `bad` ones among
+    them replaced; those of further sessions are `others`, after so many turns."""
+
+    samples: MotionSamples
+    start: IntArray
+    stop: IntArray
+    bad: BadSamples = NO_BAD_SAMPLES
+    others: tuple[tuple[int, TurnSamples], ...] = ()
+    _kept: list[Pieces] = field(default_factory=list, repr=False)
+
+    @property
+    def lengths(self) -> IntArray:
+        """How many samples the turns have (K,)."""
+        return np.concatenate([self.stop - self.start, *(other.lengths for _, other in self.others)])
+
+    def pieces(self) -> Iterator[Pieces]:
+        """Batches of whole or cut turns, of no turn two pieces."""
+        if not self._kept and int(np.sum(self.stop - self.start)) < KEPT_SAMPLES:
+            self._kept.extend(self._gathered())
+        yield from self._kept or self._gathered()
+        for before, other in self.others:
+            yield from (replace(pieces, turn=pieces.turn + before) for pieces in other.pieces())
+
+    def _gathered(self) -> Iterator[Pieces]:
+        """The same of these samples alone."""
+        parts: list[tuple[int, int, int, int]] = []
+        count = 0
+        for turn, (start, stop) in enumerate(zip(self.start, self.stop, strict=True)):
+            for at in range(int(start), int(stop), BATCH_SAMPLES):
+                end, ahead = min(at + BATCH_SAMPLES, int(stop)), min(AHEAD, at)
+                parts.append((turn, at - ahead, at, end))
+                count += end - at + ahead
+                if count >= BATCH_SAMPLES:
+                    yield self._pieces(parts, count)
+                    parts, count = [], 0
+        if parts:
+            yield self._pieces(parts, count)
+
+    def _pieces(self, parts: list[tuple[int, int, int, int]], count: int) -> Pieces:
+        """So many samples in parts of turns: turn, first sample to be read, first of the part, and its end."""
+        rates, forces, intervals = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
+        pieces, done = [], 0
+        for turn, first, at, end in parts:
+            into = slice(done, done + end - first)
+            rates[into], forces[into], intervals[into] = self.samples.read(first, end)
+            bad = slice(*np.searchsorted(self.bad.at, [first, end]))
+            places = done + self.bad.at[bad] - first
+            rates[places], forces[places] = np.hsplit(self.bad.values[bad], 2)
+            pieces.append((turn, done + at - first, done + end - first))
+            done += end - first
+        turns, start, stop = np.array(pieces).T
+        return Pieces(rates=rates, forces=forces, intervals=intervals, turn=turns, start=start, stop=stop)
+
+
 def linear_compensation(gyro: Block, gyro_model: SensorModel, accel: Block, accel_model: SensorModel) -> Compensation:
     """Compensation by the linear models."""
-    return Compensation(
-        gyro=BlockCompensation.of(gyro.axes, gyro_model),
-        accel=BlockCompensation.of(accel.axes, accel_model),
-        g_sensitivity=np.zeros((3, 3)),
-        delay=0.0,
-    )
+    of_gyro, of_accel = BlockCompensation.of(gyro.axes, gyro_model), BlockCompensation.of(accel.axes, accel_model)
+    return Compensation(gyro=of_gyro, accel=of_accel, g_sensitivity=np.zeros((3, 3)), delay=0.0)
 
 
 def reduced_turns(
@@ -95,37 +160,53 @@ def reduced_turns(
 ) -> tuple[Turns, TurnSamples]:
     """The turns between consecutive rests, those that were recorded as a whole, integrated with nominal gyros. Samples
     that are `rounded` err as `Rounding.of_integrals` has it."""
-    first, last = np.array(_recorded(spans, reduction.gaps), dtype=int).reshape(-1, 2).T
-    by_file, block_seconds = reduction.by_file, reduction.block_seconds
-    start = np.array([by_file[spans[i].file].sample_at(spans[i].last) for i in first], dtype=int)
-    stop = np.array([by_file[spans[j].file].sample_at(spans[j].first) for j in last], dtype=int)
-    duration = np.array([spans[j].start - spans[i].stop for i, j in zip(first, last, strict=True)])
+    whole = [
+        i
+        for i, (before, after) in enumerate(pairwise(spans))
+        if before.file == after.file and _tear(before, after, reduction.gaps) is None
+    ]
+    ends, block_seconds = [(spans[i], spans[i + 1]) for i in whole], reduction.block_seconds
+    first, files = np.array(whole, dtype=int), [reduction.by_file[before.file] for before, _ in ends]
+    start, stop, file_start, file_stop = np.array(
+        [
+            [f.sample_at(block) for block in (before.last, after.first, 0, len(f))]
+            for f, (before, after) in zip(files, ends, strict=True)
+        ],
+        dtype=int,
+    ).reshape(-1, 4).T  # fmt: skip
+    duration = np.array([after.start - before.stop for before, after in ends])
     (accel, of_accel), (gyro, of_gyro) = accel_noise, gyro_noise
-    files = [by_file[spans[i].file] for i in first]
-    within = tuple(np.array([f.sample_at(k * len(f)) for f in files], dtype=int) for k in (0, 1))
     least = _least_off(reduction, rests)
-    bad = bad_samples_of_turns(stored, start, stop, (within[0], within[1]), reduction.rate, least, reduction.tuning)
+    bad = bad_samples_of_turns(stored, start, stop, (file_start, file_stop), reduction.rate, least, reduction.tuning)
     samples = TurnSamples(samples=stored, start=start, stop=stop, bad=bad)
     moments = integrate(samples.pieces(), len(first), linear_compensation(gyro, gyro.nominal(), accel, accel.nominal()))
     long = np.maximum(duration, block_seconds)
     of_forces, of_rates = (
         _in_body(block, _by_rounding(samples, block, rounded[block.kind])) for block in (accel, gyro)
     )
-    density = np.array([T * _of_mean(gyro, of_gyro, T / block_seconds) for T in long]).reshape(-1, 3, 3)
+
+    def of_mean(block: Block, noise: ColouredNoise, seconds: float) -> Array:
+        """Covariance (3, 3), in the body, of a mean."""
+        return _in_body(block, noise.covariance_of_mean(seconds / block_seconds))
+
+    density = np.array([T * of_mean(gyro, of_gyro, T) for T in long]).reshape(-1, 3, 3)
     density += of_rates / long[:, None, None]
-    velocity = np.array([T**2 * np.trace(_of_mean(accel, of_accel, T / block_seconds)) / 3.0 for T in long])
+    velocity = np.array([T**2 * np.trace(of_mean(accel, of_accel, T)) / 3.0 for T in long])
     velocity += np.trace(of_forces, axis1=1, axis2=2) / 3.0
+    # rounding, and the integration, of third order in the angle of a step (docs/explanation/mathematics.md (6))
+    angle = np.sqrt(moments.body_rates[:, [0, 3, 5]].sum(axis=1) * moments.T) / np.maximum(stop - start, 1)
+    floor = VELOCITY_FLOOR + VELOCITY_STEP * np.linalg.norm(moments.V, axis=1) * angle**3
     covariance = _carried(samples, density) + TURN_FLOOR**2 * np.eye(3)
     turns = Turns(
         first=first,
-        last=last,
+        last=first + 1,
         duration=duration,
         C=moments.C,
         M=moments.Phi[..., 1:4],
         B=moments.Phi[..., 0],
         covariance=covariance,
         arising=np.array([of_gyro.arising(T / block_seconds) for T in long]),
-        velocity_covariance=(velocity + velocity_floor(moments, stop - start) ** 2)[:, None, None] * np.eye(3),
+        velocity_covariance=(velocity + floor**2)[:, None, None] * np.eye(3),
         jumps=moments.jumps,
         aliased=aliased_rotations(samples, covariance),
     )
@@ -175,51 +256,6 @@ def aliased_rotations(samples: TurnSamples, covariance: Array) -> Array:
     return variance if aliased else np.zeros_like(variance)
 
 
-def _recorded(spans: tuple[RestSpan, ...], gaps: tuple[Gap, ...]) -> list[tuple[int, int]]:
-    """The rests before and after each turn that was recorded as a whole, in one file."""
-    return [
-        (i, i + 1)
-        for i, (before, after) in enumerate(pairwise(spans))
-        if before.file == after.file and _tear(before, after, gaps) is None
-    ]
-
-
-def torn_turns(spans: tuple[RestSpan, ...], gaps: tuple[Gap, ...]) -> tuple[str, ...]:
-    """The turns that were not recorded as a whole, and why, as notes."""
-    torn = [(i, _tear(before, after, gaps)) for i, (before, after) in enumerate(pairwise(spans), 1)]
-    return tuple(
-        f"turn from rest {i} to rest {i + 1} is left out: {gap.why}" for i, gap in torn if gap is not None and gap.why
-    )
-
-
-def _tear(before: RestSpan, after: RestSpan, gaps: tuple[Gap, ...]) -> Gap | None:
-    """The last gap between two rests of a file across which no turn is known."""
-    return next(
-        (
-            gap
-            for gap in reversed(gaps)
-            if not gap.integrable
-            and gap.file == before.file == after.file
-            and gap.time < after.start
-            and gap.stop > before.stop
-        ),
-        None,
-    )
-
-
-def velocity_floor(moments: Moments, samples: IntArray) -> Array:
-    """Standard deviation (K,), m/s, of the velocities of turns of so many samples (K,) from rounding and from the error
-    of the integration, which is of third order in the angle of a step (docs/explanation/mathematics.md (6))."""
-    mean_square = (moments.body_rates[:, [0, 3, 5]]).sum(axis=1) * moments.T
-    step = np.sqrt(mean_square) / np.maximum(samples, 1)
-    return np.asarray(VELOCITY_FLOOR + VELOCITY_STEP * np.linalg.norm(moments.V, axis=1) * step**3)
-
-
-def _of_mean(block: Block, noise: ColouredNoise, blocks: float) -> Array:
-    """Covariance (3, 3) of a mean over so many blocks, in the body."""
-    return _in_body(block, noise.covariance_of_mean(blocks))
-
-
 def _in_body(block: Block, covariance: Array) -> Array:
     """The covariance (..., 3, 3) in the body of what has this one (..., n, n) in the sensors of a block."""
     to_body = np.linalg.pinv(block.axes)
@@ -235,14 +271,12 @@ def turn_readings(
 ) -> TurnReadings:
     """The readings of every gyro between the rests, from the blocks."""
     (turns, samples), (gyro, noise) = turned, gyro_noise
-    channels, by_file, block_seconds = gyro.size, reduction.by_file, reduction.block_seconds
-    integral, covariance = np.zeros((len(turns), channels)), np.zeros((len(turns), channels, channels))
+    integral, covariance = np.zeros((len(turns), gyro.size)), _by_rounding(samples, gyro, rounded)
     for k, (i, j, T) in enumerate(zip(turns.first, turns.last, turns.duration, strict=True)):
-        blocks, between = by_file[spans[i].file], slice(spans[i].last, spans[j].first)
+        blocks, between = reduction.by_file[spans[i].file], slice(spans[i].last, spans[j].first)
         integral[k] = np.diff(blocks.edges)[between] @ blocks.gyro.means[between]
-        covariance[k] = T**2 * noise.covariance_of_mean(max(T / block_seconds, 1.0))
-    by_rounding = _by_rounding(samples, gyro, rounded)
-    return TurnReadings(integral=integral, covariance=covariance + by_rounding + TURN_FLOOR**2 * np.eye(channels))
+        covariance[k] += T**2 * noise.covariance_of_mean(max(T / reduction.block_seconds, 1.0))
+    return TurnReadings(integral=integral, covariance=covariance + TURN_FLOOR**2 * np.eye(gyro.size))
 
 
 def _carried(samples: TurnSamples, density: Array) -> Array:
@@ -257,11 +291,8 @@ def _carried(samples: TurnSamples, density: Array) -> Array:
             np.unique(np.linspace(a, b, PATH_STEPS + 1).astype(np.int64))
             for a, b in zip(pieces.start, pieces.stop, strict=True)
         ]
-        steps = moments_of(
-            replace(pieces, start=np.concatenate([c[:-1] for c in cuts]), stop=np.concatenate([c[1:] for c in cuts])),
-            nominal,
-        ).C
-        at = 0
+        start, stop = np.concatenate([c[:-1] for c in cuts]), np.concatenate([c[1:] for c in cuts])
+        steps, at = moments_of(replace(pieces, start=start, stop=stop), nominal).C, 0
         for k, edges in zip(pieces.turn, cuts, strict=True):
             path = np.array(list(accumulate(steps[at : at + len(edges) - 1], np.matmul, initial=C[k])))
             at += len(edges) - 1
@@ -269,3 +300,67 @@ def _carried(samples: TurnSamples, density: Array) -> Array:
             out[k] += 0.5 * np.tensordot(np.diff(passed[edges]), rotated[1:] + rotated[:-1], axes=1)
             C[k] = path[-1]
     return out
+
+
+# Turns that are not known
+
+
+def torn_turns(spans: tuple[RestSpan, ...], gaps: tuple[Gap, ...]) -> tuple[str, ...]:
+    """The turns that were not recorded as a whole, and why, as notes."""
+    torn = [(i, _tear(before, after, gaps)) for i, (before, after) in enumerate(pairwise(spans), 1)]
+    return tuple(
+        f"turn from rest {i} to rest {i + 1} is left out: {gap.why}" for i, gap in torn if gap is not None and gap.why
+    )
+
+
+def _tear(before: RestSpan, after: RestSpan, gaps: tuple[Gap, ...]) -> Gap | None:
+    """The last gap between two rests of a file across which no turn is known."""
+    for gap in reversed(gaps):
+        in_file = gap.file == before.file == after.file
+        if in_file and not gap.integrable and gap.time < after.start and gap.stop > before.stop:
+            return gap
+    return None
+
+
+def without_unknown_turns(
+    reduction: Reduction, rests: tuple[RestSpan, ...], gyro: Block, channels: Channels
+) -> Reduction:
+    """A reduction in which turns between these rests with clipped gyros, or with readings of more than half a turn from
+    sample to sample, were not recorded."""
+    clipped, fast = dict[int, Gap](), dict[int, Gap]()
+    limits, turns, beyond = _limits(reduction, channels), list(pairwise(rests)), gyro.size - 3
+    may_clip = np.isfinite(limits).any()
+    may_be_fast = 2.0 * np.abs(extremes(reduction.gyro_channels)).max() > HALF_TURN * reduction.rate
+    for k, (before, after) in enumerate(turns if may_clip or may_be_fast else ()):
+        if before.file != after.file or reduction.samples is None:
+            continue
+        f = reduction.by_file[before.file]
+        start, stop = f.sample_at(before.last), f.sample_at(after.first)
+        rates, _, intervals, spare = reduction.samples.read_with_spare(start, stop)
+        of_gyros = spare[:, max(spare.shape[1] - beyond, 0) :]
+        if may_clip and of_gyros.shape[1] == beyond:  # else more than three gyros, and of their samples the rate alone
+            least, most = limits * (1.0 - EXACT)
+            readings = read_by(gyro, rates, of_gyros)
+            count = int(((readings <= least) | (readings >= most)).any(axis=1).sum())
+            if count >= reduction.tuning.fewest_clipped:
+                why = f"gyros are clipped in {count} of its samples"
+                clipped[k] = unrecorded(before, after, count, "no rotation", why)
+        count = int((np.linalg.norm(rates, axis=1) * intervals > HALF_TURN).sum()) if may_be_fast else 0
+        if count:
+            why = f"gyros read more than half a turn from sample to sample, in {count} of its samples"
+            fast[k] = unrecorded(before, after, count, "no rotation", why)
+    if 2 * len(fast) > len(turns):
+        fast = {}  # then it is the unit or the rate that is wrong, which is said elsewhere
+    gaps = {**fast, **clipped}
+    return replace(reduction, gaps=(*reduction.gaps, *gaps.values())) if gaps else reduction
+
+
+def _limits(reduction: Reduction, channels: Channels) -> Array:
+    """The least and the most (2, n) that gyros read, SI, where that is where a converter ends; else infinite."""
+    if channels.unit_name != "count":
+        return np.full((2, len(reduction.gyro_channels)), np.inf)
+    read = extremes(reduction.gyro_channels)
+    raw = read / channels.unit.factor * channels.scale + channels.offset
+    ends = np.array([-CONVERTERS, CONVERTERS - 1.0])
+    at_end = (np.abs(raw[:, :, None] - ends[:, None]) < EXACT).any(axis=2)
+    return np.where(at_end, read, np.array([[-np.inf], [np.inf]]))
