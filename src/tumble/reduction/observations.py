@@ -48,6 +48,7 @@ from tumble.reduction.turns.turns import (
     reduced_turns,
     turn_readings,
 )
+from tumble.rotation import onto_body
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array, IntArray
 
@@ -208,7 +209,7 @@ def _arrays(reduction: Reduction, rests: Rests, accel: Block, gyro: Block) -> tu
         gyro=gyro,
         accel_extremes=extremes(reduction.accel_channels),
         gyro_extremes=extremes(reduction.gyro_channels),
-        at_rest=np.linalg.pinv(gyro.axes) @ rests.gyro.mean(axis=0),
+        at_rest=onto_body(gyro.axes) @ rests.gyro.mean(axis=0),
     )
     found = array_moments(reduction.samples, parts, array)
     return () if found is None else (found,)

@@ -19,6 +19,7 @@ from tumble.reduction import kernels as _kernels
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.turns.array_motion import FEWEST
+from tumble.rotation import onto_body
 from tumble.sensors.model import Block, beyond_body
 from tumble.units import Array, IntArray
 
@@ -179,19 +180,15 @@ class _Channels:
     """Running block sums and channel states of one kind of sensor. Samples that came as increments have the weight of
     their intervals in a mean, samples that came as rates one and the same weight, whatever their time stamps."""
 
-    def __init__(self, sensors: int, size: int, increments: bool) -> None:
-        self.size = size
-        self.increments = increments
+    def __init__(self, sensors: int, size: int, *, increments: bool) -> None:
+        self.size, self.increments = size, increments
         self.state = _kernels.new_channel_state(sensors)
         self.begin_file()
 
     def begin_file(self) -> None:
         """Blocks begin with the next sample."""
-        self.sums = np.zeros(len(self.state))
-        self.filled = np.zeros(1, dtype=np.int64)
-        self.means = _Growing(len(self.state))
-        self.weights = _Growing(1)
-        self.ends = _Growing(len(self.state))
+        self.sums, self.filled = np.zeros(len(self.state)), np.zeros(1, dtype=np.int64)
+        self.means, self.weights, self.ends = _Growing(len(self.state)), _Growing(1), _Growing(len(self.state))
 
     def feed(self, samples: Array | None, time: Array, dt: Array, ends: IntArray, seconds: Array) -> None:
         """Add samples, of which `ends` (k,) are the last of their blocks, which take `seconds` (k,)."""
@@ -215,24 +212,19 @@ class _Channels:
         )
 
     def states(self) -> tuple[ChannelState, ...]:
-        return tuple(_channel_state(row) for row in self.state)
-
-
-def _channel_state(row: Array) -> ChannelState:
-    at_minimum, at_maximum = row[9:11], row[11:13]
-    extreme = at_minimum if at_minimum[0] > at_maximum[0] else at_maximum
-    return ChannelState(
-        samples=int(row[0]),
-        minimum=float(row[1]),
-        maximum=float(row[2]),
-        repeats=int(row[3]),
-        run=int(row[6]),
-        run_stop=float(row[7]),
-        run_value=float(row[8]),
-        step=float(row[13]),
-        extreme_run=int(extreme[0]),
-        extreme_stop=float(extreme[1]),
-    )
+        """What the samples of each channel say, of the numbers that `block_sums` keeps."""
+        out = []
+        for row in self.state.tolist():
+            samples, minimum, maximum, repeats, _, _, run, run_stop, run_value, *extremes, step = row
+            extreme_run, extreme_stop = max(extremes[2:], extremes[:2], key=lambda extreme: extreme[0])
+            out.append(
+                ChannelState(
+                    samples=int(samples), minimum=minimum, maximum=maximum, repeats=int(repeats), run=int(run),
+                    run_stop=run_stop, run_value=run_value, step=step, extreme_run=int(extreme_run),
+                    extreme_stop=extreme_stop,
+                )
+            )  # fmt: skip
+        return tuple(out)
 
 
 class Reducer:
@@ -250,18 +242,15 @@ class Reducer:
     ) -> None:
         """`increments`: whether accelerometers and gyros came as increments per sample; `magnetometer`: whether there
         is one."""
-        self.rate = rate
-        self.accel, self.gyro = accel, gyro
+        self.rate, self.accel, self.gyro = rate, accel, gyro
         self.size = max(1, int(BLOCK_SECONDS * rate * (1.0 + 1e-9)))
-        self._accel = _Channels(accel.size, self.size, increments[0])
-        self._gyro = _Channels(gyro.size if gyro else 0, self.size, increments[1])
-        self._magnetometer = _Channels(3 if magnetometer else 0, self.size, increments=False)
-        self._to_body = [None if block is None else _to_body(block) for block in (accel, gyro)]
+        self._channels = {
+            "accel": _Channels(accel.size, self.size, increments=increments[0]),
+            "gyro": _Channels(gyro.size if gyro else 0, self.size, increments=increments[1]),
+            "magnetometer": _Channels(3 if magnetometer else 0, self.size, increments=False),
+        }
         self._files: list[FileBlocks] = []
-        self._file = -1
-        self._first = 0
-        self._count = 0
-        self._stop = 0.0
+        self._file, self._first, self._count, self._stop = -1, 0, 0, 0.0
         self._edges, self._temperature = _Growing(1), _Growing(1)
         self._unrecorded: dict[int, float] = {}
         self._beyond = (beyond_body(accel.axes), beyond_body(gyro.axes)) if gyro and accel.size >= FEWEST else None
@@ -273,17 +262,25 @@ class Reducer:
         """Add the next samples of the log."""
         if chunk.file != self._file:
             self._begin_file(chunk)
-        self._note_unrecorded(chunk)
+        # blocks in which time passed between two samples that no sample covers, and how much, s
+        left = chunk.time - chunk.dt
+        left[0] -= self._stop if self._count else float(chunk.time[0] - chunk.dt[0])
+        left[1:] -= chunk.time[:-1]
+        for i in np.flatnonzero(left > UNRECORDED / self.rate).tolist():
+            block = (self._count + i) // self.size
+            self._unrecorded[block] = self._unrecorded.get(block, 0.0) + float(left[i])
         ends = np.arange(self.size - 1 - self._count % self.size, len(chunk.time), self.size)
         before = len(self._edges.rows)
         self._edges.add(chunk.time[ends, None])
         seconds = self._covered(before - 1, self._edges.rows[before - 1 :, 0])
-        kinds = (self._accel, chunk.accel), (self._gyro, chunk.gyro), (self._magnetometer, chunk.magnetometer)
-        for channels, values in kinds:
-            channels.feed(values, chunk.time, chunk.dt, ends, seconds)
-        if self._stored is not None and chunk.gyro is not None:
-            rates, forces = (_body(v, to) for v, to in zip((chunk.gyro, chunk.accel), self._to_body[::-1], strict=True))
-            self._stored.append(rates, forces, chunk.dt, self._spare(chunk.accel, chunk.gyro))
+        for kind, channels in self._channels.items():
+            channels.feed(getattr(chunk, kind), chunk.time, chunk.dt, ends, seconds)
+        if self._stored is not None and self.gyro is not None and chunk.gyro is not None:
+            spare = None
+            if self._beyond is not None:  # of an array, what it reads beyond force and rate
+                spare = np.hstack([v @ to.T for v, to in zip((chunk.accel, chunk.gyro), self._beyond, strict=True)])
+            rates, forces = _in_body(self.gyro, chunk.gyro), _in_body(self.accel, chunk.accel)
+            self._stored.append(rates, forces, chunk.dt, spare)
         if chunk.temperature is not None:
             self._temperature.add(chunk.temperature[ends])
         self._count_repeated(chunk)
@@ -291,22 +288,6 @@ class Reducer:
         self._lost += int(np.round(late * self.rate).sum()) - len(late)
         self._count += len(chunk.time)
         self._stop = float(chunk.time[-1])
-
-    def _spare(self, accel: Array, gyro: Array) -> Array | None:
-        """What the accelerometers and gyros of an array read beyond force and rate; None where that is of no use."""
-        if self._beyond is None:
-            return None
-        return np.hstack([values @ beyond.T for values, beyond in zip((accel, gyro), self._beyond, strict=True)])
-
-    def _note_unrecorded(self, chunk: Chunk) -> None:
-        """Keep the blocks in which time passed between two samples that no sample covers, and how much, s."""
-        before = self._stop if self._count else float(chunk.time[0] - chunk.dt[0])
-        left = chunk.time - chunk.dt
-        left[0] -= before
-        left[1:] -= chunk.time[:-1]
-        for i in np.flatnonzero(left > UNRECORDED / self.rate).tolist():
-            block = (self._count + i) // self.size
-            self._unrecorded[block] = self._unrecorded.get(block, 0.0) + float(left[i])
 
     def _covered(self, first: int, edges: Array) -> Array:
         """The time (k,), s, that the samples of blocks with these edges (k + 1,) cover, from block `first` on."""
@@ -330,12 +311,11 @@ class Reducer:
     def _begin_file(self, chunk: Chunk) -> None:
         if self._file >= 0:
             self._files.append(self._blocks())
-        for channels in (self._accel, self._gyro, self._magnetometer):
+        for channels in self._channels.values():
             channels.begin_file()
         self._file, self._first, self._count = chunk.file, self._first + self._count, 0
-        self._edges, self._last = _Growing(1), ()
+        self._edges, self._last, self._unrecorded = _Growing(1), (), {}
         self._temperature = _Growing(1 if chunk.temperature is None else chunk.temperature.shape[1])
-        self._unrecorded = {}
         self._edges.add(np.array([[chunk.time[0] - chunk.dt[0]]]))
 
     def _blocks(self) -> FileBlocks:
@@ -347,10 +327,8 @@ class Reducer:
             first_sample=self._first,
             size=self.size,
             edges=edges,
-            accel=self._accel.series(left),
-            gyro=self._gyro.series(left),
-            magnetometer=self._magnetometer.series(left),
             temperature=self._temperature.rows if len(self._temperature.rows) else None,
+            **{kind: channels.series(left) for kind, channels in self._channels.items()},
         )
 
     def now(self) -> Reduction:
@@ -359,23 +337,19 @@ class Reducer:
         return Reduction(
             rate=self.rate,
             files=(*self._files, self._blocks()) if self._file >= 0 else (),
-            accel_channels=self._accel.states(),
-            gyro_channels=self._gyro.states(),
+            accel_channels=self._channels["accel"].states(),
+            gyro_channels=self._channels["gyro"].states(),
             samples=self._stored,
-            magnetometer_channels=self._magnetometer.states(),
+            magnetometer_channels=self._channels["magnetometer"].states(),
             lost=self._lost,
             repeated_rows=self._repeated,
         )
 
 
-def _to_body(block: Block) -> Array | None:
-    """(n, 3), which takes readings to the body; None where they are in it."""
-    matrix = np.asarray(np.linalg.pinv(block.axes).T, dtype=float)
-    return None if np.array_equal(matrix, np.eye(3)) else matrix
-
-
-def _body(values: Array, to_body: Array | None) -> Array:
-    return values if to_body is None else values @ to_body
+def _in_body(block: Block, readings: Array) -> Array:
+    """Readings (m, n) of a block as vectors (m, 3) in the body; themselves where its sensors are along its axes."""
+    to_body = np.asarray(onto_body(block.axes).T, dtype=float)
+    return readings if np.array_equal(to_body, np.eye(3)) else readings @ to_body
 
 
 def reduce_log(
@@ -384,14 +358,11 @@ def reduce_log(
     """Read a log once and reduce it; `chunks` stands in for `log.chunks()`, e.g. to show progress, and
     what follows goes by the `tuning`. Raises LogError where gaps leave nothing of it."""
     spec = log.session.log
-    kinds = [channels is not None and channels.unit.kind == "increment" for channels in (spec.accel, spec.gyro)]
-    reducer = Reducer(
-        rate=log.rate,
-        accel=accel,
-        gyro=gyro,
-        increments=(kinds[0], kinds[1]),
-        magnetometer=spec.magnetometer is not None,
+    of_accel, of_gyro = (
+        channels is not None and channels.unit.kind == "increment" for channels in (spec.accel, spec.gyro)
     )
+    magnetometer = spec.magnetometer is not None
+    reducer = Reducer(rate=log.rate, accel=accel, gyro=gyro, increments=(of_accel, of_gyro), magnetometer=magnetometer)
     for chunk in one_ahead(iter(log.chunks() if chunks is None else chunks)):
         reducer.feed(chunk)
     reduction = reducer.now()

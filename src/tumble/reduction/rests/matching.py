@@ -23,6 +23,7 @@ from tumble.programme.positions import Programme, from_attitudes, programme
 from tumble.recording.session import Exclusion, ProgrammeSpec, Session
 from tumble.reduction.blocks.reducer import BLOCK_SECONDS, Reduction
 from tumble.reduction.rests.segmentation import RestSpan, Segmentation, unrecorded
+from tumble.rotation import onto_body
 from tumble.units import DEGREE, Array, IntArray
 
 POSITION_LIMIT = 7.0 * DEGREE
@@ -55,7 +56,7 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
         return Match(rests=(), programme=listed, position=np.empty(0, dtype=np.int64))
     by_file = reduction.by_file
     means = np.array([by_file[s.file].accel.mean(s.first, s.last) for s in rests])
-    readings = means @ np.linalg.pinv(session.log.accel.axes).T
+    readings = means @ onto_body(session.log.accel.axes).T
     expected = np.array([p.vertical_b for p in listed.positions])
     verticals = _verticals(readings, expected, session.site.gravity)
     off = np.arccos(np.clip(expected @ verticals.T, -1.0, 1.0))
@@ -116,7 +117,7 @@ def _rotation_between(session: Session, reduction: Reduction, before: RestSpan, 
     level = 0.5 * (blocks.gyro.mean(before.first, before.last) + blocks.gyro.mean(after.first, after.last))
     between = slice(before.last, after.first)
     turned = ((blocks.gyro.means[between] - level) * np.diff(blocks.edges)[between, None]).sum(axis=0)
-    return np.asarray(np.linalg.pinv(session.log.gyro.axes) @ turned)
+    return np.asarray(onto_body(session.log.gyro.axes) @ turned)
 
 
 def _groups_by_vertical(expected: Array, verticals: Array) -> list[list[int]]:

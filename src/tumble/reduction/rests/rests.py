@@ -14,7 +14,7 @@ from tumble.reduction.noise.rounding import Rounding, rounding
 from tumble.reduction.rests.segmentation import RestSpan
 from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.rests.warming import KelvinAtLag, without_warming
-from tumble.rotation import tangent_basis
+from tumble.rotation import onto_body, tangent_basis
 from tumble.sensors.model import Block
 from tumble.units import Array, IntArray
 
@@ -169,7 +169,7 @@ def accel_covariance(series: list[Array], block: Block) -> Array:
     size = np.sqrt(np.median([np.diff(s, axis=0).var(axis=0) for s in series], axis=0))
     size = np.where(size > 0.0, size, 1.0)
     mean = np.array([s.mean(axis=0) for s in series])
-    force = mean @ np.linalg.pinv(block.axes).T
+    force = mean @ onto_body(block.axes).T
     # the centre of the sphere through the specific forces is the bias, where they tell it
     rows = np.column_stack([2.0 * force, np.ones(len(force))])
     (*centre, _), _, rank, singular = np.linalg.lstsq(rows, (force**2).sum(axis=1))

@@ -38,6 +38,7 @@ from tumble.recording.rows.gaps import Gap
 from tumble.reduction.blocks.reducer import FileBlocks, Reduction
 from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.rests.gyro_levels import OffLevel, Span, core, level_function, times_of
+from tumble.rotation import onto_body
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array, BoolArray, IntArray
 
@@ -192,10 +193,10 @@ class _Search:
         self.files, self.tuning, self.still = reduction.files, tuning, reduction.tuning.still
         self.window = max(2, round(tuning.window * reduction.rate / self.files[0].size))
         # column after column in memory: sums over three numbers a row are slow
-        self.forces = [np.asfortranarray(f.accel.means @ np.linalg.pinv(accel.axes).T) for f in self.files]
+        self.forces = [np.asfortranarray(f.accel.means @ onto_body(accel.axes).T) for f in self.files]
         self.rates: list[Array] | None = None
         if gyro is not None:
-            self.rates = [np.asfortranarray(f.gyro.means @ np.linalg.pinv(gyro.axes).T) for f in self.files]
+            self.rates = [np.asfortranarray(f.gyro.means @ onto_body(gyro.axes).T) for f in self.files]
         self.force_step, self.rate_step = (
             rounding + float(np.linalg.norm([channel.step for channel in channels if np.isfinite(channel.step)]))
             for rounding, channels in (

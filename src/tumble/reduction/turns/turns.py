@@ -27,6 +27,7 @@ from tumble.reduction.rests.rests import Rests
 from tumble.reduction.rests.segmentation import RestSpan, unrecorded
 from tumble.reduction.turns.array_motion import read_by
 from tumble.reduction.turns.moments import BlockCompensation, Compensation, Pieces, integrate, moments_of
+from tumble.rotation import onto_body
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array, IntArray
 
@@ -258,7 +259,7 @@ def aliased_rotations(samples: TurnSamples, covariance: Array) -> Array:
 
 def _in_body(block: Block, covariance: Array) -> Array:
     """The covariance (..., 3, 3) in the body of what has this one (..., n, n) in the sensors of a block."""
-    to_body = np.linalg.pinv(block.axes)
+    to_body = onto_body(block.axes)
     return np.asarray(to_body @ covariance @ to_body.T)
 
 
