@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 
 from tumble.inference.estimate import SEEN
-from tumble.reduction.sphere import sphere_through
+from tumble.reduction.rests.rests import sphere_through
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import within_kind
 from tumble.units import Array

@@ -16,7 +16,7 @@ Forster et al. 2017) with body-frame sensors and the two-sample coning term.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -153,13 +153,7 @@ class Observations(Brief):
             raise ValueError("turns_about: expected observations of a log with gyros and turns, found none")
         accel = self.accel_block
         moments = self.moments_about(linear_compensation(self.gyro_block, gyro, accel, accel.nominal()))
-        return replace(
-            self.turns,
-            C=moments.C,
-            M=moments.Phi[..., 1:4],
-            B=moments.Phi[..., 0],
-            jumps=moments.jumps,
-        )
+        return replace(self.turns, C=moments.C, M=moments.Phi[..., 1:4], B=moments.Phi[..., 0], jumps=moments.jumps)
 
 
 def observe(
@@ -174,14 +168,23 @@ def observe(
     does not depend on the rests: it is made unless it is given, of the same log with other rests."""
     spans = match.rests
     rests, accel_quiet, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro)
-    turns, samples, readings = None, None, None
-    in_turns: tuple[str, ...] = ()
+    notes, turns, samples, readings = [*_copies(reduction), *blemish_notes(reduction, spans)], None, None, None
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         noises = (accel, fit_coloured_noise(accel_quiet)), (gyro, gyro_noise)
         turned = turns, samples = reduced_turns(reduction, reduction.samples, spans, rests, *noises, rounded)
-        in_turns = bad_sample_notes(samples.bad, turns.first)
+        notes += bad_sample_notes(samples.bad, turns.first)
         readings = turn_readings(reduction, spans, turned, noises[1], rounded["gyro"]) if gyro.size > 3 else None
-        arrays = _arrays(reduction, rests, accel, gyro) if arrays is None else arrays
+        if arrays is None:  # that in turns which are left out included
+            array = MovedArray(
+                accel=accel,
+                gyro=gyro,
+                accel_extremes=extremes(reduction.accel_channels),
+                gyro_extremes=extremes(reduction.gyro_channels),
+                at_rest=onto_body(gyro.axes) @ rests.gyro.mean(axis=0),
+            )
+            parts = [(f.first_sample, f.sample_at(len(f))) for f in reduction.files]
+            moments = array_moments(reduction.samples, parts, array)
+            arrays = () if moments is None else (moments,)
     return Observations(
         accel_block=accel,
         gyro_block=gyro,
@@ -194,36 +197,18 @@ def observe(
         turn_readings=readings,
         arrays=arrays or (),
         rounding=rounded,
-        notes=(*_copies(reduction), *blemish_notes(reduction, spans), *in_turns, *rounding_notes(rounded)),
+        notes=(*notes, *rounding_notes(rounded)),
         thermometers=None if rests.temperatures is None else thermometers_of(reduction),
     )
 
 
-def _arrays(reduction: Reduction, rests: Rests, accel: Block, gyro: Block) -> tuple[ArrayMoments, ...]:
-    """What the accelerometers of an array read in motion, that in turns which are left out included."""
-    if reduction.samples is None:
-        return ()
-    parts = [(f.first_sample, f.first_sample + f.size * len(f)) for f in reduction.files]
-    array = MovedArray(
-        accel=accel,
-        gyro=gyro,
-        accel_extremes=extremes(reduction.accel_channels),
-        gyro_extremes=extremes(reduction.gyro_channels),
-        at_rest=onto_body(gyro.axes) @ rests.gyro.mean(axis=0),
-    )
-    found = array_moments(reduction.samples, parts, array)
-    return () if found is None else (found,)
-
-
-def _copies(reduction: Reduction) -> tuple[str, ...]:
+def _copies(reduction: Reduction) -> Iterator[str]:
     """What there is to say of copied and lost samples."""
     samples = reduction.accel_channels[0].samples
-    said = []
     if reduction.held:
-        said.append(
+        yield (
             f"{reduction.held} of {samples} samples ({100.0 * reduction.held / samples:.2g} %) repeat the one before "
             "in every channel: they were held, or sent twice"
         )
     if reduction.lost:
-        said.append(f"long intervals leave room for {reduction.lost} lost samples among {samples}")
-    return tuple(said)
+        yield f"long intervals leave room for {reduction.lost} lost samples among {samples}"

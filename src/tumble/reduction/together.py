@@ -21,6 +21,7 @@ from tumble.reduction.rests.matching import Match
 from tumble.reduction.rests.rests import Rests
 from tumble.reduction.rests.segmentation import RestSpan
 from tumble.reduction.rests.thermometer import Thermometers
+from tumble.reduction.rests.warming import warming_of
 from tumble.reduction.turns.turns import TurnReadings, Turns, TurnSamples
 from tumble.units import Array, IntArray
 
@@ -52,51 +53,48 @@ def in_parts(reduction: Reduction, match: Match) -> tuple[Match, IntArray]:
 
 def _cuts(span: RestSpan, warmth: Array | None) -> list[tuple[int, int]]:
     """The blocks of the parts of a rest with temperatures (K, T) of its blocks."""
-    if warmth is None:
-        return [(span.first, span.last)]
-    tenth = max(len(warmth) // 10, 1)
-    change = float(np.abs(warmth[-tenth:].mean(axis=0) - warmth[:tenth].mean(axis=0)).max())
-    parts = [part.mean(axis=0) for part in np.array_split(warmth, min(10, len(warmth)))]
-    change = max(change, float(np.ptp(parts, axis=0).max()))
-    most = min(MOST_PARTS, int((span.stop - span.start) / SHORTEST_PART))
-    count = min(int(np.ceil(change / WARMED)), most)
-    if count < 2:
-        return [(span.first, span.last)]
-    edges = np.linspace(span.first, span.last, count + 1).round().astype(int).tolist()
-    return list(pairwise(edges))
+    count = 1
+    if warmth is not None:
+        parts = [part.mean(axis=0) for part in np.array_split(warmth, min(10, len(warmth)))]
+        change = max(warming_of(warmth), float(np.ptp(parts, axis=0).max()))
+        most = min(MOST_PARTS, int((span.stop - span.start) / SHORTEST_PART))
+        count = max(1, min(int(np.ceil(change / WARMED)), most))
+    return list(pairwise(np.linspace(span.first, span.last, count + 1).round().astype(int).tolist()))
 
 
 def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequence[IntArray]) -> Observations:
     """The observations of several sessions of one device at one place as one; `numbers` are those of their rests."""
     counts = [len(each.rests) for each in sessions]
-    rests_before = np.concatenate([[0], np.cumsum(counts)])[:-1]
-    files = [
-        1 + max([int(each.rests.file.max()), *(each.thermometers.files if each.thermometers is not None else ())])
-        for each in sessions
-    ]
-    files_before = [0, *np.cumsum(files).tolist()][:-1]
-    rests = [replace(each.rests, file=each.rests.file + n) for each, n in zip(sessions, files_before, strict=True)]
-    turns = [
-        replace(each.turns, first=each.turns.first + before, last=each.turns.last + before)
-        for each, before in zip(sessions, rests_before, strict=True)
-        if each.turns is not None
-    ]
-    readings = [each.turn_readings for each in sessions if each.turn_readings is not None]
-    records = {
-        file + n: record
-        for each, n in zip(sessions, files_before, strict=True)
-        if each.thermometers is not None
-        for file, record in each.thermometers.files.items()
-    }
-    thermometers = all(each.thermometers is not None for each in sessions)
+    rests, turns, readings, turning = (
+        list[Rests](),
+        list[Turns](),
+        list[TurnReadings](),
+        list[tuple[int, TurnSamples]](),
+    )
+    records: dict[int, tuple[float, Array]] = {}
     rounding: dict[str, Rounding] = {}  # that of the first session which has it, by kind of sensor
-    for each in sessions:
+    files_before = rests_before = turns_before = 0
+    for each, count in zip(sessions, counts, strict=True):
+        files = each.thermometers.files if each.thermometers is not None else {}
+        rests.append(replace(each.rests, file=each.rests.file + files_before))
+        records |= {file + files_before: record for file, record in files.items()}
         rounding = dict(each.rounding) | rounding
+        if each.turns is not None:
+            first, last = each.turns.first + rests_before, each.turns.last + rests_before
+            turns.append(replace(each.turns, first=first, last=last))
+            if each.turn_samples is not None:
+                turning.append((turns_before, each.turn_samples))
+                turns_before += len(each.turns)
+        if each.turn_readings is not None:
+            readings.append(each.turn_readings)
+        files_before += 1 + max([int(each.rests.file.max()), *files])
+        rests_before += count
+    thermometers = all(each.thermometers is not None for each in sessions)
     return replace(
         sessions[0],
         rests=replace(_stacked(rests), magnetometer=None, magnetometer_covariance=None),
         turns=_stacked(turns) if turns else None,
-        turn_samples=_samples(sessions),
+        turn_samples=replace(turning[0][1], others=tuple(turning[1:]), _kept=[]) if turning else None,
         turn_readings=_stacked(readings) if readings else None,
         arrays=tuple(moments for each in sessions for moments in each.arrays),
         programme=None,
@@ -105,9 +103,7 @@ def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequ
         thermometers=Thermometers(files=records) if thermometers else None,
         notes=tuple(f"{name}: {note}" for name, each in zip(names, sessions, strict=True) for note in each.notes),
         together=Together(
-            names=tuple(names),
-            session=np.repeat(np.arange(len(sessions)), counts),
-            number=np.concatenate(numbers),
+            names=tuple(names), session=np.repeat(np.arange(len(sessions)), counts), number=np.concatenate(numbers)
         ),
     )
 
@@ -118,32 +114,16 @@ _Arrays = TypeVar("_Arrays", Rests, Turns, TurnReadings)
 
 def _stacked(parts: Sequence[_Arrays]) -> _Arrays:
     """The rows of all parts, one after the other; None where one has none."""
-    whole: dict[str, Any] = {}
-    for field in fields(parts[0]):
-        values = [getattr(part, field.name) for part in parts]
-        whole[field.name] = None if any(value is None for value in values) else np.concatenate(values)
+    columns = {field.name: [getattr(part, field.name) for part in parts] for field in fields(parts[0])}
+    whole: dict[str, Any] = {k: None if any(v is None for v in c) else np.concatenate(c) for k, c in columns.items()}
     return replace(parts[0], **whole)
 
 
 def _rows(whole: _Arrays, rows: slice) -> _Arrays:
     """Some of the rows."""
-    some: dict[str, Any] = {}
-    for field in fields(whole):
-        values = getattr(whole, field.name)
-        some[field.name] = None if values is None else values[rows]
+    columns = {field.name: getattr(whole, field.name) for field in fields(whole)}
+    some: dict[str, Any] = {name: None if values is None else values[rows] for name, values in columns.items()}
     return replace(whole, **some)
-
-
-def _samples(sessions: Sequence[Observations]) -> TurnSamples | None:
-    """The samples of all sessions that have turns."""
-    turning = [
-        (each.turn_samples, len(each.turns)) for each in sessions if each.turn_samples and each.turns is not None
-    ]
-    if not turning:
-        return None
-    before = np.cumsum([0] + [count for _, count in turning]).tolist()
-    others = tuple((first, samples) for first, (samples, _) in zip(before[1:-1], turning[1:], strict=True))
-    return replace(turning[0][0], others=others, _kept=[])
 
 
 def apart(observations: Observations, rests: slice, turns: slice) -> Observations:

@@ -17,7 +17,7 @@ from tumble.recording.columns.names import ACCEL
 from tumble.recording.columns.numbers import MIDDLES
 from tumble.recording.columns.scales import matched
 from tumble.reduction.observations import Observations
-from tumble.reduction.sphere import sphere_through
+from tumble.reduction.rests.rests import sphere_through
 from tumble.rotation import unit_vector
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, DEGREE_PER_HOUR, Array

@@ -41,7 +41,7 @@ def without_warming(series: Sequence[Array], kelvin: KelvinAtLag | None, thermom
     if kelvin is None or not len(thermometer):
         return list(series)
     read = np.split(kelvin(0.0), np.cumsum([len(each) for each in series])[:-1])
-    if max(_change(each) for each in read) < WARMED:
+    if max(warming_of(of_rest) for of_rest in read) < WARMED:
         return list(series)
     with_one = {t: _Rests.of([each[:, thermometer == t] for each in series]) for t in np.unique(thermometer).tolist()}
 
@@ -130,7 +130,7 @@ class _Rests:
         return np.asarray(np.add.reduceat(values, self.first, axis=-1) / self.count)
 
 
-def _change(kelvin: Array) -> float:
+def warming_of(kelvin: Array) -> float:
     """The most that temperatures (K, T) change by from the first to the last tenth."""
     tenth = max(len(kelvin) // 10, 1)
     return float(np.abs(kelvin[-tenth:].mean(axis=0) - kelvin[:tenth].mean(axis=0)).max())
