@@ -24,13 +24,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Target:
-    """A format: the module and the function that make it, what that takes beside the calibration, and the ending of a
-    file of it."""
+    """A format: the module and the function that make it, what that takes beside the calibration, the ending of a file
+    of it, and whether that is text."""
 
     module: str
     function: str
     takes: tuple[str, ...] = ()
     ending: str = ".txt"
+    text: bool = True
 
 
 FORMATS: Mapping[str, Target] = {
@@ -44,7 +45,8 @@ FORMATS: Mapping[str, Target] = {
     "depthai": Target(module="json_files", function="depthai"),
     "matlab-imu": Target(module="json_files", function="matlab_imu"),
     "c": Target(module="c_header", function="c_header", ending=".h"),
-    "mat": Target(module="tables", function="mat", ending=".mat"),
+    "firmware": Target(module="firmware", function="firmware", takes=("full-scale",), ending=".zip", text=False),
+    "mat": Target(module="tables", function="mat", ending=".mat", text=False),
     "csv": Target(module="tables", function="csv_table", ending=".csv"),
     "csv-thermal": Target(module="tables", function="csv_thermal", ending=".csv"),
     "dcc": Target(module="dcc", function="dcc", takes=("certificate",), ending=".xml"),
@@ -63,12 +65,13 @@ def export_calibration(
     certificate: Certificate | FilePath | None = None,
     imu: int | None = None,
     sensor_ids: tuple[int, int] | None = None,
+    full_scale: tuple[float, float] | None = None,
 ) -> Exported:
     """A calibration, or that of a file, in one of the `FORMATS`. `kalibr` takes the noise densities of the device or a
     session whose longest rest shows them, else those of the calibration's rests; `dcc` needs the administrative data of
     a certificate or their file; the formats of PX4 and ArduPilot take the number of the IMU whose parameters are to be
     written, from 1, where the recording does not say it; `px4-thermal` the device ids of accelerometer and gyro,
-    likewise.
+    likewise; `firmware` the range of readings in fixed point, g and °/s.
 
     Where the accelerometers or the gyros alone are accepted, they are written, and the others named as absent. Raises
     InputError for a calibration that was not accepted or that the format has no place for.
@@ -96,7 +99,7 @@ def export_calibration(
         noise = noise if isinstance(noise, NoiseDensities) else noise_densities(session_from(noise))
     if certificate is not None and not isinstance(certificate, Certificate):
         certificate = read_certificate(Path(certificate))
-    given = {"noise": noise, "certificate": certificate, "imu": imu, "sensor-ids": sensor_ids}
+    given = {"noise": noise, "certificate": certificate, "imu": imu, "sensor-ids": sensor_ids, "full-scale": full_scale}
     target = FORMATS[to]
     for what, value in given.items():
         if value is not None and what not in target.takes:

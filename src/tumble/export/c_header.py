@@ -22,6 +22,7 @@ Nothing needs a library.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
 
 import numpy as np
@@ -146,7 +147,7 @@ HELD = frozenset(
 HELD_AT = frozenset(f"{kind}.{what}.{t}" for kind in UNITS for what in ("bias", "scale") for t in ("t1", "t2"))
 """Those that the functions with a temperature apply."""
 
-_WHAT = {"accel": "true specific force", "gyro": "true angular rate"}
+WHAT: Mapping[SensorKind, str] = {"accel": "true specific force", "gyro": "true angular rate"}
 
 
 def c_header(calibration: Calibration) -> Exported:
@@ -199,7 +200,7 @@ def _sensors_celsius(lag: float) -> Array:
 
 def _worked(compensator: Compensator, known: dict[SensorKind, SensorModel]) -> list[str]:
     """Examples by the whole model, those of gyros in the specific force of the accelerometers' example."""
-    if all(is_linear(*_coefficients(compensator, kind)) for kind in known):
+    if all(is_linear(*coefficients_of(compensator, kind)) for kind in known):
         return examples(known, "example {kind}: reading {reading} is {true} {unit}")
     reading = {kind: example(kind, model).reading for kind, model in known.items()}
     force = compensator.force(reading["accel"][None]) if "accel" in known else np.zeros((1, 3))
@@ -215,7 +216,7 @@ def _worked(compensator: Compensator, known: dict[SensorKind, SensorModel]) -> l
     ]
 
 
-def _coefficients(compensator: Compensator, kind: SensorKind) -> tuple[Block, Array]:
+def coefficients_of(compensator: Compensator, kind: SensorKind) -> tuple[Block, Array]:
     """The sensors of a kind and their coefficients (n, 15)."""
     if kind == "accel" or compensator.gyro is None:
         return compensator.accel, compensator.accel_coefficients
@@ -227,7 +228,7 @@ def _function(
 ) -> str:
     """The function of the sensors of a kind, in double or in single precision; with their temperature, `at` the
     calibration that knows what that changes."""
-    block, K = _coefficients(compensator, kind)
+    block, K = coefficients_of(compensator, kind)
     number, n, linear = "float" if single else "double", len(model.bias), is_linear(block, K)
     by_force = not linear and kind == "gyro" and bool(np.any(compensator.gyro_coefficients[:, FORCE]))
     tables, more, warm = {}, "", ""
@@ -262,7 +263,7 @@ def _function(
         text = constants(values) if values.ndim == 1 else f"\n{rows(values)}\n    "
         declared += f"    static const {number} {name}{sizes} = {{{text}}};\n"
     parts = {
-        "what": _WHAT[kind],
+        "what": WHAT[kind],
         "unit": UNITS[kind],
         "n": n,
         "kind": kind,

@@ -1,0 +1,247 @@
+"""A library for firmware, one archive: for Arduino ("Add .ZIP library"), PlatformIO and as a module of Zephyr. It holds
+the C header (`c_header`), the same functions in fixed point, and an example.
+
+In fixed point readings and results are 32-bit fractions of a full scale F, x = F q / 2³¹; a converter's 16 bits are its
+upper half. With the inverse in parts of 2²⁹ and all else in parts of 2³¹, in 64-bit sums,
+
+    q ← Σ inverse (q_reading − bias − a |own| − c F² own³ − …),    rounded to nearest, and kept within ±1
+
+which is within some units of 2⁻³¹ F of the functions in double: 16 g / 2³¹ = 73 nm/s².
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+
+import numpy as np
+
+from tumble import __version__
+from tumble.errors import InputError
+from tumble.export.c_header import WHAT, c_header, coefficients_of
+from tumble.export.exported import Exported, models, origin
+from tumble.result.calibration import Calibration
+from tumble.sensors.compensation import FIXED_POINT_STEPS
+from tumble.sensors.instrument import is_linear
+from tumble.sensors.model import SensorKind
+from tumble.sensors.parameters import FORCE, OWN_CUBE, OWN_SIZE, PRODUCTS
+from tumble.units import DEGREE, G_STANDARD, Array
+
+NAME = "TumbleIMU"
+FULL_SCALE = (16.0, 2000.0)
+"""g and °/s: the range of most chips."""
+INVERSE_BITS, AXIS_BITS, BITS = 29, 30, 31
+
+_SHARED = """\
+/* a product in parts of 2^bits, rounded to nearest */
+static inline int64_t imu_scaled(int64_t product, int bits)
+{
+    const int64_t half = (int64_t)1 << (bits - 1);
+    return product >= 0 ? (product + half) >> bits : -((half - product) >> bits);
+}
+
+static inline int64_t imu_within(int64_t value)
+{
+    return value > INT32_MAX ? INT32_MAX : value < INT32_MIN ? INT32_MIN : value;
+}
+"""
+
+_FUNCTION = """\
+/* {what}, in parts of {scale} / 2^31, from readings of {n} sensors likewise{needs} */
+static inline void imu_correct_{kind}_q31(const int32_t reading[{n}], {argument}int32_t out[3])
+{{
+{tables}
+    int64_t left[{n}], true_value[3];
+    for (int j = 0; j < {n}; j++) {{
+        left[j] = (int64_t)reading[j] - bias[j]{first};
+    }}
+    for (int step = 0; step <= {steps}; step++) {{
+        for (int i = 0; i < 3; i++) {{
+            int64_t sum = 0;
+            for (int j = 0; j < {n}; j++) {{
+                sum += inverse[i][j] * left[j];
+            }}
+            true_value[i] = imu_within(imu_scaled(sum, 29));
+        }}
+{beyond}    }}
+    for (int i = 0; i < 3; i++) {{
+        out[i] = (int32_t)true_value[i];
+    }}
+}}
+"""
+
+_BEYOND = """\
+        for (int j = 0; j < {n}; j++) {{
+            const int64_t own = imu_scaled(
+                axis[j][0] * true_value[0] + axis[j][1] * true_value[1] + axis[j][2] * true_value[2], 30);
+            const int64_t cube = imu_scaled(imu_scaled(own * own, 31) * own, 31);
+            left[j] = (int64_t)reading[j] - bias[j]{first} - imu_scaled((own < 0 ? -own : own) * asymmetry[j], 31)
+                - imu_scaled(cube * cubic[j], 31);
+{more}        }}
+"""
+
+_QUADRATIC = """\
+            for (int k = 0, at = 0; k < 3; k++) {
+                for (int l = k; l < 3; l++, at++) {
+                    left[j] -= imu_scaled(imu_scaled(true_value[k] * true_value[l], 31) * quadratic[j][at], 31);
+                }
+            }
+"""
+
+_SKETCH = """\
+// Correct: the readings of an IMU, corrected. Put in the lines of your sensor's library.
+#include <{name}.h>
+
+static void read_sensor(float accel[3], float gyro[3])  // in m/s^2 and rad/s, as they were recorded
+{{
+    for (int i = 0; i < 3; i++) {{
+        accel[i] = 0;
+        gyro[i] = 0;
+    }}
+}}
+
+void setup()
+{{
+    Serial.begin(115200);
+}}
+
+void loop()
+{{
+    float accel[{accel}], gyro[{gyro}], corrected[3];
+    read_sensor(accel, gyro);
+{calls}
+    delay(10);
+}}
+"""
+
+_PRINTED = """\
+    for (int i = 0; i < 3; i++) {
+        Serial.print(corrected[i], 6);
+        Serial.print(' ');
+    }"""
+
+
+def firmware(calibration: Calibration, full_scale: tuple[float, float] | None = None) -> Exported:
+    """The archive of a calibration, its fixed point for readings up to ±`full_scale`, g and °/s. Raises InputError
+    where a number has no place in it."""
+    header = c_header(calibration)
+    accel, gyro = full_scale or FULL_SCALE
+    scales: dict[SensorKind, float] = {"accel": accel * G_STANDARD, "gyro": gyro * DEGREE}
+    if not (accel > 0.0 and gyro > 0.0):
+        raise InputError(f"--full-scale: expected g and deg/s above 0, found {accel:g},{gyro:g}")
+    known = models(calibration)
+    losses = (
+        *header.losses,
+        f"functions in fixed point are for readings within {accel:g} g and {gyro:g} deg/s, at the reference "
+        "temperature",
+    )
+    fixed = [_SHARED, *(_function(calibration, kind, scales) for kind in known)]
+    defined = [f"#define IMU_{kind.upper()}_FULL_SCALE {scales[kind]!r}" for kind in known]
+    text = header.content.decode().replace("\n#endif\n", "\n".join(["", *defined, "", *fixed, "#endif", ""]))
+    text = text.replace("#define IMU_CALIBRATION_H\n", "#define IMU_CALIBRATION_H\n\n#include <stdint.h>\n", 1)
+
+    by_force = "gyro" in known and "imu_correct_gyrof(const float reading[3], const float force[3]" in text
+    calls = [f"    imu_correct_accelf(accel, corrected);\n{_PRINTED}"] * ("accel" in known)
+    if "gyro" in known and not (by_force and "accel" not in known):
+        force = "accel_corrected, " if by_force else ""
+        taken = "    float accel_corrected[3];\n    imu_correct_accelf(accel, accel_corrected);\n" if by_force else ""
+        calls.append(f"{taken}    imu_correct_gyrof(gyro, {force}corrected);\n{_PRINTED}\n    Serial.println();")
+    sizes = {kind: max(3, len(known[kind].bias)) if kind in known else 3 for kind in scales}
+    about = "\n".join(f"* {line}" for line in (*origin(calibration), *losses))
+    described = "Corrects the readings of an IMU by its calibration"
+    files = {
+        "src/imu_calibration.h": text,
+        f"src/{NAME}.h": '#ifndef TUMBLE_IMU_H\n#define TUMBLE_IMU_H\n\n#include "imu_calibration.h"\n\n#endif\n',
+        "examples/Correct/Correct.ino": _SKETCH.format(name=NAME, calls="\n".join(calls), **sizes),
+        "library.properties": "\n".join(
+            [
+                f"name={NAME}",
+                f"version={__version__}",
+                "author=tumble contributors",
+                "maintainer=tumble contributors",
+                f"sentence={described}.",
+                "paragraph=Made for one device by `tumble export --to firmware`.",
+                "category=Sensors",
+                "url=https://example.org/tumble",
+                "architectures=*",
+                f"includes={NAME}.h",
+                "",
+            ]
+        ),
+        "library.json": json.dumps(
+            {"name": NAME, "version": __version__, "description": described, "frameworks": "*", "platforms": "*"},
+            indent=2,
+        ),
+        "zephyr/module.yml": "name: tumble_imu\nbuild:\n  cmake: zephyr\n  kconfig: zephyr/Kconfig\n",
+        "zephyr/Kconfig": f'config TUMBLE_IMU\n\tbool "{described}"\n',
+        "zephyr/CMakeLists.txt": "if(CONFIG_TUMBLE_IMU)\n  zephyr_include_directories(../src)\nendif()\n",
+        "README.md": f"# {NAME}\n\n{described}: of one device, by `#include <{NAME}.h>`.\n\n{about}\n",
+    }
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_STORED) as out:
+        for name, content in files.items():
+            out.writestr(zipfile.ZipInfo(f"{NAME}/{name}", (1980, 1, 1, 0, 0, 0)), content)
+    return Exported(content=archive.getvalue(), losses=losses)
+
+
+def _function(calibration: Calibration, kind: SensorKind, scales: dict[SensorKind, float]) -> str:
+    """The function of the sensors of a kind in fixed point."""
+    model, F = models(calibration)[kind], scales[kind]
+    block, K = coefficients_of(calibration.compensator, kind)
+    n, linear = len(model.bias), is_linear(block, K)
+    by_force = not linear and kind == "gyro" and bool(np.any(K[:, FORCE]))
+    tables = [_table("bias", model.bias / F, BITS), _table("inverse", model.inverse(), INVERSE_BITS)]
+    if np.abs(model.inverse()).sum(axis=1).max() >= 4.0:
+        raise InputError("export to firmware: expected a sensitivity near 1, found one far below; scale the readings")
+    first = more = ""
+    if not linear:
+        tables += [
+            _table("axis", block.axes, AXIS_BITS),
+            _table("asymmetry", K[:, OWN_SIZE], BITS),
+            _table("cubic", K[:, OWN_CUBE] * F**2, BITS),
+        ]
+    if not linear and kind == "accel":
+        tables.append(_table("quadratic", K[:, PRODUCTS] * F, BITS))
+        more = _QUADRATIC
+    if by_force:
+        tables.append(_table("by_force", K[:, FORCE] * scales["accel"] / F, BITS))
+        first = "".join(f"\n            - imu_scaled((int64_t)by_force[j][{k}] * force[{k}], 31)" for k in range(3))
+    return _FUNCTION.format(
+        what=WHAT[kind],
+        scale=f"IMU_{kind.upper()}_FULL_SCALE",
+        n=n,
+        kind=kind,
+        needs=" and the true specific force, in parts of IMU_ACCEL_FULL_SCALE" if by_force else "",
+        argument="const int32_t force[3], " if by_force else "",
+        tables="\n".join(tables),
+        first=first,
+        steps=0 if linear else FIXED_POINT_STEPS,
+        beyond="" if linear else _BEYOND.format(n=n, first=first, more=more),
+    )
+
+
+def _table(name: str, values: Array, bits: int) -> str:
+    """Numbers in parts of 2^bits as a constant. Raises InputError for those that do not fit 32 bits."""
+    whole = np.rint(values * 2.0**bits)
+    if np.abs(whole).max() > 2.0**31 - 1.0:
+        raise InputError(
+            f"export to firmware: expected {name} within the full scale, found {np.abs(values).max():.3g} of it; give "
+            "a larger --full-scale"
+        )
+
+    def row(numbers: Array) -> str:
+        return "{" + ", ".join(f"{int(v)}" for v in numbers) + "}"
+
+    sizes = "".join(f"[{size}]" for size in values.shape)
+    text = row(whole) if values.ndim == 1 else "{\n" + ",\n".join(f"        {row(r)}" for r in whole) + "\n    }"
+    return f"    static const int32_t {name}{sizes} = {text};"
+
+
+def full_scale_of(text: str) -> tuple[float, float]:
+    """The full scales, g and °/s, of a text such as "16,2000". Raises InputError."""
+    try:
+        accel, gyro = map(float, text.split(","))
+    except ValueError:
+        raise InputError(f"--full-scale: expected g and deg/s with a comma between, found {text!r}") from None
+    return accel, gyro
