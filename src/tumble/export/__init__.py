@@ -37,6 +37,8 @@ class Target:
 FORMATS: Mapping[str, Target] = {
     "kalibr": Target(module="kalibr", function="kalibr", takes=("noise",)),
     "ros-imu-calib": Target(module="kalibr", function="ros_imu_calib"),
+    "fusion": Target(module="robots", function="fusion", ending=".h"),
+    "autoware": Target(module="robots", function="autoware", ending=".yaml"),
     "px4": Target(module="autopilots", function="px4", takes=("imu",), ending=".params"),
     "px4-thermal": Target(module="autopilots", function="px4_thermal", takes=("imu", "sensor-ids"), ending=".params"),
     "ardupilot": Target(module="autopilots", function="ardupilot", takes=("imu",), ending=".parm"),
