@@ -25,6 +25,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from tumble.acceptance.limits import Limits, limits_of
 from tumble.acceptance.schedule import Occasion
+from tumble.acceptance.scope import Capability
 from tumble.documents import is_plain, shown, text_of_document, toml_of, validated
 from tumble.errors import InputError
 
@@ -63,7 +64,8 @@ class _CertificateTable(BaseModel):
 
 
 class Party(_CertificateTable):
-    """A laboratory or a customer: `code` is the laboratory's accreditation number, `logo` the path of its picture."""
+    """A laboratory or a customer: `code` is the laboratory's accreditation number, `scope` what it is accredited for,
+    `logo` the path of its picture."""
 
     name: _Text
     city: _Text
@@ -75,6 +77,8 @@ class Party(_CertificateTable):
     logo: _Str | None = Field(
         default=None, pattern=r"^\S.*\.(svg|png)$", description="the name of a picture, .svg or .png"
     )
+
+    scope: tuple[Capability, ...] = Field(default=(), strict=False)
 
     @property
     def address(self) -> str:

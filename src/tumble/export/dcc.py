@@ -25,6 +25,7 @@ from scipy.special import chdtri, fdtri
 
 from tumble.acceptance.certificate import RELATES, STATES, Certificate, Party, check_certificate, judged_by
 from tumble.acceptance.conformity import RULE, Verdict, verdicts
+from tumble.acceptance.scope import STATEMENT, within_scope
 from tumble.errors import InputError
 from tumble.export.exported import UNITS, Exported, example, models, one_line, origin, shown
 from tumble.export.larger_model import NOT_IN_MATRIX, not_held
@@ -101,6 +102,7 @@ def d_si(*units: str) -> str:
 def dcc(calibration: Calibration, certificate: Certificate) -> Exported:
     """The XML file of a calibration with the administrative data of its certificate."""
     known = models(calibration)
+    calibration, scope = within_scope(calibration, certificate.laboratory.scope)
     check_certificate(
         certificate, calibration, None if certificate.as_found is None else read_calibration(certificate.as_found)
     )
@@ -118,7 +120,7 @@ def dcc(calibration: Calibration, certificate: Certificate) -> Exported:
     root = ET.Element(f"{{{_DCC}}}digitalCalibrationCertificate", {"schemaVersion": VERSION})
     root.set(f"{{{_XSI}}}schemaLocation", f"{_DCC} {_DCC}/v{VERSION}/dcc.xsd")
     _add(root, "administrativeData", _administrative(calibration, certificate))
-    _add(root, "measurementResults", {"measurementResult": _results(calibration, certificate, known, judged)})
+    _add(root, "measurementResults", {"measurementResult": _results(calibration, certificate, known, judged, scope)})
     ET.indent(root)
     return Exported(content=ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n", losses=losses)
 
@@ -155,7 +157,8 @@ def _administrative(calibration: Calibration, certificate: Certificate) -> dict[
     name, _, release = calibration.provenance.get("software", "tumble 0").partition(" ")
     begin, end = certificate.days(calibration)
     traced = (*certificate.traceability, *calibration.circumstances.equipment)
-    statements: list[dict[str, Any]] = [{"declaration": _text(each)} for each in (RELATES, *certificate.remarks)]
+    said = (RELATES, *([STATEMENT] if certificate.laboratory.scope else []), *certificate.remarks)
+    statements: list[dict[str, Any]] = [{"declaration": _text(each)} for each in said]
     if traced:
         statements.append(
             {
@@ -225,13 +228,16 @@ def _results(
     certificate: Certificate,
     known: Mapping[SensorKind, SensorModel],
     judged: Sequence[Verdict],
+    scope: Mapping[str, str],
 ) -> dict[str, Any]:
     equipment = [
         {"@refType": "basic_measurementStandard", "name": _text(each)} for each in calibration.circumstances.equipment
     ]
     conditions = _conditions(calibration)
     alike = [verdict for verdict in judged if verdict.frame == calibration.frame]
-    data: dict[str, Any] = {"parameters": {"quantity": [_parameter(p, alike) for p in calibration.parameters]}}
+    data: dict[str, Any] = {
+        "parameters": {"quantity": [_parameter(p, alike, scope.get(p.name, "")) for p in calibration.parameters]}
+    }
     if calibration.covariance is not None:
         data["parameters with covariance"] = {"quantity": _covariance(calibration, calibration.covariance)}
     data |= {f"model of the {_TITLES[kind]}": _model(kind, model) for kind, model in known.items()}
@@ -289,7 +295,7 @@ def _conditions(calibration: Calibration) -> list[dict[str, Any]]:
     ]
 
 
-def _parameter(parameter: Parameter, judged: Sequence[Verdict]) -> dict[str, Any]:
+def _parameter(parameter: Parameter, judged: Sequence[Verdict], scope: str) -> dict[str, Any]:
     statements = []
     for verdict, judgement in ((check, each) for check in judged for each in check.judgements):
         if judgement.name == parameter.name and judgement.result in _CONFORMITY:
@@ -314,7 +320,7 @@ def _parameter(parameter: Parameter, judged: Sequence[Verdict]) -> dict[str, Any
         "@refType": "basic_measuredValue",
         "@id": parameter.name,
         "name": _text(parameter.name),
-        "description": _text("; ".join(filter(None, (described(parameter.name), behind)))),
+        "description": _text("; ".join(filter(None, (described(parameter.name), behind, scope)))),
         "si:real": _real(parameter.value, parameter.u, parameter.unit, degrees_of_freedom(parameter)),
         "measurementMetaData": {"metaData": statements} if statements else None,
     }

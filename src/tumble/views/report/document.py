@@ -4,14 +4,15 @@ certificate also laboratory, customer, dates, statements and signatures."""
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
 from tumble.acceptance.certificate import RELATES, STATES, Certificate, Party, check_certificate, recorded_on
 from tumble.acceptance.conformity import RESULTS, RULE, Result, Verdict, verdicts
 from tumble.acceptance.limits import Limits
+from tumble.acceptance.scope import STATEMENT, within_scope
 from tumble.documents import check_regular
 from tumble.errors import InputError
 from tumble.result import further
@@ -37,11 +38,19 @@ _PLACES = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReportedFile:
-    """A calibration with the name of its file and the SHA-256 of what was read from it."""
+    """A calibration with the name of its file and the SHA-256 of what was read from it; of a certificate what the scope
+    of the accreditation says of its parameters, by name."""
 
     file: str
     sha256: str
     calibration: Calibration
+    scope: Mapping[str, str] = field(default_factory=dict)
+
+
+def as_certified(source: ReportedFile, certificate: Certificate) -> ReportedFile:
+    """A calibration as the certificate states it: no U is below the capability of the laboratory."""
+    stated, scope = within_scope(source.calibration, certificate.laboratory.scope)
+    return replace(source, calibration=stated, scope=scope)
 
 
 def document(
@@ -180,7 +189,7 @@ def _for_customers(
         "; ".join(clause for clause in note.split("; ") if not any(mark in clause for mark in _FOR_THE_OPERATOR))
         for note in calibration.notes
     ]
-    yield result.result(calibration, acceptance, checks, as_found, certified=True)
+    yield result.result(calibration, acceptance, checks, as_found, certified=True, scope=source.scope)
     yield result.limits(calibration, acceptance, checks) if result.limits_elsewhere(calibration, acceptance) else None
     yield _notes(*further.remarks(calibration), *filter(None, advised))
     yield result.launches(calibration)
@@ -297,4 +306,5 @@ def _statements(certificate: Certificate | None, *, judged: bool) -> tuple[str, 
         return (*([rule] if rule else []), "The results relate only to the item named above.")
     rule += f" Agreed beforehand: {certificate.agreed}." if judged and certificate.agreed else ""
     traced = f"Traceability: {'; '.join(certificate.traceability)}." if certificate.traceability else ""
-    return tuple(each for each in (rule, traced, *certificate.remarks, RELATES) if each)
+    scope = f"{STATEMENT}." if certificate.laboratory.scope else ""
+    return tuple(each for each in (rule, traced, scope, *certificate.remarks, RELATES) if each)

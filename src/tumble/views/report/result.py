@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -81,9 +81,10 @@ def result(
     as_found: Calibration | None = None,
     *,
     certified: bool = False,
+    scope: Mapping[str, str] | None = None,
 ) -> Section:
     """The verdict, parameters with U, what corrected readings are known to; of a certificate degrees of freedom of all,
-    the values as found before an adjustment, and no causes of a scatter."""
+    the values as found before an adjustment, what the `scope` says of each parameter, and no causes of a scatter."""
     outcome = calibration.outcome
     tone: Tone
     if not outcome.accepted and (usable := accepted_kinds(calibration)):
@@ -127,7 +128,10 @@ def result(
             f"with ν degrees of freedom, where it was estimated from few residuals. {next_one} "
             '1 µg is 9.80665·10⁻⁶ m/s², " a second of arc.'
         )
-        blocks += [_parameter_table(calibration, as_found, in_frame, certified), Text(text=meant, tone="small")]
+        blocks += [
+            _parameter_table(calibration, as_found, in_frame, certified, scope or {}),
+            Text(text=meant, tone="small"),
+        ]
     if calibration.prediction is not None:
         left = left_by_matrix(calibration)
         alone = "" if left is None else f", with the whole correction; {left_said(left)}"
@@ -145,11 +149,15 @@ def result(
 
 
 def _parameter_table(
-    calibration: Calibration, as_found: Calibration | None, checks: Sequence[Verdict], certified: bool
+    calibration: Calibration,
+    as_found: Calibration | None,
+    checks: Sequence[Verdict],
+    certified: bool,
+    scope: Mapping[str, str],
 ) -> Table:
     """Parameters of the linear model with U (95 %); where there are such, the values as found before an adjustment,
-    coverage factors other than 2 with the degrees of freedom (in a certificate those of all), limits and results, and
-    deviations from the systematic values and from launch to launch."""
+    coverage factors other than 2 with the degrees of freedom (in a certificate those of all), limits and results, what
+    the scope of the accreditation says, and deviations from the systematic values and from launch to launch."""
     parameters, judged = linear_parameters(calibration.parameters), dict[str, list[LimitJudgement]]()
     for judgement in (judgement for check in checks for judgement in check.judgements):
         judged.setdefault(judgement.name, []).append(judgement)
@@ -170,11 +178,11 @@ def _parameter_table(
             low, high = (of_p[0].low, of_p[0].high) if of_p else (math.nan, math.nan)
             row |= {"lowest": limit_cell(low, size), "highest": limit_cell(high, size)}
         row |= {"verdict": min((each.result for each in of_p), key=RESULTS.index, default=NONE)} if judged else {}
-        rows.append(row)
+        rows.append(row | ({"scope": scope.get(p.name, "")} if scope else {}))
     count = max(map(len, rows), default=0)
     if count > _MOST_WITH_WORDS:
         rows = [{heading: cell for heading, cell in row.items() if heading} for row in rows]
-    words = ("parameter", "", "unit", "verdict")
+    words = ("parameter", "", "unit", "verdict", "scope")
     return table(rows, words=words, dense=count > _MOST_LARGE, halves=len(rows) > _MOST_ROWS)
 
 

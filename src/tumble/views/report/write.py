@@ -54,9 +54,10 @@ def write_report(
     with needs_extra("a report", "report", "jinja2", "matplotlib", "typst"):
         from tumble.views.render.page import page
         from tumble.views.render.pdf import pdf
-        from tumble.views.report.document import document, not_accepted
+        from tumble.views.report.document import as_certified, document, not_accepted
 
         sources = list(map(_source, given))
+        sources = sources if stated is None else [as_certified(source, stated) for source in sources]
         made = document(sources, acceptance, stated, as_found)
         content = page(made).encode() if ending == ".html" else pdf(made)
     try:
