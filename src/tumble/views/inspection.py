@@ -8,7 +8,7 @@ import numpy as np
 
 from tumble.reduction.observations import Observations
 from tumble.run.observed import Observed
-from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS, BoolArray
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS
 from tumble.views.blocks import Block, Items, Table, Text, table
 from tumble.views.render.data import Content, fields, rows
 
@@ -88,8 +88,9 @@ def _half_sums(observations: Observations) -> list[str]:
         if not (up.any() and down.any()):
             continue
         high, low = rests.accel[up, axis].mean(), rests.accel[down, axis].mean()
+        above, below = (", ".join(str(i + 1) for i in np.flatnonzero(which)) for which in (up, down))
         line = (
-            f"{name} up (rests {_numbers(up)}) and down ({_numbers(down)}): accelerometer half sum "
+            f"{name} up (rests {above}) and down ({below}): accelerometer half sum "
             f"{0.5 * (high + low) / G_STANDARD * 1e6:+z.1f} µg, half difference {0.5 * abs(high - low):.6f} m/s²"
         )
         if rests.gyro.shape[1] == 3:
@@ -99,36 +100,24 @@ def _half_sums(observations: Observations) -> list[str]:
     return lines
 
 
-def _numbers(chosen: BoolArray) -> str:
-    """Numbers of rests, counted from 1."""
-    return ", ".join(str(i + 1) for i in np.flatnonzero(chosen))
-
-
 def inspection_data(observed: Observed) -> Content:
     """Rests, turns and what was rejected."""
     segmentation, observations = observed.segmentation, observed.observations
-    turns = None if observations is None else observations.turns
-    return {
-        "rate": observed.rate,
-        **fields(segmentation, "scatter_limit rate_limit"),
-        "rests": [] if observations is None else _rest_data(observations),
-        "turns": []
-        if turns is None
-        else rows("first last duration rotation", turns.first, turns.last, turns.duration, turns.C),
-        "rejected": segmentation.rejected,
-        "notes": [] if observations is None else observations.notes,
-        "faults": [*observed.faults, *observed.gyro_faults],
-    }
-
-
-def _rest_data(observations: Observations) -> list[Content]:
-    rests = observations.rests
-    celsius = [None] * len(rests) if rests.temperature is None else rests.temperature - ZERO_CELSIUS
-    names, verticals = "file start stop vertical temperature", _verticals(observations)
-    found = rows(names, rests.file, rests.start, rests.stop, verticals, celsius)
-    for kind in ("accel", *(["gyro"] if rests.gyro.shape[1] else [])):
-        u = np.sqrt(np.diagonal(getattr(rests, f"{kind}_covariance"), axis1=1, axis2=2))
-        drift, noise = getattr(rests, f"{kind}_drift"), getattr(rests, f"{kind}_noise")
-        for row, sensors in zip(found, rows("mean u drift noise", getattr(rests, kind), u, drift, noise), strict=True):
-            row[kind] = sensors
-    return found
+    shown: Content = {"rests": [], "turns": [], "rejected": segmentation.rejected, "notes": []}
+    if observations is not None:
+        rests, turns = observations.rests, observations.turns
+        celsius = [None] * len(rests) if rests.temperature is None else rests.temperature - ZERO_CELSIUS
+        names, verticals = "file start stop vertical temperature", _verticals(observations)
+        shown["rests"] = rows(names, rests.file, rests.start, rests.stop, verticals, celsius)
+        for kind in ("accel", *(["gyro"] if rests.gyro.shape[1] else [])):
+            u = np.sqrt(np.diagonal(getattr(rests, f"{kind}_covariance"), axis1=1, axis2=2))
+            drift, noise = getattr(rests, f"{kind}_drift"), getattr(rests, f"{kind}_noise")
+            sensors = rows("mean u drift noise", getattr(rests, kind), u, drift, noise)
+            for row, of_kind in zip(shown["rests"], sensors, strict=True):
+                row[kind] = of_kind
+        if turns is not None:
+            columns = turns.first, turns.last, turns.duration, turns.C
+            shown["turns"] = rows("first last duration rotation", *columns)
+        shown["notes"] = observations.notes
+    faults = [*observed.faults, *observed.gyro_faults]
+    return {"rate": observed.rate, **fields(segmentation, "scatter_limit rate_limit"), **shown, "faults": faults}

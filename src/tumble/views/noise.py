@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -80,10 +80,5 @@ def _draw(axes: Axes, panel: Panel) -> None:
     axes.grid(which="minor", alpha=0.2, linewidth=0.4)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter("{x:g}")
-    axes.legend(
-        fontsize=8.0,
-        title="68 % band, fit dashed, its terms dotted",
-        title_fontsize=8.0,
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.11),
-    )
+    below: Any = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.11)}
+    axes.legend(fontsize=8.0, title="68 % band, fit dashed, its terms dotted", title_fontsize=8.0, **below)

@@ -46,21 +46,28 @@ def in_unit(name: str, value: float) -> str:
 def plan_blocks(plan: PlanResult, aim: Aim) -> list[Block]:
     """What a programme can show at best, with what one more position would add; or the best programme that was found,
     what it can show, and others beside it."""
-    if not plan.programmes:
-        return [*_bound_blocks(plan.setup, plan.bound, plan.whole), _next_table(plan, aim)]
+    if not plan.programmes:  # what one more position would buy
+        words = ("one more position", "up and down", "how to get there")
+        none = dict.fromkeys(words, "") | {words[0]: "none", "as good": "", "rank": str(plan.bound.rank)}
+        shown = [none | {aim.letter: ""} | _by_group(plan.bound)]
+        for one in plan.following:
+            ratio = "" if len(plan.bound.null) else minus(f"{one.ratio - 1.0:+.1%}")
+            where = (short_code(one.position.attitude), one.position.label, move_text(one.move))
+            row = {"as good": f"+{one.as_good}" if one.as_good else "", "rank": str(one.bound.rank), aim.letter: ratio}
+            shown.append(dict(zip(words, where, strict=True)) | row | _by_group(one.bound))
+        return [*_bound_blocks(plan.setup, plan.bound, plan.whole), table(shown, words=words)]
     moves = ("start", *map(move_text, plan.setup.programme.moves))
     positions = [
         {"": str(i), "how to get there": how, "attitude": short_code(position.attitude), "up and down": position.label}
         for i, (position, how) in enumerate(zip(plan.setup.programme.positions, moves, strict=True), 1)
     ]
     compared = []
-    for one in plan.programmes:
-        row = {"programme": one.programme.name, "positions": str(len(one.programme.positions))}
-        row |= {"time": clock(time_of(one.programme, plan.setup)), "rank": str(one.bound.rank)}
-        row |= {"condition": _condition(one.bound)} | _by_group(one.bound)
-        compared.append(
-            row | {aim.letter: "" if len(one.bound.null) else f"{one.value / plan.programmes[0].value:.2f}"}
-        )
+    for found in plan.programmes:
+        row = {"programme": found.programme.name, "positions": str(len(found.programme.positions))}
+        row |= {"time": clock(time_of(found.programme, plan.setup)), "rank": str(found.bound.rank)}
+        row |= {"condition": _condition(found.bound)} | _by_group(found.bound)
+        ratio = "" if len(found.bound.null) else f"{found.value / plan.programmes[0].value:.2f}"
+        compared.append(row | {aim.letter: ratio})
     return [
         table(positions, words=("how to get there", "attitude", "up and down")),
         *_bound_blocks(plan.setup, plan.bound, plan.whole),
@@ -79,7 +86,12 @@ def _bound_blocks(setup: Setup, bound: Bound, whole: Bound) -> list[Block]:
         *_not_determined(bound),
     ]
     if not len(bound.null):
-        lines.append(f"worst determined: {_worst(bound)} (of gravity, of the rate of turns, rad)")
+        largest = np.abs(bound.worst).max()
+        worst = bound.worst / largest  # a combination, by its largest coefficients
+        small = np.argsort(-np.abs(worst), kind="stable")[LARGEST:]
+        words = sum_in_words(np.where(np.isin(np.arange(len(worst)), small), 0.0, worst), bound.names)
+        mostly, known = "mostly " if np.any(np.abs(worst[small]) > 0.3) else "", f"{bound.worst_u / largest:.2g}"
+        lines.append(f"worst determined: {mostly}{words}, to {known} (of gravity, of the rate of turns, rad)")
     shown = []
     for name, u, with_all in zip(bound.names[: bound.linear], bound.u, whole.u, strict=False):
         share = f"{u / spread_of(setup, name):.2%}" if math.isfinite(u) else ""
@@ -102,28 +114,9 @@ def _further_table(names: Sequence[str], u: Array, further: Sequence[GroupFindin
 
 def _further_data(names: Sequence[str], u: Array, further: Sequence[GroupFinding]) -> list[Content]:
     places = positions_by_group(names)
-    return [
-        {
-            "group": group.name,
-            "usual": group.prior,
-            "u": float(np.max(u[places[group.name]])),
-            "learned": min(group.learned),
-        }
-        for group in further
-    ]
-
-
-def _next_table(plan: PlanResult, aim: Aim) -> Table:
-    """What one more position would buy, the best first."""
-    words = ("one more position", "up and down", "how to get there")
-    none = {words[0]: "none", words[1]: "", words[2]: "", "as good": "", "rank": str(plan.bound.rank), aim.letter: ""}
-    shown = [none | _by_group(plan.bound)]
-    for one in plan.following:
-        ratio = "" if len(plan.bound.null) else minus(f"{one.ratio - 1.0:+.1%}")
-        where = (short_code(one.position.attitude), one.position.label, move_text(one.move))
-        row = {"as good": f"+{one.as_good}" if one.as_good else "", "rank": str(one.bound.rank), aim.letter: ratio}
-        shown.append(dict(zip(words, where, strict=True)) | row | _by_group(one.bound))
-    return table(shown, words=words)
+    columns = [group.name for group in further], [group.prior for group in further]
+    u_of = (float(np.max(u[places[group.name]])) for group in further)
+    return rows("group usual u learned", *columns, u_of, (min(group.learned) for group in further))
 
 
 def short_of(bound: Bound, aim: Aim, setup: Setup) -> list[str]:
@@ -134,15 +127,6 @@ def short_of(bound: Bound, aim: Aim, setup: Setup) -> list[str]:
         for group, value in (aim.wanted or {}).items()
         if group in bound.groups and bound.rms(group) > value
     ]
-
-
-def _worst(bound: Bound) -> str:
-    """The combination determined worst, by its largest coefficients, and how well it is."""
-    worst = bound.worst / np.abs(bound.worst).max()
-    small = np.argsort(-np.abs(worst), kind="stable")[LARGEST:]
-    words = sum_in_words(np.where(np.isin(np.arange(len(worst)), small), 0.0, worst), bound.names)
-    mostly = "mostly " if np.any(np.abs(worst[small]) > 0.3) else ""
-    return f"{mostly}{words}, to {bound.worst_u / np.abs(bound.worst).max():.2g}"
 
 
 def _not_determined(bound: Bound) -> list[str]:

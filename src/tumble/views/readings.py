@@ -7,7 +7,6 @@ import numpy as np
 from tumble.methods.ellipsoid_fit import TRIAD, EllipsoidFit
 from tumble.result.further import group_lines, linear_parameters, predicted
 from tumble.run.from_readings import ReadingsCalibration, paper_form
-from tumble.run.readings_table import Nominal
 from tumble.sensors.frames import Convention, frame_of
 from tumble.units import engineering
 from tumble.views.blocks import Block, Items, Table, Text, table
@@ -26,13 +25,26 @@ def readings_blocks(result: ReadingsCalibration) -> list[Block]:
     lines = []
     if fit is not None and result.recorded:
         blocks.append(_correction_table(result))
-        lines.append(_samples_line(nominal, fit))
+        lines.append(
+            f"a recording, {len(fit.used)} samples: true = matrix · (reading − bias), in {nominal.per}; a sample "
+            f"scatters by {100.0 * fit.scatter / nominal.modulus:.2g} % of the vector; u is of "
+            f"{fit.noise_degrees + 1:.0f} stretches left out in turn, since neighbours err alike"
+        )
     elif fit is not None:
         blocks.append(parameter_table(calibration, linear_parameters(calibration.parameters)))
         blocks += [group_table(calibration)] if group_lines(calibration) else []
         blocks += [_paper_table(result)] if calibration.frame == "paper" else []
         blocks.append(_position_table(result, fit))
-        lines.append(_fit_line(nominal, fit))
+        (size, unit), positions = engineering(nominal.result_unit, fit.scatter), int(fit.used.sum())
+        if fit.degrees == 0:
+            lines.append("no more positions than parameters, so that nothing checks the fit")
+        elif fit.scatter == 0.0:
+            lines.append(f"{positions} positions for 9 parameters: no scatter")
+        else:
+            lines.append(
+                f"{positions} positions for 9 parameters: a reading scatters by {fit.scatter / size:.3g} {unit}, "
+                f"estimated with {fit.degrees} degrees of freedom"
+            )
     if calibration.prediction is not None:
         lines.append(predicted(calibration.prediction))
     return [*blocks, Items(items=(*lines, *calibration.notes))]
@@ -59,29 +71,13 @@ def _correction_table(result: ReadingsCalibration) -> Table:
     return Table(columns=columns, rows=tuple(rows))
 
 
-def _samples_line(nominal: Nominal, fit: EllipsoidFit) -> str:
-    """How many samples there are, how they scatter and what u is made from."""
-    return (
-        f"a recording, {len(fit.used)} samples: true = matrix · (reading − bias), in {nominal.per}; a sample "
-        f"scatters by {100.0 * fit.scatter / nominal.modulus:.2g} % of the vector; u is of "
-        f"{fit.noise_degrees + 1:.0f} stretches left out in turn, since neighbours err alike"
-    )
-
-
 def _paper_table(result: ReadingsCalibration) -> Table:
     form, nominal = paper_form(result), result.nominal
-    known = form.covariance is not None
     u = np.zeros(9) if form.covariance is None else np.sqrt(np.diag(form.covariance))
-    rows = []
+    values, rows = ((form.k, u[:3], 1.0), (form.theta, u[3:6], 1e-5), (form.b, u[6:], 1e-5)), []
     for i, axis in enumerate("xyz"):
-        shown = [
-            cells(float(value), float(each), size)
-            for value, each, size in (
-                (form.k[i], u[i], 1.0),
-                (form.theta[i], u[3 + i], 1e-5),
-                (form.b[i], u[6 + i], 1e-5),
-            )
-        ]
+        shown = [cells(float(value[i]), float(of_value[i]), size) for value, of_value, size in values]
+        known = form.covariance is not None
         rows.append((axis, *(cell for value, each in shown for cell in (value, each if known else ""))))
     headings = (f"k {nominal.unit}/{nominal.per}", "θ 1e-5 rad", f"b 1e-5 {nominal.per}")
     return Table(columns=("axis", *(cell for name in headings for cell in (name, "u (k=1)"))), rows=tuple(rows))
@@ -98,15 +94,3 @@ def _position_table(result: ReadingsCalibration, fit: EllipsoidFit) -> Table:
         row["sigmas"] = f"{fit.sigmas[i]:.1f}" if fit.degrees else ""
         rows.append(row | {"": "" if fit.used[i] else "bad"})
     return table(rows, words=())
-
-
-def _fit_line(nominal: Nominal, fit: EllipsoidFit) -> str:
-    if fit.degrees == 0:
-        return "no more positions than parameters, so that nothing checks the fit"
-    size, unit = engineering(nominal.result_unit, fit.scatter)
-    if fit.scatter == 0.0:
-        return f"{int(fit.used.sum())} positions for 9 parameters: no scatter"
-    return (
-        f"{int(fit.used.sum())} positions for 9 parameters: a reading scatters by {fit.scatter / size:.3g} {unit}, "
-        f"estimated with {fit.degrees} degrees of freedom"
-    )

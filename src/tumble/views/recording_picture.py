@@ -127,11 +127,6 @@ def _numbers(axes: Axes, rests: Spans) -> None:
         middle, half = 0.5 * (start + stop), 0.325 * _NUMBER * len(str(number)) * point
         if middle - half < taken:
             continue
-        place: dict[str, Any] = {
-            "xycoords": ("data", "axes fraction"),
-            "ha": "center",
-            "va": "bottom",
-            "fontsize": _NUMBER,
-        }
-        axes.annotate(str(number), (middle, 1.0), **place)
+        place: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "ha": "center", "va": "bottom"}
+        axes.annotate(str(number), (middle, 1.0), fontsize=_NUMBER, **place)
         taken = middle + half + 0.4 * _NUMBER * point

@@ -27,15 +27,11 @@ def _list(columns: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> Table
 
 def device_table(latest: Iterable[Due]) -> Table:
     """Every device with its latest record."""
-    columns = ("device", "type", "calibrations", "latest", "record", "check", "verdict", "due")
-    records = ((item.record, item) for item in latest)
-    return _list(
-        columns,
-        (
-            (r.serial, r.model, i.calibrations, day_of(r.performed), r.number, r.occasion, r.verdict, i.day)
-            for r, i in records
-        ),
+    rows = (
+        (r.serial, r.model, i.calibrations, day_of(r.performed), r.number, r.occasion, r.verdict, i.day)
+        for r, i in ((item.record, item) for item in latest)
     )
+    return _list(("device", "type", "calibrations", "latest", "record", "check", "verdict", "due"), rows)
 
 
 def devices_data(latest: Sequence[Due]) -> Content:
@@ -76,17 +72,12 @@ def due_table(items: Iterable[Due], today: date) -> Table:
     """What is due when."""
     rows = []
     for i in items:
-        every, until = None if i.months is None else f"{i.months} months", _until(i, today)
-        r = i.record
+        r, every = i.record, None if i.months is None else f"{i.months} months"
+        days = None if i.day is None else (i.day - today).days
+        until = "no interval" if days is None else f"in {days} d" if days >= 0 else f"overdue by {-days} d"
+        until += f", by the drift of {i.by_drift.name}" if i.drifts and i.by_drift is not None else ""
         rows.append((r.serial, r.model, day_of(r.performed), r.number, every, i.day, until))
     return _list(("device", "type", "latest", "record", "every", "due", ""), rows)
-
-
-def _until(item: Due, today: date) -> str:
-    """How long it is until a device is due, and by what."""
-    days = None if item.day is None else (item.day - today).days
-    said = "no interval" if days is None else f"in {days} d" if days >= 0 else f"overdue by {-days} d"
-    return f"{said}, by the drift of {item.by_drift.name}" if item.drifts and item.by_drift is not None else said
 
 
 def due_data(items: Sequence[Due], today: date) -> Content:

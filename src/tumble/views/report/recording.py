@@ -187,7 +187,7 @@ def _rest_table(recording: RecordedSession) -> Table:
         row |= {"residual µg": f"{rest.residual / MICRO_G:z.1f}", "sigmas": f"{rest.sigmas:.1f}"}
         row |= {"T °C": "" if rest.temperature is None else f"{rest.temperature:z.1f}"} if warm else {}
         rows.append(row)
-    caption = "" if verticals is None else "X, Y, Z: the vertical in the body as it was found."
+    caption = "Rests." if verticals is None else "Rests. X, Y, Z: the vertical in the body as it was found."
     return table(rows, words=("position", "code"), caption=caption, dense=True)
 
 
