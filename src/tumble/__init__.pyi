@@ -33,11 +33,11 @@ from tumble.planning.setup import Setup as Setup
 from tumble.programme.positions import Programme as Programme
 from tumble.programme.positions import programme_of as programme_of
 from tumble.recording.arrays import session_of_arrays as session_of_arrays
-from tumble.recording.description import description_of as description_of
 from tumble.recording.log import Chunk as Chunk
 from tumble.recording.log import Log as Log
 from tumble.recording.log import open_log as open_log
 from tumble.recording.session import Session as Session
+from tumble.recording.session_file import description_of as description_of
 from tumble.recording.session_file import read_session as read_session
 from tumble.recording.session_file import session_of as session_of
 from tumble.recording.session_file import write_session as write_session

@@ -27,11 +27,11 @@ from tumble.planning.reachable_attitudes import TurnTable as TurnTable
 from tumble.planning.requirements import Requirement as Requirement
 from tumble.programme.positions import Move as Move
 from tumble.programme.positions import Position as Position
-from tumble.recording.autopilot import AutopilotSensor as AutopilotSensor
-from tumble.recording.circumstances import Circumstances as Circumstances
 from tumble.recording.log_source import LogSource as LogSource
 from tumble.recording.rows.gaps import Gap as Gap
 from tumble.recording.rows.gaps import Grid as Grid
+from tumble.recording.session import AutopilotSensor as AutopilotSensor
+from tumble.recording.session import Circumstances as Circumstances
 from tumble.recording.session import Device as Device
 from tumble.recording.session import Exclusion as Exclusion
 from tumble.recording.session import LogSpec as LogSpec

@@ -15,7 +15,7 @@ from tests.support.corpus import doubtful as q
 from tests.support.corpus import programs as p
 from tests.support.corpus.dialects import Case
 from tumble.cli import main
-from tumble.drafting.containers.archive import unzipped
+from tumble.drafting.containers.archives import unzipped
 from tumble.drafting.detection import files_of, found_log
 from tumble.drafting.mended import mended
 from tumble.drafting.new_session import new_session

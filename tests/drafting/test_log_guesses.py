@@ -11,7 +11,6 @@ import pytest
 from tumble.drafting.dialects.named_values import cells
 from tumble.drafting.dialects.respelled import respelled
 from tumble.drafting.found_log import samples_in
-from tumble.drafting.hypotheses.readings import step_in_deg_s
 from tumble.drafting.hypotheses.rests_and_turns import accel_scale
 from tumble.drafting.new_session import Given, new_session
 from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column
@@ -19,9 +18,9 @@ from tumble.errors import InputError, LogError
 from tumble.files import OutputFolder
 from tumble.recording.columns.names import ACCEL, GYRO, columns_by_name, is_no_sensor
 from tumble.recording.columns.numbers import columns_by_data
-from tumble.recording.columns.scales import matched
-from tumble.recording.text.clock import seconds_of
+from tumble.recording.columns.scales import matched, step_in_deg_s
 from tumble.recording.text.dialect import Dialect, is_clock, top_of
+from tumble.recording.text.text_log import seconds_of
 from tumble.units import G_STANDARD, Array
 
 FACES = np.vstack([np.eye(3), -np.eye(3)])

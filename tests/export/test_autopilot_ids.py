@@ -19,10 +19,9 @@ from tumble.drafting.new_session import Given, new_session
 from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.planning.setup import Setup
-from tumble.recording.autopilot import AutopilotSensor
-from tumble.recording.description import description_of
-from tumble.recording.formats.recording import messages
-from tumble.recording.session_file import read_session, session_of
+from tumble.recording.formats import messages
+from tumble.recording.session import AutopilotSensor
+from tumble.recording.session_file import description_of, read_session, session_of
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.run.calibrate import calibrate
 from tumble.simulation.session import simulate_session

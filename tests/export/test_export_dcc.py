@@ -22,8 +22,7 @@ from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.export.dcc import d_si
-from tumble.recording.circumstances import AirConditions, Circumstances
-from tumble.recording.session import Site
+from tumble.recording.session import AirConditions, Circumstances, Site
 from tumble.result.calibration import Calibration
 
 NAMESPACES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}

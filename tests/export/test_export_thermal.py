@@ -18,7 +18,7 @@ from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.export.autopilots import range_of
 from tumble.export.tables import temperatures
-from tumble.recording.autopilot import AutopilotSensor
+from tumble.recording.session import AutopilotSensor
 from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import curve
 from tumble.units import DEGREE, G_STANDARD, Array

@@ -23,7 +23,7 @@ from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.export.upload import Change, upload
-from tumble.recording.autopilot import AutopilotSensor
+from tumble.recording.session import AutopilotSensor
 from tumble.result.calibration import Calibration
 
 mavutil = pytest.importorskip("pymavlink.mavutil")

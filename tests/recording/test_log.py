@@ -20,15 +20,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tumble.errors import LogError
-from tumble.recording import table_log
-from tumble.recording.description import description_of
+from tumble.recording import readers
 from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.rows import gaps as bridging
 from tumble.recording.rows import timed as timed_rows
 from tumble.recording.rows.gaps import Gap
-from tumble.recording.session_file import read_session, write_session
+from tumble.recording.session_file import description_of, read_session, write_session
 from tumble.recording.text import pieces as text_pieces
-from tumble.recording.text import unpacked
 from tumble.reduction.blocks.reducer import reduce_log
 from tumble.units import Array
 
@@ -364,7 +362,7 @@ def test_archive_that_does_not_state_its_size_is_refused_while_it_is_read(tmp_pa
     for file in ("log.csv.zst", "log.csv.gz"):
         log = opened(tmp_path, file)
         assert len(whole(log)["time"]) == ROWS
-        with mock.patch.multiple(unpacked, SMALL_BYTES=1 << 19, LARGEST_RATIO=1):
+        with mock.patch.multiple(text_pieces, SMALL_BYTES=1 << 19, LARGEST_RATIO=1):
             message = refusal(lambda: whole(opened(tmp_path, file)))  # noqa: B023
             assert "holds at most 0.524 MB, found 1.0" in message
 
@@ -662,7 +660,7 @@ def test_gaps_in_memory_are_bounded(tmp_path: Path) -> None:
     frame = pl.DataFrame({"t": np.arange(30_000) / 100, **{name: np.ones(30_000) for name in NAMES[1:]}})
     frame = frame.with_columns(ax=pl.when(pl.arange(30_000) % 2 == 1).then(math.nan).otherwise(1.0))
     log = parquet_log(tmp_path, frame)
-    with mock.patch.object(table_log, "_PARQUET_ROWS", 1000), mock.patch.object(bridging, "MOST", 700):
+    with mock.patch.object(readers, "_PARQUET_ROWS", 1000), mock.patch.object(bridging, "MOST", 700):
         assert "expected at most 700 gaps in a file" in refusal(lambda: whole(log))
     assert len(log.gaps) < 1700
 
@@ -671,7 +669,7 @@ def test_rows_behind_in_memory_are_bounded(tmp_path: Path) -> None:
     time = np.arange(30_000) / 100.0
     time[1000:] -= 20.0
     log = parquet_log(tmp_path, pl.DataFrame({"t": time, **{name: np.ones(30_000) for name in NAMES[1:]}}))
-    with mock.patch.object(table_log, "_PARQUET_ROWS", 500), mock.patch.object(timed_rows, "MOST", 300):
+    with mock.patch.object(readers, "_PARQUET_ROWS", 500), mock.patch.object(timed_rows, "MOST", 300):
         assert "row 1001, column 't': expected a time after 9.99 s, found -10 s running" in refusal(lambda: whole(log))
 
 
@@ -930,7 +928,7 @@ def test_chunks_together_are_the_same_to_the_bit_for_any_size(
 ) -> None:
     log = gappy[0 if csv else 1]
     cut: Any = {"_PIECE_BYTES": piece, "_FIRST_PIECE_BYTES": piece // 2 + 1}
-    with mock.patch.multiple(text_pieces, **cut), mock.patch.object(table_log, "_PARQUET_ROWS", batch):
+    with mock.patch.multiple(text_pieces, **cut), mock.patch.object(readers, "_PARQUET_ROWS", batch):
         chunks = list(log.chunks(rows))
         samples = whole(log, rows)
     assert max(len(chunk.time) for chunk in chunks) <= rows

@@ -15,10 +15,9 @@ import pytest
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.arrays import session_of_arrays
-from tumble.recording.description import description_of
 from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.session import Session
-from tumble.recording.session_file import read_session, session_of
+from tumble.recording.session_file import description_of, read_session, session_of
 from tumble.run.calibrate import calibrate
 from tumble.run.observed import inspect_session
 from tumble.run.quiet_samples import longest_rest

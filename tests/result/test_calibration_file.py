@@ -23,9 +23,7 @@ from tumble import __version__
 from tumble.cli import main
 from tumble.errors import CalibrationError
 from tumble.planning.setup import Setup
-from tumble.recording.autopilot import AutopilotSensor
-from tumble.recording.circumstances import AirConditions, Circumstances
-from tumble.recording.session import Site
+from tumble.recording.session import AirConditions, AutopilotSensor, Circumstances, Site
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.parts import Launch, Member, Parameter

@@ -19,9 +19,8 @@ from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.planning.setup import Setup
 from tumble.recording.arrays import session_of_arrays
-from tumble.recording.description import description_of
 from tumble.recording.log import open_log
-from tumble.recording.session_file import read_session
+from tumble.recording.session_file import description_of, read_session
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.parts import SensorsAtRest
 from tumble.result.temperature_curves import measured_range, model_at

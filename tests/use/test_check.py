@@ -23,7 +23,7 @@ from tumble.inference.likelihood import Point, Prior, Problem
 from tumble.inference.linearisation import linearise
 from tumble.methods.field_check import CHANCE, CheckResult, _student, field_check
 from tumble.planning.setup import Setup
-from tumble.recording.circumstances import Circumstances
+from tumble.recording.session import Circumstances
 from tumble.recording.session_file import read_session
 from tumble.reduction.observations import Observations
 from tumble.registry.adding import Particulars, add, submission

@@ -25,7 +25,7 @@ from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.inference.estimate import Outcome
 from tumble.planning.setup import Setup
-from tumble.recording.circumstances import AirConditions, Circumstances
+from tumble.recording.session import AirConditions, Circumstances
 from tumble.recording.session_file import session_of
 from tumble.registry.adding import Particulars, read_submission
 from tumble.result.calibration import read_calibration
@@ -441,7 +441,7 @@ def test_the_date_is_that_of_the_log_where_its_times_are_absolute() -> None:
     steps = np.arange(300) / 100.0
     assert described(steps).date is None
     assert described(1_750_000_000.0 + steps).date == "2025-06-15T15:06:40+00:00"
-    assert described(1e9 * (1_750_000_000.0 + steps), time_unit="ns").day == date(2025, 6, 15)
+    assert described(1e9 * (1_750_000_000.0 + steps), time_unit="ns").date == "2025-06-15T15:06:40+00:00"
     begin = datetime(2024, 2, 29, 8)
     moments = pl.Series("t", [begin + timedelta(seconds=step) for step in steps.tolist()])
     assert described(moments, time_unit="iso8601").date == "2024-02-29T08:00:00"

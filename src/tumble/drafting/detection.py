@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 import polars as pl
@@ -23,9 +22,8 @@ from tumble.drafting.sensors_apart import are_sensors_apart, of_sensors_apart
 from tumble.drafting.times import times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
-from tumble.recording.columns.names import ACCEL, GYRO, columns_by_name, is_no_sensor, time_unit, unit_of_name
+from tumble.recording.columns.names import ACCEL, GYRO, Sensors, columns_by_name, is_no_sensor, time_unit, unit_of_name
 from tumble.recording.columns.numbers import ToldColumns, columns_by_data, time_by_data
-from tumble.recording.formats.message import Sensors
 from tumble.recording.log_source import readable
 from tumble.recording.readers import ENDINGS, source_of
 from tumble.recording.text.dialect import LINE_BYTES, Dialect, Top, dialect_of, is_clock
@@ -63,8 +61,17 @@ def found_log(files: Sequence[Path], folder: OutputFolder, stated: Stated = Mapp
     """What text and Parquet files are, and which of their columns are what, where it is not `stated`. Files alike whose
     columns no name tells are one log: a file of one position does not tell what they are, all of them do. Raises
     InputError for those that are no logs, or not alike."""
-    logs, omitted = _those_with_rows(files, folder)
-    logs = [log.with_stated(stated) for log in logs]
+    logs: list[FoundLog] = []
+    without: list[_NoRowsError] = []
+    omitted: tuple[str, ...] = ()
+    for file in files:  # text without rows beside logs that have some, as the metadata that a phone writes, is left out
+        try:
+            logs += [log.with_stated(stated) for log in _found(file, folder)]
+        except _NoRowsError as error:
+            without.append(error)
+            omitted += (f"{file.name} has no rows of readings and is left out",)
+    if not logs:
+        raise without[0]
     logs = [_with_thermometers(_with_finest_time(log) if len(log.columns.times) > 1 else log) for log in logs]
     if are_sensors_apart(logs):
         apart = of_sensors_apart(logs, folder)
@@ -74,11 +81,11 @@ def found_log(files: Sequence[Path], folder: OutputFolder, stated: Stated = Mapp
     omitted += tuple(f"{log.files[0].name} has no accelerometers and is left out" for log in beside)
     logs = [log for log in logs if log not in beside]
     first = logs[0]
-    if len(logs) > 1 and not whole and all(log.cells and _likeness(log) == _likeness(first) for log in logs):
+    alike = all(log.cells and (log.keys, set(log.cells)) == (first.keys, set(first.cells)) for log in logs)
+    if len(logs) > 1 and not whole and alike:
         numeric = _numeric(first)
         time = first.columns.time or time_by_data(numeric, first.read(numeric, rows=LONGEST // 10))
-        pooled = tuple(file for log in logs for file in log.files)
-        logs = [replace(first, files=pooled, columns=replace(first.columns, time=time))]
+        logs = [replace(first.with_columns(time=time), files=tuple(file for log in logs for file in log.files))]
     logs = [_with_time(log) if log in whole else _by_data(log) for log in logs]
     first = logs[0]
     for log in logs[1:]:
@@ -94,29 +101,8 @@ def found_log(files: Sequence[Path], folder: OutputFolder, stated: Stated = Mapp
     return replace(first, files=taken, said=said, kept=kept)
 
 
-def _likeness(log: FoundLog) -> tuple[Mapping[str, Any], set[str]]:
-    return log.keys, set(log.cells)
-
-
 class _NoRowsError(InputError):
     """A text file without rows of readings."""
-
-
-def _those_with_rows(files: Sequence[Path], folder: OutputFolder) -> tuple[list[FoundLog], tuple[str, ...]]:
-    """What the files are, and what is said of those left out: text without rows of readings beside logs that have
-    some, as the metadata that a phone writes."""
-    logs: list[FoundLog] = []
-    without: list[_NoRowsError] = []
-    said: list[str] = []
-    for file in files:
-        try:
-            logs += _found(file, folder)
-        except _NoRowsError as error:
-            without.append(error)
-            said.append(f"{file.name} has no rows of readings and is left out")
-    if not logs:
-        raise without[0]
-    return logs, tuple(said)
 
 
 def _found(file: Path, folder: OutputFolder) -> list[FoundLog]:
@@ -151,7 +137,9 @@ def _found_text(file: Path, seen: bytes, dialect: Dialect, top: Top) -> FoundLog
     if len(rows) < 2:
         raise _NoRowsError(f"{file}: expected rows of readings below the names of the columns, found none")
     cells = {name: [row[j] for row in rows] for j, name in enumerate(top.names) if name}
-    words = {name for name, column in cells.items() if _are_words(column, dialect)}
+    filled = {name: [cell for cell in column if cell.strip()] for name, column in cells.items()}
+    numbers = {name for name, column in filled.items() if any(dialect.is_number(c) or is_clock(c) for c in column)}
+    words = {name for name, column in filled.items() if column} - numbers  # as week and seconds, `2022:120847.300`
     log = FoundLog(
         files=(file,),
         keys={} if plain else dialect.keys(),
@@ -161,16 +149,8 @@ def _found_text(file: Path, seen: bytes, dialect: Dialect, top: Top) -> FoundLog
         said=() if plain else (_described(dialect, top),),
         dialect=None if plain else dialect,
     )
-    if log.columns.time is None:
-        clock = next((name for name in cells if log.is_clock(name)), None)
-        log = replace(log, columns=replace(log.columns, time=clock))
-    return log
-
-
-def _are_words(column: Sequence[str], dialect: Dialect) -> bool:
-    """Whether the cells of a column are neither numbers nor times: week and seconds in one, `2022:120847.300`."""
-    filled = [cell for cell in column if cell.strip()]
-    return bool(filled) and not any(dialect.is_number(cell) or is_clock(cell) for cell in filled)
+    clock = next((name for name in cells if log.is_clock(name)), None)
+    return log.with_columns(time=clock) if log.columns.time is None else log
 
 
 _DELIMITER_WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
@@ -206,8 +186,8 @@ def _by_data(log: FoundLog) -> FoundLog:
     triads = {kind: replace(s, unit=unit_of_name(kind, s.columns[0])) for kind, s in told.columns.triads.items()}
     if ACCEL not in triads:
         return log
-    columns = replace(known, triads=triads | named, time=known.time or told.columns.time, others=(), times=())
-    return replace(log, columns=columns, said=(*log.said, *told.said(named)))
+    time = known.time or told.columns.time
+    return log.with_columns(told.said(named), triads=triads | named, time=time, others=(), times=())
 
 
 def _told(log: FoundLog, named: Mapping[str, Sensors]) -> ToldColumns:
@@ -225,7 +205,7 @@ def _with_finest_time(log: FoundLog) -> FoundLog:
     """A log with several times: with the first whose stamps grow from row to row, else the first that grows at all."""
     growing: list[FoundLog] = []
     for name in dict.fromkeys((log.columns.time, *log.columns.times)):
-        trial = replace(log, columns=replace(log.columns, time=name, time_unit=time_unit(name or "")))
+        trial = log.with_columns(time=name, time_unit=time_unit(name or ""))
         stamps = trial.stamps()
         steps = np.zeros(1) if stamps is None else np.diff(stamps.values)
         if np.mean(steps >= 0.0) > _GROWING and np.any(steps > 0.0) and nanoseconds_of(trial) is not None:
@@ -246,9 +226,8 @@ def _with_thermometers(log: FoundLog) -> FoundLog:
     known = log.columns
     sensors = [column for triad in known.triads.values() for column in triad.columns]
     anew = columns_by_name([n for n in (*sensors, *known.temperatures, *known.others) if n not in empty])
-    columns = replace(known, temperatures=anew.temperatures, others=anew.others)
     said = f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
-    return _with_thermometers(replace(log, columns=columns, said=(*log.said, said)))
+    return _with_thermometers(log.with_columns([said], temperatures=anew.temperatures, others=anew.others))
 
 
 def _with_time(log: FoundLog) -> FoundLog:
@@ -261,4 +240,4 @@ def _with_time(log: FoundLog) -> FoundLog:
     if time is None:
         return log
     said = f"time: column {time!r}, by its numbers (a guess)"
-    return replace(log, columns=replace(log.columns, time=time, time_unit=time_unit(time)), said=(*log.said, said))
+    return log.with_columns([said], time=time, time_unit=time_unit(time))

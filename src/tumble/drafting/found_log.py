@@ -13,8 +13,7 @@ import numpy as np
 
 from tumble.drafting.times import Stamps, Times, times_of_column, times_without_column
 from tumble.errors import InputError, LogError, did_you_mean
-from tumble.recording.columns.names import ACCEL, TIME_KIND, Columns, is_no_sensor, time_unit, unit_of_name
-from tumble.recording.formats.message import Sensors
+from tumble.recording.columns.names import ACCEL, TIME_KIND, Columns, Sensors, is_no_sensor, time_unit, unit_of_name
 from tumble.recording.readers import KeptLog, source_of
 from tumble.recording.rows.gaps import is_reading
 from tumble.recording.text.dialect import Dialect, is_clock
@@ -51,6 +50,10 @@ class FoundLog:
     dialect: Dialect | None = None
     kept: dict[Path, KeptLog] = field(default_factory=dict)
     """The files that were read, by their paths: every look at them is at what was read once."""
+
+    def with_columns(self, said: Sequence[str] = (), /, **changed: Any) -> FoundLog:
+        """The log with other columns of these kinds, and what there is to say of them."""
+        return replace(self, columns=replace(self.columns, **changed), said=(*self.said, *said))
 
     def sources(self) -> Iterator[KeptLog]:
         """The files, as they are read."""
@@ -151,8 +154,9 @@ class FoundLog:
             triads[kind] = Sensors(columns=(x, y, z), unit=unit_of_name(kind, x))
         time = columns.get(TIME_KIND, (None if known.time in taken else known.time,))[0]
         stayed = time == known.time
-        changed = replace(
-            known,
+        said = [f"{kind}: {', '.join(listed)}, as stated" for kind, listed in columns.items()]
+        return self.with_columns(
+            said,
             triads=triads,
             time=time,
             time_unit=known.time_unit if stayed else None if time is None else time_unit(time),
@@ -160,8 +164,6 @@ class FoundLog:
             temperatures=tuple(c for c in known.temperatures if c not in taken),
             counter=None if known.counter in taken else known.counter,
         )
-        said = (f"{kind}: {', '.join(listed)}, as stated" for kind, listed in columns.items())
-        return replace(self, columns=changed, said=(*self.said, *said))
 
     def _named(self, kind: str, column: str) -> str:
         """The name of a column that is given by that, or by its number from 1."""

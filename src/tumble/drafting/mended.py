@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,12 +16,11 @@ import numpy as np
 import polars as pl
 
 from tumble.drafting.found_log import LONGEST, SAMPLE_ROWS, FoundLog, samples_in
-from tumble.drafting.hypotheses.readings import unwrapped, wrapped
-from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column, times_without_column, unwound
+from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column, times_without_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
 from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, time_unit
-from tumble.recording.formats.message import TIME
+from tumble.recording.formats import TIME
 from tumble.recording.log_source import LogSource
 from tumble.recording.rows.gaps import JUMP
 from tumble.recording.writer import write_tables
@@ -40,44 +40,43 @@ _LABEL = re.compile(
     r"part|pos(ition)?|pose|label|section|segment|step|lage|stellung|положение|позиция|位置", re.IGNORECASE
 )
 
-Step = Callable[[pl.DataFrame], pl.DataFrame]
-"""Mends the tables of a file, one after the other; what makes one begins anew with each file."""
+Step = Callable[[Iterator[pl.DataFrame]], Iterator[pl.DataFrame]]
+"""Mends the tables of a file, one after the other."""
+Mend = tuple[str, Step]
+"""What is said of a step, and the step."""
 
 
 def mended(log: FoundLog, folder: OutputFolder, rate: float | None) -> FoundLog:
     """A log, or the copy of one of which a session file cannot say what it needs; `rate` as given, Hz, which stands for
     time stamps."""
-    for kind, sensors in log.columns.triads.items():
+    triads = log.columns.triads
+    for kind, sensors in triads.items():
         if kind != MAGNETOMETER and not np.isfinite(log.read(sensors.columns, rows=SAMPLE_ROWS)).any():
             raise InputError(f"{log.files[0]}: expected numbers in {', '.join(sensors.columns)[:200]}, found none")
-    triads = log.columns.triads
-    steps, said = _rows_that_are_samples(log)
-    unsigned = [kind for kind in (ACCEL, GYRO) if kind in triads and wrapped(log.read(triads[kind].columns))]
-    time, in_seconds, steps_of_time, said_of_time = _time(log, rate)
-    positions = None
-    if not steps and not steps_of_time and rate is None and len(log.files) == 1:
-        positions, said_of_positions = _recordings(log)
+    mends = _rows_that_are_samples(log)
+    time, in_seconds, of_time = _time(log, rate)
+    unsigned = [kind for kind in (ACCEL, GYRO) if kind in triads and _wrapped(log.read(triads[kind].columns))]
+    positions, told = None, ""
+    if not mends and not of_time and rate is None and len(log.files) == 1:
+        positions, told = _recordings(log)
     if positions is None:
-        positions, said_of_positions = _positions_apart(log, unsigned=ACCEL in unsigned)
+        positions, told = _positions_apart(log, unsigned=ACCEL in unsigned)
     if unsigned:
         named = " and ".join({ACCEL: "accelerometers", GYRO: "gyros"}[kind] for kind in unsigned)
-        said.append(f"{named}: numbers of 16 bits that were read without their sign: 65536 taken off where it is due")
-        columns = [c for kind in unsigned for c in triads[kind].columns]
-        steps.append(lambda: lambda t: t.with_columns(pl.Series(c, unwrapped(t[c].to_numpy())) for c in columns))
-    said += said_of_time + said_of_positions
-    if not said:
+        said = f"{named}: numbers of 16 bits that were read without their sign: 65536 taken off where it is due"
+        wound = [c for kind in unsigned for c in triads[kind].columns]
+        mends.append((said, _each(lambda t: t.with_columns(pl.Series(c, _unwrapped(t[c].to_numpy())) for c in wound))))
+    mends += of_time
+    if not mends and not told:
         return log
-
-    every = (c for c in (*time, *(c for triad in triads.values() for c in triad.columns), *log.columns.temperatures))
-    used = list(dict.fromkeys(every))
+    every = (*time, *(c for triad in triads.values() for c in triad.columns), *log.columns.temperatures)
 
     def tables(source: LogSource) -> Iterator[pl.DataFrame]:
-        mending = [begin() for begin in (*steps, *steps_of_time)]
-        for table, _ in source.tables(used, log.clock):
-            for step in mending:
-                table = step(table)
-            stamp = [TIME] if in_seconds else time
-            yield table.filter(pl.all_horizontal(pl.col(stamp).is_finite())) if stamp else table
+        read: Iterator[pl.DataFrame] = (t for t, _ in source.tables(list(dict.fromkeys(every)), log.clock))
+        for _, step in mends:
+            read = step(read)
+        stamp = [TIME] if in_seconds else time
+        return (table.filter(pl.all_horizontal(pl.col(stamp).is_finite())) if stamp else table for table in read)
 
     files: list[Path] = []
     if positions is not None:
@@ -90,19 +89,22 @@ def mended(log: FoundLog, folder: OutputFolder, rate: float | None) -> FoundLog:
             name = "log.parquet" if len(log.files) == 1 else f"log-{number:02d}.parquet"
             files.append(source.path if source.path in folder.written else folder.new_file(name))
             write_tables(files[-1], tables(source))
-    columns_now = replace(log.columns, time_unit="s") if log.clock is not None else log.columns
+    columns = replace(log.columns, time_unit="s") if log.clock is not None else log.columns
     if in_seconds:
-        columns_now = replace(log.columns, time=TIME, time_unit="s")
+        columns = replace(log.columns, time=TIME, time_unit="s")
     copied = f"so mended, the log is copied to {files[0].name}{' …' * (len(files) > 1)}"
-    return FoundLog(
-        files=tuple(files), keys={}, columns=columns_now, remarks=log.remarks, said=(*log.said, *said, copied)
-    )
+    told_of_all = (*log.said, *(said for said, _ in mends), *filter(None, [told]), copied)
+    return FoundLog(files=tuple(files), keys={}, columns=columns, remarks=log.remarks, said=told_of_all)
 
 
-def _rows_that_are_samples(log: FoundLog) -> tuple[list[Callable[[], Step]], list[str]]:
+def _each(mend: Callable[[pl.DataFrame], pl.DataFrame]) -> Step:
+    """The step that mends each table by itself."""
+    return partial(map, mend)
+
+
+def _rows_that_are_samples(log: FoundLog) -> list[Mend]:
     """Leaves out rows that are no samples: what memory was filled with behind the last, and rows of other sensors."""
-    steps: list[Callable[[], Step]] = []
-    said: list[str] = []
+    mends: list[Mend] = []
     sensors = [c for kind, triad in log.columns.triads.items() if kind != MAGNETOMETER for c in triad.columns]
     read = log.read(sensors)
     samples = len(read)
@@ -110,28 +112,22 @@ def _rows_that_are_samples(log: FoundLog) -> tuple[list[Callable[[], Step]], lis
     if filled and len(log.files) == 1 and len(read) < LONGEST:
         samples = samples_in(read)
     if samples < len(read):
-        said.append(f"rows: the last {len(read) - samples} are all alike and no samples: left out")
-
-        def first_samples() -> Step:
-            left = samples
-
-            def step(table: pl.DataFrame) -> pl.DataFrame:
-                nonlocal left
-                taken = table.head(left)
-                left -= len(taken)
-                return taken
-
-            return step
-
-        steps.append(first_samples)
+        said = f"rows: the last {len(read) - samples} are all alike and no samples: left out"
+        mends.append((said, partial(_first_rows, count=samples)))
     whole = np.asarray(np.isfinite(read[:samples]).mean(axis=1) >= _READ_SHARE)
     blank = int(np.count_nonzero(~whole))
     one = len(log.files) == 1 and samples > 0
     if blank > _BLANK_SHARE * samples or (one and blank and (not whole[0] or _are_between(log, whole))):
-        said.append(f"rows: {blank} of {samples} have no readings of these sensors, as rows of others: left out")
+        said = f"rows: {blank} of {samples} have no readings of these sensors, as rows of others: left out"
         has_readings = pl.mean_horizontal(pl.col(sensors).is_finite()) >= _READ_SHARE
-        steps.append(lambda: lambda table: table.filter(has_readings))
-    return steps, said
+        mends.append((said, _each(lambda table: table.filter(has_readings))))
+    return mends
+
+
+def _first_rows(tables: Iterator[pl.DataFrame], count: int) -> Iterator[pl.DataFrame]:
+    for table in tables:
+        yield table.head(count)
+        count -= min(count, table.height)
 
 
 def _are_between(log: FoundLog, whole: BoolArray) -> bool:
@@ -146,72 +142,66 @@ def _are_between(log: FoundLog, whole: BoolArray) -> bool:
     return bool(between.any() and np.median(steps[between]) < JUMP * np.median(steps))
 
 
-def _time(log: FoundLog, rate: float | None) -> tuple[list[str], bool, list[Callable[[], Step]], list[str]]:
-    """The columns of the time, whether the steps make a column TIME of them, s, the steps, and what is said."""
+def _time(log: FoundLog, rate: float | None) -> tuple[list[str], bool, list[Mend]]:
+    """The columns of the time, whether the steps make a column TIME of them, s, and what is mended."""
     column = log.columns.time
     if rate is None and column is None and (intervals := _intervals(log)) is not None:
         name, unit = intervals
         said = f"time: none, but column {name!r} has the intervals between samples, in {unit}: added up"
-        return [name], True, [lambda: _added_up(name), lambda: _seconds(name, TIME_UNITS[unit])], [said]
+        return [name], True, [(said, lambda read: _seconds(name, TIME_UNITS[unit])(_added_up(read, name)))]
     if column is None:
         counter = log.columns.counter
         counts = np.empty(0) if counter is None else np.diff(log.read([counter])[:, 0])
         counts = counts[np.isfinite(counts)]
         if counter is None or not len(counts) or counts.min() < 1.0 or np.median(counts) != 1.0 or counts.max() == 1.0:
-            return [], False, [], []
+            return [], False, []
         said = f"time: none, but column {counter!r} counts the samples and shows some to be missing"
         per_second = rate or times_without_column(None, log.remarks).rate
-        return [counter], True, [lambda: _seconds(counter, 1.0 / per_second)], [said]
+        return [counter], True, [(said, _seconds(counter, 1.0 / per_second))]
     if rate is not None:
-        return [column], False, [], []
+        return [column], False, []
     nanoseconds = nanoseconds_of(log)
     if nanoseconds is not None:
         said = f"time: columns {column!r} and {nanoseconds!r}, seconds and nanoseconds, added"
-        return [column, nanoseconds], True, [lambda: _seconds(column, 1.0, nanoseconds)], [said]
-    steps: list[Callable[[], Step]] = []
-    told: list[str] = []
+        return [column, nanoseconds], True, [(said, _seconds(column, 1.0, nanoseconds))]
+    mends: list[Mend] = []
     tick = _tick(log)
     overflow = None if log.clock is not None else overflow_of(log.read([column])[:, 0])
-    if tick is not None:
-        told.append(f"time: column {column!r} in ticks of {tick:g} s, made seconds")
     if overflow is not None:
-        told.append(f"time: column {column!r} starts anew at {overflow:.10g}: that much is added where it does")
-        steps.append(lambda: _unwound(column, overflow))
+        said = f"time: column {column!r} starts anew at {overflow:.10g}: that much is added where it does"
+        mends.append((said, partial(_unwound, column=column, overflow=overflow)))
     if tick is not None:
-        steps.append(lambda: _seconds(column, tick))
-    return [column], tick is not None, steps, told
+        mends.append((f"time: column {column!r} in ticks of {tick:g} s, made seconds", _seconds(column, tick)))
+    return [column], tick is not None, mends
 
 
 def _seconds(column: str, factor: float, nanoseconds: str | None = None) -> Step:
     """Makes a column, and that of the nanoseconds beside it, TIME in s."""
     part = pl.lit(0.0) if nanoseconds is None else 1e-9 * pl.col(nanoseconds)
-    return lambda table: table.rename({column: TIME}).with_columns(pl.col(TIME) * factor + part)
+    return _each(lambda table: table.rename({column: TIME}).with_columns(pl.col(TIME) * factor + part))
 
 
-def _added_up(column: str) -> Step:
+def _added_up(tables: Iterator[pl.DataFrame], column: str) -> Iterator[pl.DataFrame]:
     """Makes the intervals in a column times."""
     last = 0.0
-
-    def step(table: pl.DataFrame) -> pl.DataFrame:
-        nonlocal last
+    for table in tables:
         stamps = last + table[column].fill_nan(0.0).cum_sum().to_numpy()
         last = float(stamps[-1]) if len(stamps) else last
-        return table.with_columns(pl.Series(column, stamps))
-
-    return step
+        yield table.with_columns(pl.Series(column, stamps))
 
 
-def _unwound(column: str, overflow: float) -> Step:
-    """Makes the stamps of a counter that starts anew ones that grow."""
+def _unwound(tables: Iterator[pl.DataFrame], column: str, overflow: float) -> Iterator[pl.DataFrame]:
+    """Makes the stamps of a counter that starts anew at `overflow` ones that grow. What is not finite stays so."""
     last: float | None = None
-
-    def step(table: pl.DataFrame) -> pl.DataFrame:
-        nonlocal last
-        stamps = unwound(table[column].to_numpy(), overflow, last)
-        last = next((float(t) for t in stamps[::-1] if np.isfinite(t)), last)
-        return table.with_columns(pl.Series(column, stamps))
-
-    return step
+    for table in tables:
+        stamps = table[column].to_numpy().copy()
+        known = np.isfinite(stamps)
+        read = stamps[known]
+        if len(read):
+            behind = 0.0 if last is None else np.rint((last - read[0]) / overflow)
+            stamps[known] += overflow * (behind + np.cumsum(np.diff(read, prepend=read[:1]) < -0.5 * overflow))
+            last = float(stamps[known][-1])
+        yield table.with_columns(pl.Series(column, stamps))
 
 
 def _intervals(log: FoundLog) -> tuple[str, str] | None:
@@ -249,30 +239,47 @@ def _tick(log: FoundLog) -> float | None:
     return _DAY if in_days and _SHORTEST < step * _DAY < _LONGEST and step < _SHORTEST else None
 
 
+def _wrapped(columns: Array) -> bool:
+    """Whether integers (m, n) are numbers of 16 bits with a sign that were read without it: from 0 to 65535, and hardly
+    any in the middle, while they are on both sides."""
+    if not np.isfinite(columns).any():
+        return False
+    low, high = np.nanmin(columns), np.nanmax(columns)
+    if low < 0.0 or not 49152.0 < high < 65536.0 or not np.array_equal(columns, np.floor(columns), equal_nan=True):
+        return False
+    middle = (columns > 24576.0) & (columns < 40960.0)
+    return bool(middle.mean() < 0.02 and (columns < 24576.0).any() and (columns > 40960.0).mean() > 1e-3)
+
+
+def _unwrapped(columns: Array) -> Array:
+    """What numbers of 16 bits read without their sign were."""
+    return np.where(columns >= 32768.0, columns - 65536.0, columns)
+
+
 # -------------------- positions without turns between them --------------------
 
 
-def _recordings(log: FoundLog) -> tuple[list[tuple[int, int]] | None, list[str]]:
-    """First and last + 1 row of recordings of which each has a clock that was started anew."""
+def _recordings(log: FoundLog) -> tuple[list[tuple[int, int]] | None, str]:
+    """First and last + 1 row of recordings of which each has a clock that was started anew, and what is said."""
     stamps = log.stamps()
     if stamps is None or stamps.clock or len(stamps.values) >= LONGEST:
-        return None, []
+        return None, ""
     recordings = recordings_of(stamps.values[np.isfinite(stamps.values)])
     number = 0 if recordings is None else len(recordings)
-    return recordings, [f"time: the clock starts anew, so that there are {number} recordings: a file each"]
+    return recordings, f"time: the clock starts anew, so that there are {number} recordings: a file each"
 
 
-def _positions_apart(log: FoundLog, *, unsigned: bool) -> tuple[list[tuple[int, int]] | None, list[str]]:
+def _positions_apart(log: FoundLog, *, unsigned: bool) -> tuple[list[tuple[int, int]] | None, str]:
     """First and last + 1 row of positions that follow each other without a turn: by a column that names them, or where
     gravity jumps from one row to the next while nothing moves before and after; None where there are none. With
     `unsigned`, 16 bits of the accelerometers were read without their sign. Raises InputError for positions of too few
     rows."""
     if len(log.files) > 1:
-        return None, []
+        return None, ""
     accel = log.read(log.columns.triads[ACCEL].columns)
-    accel = unwrapped(accel) if unsigned else accel
+    accel = _unwrapped(accel) if unsigned else accel
     if np.isnan(accel).all(axis=0).any() or not 2 * _FEWEST_ROWS <= len(accel) < LONGEST:
-        return None, []
+        return None, ""
     label = next((n for n in log.cells if _LABEL.fullmatch(n.strip()) and n != log.columns.time), None)
     if label is None:
         starts = _jumps(accel)
@@ -280,7 +287,7 @@ def _positions_apart(log: FoundLog, *, unsigned: bool) -> tuple[list[tuple[int, 
         labels = pl.concat([table[label].cast(pl.String) for table in next(log.sources()).whole(())])
         starts = np.flatnonzero((labels != labels.shift(1)).fill_null(False).to_numpy()).tolist()
     if len(starts) < 3:
-        return None, []
+        return None, ""
     edges = list(pairwise([0, *starts, len(accel)]))
     shortest = min(stop - start for start, stop in edges)
     if shortest < _FEWEST_ROWS:
@@ -288,7 +295,7 @@ def _positions_apart(log: FoundLog, *, unsigned: bool) -> tuple[list[tuple[int, 
             f"{log.files[0]}: expected at least {_FEWEST_ROWS} rows a position, found {shortest}; take the mean of "
             "each position and give the table to `tumble ellipsoid`"
         )
-    return edges, [f"{len(edges)} positions one below the other without turns: a file each"]
+    return edges, f"{len(edges)} positions one below the other without turns: a file each"
 
 
 def _jumps(accel: Array) -> list[int]:

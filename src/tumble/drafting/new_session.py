@@ -18,27 +18,24 @@ from typing import Any
 
 import numpy as np
 
-from tumble.drafting.containers.archive import unzipped
-from tumble.drafting.containers.workbook import sheets_of
+from tumble.drafting.containers.archives import sheets_of, unzipped
 from tumble.drafting.detection import files_of, found_log
 from tumble.drafting.draft import Draft, session_text
 from tumble.drafting.found_log import HEAD_ROWS, SAMPLE_ROWS, FoundLog
-from tumble.drafting.hypotheses.readings import step_in_deg_s, too_fast_for_rad_s
 from tumble.drafting.hypotheses.trials import tried
 from tumble.drafting.mended import mended
-from tumble.drafting.recordings import log_of_recording
+from tumble.drafting.sensors_apart import log_of_recording
 from tumble.drafting.times import Times
 from tumble.errors import InputError, LogError
 from tumble.files import FilePath, OutputFolder, nothing_left, whole_file
 from tumble.programme.positions import BUILT_IN
-from tumble.recording import formats
-from tumble.recording.autopilot import sensors_content
-from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, TIME_KIND, temperature_unit
-from tumble.recording.columns.scales import ACCEL_COUNTS, matched
-from tumble.recording.formats import Sensors
+from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, TIME_KIND, Sensors, temperature_unit
+from tumble.recording.columns.scales import ACCEL_COUNTS, FASTEST, matched, step_in_deg_s
+from tumble.recording.formats import is_recording
 from tumble.recording.log import Log
 from tumble.recording.readers import source_of
 from tumble.recording.rows.gaps import is_reading
+from tumble.recording.session import sensors_content
 from tumble.recording.session.log_tables import RAW
 from tumble.recording.session_file import SESSION_FILE, session_of
 from tumble.run.observed import Progress
@@ -140,7 +137,7 @@ def written_session(
 
 
 def _of_files(files: list[Path], folder: OutputFolder, given: Given) -> Draft:
-    recordings = [f for f in files if formats.is_recording(f) or f.is_dir()]
+    recordings = [f for f in files if is_recording(f) or f.is_dir()]
     if not recordings:
         log = mended(found_log(files, folder, given.columns), folder, given.sample_rate)
         return _of_log(log, given.sample_rate)
@@ -164,6 +161,7 @@ def _of_log(log: FoundLog, rate: float | None) -> Draft:
         said.append(f"time: column {known.time!r} is not used, since the rate was given")
     said += [f"also there, and not used: {', '.join(known.others)}"] if known.others else []
     sensors = known.triads[ACCEL]
+    read = log.read(sensors.columns, rows=HEAD_ROWS)
     magnitude = _magnitude(log, sensors)
     files = [str(file.resolve()) for file in log.files]
     accel, told = _accel(sensors, times, magnitude)
@@ -182,9 +180,9 @@ def _of_log(log: FoundLog, rate: float | None) -> Draft:
         thermometers, remark = _thermometers(log, known.temperatures)
         table |= {} if thermometers is None else {"temperature": thermometers}
         said.append(remark)
-    read = log.read(sensors.columns, rows=HEAD_ROWS)
     said += _without_gravity(read, times.rate)
     magnetometer, told = _magnetometer(log, known.triads.get(MAGNETOMETER))
+    unit_guessed = any(known.triads[kind].unit is None for kind in table if kind in _SENSORS)
     return Draft(
         content={"format": 1, "device": {"serial": "unknown"}, "log": table},
         said=(*said, *told),
@@ -196,9 +194,7 @@ def _of_log(log: FoundLog, rate: float | None) -> Draft:
         gyro_whole=gyro_whole,
         accel_whole=_is_whole(read),
         accel_magnitude=magnitude,
-        guessed=times.guessed
-        or times.unit_guessed
-        or any(known.triads[kind].unit is None for kind in table if kind in _SENSORS),
+        guessed=times.guessed or times.unit_guessed or unit_guessed,
         kept=log.kept,
     )
 
@@ -338,28 +334,23 @@ def _accel(sensors: Sensors, times: Times, magnitude: float) -> tuple[dict[str, 
 
 
 def _gyro(sensors: Sensors, read: Array, *, raw: bool) -> tuple[dict[str, Any], list[str], bool]:
-    """The table [log.gyro]; where the accelerometers are `raw`, gyros of no named unit are too, and whole numbers which
-    no gyro reads in rad/s."""
+    """The table [log.gyro], what is said, and whether the unit is a guess; where the accelerometers are `raw`, gyros of
+    no named unit are too, and whole numbers which no gyro reads in rad/s."""
     columns = list(sensors.columns)
-    named = ", ".join(columns)
-    if sensors.unit is not None and GYRO_UNITS[sensors.unit].kind != "raw":
-        return (
-            {"columns": columns, "unit": sensors.unit},
-            [f"gyros: {named} in {sensors.unit} (from the name or the format)"],
-            False,
-        )
-    fast, whole = too_fast_for_rad_s(read), _is_whole(read)
-    if not raw and sensors.unit is None and not (fast and whole):
+    unit, why, unknown = sensors.unit, " (from the name or the format)", False
+    if unit is None or GYRO_UNITS[unit].kind == "raw":
+        largest = np.abs(read[np.isfinite(read).all(axis=1)]).max(axis=1)
+        fast = len(largest) > 0 and float(np.quantile(largest, 0.99)) > FASTEST  # some single ones aside
+        if raw or unit is not None or (fast and _is_whole(read)):
+            table = {"columns": columns, "unit": "count", "scale": 1.0, "scale_per": "deg/s", "offset": 0.0}
+            return table, [], True
         step = step_in_deg_s(read)
+        unit, why, unknown = "rad/s", " (a guess)", step is None
         if step is not None:
-            said = f"gyros: {named} in deg/s (a guess): their steps are {step:.4g} °/s, a count of data sheets"
-            return {"columns": columns, "unit": "deg/s"}, [said], False
-        if fast:
-            said = f"gyros: {named} in deg/s, not rad/s (a guess): no gyro reads so much in that"
-            return {"columns": columns, "unit": "deg/s"}, [said], True
-        return {"columns": columns, "unit": "rad/s"}, [f"gyros: {named} in rad/s (a guess)"], True
-    table = {"columns": columns, "unit": "count", "scale": 1.0, "scale_per": "deg/s", "offset": 0.0}
-    return table, [], True
+            unit, why = "deg/s", f" (a guess): their steps are {step:.4g} °/s, a count of data sheets"
+        elif fast:
+            unit, why = "deg/s", ", not rad/s (a guess): no gyro reads so much in that"
+    return {"columns": columns, "unit": unit}, [f"gyros: {', '.join(columns)} in {unit}{why}"], unknown
 
 
 def _magnetometer(log: FoundLog, sensors: Sensors | None) -> tuple[dict[str, Any] | None, list[str]]:

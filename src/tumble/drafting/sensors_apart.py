@@ -1,10 +1,13 @@
-"""Sensors that come in files of their own, as of phones, put together into one log."""
+"""Sensors that come apart, put together into one log: the messages of a recording in another format than text and
+Parquet, and the accelerometers and gyros of a phone in files of their own."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from itertools import takewhile
+from operator import eq
+from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -18,19 +21,93 @@ from tumble.recording.columns.names import (
     GYRO,
     SENSOR_WORDS,
     Columns,
+    Sensors,
     columns_by_name,
     is_no_sensor,
     unit_of_name,
 )
 from tumble.recording.columns.numbers import time_by_data
 from tumble.recording.columns.scales import CANDIDATES
-from tumble.recording.formats import as_log
-from tumble.recording.formats.message import TIME, Message, Sensors
+from tumble.recording.formats import TIME, Message, as_log, messages
+from tumble.recording.session import AutopilotSensor
 from tumble.units import TIME_UNITS
 
 _NEAR = 0.1
 _UNCALIBRATED = re.compile(r"acc.*uncal|uncal.*acc", re.IGNORECASE)
 _NOT_ACCEL = re.compile(r"lin|user|uncal|without|\bno[_ ]?g", re.IGNORECASE)
+
+
+def log_of_recording(
+    recordings: Sequence[Path], folder: OutputFolder, message: str | None
+) -> tuple[FoundLog, Mapping[str, AutopilotSensor]]:
+    """The log of a message of a recording, that of this name or the first with most sensors, and the sensors of an
+    autopilot that it is of. Several files are one recording where the accelerometers are in the one and the gyros in
+    the other. Raises InputError for several recordings, and where no message has this name."""
+    recording, found = recordings[0], messages(*recordings)
+    with_accel = [m for m in found if m.accel]
+    if len(recordings) > 1 and (len(found) > len(recordings) or len(with_accel) > 1):
+        raise InputError(f"{recording}: expected one recording, found {len(recordings)}; give each its own session")
+    candidates = [m for m in with_accel if message in (None, m.name)]
+    if not candidates:
+        raise InputError(f"{recording}: expected a message {message!r}, found {', '.join(m.name for m in with_accel)}")
+    accel = max(candidates, key=lambda m: m.gyro is not None) if message is None else candidates[0]
+    gyro = accel if accel.gyro else next((m for m in found if m.gyro and _pairs(accel, m)), None)
+    log = folder.new_file("log.parquet")
+    temperatures = _temperatures(accel, gyro)
+    apart = [] if temperatures else [m for m in found if m.thermometer]
+    thermometers = _thermometers_of(accel, gyro, apart)
+    as_log(log, accel, gyro, thermometers)
+    said = [f"{recording.name}: message {accel.name}, written to {log}"]
+    said += [f"temperature from {thermometer.name}, interpolated" for thermometer in thermometers]
+    unused = [m.name for m in apart if m not in thermometers]
+    said += [f"other thermometers, not used: {', '.join(unused)}"] if unused else []
+    triads = accel.triads
+    if gyro is not None and gyro is not accel:
+        said.append(f"gyros from {gyro.name}; the accelerometers are interpolated at their times")
+        triads = {ACCEL: accel.triads[ACCEL], GYRO: gyro.triads[GYRO]}
+    others = [m.name for m in with_accel if m not in (accel, gyro)]
+    said += [f"also there, and not used: {', '.join(others)} (--message takes another)"] if others else []
+    said += [remark for remark in {m.remark: None for m in (accel, gyro) if m is not None} if remark]
+    columns = Columns(
+        time=TIME if accel.timed else None,
+        time_unit=None,
+        triads=triads,
+        temperatures=temperatures or tuple(t for m in thermometers for t in m.temperatures),
+    )
+    imu = {kind: sensor for m in (gyro, accel) if m is not None for kind, sensor in m.imu.items()}
+    return FoundLog(files=(log,), keys={}, columns=columns, said=tuple(said)), imu
+
+
+def _thermometers_of(accel: Message, gyro: Message | None, apart: Sequence[Message]) -> list[Message]:
+    """Of messages with nothing but temperatures, that of the accelerometers and that of the gyros, where each have one,
+    else that whose name begins, between slashes, most like that of the accelerometers."""
+
+    def shared(message: Message) -> int:
+        return len(list(takewhile(bool, map(eq, message.name.split("/"), accel.name.split("/")))))
+
+    near = sorted(apart, key=shared, reverse=True)
+    first = {m.temperatures: m for m in reversed(near)}
+    each = [first.get((f"{kind}_temperature",)) for kind in (ACCEL, GYRO)]
+    both = [m for m in each if m is not None]
+    return both if gyro is not None and len(both) == 2 else near[:1]
+
+
+def _temperatures(accel: Message, gyro: Message | None) -> tuple[str, ...]:
+    """The columns of the temperatures beside the accelerometers and beside the gyros."""
+    beside = [m.temperatures for m in {id(m): m for m in (accel, gyro) if m is not None}.values() if m.temperatures]
+    if len(beside) == 2 and max(map(len, beside)) == 1:
+        return beside[0] + beside[1]
+    return next(iter(beside), ())
+
+
+def _pairs(accel: Message, gyro: Message) -> bool:
+    """Whether gyros in another message belong to the accelerometers: of one clock, and the same instance where
+    messages are counted."""
+    counted = accel.name.rpartition(".")[2], gyro.name.rpartition(".")[2]
+    return accel.timed and gyro.timed and (not all(c.isdecimal() for c in counted) or counted[0] == counted[1])
+
+
+# -------------------- files of one kind of sensors each --------------------
 
 
 def are_sensors_apart(logs: Sequence[FoundLog]) -> bool:
@@ -80,13 +157,8 @@ def of_sensors_apart(logs: Sequence[FoundLog], folder: OutputFolder) -> FoundLog
     accel, gyro = _message(by_kind[ACCEL], ACCEL), _message(by_kind[GYRO], GYRO) if GYRO in by_kind else None
     joined = folder.new_file("log.parquet")
     as_log(joined, accel, gyro)
-    triads = {ACCEL: accel.accel, GYRO: gyro.gyro if gyro is not None else None}
     named = " and ".join(log.files[0].name for log in by_kind.values())
-    columns = Columns(
-        time=TIME,
-        time_unit="s",
-        triads={kind: sensors for kind, sensors in triads.items() if sensors is not None},
-    )
+    columns = Columns(time=TIME, time_unit="s", triads={**accel.triads, **({} if gyro is None else gyro.triads)})
     unused = [log.files[0].name for log in logs if log not in by_kind.values()]
     also = (f"also there, and not used: {', '.join(unused)}",) if unused else ()
     said = f"{named}: one log at the times of the gyros, written to {joined}"
@@ -112,7 +184,7 @@ def _three(log: FoundLog, kind: str) -> tuple[FoundLog, list[str]]:
     rising = [name for name, column in zip(log.cells, read.T, strict=True) if grows_mostly(column)]
     time = time_by_data(list(log.cells), read) or (rising[0] if len(rising) == 1 else None)
     three = [name for name in log.cells if name != time]
-    return replace(log, columns=replace(log.columns, time=time)), three if len(three) == len("xyz") else []
+    return log.with_columns(time=time), three if len(three) == len("xyz") else []
 
 
 def _message(log: FoundLog, kind: str) -> Message:
@@ -138,12 +210,10 @@ def _message(log: FoundLog, kind: str) -> Message:
         read[:, 0] = np.polynomial.Polynomial.fit(rows, read[:, 0], 1)(rows)
     read = read[np.argsort(read[:, 0], kind="stable")]
     read[:, 0] *= 1.0 if stamps.clock else TIME_UNITS[times.keys.get("time_unit", "s")]
-    found = Sensors(columns=(x, y, z), unit=unit)
     return Message(
         name=log.files[0].name,
         count=len(read),
-        accel=found if kind == ACCEL else None,
-        gyro=found if kind == GYRO else None,
+        triads={kind: Sensors(columns=(x, y, z), unit=unit)},
         remark=f"{log.files[0].name}: {'; '.join(times.said)}",
         rows=lambda: iter([pl.DataFrame(read, schema=[TIME, x, y, z], orient="row")]),
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -59,8 +59,6 @@ class Stamps:
     values: Array
     unit: str | None
     clock: bool = False
-    ticks: float | None = field(default=None)
-    """Ticks per second, where a format says so."""
 
 
 def times_without_column(rate: float | None, remarks: Sequence[str]) -> Times:
@@ -69,8 +67,8 @@ def times_without_column(rate: float | None, remarks: Sequence[str]) -> Times:
         return Times(keys={"rate_hz": rate}, said=(f"no time column: rate_hz = {rate:g} as given",), rate=rate)
     for line in remarks:
         found = _RATE_IN_TEXT.search(line)
-        if found and float(found[1].replace(",", ".")) >= RATES_OF_LOGS[0]:
-            stated = float(found[1].replace(",", "."))
+        stated = float(found[1].replace(",", ".")) if found else 0.0
+        if stated >= RATES_OF_LOGS[0]:
             said = f"no time column: rate_hz = {stated:g}, from the line {line[:60]!r}"
             return Times(keys={"rate_hz": stated}, said=(said,), rate=stated)
     said = (
@@ -98,18 +96,17 @@ def times_of_column(stamps: Stamps) -> Times | None:
     guessed = whole and not stamps.clock and stamps.unit is None and how != _BY_DATES
     if not RATES_OF_LOGS[0] <= 1.0 / interval <= RATES_OF_LOGS[1]:
         sure = (*sure, f"time: {1.0 / interval:.3g} samples per second is no rate of a log: is the unit right?")
-    uneven = _unevenness(values, typical)
+    uneven, rate = _unevenness(values, typical), 1.0 / interval
     said = f"time: column {stamps.column!r} in {'times of day' if stamps.clock else taken} ({how})"
-    rated = f"{said}, {1.0 / interval:.6g} samples per second"
-    if uneven is None:
-        return Times(keys=keys, said=(rated, *sure), rate=1.0 / interval, unit_guessed=guessed)
-    if not _even(values):
-        more = f"time: {uneven}, and the rows are not equally spaced either: look at the log"
-        return Times(keys=keys, said=(rated, more, *sure), rate=1.0 / interval, unit_guessed=guessed)
-    slope = np.polynomial.Polynomial.fit(np.arange(len(values)), values, 1).convert().coef[1]
-    mean = float(slope) * (1.0 if stamps.clock else TIME_UNITS[taken])
-    more = f"time: {uneven}, but the rows are equally spaced: regular = true, {1.0 / mean:.6g} samples per second"
-    return Times(keys={**keys, "regular": True}, said=(said, more, *sure), rate=1.0 / mean, unit_guessed=guessed)
+    told = [f"{said}, {rate:.6g} samples per second"]
+    if uneven is not None and not _even(values):
+        told.append(f"time: {uneven}, and the rows are not equally spaced either: look at the log")
+    elif uneven is not None:
+        slope = np.polynomial.Polynomial.fit(np.arange(len(values)), values, 1).convert().coef[1]
+        rate = 1.0 / (float(slope) * (1.0 if stamps.clock else TIME_UNITS[taken]))
+        keys["regular"] = True
+        told = [said, f"time: {uneven}, but the rows are equally spaced: regular = true, {rate:.6g} samples per second"]
+    return Times(keys=keys, said=(*told, *sure), rate=rate, unit_guessed=guessed)
 
 
 def grows_mostly(values: Array) -> bool:
@@ -156,17 +153,6 @@ def recordings_of(values: Array) -> list[tuple[int, int]] | None:
     return edges if min(stop - start for start, stop in edges) >= _SHORTEST_RECORDING else None
 
 
-def unwound(values: Array, overflow: float, last: float | None) -> Array:
-    """Time stamps of a counter that starts anew at `overflow` as ones that grow, `last` being the one before them. What
-    is not finite stays so."""
-    out, found = values.copy(), np.isfinite(values)
-    read = values[found]
-    if len(read):
-        behind = 0.0 if last is None else np.rint((last - read[0]) / overflow)
-        out[found] += overflow * (behind + np.cumsum(np.diff(read, prepend=read[:1]) < -0.5 * overflow))
-    return out
-
-
 def _typical_step(values: Array) -> float:
     """The step from row to row: the median, or the mean where the stamps are too coarse or come in bursts. A few steps
     that are far longer than all others are pauses and no part of the mean."""
@@ -187,10 +173,12 @@ def _unit(stamps: Stamps, step: float) -> tuple[str, str, tuple[str, ...]]:
         return stamps.unit, "by its name", ()
     steps = np.diff(stamps.values)
     counts = step == 1.0 and np.mean(steps == 1.0) > 1.0 - _SHARE
-    whole = math.inf if counts else float(np.nanmax(stamps.values) - np.nanmin(stamps.values))
+    low, high = float(np.nanmin(stamps.values)), float(np.nanmax(stamps.values))
+    whole = math.inf if counts else high - low
     rates = {name: 1.0 / (step * size) for name, size in TIME_UNITS.items()}
     likely = [name for name, rate in rates.items() if _SLOWEST <= rate <= RATES_OF_LOGS[1]]
-    dated = next((name for name in likely if _are_dates(stamps.values, TIME_UNITS[name])), None)
+    since_1970 = ((name, TIME_UNITS[name]) for name in likely)
+    dated = next((name for name, one in since_1970 if _CENTURY[0] < low * one and high * one < _CENTURY[1]), None)
     likely = [name for name in likely if whole * TIME_UNITS[name] >= _SHORTEST_LOG] or likely
     usual = [name for name in likely if 10.0 <= rates[name] <= 2000.0]
     if dated is not None and (rates[dated] > _SLOW or not set(usual) - {dated}):
@@ -207,11 +195,6 @@ def _unit(stamps: Stamps, step: float) -> tuple[str, str, tuple[str, ...]]:
         counted = f"time: column {stamps.column!r} grows by one a row, as a counter of samples does too: if it is one, "
         sure = (f"{counted}give the rate (--sample-rate)",)
     return taken, "by its steps", sure
-
-
-def _are_dates(values: Array, unit: float) -> bool:
-    """Whether time stamps in a unit, s, since 1970 are of days from 2004 to 2039."""
-    return bool(_CENTURY[0] < np.nanmin(values) * unit and np.nanmax(values) * unit < _CENTURY[1])
 
 
 def _unevenness(values: Array, typical: float) -> str | None:

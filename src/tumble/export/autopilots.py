@@ -44,7 +44,7 @@ import numpy as np
 from tumble.errors import InputError
 from tumble.export.exported import NO_UNCERTAINTY, SINGLE_PRECISION, Exported, commented, example, origin, shown, triads
 from tumble.export.larger_model import not_held, session_rate
-from tumble.recording.autopilot import AutopilotSensor
+from tumble.recording.session import AutopilotSensor
 from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import (
     Range,

@@ -64,38 +64,49 @@ def session_of_arrays(
         raise InputError("accel: expected readings of accelerometers (samples, sensors), m/s^2, found none")
     log: dict[str, Any] = {"rate_hz": _number("rate", rate)} if rate is not None else {"time": "time"}
     data: dict[str, Array] = {}
-    kinds = (("accel", accel, accel_axes), ("gyro", gyro, gyro_axes))
-    for kind, given, axes in kinds:
+    sensors: dict[str, int] = {}
+    for kind, given, axes in (("accel", accel, accel_axes), ("gyro", gyro, gyro_axes)):
         if given is not None:
             readings = readings_of(kind, given)
-            columns = _columns(kind, readings.shape[1])
+            sensors[kind] = readings.shape[1]
+            columns = _columns(kind, sensors[kind])
             log[kind] = {"columns": columns, "unit": SI[kind][0]}
             log[kind] |= {} if axes is None else {"axes": _numbers("axes", axes).tolist()}
             data |= dict(zip(columns, readings.T, strict=True))
-    _check_gravity(np.column_stack([data[column] for column in log["accel"]["columns"]]))
+    force = np.column_stack([data[column] for column in log["accel"]["columns"]])
+    length = float(np.median(np.linalg.norm(force, axis=1)) * np.sqrt(3.0 / sensors["accel"]))
+    if not _GRAVITY_LIKE[0] <= length <= _GRAVITY_LIKE[1]:
+        raise InputError(
+            f"accel: expected m/s^2, about 9.8 at rest, found {length:.4g} at the median; multiply readings in g by "
+            "9.80665, divide increments by their intervals"
+        )
     if time is not None:
         data["time"] = _series("time", time)
+    warm: list[str] = []
     if temperature is not None:
-        sensors = {kind: len(log[kind]["columns"]) for kind in SI if kind in log}
-        columns, thermometers = _thermometers(temperature, sensors)
-        _check_lengths(data | thermometers)
-        data |= {name: celsius_of(kelvin) for name, kelvin in thermometers.items()}
-        log["temperature"] = {"columns": columns, "unit": "degC"}
-    _check_lengths(data)
+        warm, thermometers = _thermometers(temperature, sensors)
+        data |= thermometers
+        log["temperature"] = {"columns": warm, "unit": "degC"}
+    first, *others = data
+    for name in others:
+        if len(data[name]) != len(data[first]):
+            raise InputError(
+                f"{name}: expected {len(data[first])} samples, as many as {first} has, found {len(data[name])}"
+            )
+    data |= {name: celsius_of(data[name]) for name in dict.fromkeys(warm)}
     if clock_ppm_u is not None:
         log["clock_ppm_u"] = _number("clock_ppm_u", clock_ppm_u)
-    site = {"height_m": _number("height", height)}
+    stated = {"height_m": height, "gravity": gravity, "gravity_u": gravity_u}
+    site = {key: _number(key.removesuffix("_m"), value) for key, value in stated.items() if value is not None}
     if latitude is not None:
         if not abs(_number("latitude", latitude)) <= np.pi / 2:
             raise InputError(f"latitude: expected radians from -π/2 to π/2, found {latitude:g}; use np.radians(…)")
         site["latitude_deg"] = _number("latitude", latitude) / DEGREE
-    for name, value in (("gravity", gravity), ("gravity_u", gravity_u)):
-        if value is not None:
-            site[name] = _number(name, value)
     description: dict[str, Any] = {"format": 1, "device": {"serial": serial}, "site": site, "log": log}
-    if programme is not None:
-        listed = [] if isinstance(programme, str) else [{"attitude": code} for code in programme]
-        description["programme"] = {"name": programme} if isinstance(programme, str) else {"position": listed}
+    if isinstance(programme, str):
+        description["programme"] = {"name": programme}
+    elif programme is not None:
+        description["programme"] = {"position": [{"attitude": code} for code in programme]}
     return session_of(description, data)
 
 
@@ -167,16 +178,6 @@ def _columns(kind: str, sensors: int) -> list[str]:
     return [f"{kind}_{'xyz'[i] if sensors == 3 else i}" for i in range(sensors)]
 
 
-def _check_gravity(accel: Array) -> None:
-    """Three accelerometers or more read about gravity at the median."""
-    length = float(np.median(np.linalg.norm(accel, axis=1)) * np.sqrt(3.0 / accel.shape[1]))
-    if not _GRAVITY_LIKE[0] <= length <= _GRAVITY_LIKE[1]:
-        raise InputError(
-            f"accel: expected m/s^2, about 9.8 at rest, found {length:.4g} at the median; multiply readings in g by "
-            "9.80665, divide increments by their intervals"
-        )
-
-
 def _thermometers(given: Temperatures, sensors: Mapping[str, int]) -> tuple[list[str], dict[str, Array]]:
     """The columns of the thermometers, one for all sensors or one a sensor, and their temperatures, K."""
     if not isinstance(given, Mapping):
@@ -209,12 +210,3 @@ def celsius_of(kelvin: Array) -> Array:
     if kelvin.min() < _COLDEST:
         raise InputError(f"temperature: expected kelvin, found {kelvin.min():.4g}; add 273.15 to degrees Celsius")
     return kelvin - ZERO_CELSIUS
-
-
-def _check_lengths(data: Mapping[str, Array]) -> None:
-    first, *others = data
-    for name in others:
-        if len(data[name]) != len(data[first]):
-            raise InputError(
-                f"{name}: expected {len(data[first])} samples, as many as {first} has, found {len(data[name])}"
-            )

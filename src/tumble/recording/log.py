@@ -9,24 +9,24 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from tumble.brief import Brief
 from tumble.errors import LogError, TumbleError, did_you_mean
-from tumble.recording.circumstances import date_of_unix
 from tumble.recording.log_source import LogSource, readable
-from tumble.recording.readers import source_of
-from tumble.recording.rows.even import regular_grid, rounded_grid
+from tumble.recording.readers import Samples, source_of
 from tumble.recording.rows.gaps import Bridge, Gap, Grid
-from tumble.recording.rows.timed import check_head, rows_of
-from tumble.recording.samples import Samples
-from tumble.recording.session import LogSpec, Session
+from tumble.recording.rows.timed import check_head, regular_grid, rounded_grid, rows_of
+from tumble.recording.session import LogSpec, Session, date_of_unix
 from tumble.units import ZERO_CELSIUS, Array
+
+T = TypeVar("T")
 
 HEAD_ROWS = 1000
 """LogRows from which the interval of a file is taken, their median."""
@@ -51,6 +51,11 @@ class Chunk:
     gyro: Array | None
     temperature: Array | None
     magnetometer: Array | None = None
+
+    def part(self, rows: slice) -> Chunk:
+        """Some of the samples."""
+        arrays = {name: getattr(self, name) for name in ("time", "dt", "accel", "gyro", "temperature", "magnetometer")}
+        return replace(self, **{name: array[rows] for name, array in arrays.items() if array is not None})
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
@@ -95,7 +100,7 @@ class Log(Brief):
         for file in range(len(self._sources)):
             for chunk in self._samples(file):
                 for start in range(0, len(chunk.time), rows):
-                    yield _part(chunk, slice(start, start + rows))
+                    yield chunk.part(slice(start, start + rows))
 
     def sha256(self) -> str:
         """SHA-256 of the bytes of all files in order, hexadecimal: for one file that of `sha256sum`; of samples in
@@ -172,16 +177,13 @@ def open_log(session: Session) -> Log:
     return Log(session=session, rate=rate, _sources=sources, _grids=grids, _first_stamp=float(heads[0][0]))
 
 
-def _part(chunk: Chunk, rows: slice) -> Chunk:
-    return Chunk(
-        file=chunk.file,
-        time=chunk.time[rows],
-        dt=chunk.dt[rows],
-        accel=chunk.accel[rows],
-        gyro=None if chunk.gyro is None else chunk.gyro[rows],
-        temperature=None if chunk.temperature is None else chunk.temperature[rows],
-        magnetometer=None if chunk.magnetometer is None else chunk.magnetometer[rows],
-    )
+def one_ahead(parts: Iterator[T]) -> Iterator[T]:
+    """The same parts; the next one is read while this one is worked on."""
+    with ThreadPoolExecutor(max_workers=1) as beside:
+        ahead = beside.submit(next, parts, None)
+        while (part := ahead.result()) is not None:
+            ahead = beside.submit(next, parts, None)
+            yield part
 
 
 # -------------------- what is checked when a log is opened --------------------
@@ -194,8 +196,8 @@ def _check_columns(source: LogSource, spec: LogSpec) -> None:
             hint = did_you_mean(column, names, alike=0.5)
             shown = ", ".join(names[:12]) + (", …" if len(names) > 12 else "")
             raise LogError(f"{source.path}: expected a column '{column}', found {shown[:200]}{hint}")
-        if Counter(names)[column] > 1:
-            raise LogError(f"{source.path}: expected one column '{column}', found {Counter(names)[column]}; rename one")
+        if names.count(column) > 1:
+            raise LogError(f"{source.path}: expected one column '{column}', found {names.count(column)}; rename one")
 
 
 def _head(source: LogSource, spec: LogSpec) -> Array:
@@ -217,5 +219,4 @@ def _grid(source: LogSource, spec: LogSpec, head: Array) -> Grid:
         return regular_grid(source, spec)
     time = check_head(source, spec, head * spec.time_factor)
     found = Grid(start=float(time[0]), interval=float(np.median(np.diff(time))))
-    integrals = any(channels is not None and channels.unit.kind == "increment" for channels in (spec.accel, spec.gyro))
-    return (rounded_grid(source, spec, found.interval) or found) if integrals else found
+    return (rounded_grid(source, spec, found.interval) or found) if any(spec.increments.values()) else found

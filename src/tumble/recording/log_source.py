@@ -128,12 +128,6 @@ def ending_of(path: Path) -> str:
     return "".join(suffixes[-2:] if compressed else suffixes[-1:])
 
 
-def empty_value(place: str) -> LogError:
-    return LogError(
-        f"{place}: expected a number, found an empty value; correct or remove the row, or write nan for a lost sample"
-    )
-
-
 def unread_error(source: LogSource, unread: Unread) -> LogError:
     """What is said of a row that cannot be read where it cannot be left out either."""
     width, shown = len(source.names), unread.found[:_SHOWN]

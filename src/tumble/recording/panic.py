@@ -26,9 +26,9 @@ _MARK = b" panicked at "
 
 
 @contextmanager
-def without_panic() -> Iterator[None]:
+def without_panic(*, silent: bool = False) -> Iterator[None]:
     """In a command, whatever is written to standard error while the block runs appears after it, unless it tells of a
-    panic."""
+    panic, or is to be `silent`."""
     if not COMMAND_LINE.get():
         yield
         return
@@ -50,7 +50,7 @@ def without_panic() -> Iterator[None]:
             os.close(kept)
             held.seek(0)
             said = held.read()
-            if said and _MARK not in said:
+            if said and not silent and _MARK not in said:
                 with suppress(OSError):
                     os.write(_STANDARD_ERROR, said)
 

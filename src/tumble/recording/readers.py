@@ -1,18 +1,29 @@
-"""The files of a log: one reader per format, each giving tables of a bounded size; a table in memory is read as one."""
+"""The files of a log, each as tables of a bounded size: Parquet and text files, tables in memory, what was kept of a
+file that is looked at several times."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import polars as pl
 
 from tumble.documents import check_regular
 from tumble.errors import LogError, TumbleError
-from tumble.recording.log_source import LogSource, Unread, ending_of, first_numbers, readable
-from tumble.recording.samples import Samples
-from tumble.recording.table_log import TableLog, parquet_log
+from tumble.recording.log_source import (
+    LogSource,
+    Unread,
+    ending_of,
+    first_numbers,
+    in_column,
+    readable,
+    rows_of_numbers,
+)
+from tumble.recording.panic import wait_for_last_words, without_panic
 from tumble.recording.text.dialect import Dialect
 from tumble.recording.text.text_log import text_log
 from tumble.units import Array
@@ -20,8 +31,191 @@ from tumble.units import Array
 ENDINGS = (".csv", ".csv.gz", ".csv.zst", ".parquet")
 """Endings of the files that are read without being told how they are written."""
 
+Data = Any
+"""A mapping from column names to arrays (N,), a polars or a pandas frame; a sequence of them is a log of several files.
+Pandas is not a dependency, so that its frames cannot be named in a type."""
 
+_PARQUET_ROWS = 1 << 15
 _KEPT_ROWS = 4_000_000
+
+
+def source_of(file: Path | Samples | KeptLog, dialect: Dialect | None = None) -> LogSource:
+    """The reader of a file, of a table in memory, or of what was kept of a file; with a dialect, of a text file of any
+    name. Raises LogError for a format that cannot be read and an empty or damaged file."""
+    if isinstance(file, KeptLog):
+        return file
+    if isinstance(file, Samples):
+        return TableLog.of(file.path, file.table.lazy)
+    ending = ending_of(file)
+    if ending not in ENDINGS and dialect is None:
+        raise LogError(
+            f"{file}: expected a file that ends in {', '.join(ENDINGS)}, found another; state log.delimiter for a text "
+            "file, or let `tumble new` find out what it is"
+        )
+    check_regular(file)
+    with readable(file):
+        if file.stat().st_size == 0:
+            raise LogError(f"{file}: expected a log, found an empty file")
+        if ending == ".parquet":
+            return TableLog.of(file, partial(pl.scan_parquet, file, glob=False))
+        return text_log(file, dialect)
+
+
+# -------------------- Parquet files and tables in memory --------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TableLog:
+    """A Parquet file, or a table in memory; `scan` begins to read it."""
+
+    path: Path
+    types: Mapping[str, pl.DataType]
+    rows: int
+    scan: Callable[[], pl.LazyFrame]
+
+    @classmethod
+    def of(cls, path: Path, scan: Callable[[], pl.LazyFrame]) -> TableLog:
+        with without_panic():
+            types = dict(scan().collect_schema())
+            rows = scan().select(pl.len()).collect().item()
+        return cls(path=path, types=types, rows=rows, scan=scan)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.types)
+
+    def head(self, column: str, rows: int, *, clock: bool = False) -> Array:
+        table = self._collected(self._scan([column], column if clock else None).head(rows))
+        self._check_no_nulls(table, 1)
+        return table[column].to_numpy()
+
+    def first_date(self, column: str) -> str | None:
+        if not isinstance(self.types[column], pl.Datetime):
+            return None
+        first = self._collected(self.scan().select(pl.col(column).first())).item()
+        return None if first is None else str(first.isoformat(timespec="seconds"))
+
+    def tables(self, columns: Sequence[str], clock: str | None = None) -> Iterator[tuple[pl.DataFrame, list[Unread]]]:
+        first = 1
+        for table in self._batches(self._scan(columns, clock)):
+            self._check_no_nulls(table, first)
+            first += table.height
+            yield table, []
+
+    def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
+        for table in self._batches(self.scan()):
+            with rows_of_numbers(self.path):
+                yield table.with_columns(pl.col(numbers).cast(pl.Float64))
+
+    def place(self, row: int, column: str | None = None) -> str:
+        return f"{self.path}: row {row}" + in_column(column)
+
+    def _scan(self, columns: Sequence[str], clock: str | None) -> pl.LazyFrame:
+        """Columns as numbers, dates with times as seconds since midnight of the first."""
+        scan = self.scan().select(columns)
+        for column in columns:
+            kind = self.types[column]
+            if column == clock and isinstance(kind, pl.Datetime):
+                day = self._collected(self.scan().select(pl.col(clock).dt.truncate("1d").first())).item()
+                scan = scan.with_columns((pl.col(clock) - pl.lit(day)).dt.total_nanoseconds() * 1e-9)
+            elif not kind.is_numeric():
+                raise LogError(
+                    f"{self.path}: column '{column}': expected numbers, found the type {kind}; write it as float64"
+                )
+        return scan.select(pl.col(columns).cast(pl.Float64))
+
+    def _collected(self, scan: pl.LazyFrame) -> pl.DataFrame:
+        with readable(self.path), without_panic():
+            return scan.collect()
+
+    def _batches(self, scan: pl.LazyFrame) -> Iterator[pl.DataFrame]:
+        """All rows of a scan in order, some at a time."""
+        rows = 0
+        with readable(self.path):
+            batches = iter(scan.collect_batches(chunk_size=_PARQUET_ROWS, maintain_order=True))
+            while True:
+                with without_panic():
+                    table = next(batches, None)
+                    if table is None and rows < self.rows:
+                        wait_for_last_words()
+                if table is None:
+                    break
+                rows += table.height
+                yield table
+        if rows != self.rows:
+            raise LogError(
+                f"{self.path}: expected {self.rows} rows, found {rows} that can be read: the file is damaged; "
+                "copy or record it again"
+            )
+
+    def _check_no_nulls(self, table: pl.DataFrame, first: int) -> None:
+        for column in table:
+            if column.null_count():
+                place = self.place(first + int(np.argmax(column.is_null().to_numpy())), column.name)
+                raise LogError(
+                    f"{place}: expected a number, found an empty value; correct or remove the row, or write nan for a "
+                    "lost sample"
+                )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Samples:
+    """A table of samples in place of a file, and what messages call it."""
+
+    name: str
+    table: pl.DataFrame
+
+    @property
+    def path(self) -> Path:
+        """Its name where that of a file would stand."""
+        return Path(self.name)
+
+    def content(self, columns: Sequence[str]) -> Iterator[bytes]:
+        """The numbers of these columns, for a hash."""
+        for column in columns:
+            yield column.encode()
+            yield np.ascontiguousarray(self.table[column].to_numpy(), dtype=np.float64).tobytes()
+
+
+def samples_of(data: Data) -> tuple[Samples, ...]:
+    """The tables of a log in memory. Raises LogError for anything that is not one."""
+    if isinstance(data, list | tuple):
+        return tuple(Samples(name=f"samples {i}", table=_table(part)) for i, part in enumerate(data, 1))
+    return (Samples(name="samples", table=_table(data)),)
+
+
+def _table(data: Data) -> pl.DataFrame:
+    if isinstance(data, pl.DataFrame):
+        return data
+    if not isinstance(data, Mapping) and not (hasattr(data, "columns") and hasattr(data, "__getitem__")):
+        raise LogError(
+            "samples: expected columns by name, as arrays, or a polars or pandas frame, found "
+            f"{type(data).__name__}; name the columns as the description does"
+        )
+    columns: list[pl.Series] = []
+    for name in data if isinstance(data, Mapping) else data.columns:
+        array = np.asarray(data[name])
+        if array.ndim != 1:
+            raise LogError(
+                f"samples: column '{name}': expected an array of one dimension, found the shape {array.shape}; give "
+                "every sensor a column of its own"
+            )
+        columns.append(pl.Series(str(name), array if array.dtype.kind in "biuf" else array.tolist(), strict=False))
+    if len({len(column) for column in columns}) > 1:
+        found = ", ".join(f"{len(column)} in '{column.name}'" for column in columns)
+        raise LogError(f"samples: expected as many numbers in every column, found {found}")
+    return pl.DataFrame(columns)
+
+
+# -------------------- files that are looked at several times --------------------
+
+
+@dataclass(kw_only=True, slots=True, eq=False)
+class _Kept:
+    """Tables that were read, and those that are coming."""
+
+    tables: list[tuple[pl.DataFrame, list[Unread]]] = field(default_factory=list)
+    coming: Iterator[tuple[pl.DataFrame, list[Unread]]] | None = None
 
 
 @dataclass(frozen=True, kw_only=False, slots=True, eq=False)
@@ -82,33 +276,3 @@ class KeptLog:
 
     def place(self, row: int, column: str | None = None) -> str:
         return self.source.place(row, column)
-
-
-@dataclass(kw_only=True, slots=True, eq=False)
-class _Kept:
-    """Tables that were read, and those that are coming."""
-
-    tables: list[tuple[pl.DataFrame, list[Unread]]] = field(default_factory=list)
-    coming: Iterator[tuple[pl.DataFrame, list[Unread]]] | None = None
-
-
-def source_of(file: Path | Samples | KeptLog, dialect: Dialect | None = None) -> LogSource:
-    """The reader of a file, of a table in memory, or of what was kept of a file; with a dialect, of a text file of any
-    name. Raises LogError for a format that cannot be read and an empty or damaged file."""
-    if isinstance(file, KeptLog):
-        return file
-    return TableLog.of(file.path, file.table.lazy) if isinstance(file, Samples) else _source_of_file(file, dialect)
-
-
-def _source_of_file(path: Path, dialect: Dialect | None) -> LogSource:
-    ending = ending_of(path)
-    if ending not in ENDINGS and dialect is None:
-        raise LogError(
-            f"{path}: expected a file that ends in {', '.join(ENDINGS)}, found another; state log.delimiter for a text "
-            "file, or let `tumble new` find out what it is"
-        )
-    check_regular(path)
-    with readable(path):
-        if path.stat().st_size == 0:
-            raise LogError(f"{path}: expected a log, found an empty file")
-        return parquet_log(path) if ending == ".parquet" else text_log(path, dialect)

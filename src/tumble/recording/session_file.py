@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,12 +22,9 @@ from tumble.recording.session import Session
 from tumble.recording.session.document import SessionDocument
 
 if TYPE_CHECKING:
-    from tumble.recording.samples import Data
+    from tumble.recording.readers import Data, Samples
 
 SESSION_FILE = "session.toml"
-
-_DESCRIPTION = "session"
-"""What messages call the description of a session that is not in a file."""
 
 
 def read_session(folder: FilePath) -> Session:
@@ -42,8 +40,21 @@ def read_session(folder: FilePath) -> Session:
     """
     given = Path(folder)
     path = given if given.is_file() or given.name == SESSION_FILE else given / SESSION_FILE
-    document = _document(_parsed(path), str(path))
-    session = document.si(path.parent)
+    if path.name != SESSION_FILE:
+        raise SessionError(
+            f"{path}: expected a session folder or its {SESSION_FILE}, found another file; of a log `tumble new` makes "
+            "a session, and so does `tumble calibrate` with --latitude"
+        )
+    try:
+        content = toml_of(text_of_document(path), str(path), SessionError)
+    except FileNotFoundError:
+        found = "none" if path.parent.is_dir() else "no such folder"
+        raise SessionError(f"{path}: expected a session folder with a {SESSION_FILE}, found {found}") from None
+    except UnicodeDecodeError as error:
+        raise SessionError(f"{path}: expected UTF-8 text, found {error.reason}; save it as UTF-8") from None
+    except OSError as error:
+        raise SessionError(f"{path}: expected a readable file, found: {error.strerror}") from None
+    session = validated(SessionDocument, content, str(path), SessionError).si(path.parent)
     _check_files(session, str(path))
     return session
 
@@ -63,20 +74,19 @@ def session_of(description: Mapping[str, Any], data: Data | None = None) -> Sess
     >>> chunk.accel[0].tolist()
     [0.0, 0.0, 9.80665]
     """
-    if data is None:
-        session = _document(description, _DESCRIPTION).si(None)
-        _check_files(session, _DESCRIPTION)
-        return session
-    from tumble.recording.samples import samples_of  # polars is heavy, and only needed here
+    where = "session"
+    samples: tuple[Samples, ...] = ()
+    if data is not None:
+        from tumble.recording.readers import samples_of  # polars is heavy, and only needed here
 
-    log, samples = description.get("log"), samples_of(data)
-    if isinstance(log, Mapping) and "file" in log:
-        raise SessionError(f"{_DESCRIPTION}: log.file: expected none beside samples in memory, found {log['file']!r}")
-    if isinstance(log, Mapping):
-        description = {**description, "log": {**log, "file": [part.name for part in samples]}}
-    session = _document(description, _DESCRIPTION).si(None)
-    session = replace(session, log=replace(session.log, files=samples))
-    _check_files(session, _DESCRIPTION)
+        log, samples = description.get("log"), samples_of(data)
+        if isinstance(log, Mapping) and "file" in log:
+            raise SessionError(f"{where}: log.file: expected none beside samples in memory, found {log['file']!r}")
+        if isinstance(log, Mapping):
+            description = {**description, "log": {**log, "file": [part.name for part in samples]}}
+    session = validated(SessionDocument, description, where, SessionError).si(None)
+    session = replace(session, log=replace(session.log, files=samples or session.log.files))
+    _check_files(session, where)
     return session
 
 
@@ -104,34 +114,13 @@ def write_session(folder: FilePath, content: Mapping[str, Any]) -> None:
     """
     folder = Path(folder)
     path = folder / SESSION_FILE
-    _document(content, str(path))
+    validated(SessionDocument, content, str(path), SessionError)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as temporary:
             temporary.write_text(tomli_w.dumps(content), encoding="utf-8")
     except OSError as error:
         raise SessionError(f"{path}: expected a folder to write to, found: {error.strerror}") from None
-
-
-def _parsed(path: Path) -> dict[str, Any]:
-    if path.name != SESSION_FILE:
-        raise SessionError(
-            f"{path}: expected a session folder or its {SESSION_FILE}, found another file; of a log `tumble new` makes "
-            "a session, and so does `tumble calibrate` with --latitude"
-        )
-    try:
-        return toml_of(text_of_document(path), str(path), SessionError)
-    except FileNotFoundError:
-        found = "none" if path.parent.is_dir() else "no such folder"
-        raise SessionError(f"{path}: expected a session folder with a {SESSION_FILE}, found {found}") from None
-    except UnicodeDecodeError as error:
-        raise SessionError(f"{path}: expected UTF-8 text, found {error.reason}; save it as UTF-8") from None
-    except OSError as error:
-        raise SessionError(f"{path}: expected a readable file, found: {error.strerror}") from None
-
-
-def _document(content: Mapping[str, Any], where: str) -> SessionDocument:
-    return validated(SessionDocument, content, where, SessionError)
 
 
 def _check_files(session: Session, where: str) -> None:
@@ -141,3 +130,21 @@ def _check_files(session: Session, where: str) -> None:
     passport = session.device.systematic
     if passport is not None and not passport.is_file():
         raise SessionError(f"{where}: device.systematic: expected a calibration file at {passport}, found no such file")
+
+
+def description_of(session: Session) -> dict[str, Any]:
+    """What session.toml says of a session, or the description that it was made of, with its defaults left out and its
+    paths absolute; without log.file where its samples are in memory.
+
+    >>> import numpy as np, tumble
+    >>> session = tumble.session_of_arrays(accel=np.tile([0.0, 0.0, 9.81], (300, 1)), rate=100.0)
+    >>> tumble.description_of(session)["log"]
+    {'rate_hz': 100.0, 'accel': {'columns': ['accel_x', 'accel_y', 'accel_z'], 'unit': 'm/s^2'}}
+    """
+    content = deepcopy(dict(session.description))
+    files = [str(file.resolve()) for file in session.log.files if isinstance(file, Path)]
+    del content["log"]["file"]
+    content["log"] |= {"file": files[0] if len(files) == 1 else files} if files else {}
+    if session.device.systematic is not None:
+        content["device"]["systematic"] = str(session.device.systematic.resolve())
+    return content

@@ -22,9 +22,16 @@ from tumble.errors import CalibrationError, InputError, MissingExtraError
 from tumble.files import FilePath, whole_file
 from tumble.inference.estimate import Fit, GroupFinding, HyperparameterEstimate, Integral, Outcome, ProcessBias
 from tumble.inference.prediction import Prediction
-from tumble.recording.autopilot import AutopilotSensor, sensors_content, sensors_from
-from tumble.recording.circumstances import UNKNOWN, Circumstances, circumstances_content, circumstances_from
-from tumble.recording.session import Site
+from tumble.recording.session import (
+    UNKNOWN,
+    AutopilotSensor,
+    Circumstances,
+    Site,
+    circumstances_content,
+    circumstances_from,
+    sensors_content,
+    sensors_from,
+)
 from tumble.result.correction import corrected_readings
 from tumble.result.coverage import with_degrees
 from tumble.result.file import (

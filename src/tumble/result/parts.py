@@ -17,9 +17,8 @@ from scipy.special import stdtrit
 from tumble.documents import shown
 from tumble.inference.estimate import Fit
 from tumble.inference.sources import Source
-from tumble.recording.circumstances import UNKNOWN, Circumstances
-from tumble.recording.session import Site
-from tumble.recording.session.table import LONGEST_NAME
+from tumble.recording.session import UNKNOWN, Circumstances, Site
+from tumble.recording.session.log_tables import LONGEST_NAME
 from tumble.sensors.parameters import is_parameter
 from tumble.units import Array
 

@@ -199,12 +199,8 @@ def _systematic_in(
 
 def readings_of_session(session: Session) -> dict[str, Readings]:
     """What the readings of a session are."""
-    given = {"accel": session.log.accel, "gyro": session.log.gyro}
-    readings = {kind: _readings_in(channels) for kind, channels in given.items() if channels is not None}
-    mag, ones, zeros = session.log.magnetometer, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
-    if mag is not None:
-        readings["mag"] = Readings(columns=mag.columns, unit=mag.unit, increments=False, scale=ones, offset=zeros)
-    return readings
+    given = {"accel": session.log.accel, "gyro": session.log.gyro, "mag": session.log.magnetometer}
+    return {kind: _readings_in(channels) for kind, channels in given.items() if channels is not None}
 
 
 def _readings_in(channels: Channels) -> Readings:

@@ -24,9 +24,8 @@ from tumble.inference.prediction import Prediction, prediction
 from tumble.inference.sources import UncertaintyBudget, by_time_base, clocked, source
 from tumble.methods.ellipsoid_fit import TRIAD
 from tumble.methods.magnetometer import NAMES
-from tumble.recording.circumstances import AirConditions, Circumstances
 from tumble.recording.log import Log
-from tumble.recording.session import Session
+from tumble.recording.session import AirConditions, Circumstances, Session
 from tumble.recording.session_file import session_from
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import by_gravity, degrees_of_mean, shared_gravity

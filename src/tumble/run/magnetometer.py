@@ -20,7 +20,7 @@ from tumble.diagnosis.carried_vertical import signed_permutations
 from tumble.inference.sources import UncertaintyBudget, source
 from tumble.methods.magnetometer import NAMES as MAGNETOMETER_NAMES
 from tumble.methods.magnetometer import magnetometer
-from tumble.recording.session import Magnetometer, Session
+from tumble.recording.session import Channels, Session
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Parameter
@@ -42,7 +42,7 @@ _ORDERS = signed_permutations()
 
 
 def exchanged_columns(
-    accel: SensorModel | None, mag: SensorModel | None, observations: Observations, spec: Magnetometer
+    accel: SensorModel | None, mag: SensorModel | None, observations: Observations, spec: Channels
 ) -> tuple[str, ...]:
     """That another order or polarity of the magnetometer's columns gives one dip angle in all rests, where that of the
     session does not, as a note; none where the columns are in order or the rests do not tell."""
@@ -92,13 +92,13 @@ def with_magnetometer(calibration: Calibration, session: Session, observations: 
     spec, covariance = session.log.magnetometer, calibration.covariance
     if spec is None:
         return calibration
-    found = magnetometer(observations, spec.unit)
+    found = magnetometer(observations, spec.unit_name)
     if found.reasons or found.values is None or found.covariance is None or covariance is None:
         why = "; ".join(found.reasons) or "magnetometer: nothing says how well it is known"
         said = (f"{why}; the rest of the session is calibrated without it",)
         missing = replace(calibration.outcome, unobservable=calibration.outcome.unobservable + MAGNETOMETER_NAMES)
         return replace(calibration, outcome=missing, notes=calibration.notes + said)
-    u, units = np.sqrt(np.diag(found.covariance)), (spec.unit,) * 3 + ("1",) * 3 + ("rad",) * 3
+    u, units = np.sqrt(np.diag(found.covariance)), (spec.unit_name,) * 3 + ("1",) * 3 + ("rad",) * 3
     parameters = tuple(
         Parameter(name=name, value=float(value), u=float(each), unit=unit)
         for name, value, each, unit in zip(MAGNETOMETER_NAMES, found.values, u, units, strict=True)

@@ -21,10 +21,9 @@ from tumble.diagnosis.channels import channel_faults, dead_zones, mixed_rows, no
 from tumble.diagnosis.verdict import no_rests
 from tumble.files import FilePath
 from tumble.inference.estimate import Outcome
-from tumble.recording.circumstances import Circumstances
 from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.rows.gaps import Gap
-from tumble.recording.session import Session
+from tumble.recording.session import Circumstances, Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.blocks.reducer import Reduction, reduce_log
 from tumble.reduction.blocks.tuning import USUAL, Tuning

@@ -29,17 +29,16 @@ import polars as pl
 from tumble.errors import InputError, LogError
 from tumble.files import FilePath
 from tumble.inference.variables import sensors_at
-from tumble.recording.ahead import one_ahead
 from tumble.recording.arrays import SI
 from tumble.recording.columns.names import unit_of_name
-from tumble.recording.description import description_of
-from tumble.recording.log import open_log
+from tumble.recording.log import one_ahead, open_log
 from tumble.recording.log_source import LogSource, rows_of_numbers
 from tumble.recording.readers import source_of
 from tumble.recording.rows.gaps import side_by_side
 from tumble.recording.session import Channels, LogSpec, Session
-from tumble.recording.session_file import session_from
-from tumble.recording.text.clock import times_of
+from tumble.recording.session_file import description_of, session_from
+from tumble.recording.text.dialect import DIALECT_KEYS
+from tumble.recording.text.text_log import times_of
 from tumble.recording.writer import write_tables
 from tumble.reduction.rests.thermometer import followed
 from tumble.result.accepted import accepted_accelerometers, accepted_part
@@ -138,10 +137,13 @@ def apply_to_session(
     parts = _parts(calibration, session)
     log = open_log(session)
     write_tables(path, _tables(session, parts, calibration.compensator, 1.0 / log.rate))
-    written = {part.kind: part.written for part in parts}
-    spec = replace(session.log, files=(path.resolve(),), dialect=None)
-    accel, gyro = written.get("accel", spec.accel), written.get("gyro", spec.gyro)
-    return description_of(replace(session, log=replace(spec, accel=accel, gyro=gyro)))
+    content = description_of(session)
+    table = {key: value for key, value in content["log"].items() if key not in (*DIALECT_KEYS, "file")}
+    for part in parts:
+        if part.written is not part.channels and part.kind in table:
+            stated = {key: table[part.kind][key] for key in ("columns", "axes") if key in table[part.kind]}
+            table[part.kind] = {**stated, "unit": part.written.unit_name}
+    return {**content, "log": {"file": str(path.resolve()), **table}}
 
 
 def applied(calibration: Calibration | FilePath, session: Session | FilePath) -> tuple[str, ...]:
@@ -186,21 +188,12 @@ def _parts(calibration: Calibration, session: Session) -> tuple[_Correction, ...
         parts.append(_part("gyro", calibration.gyro, session.log.gyro, session))
     if session.log.magnetometer is not None and calibration.mag is not None:
         given, unit = session.log.magnetometer, calibration["mag.bias.x"].unit
-        if given.unit != unit:
+        if given.unit_name != unit:
             raise InputError(
                 f"{session.name}: log.magnetometer.unit: expected that of the calibration, {unit!r}, found "
-                f"{given.unit!r}; calibrate in the unit of the log"
+                f"{given.unit_name!r}; calibrate in the unit of the log"
             )
-        channels = Channels(
-            columns=given.columns,
-            unit=Unit(factor=1.0, kind="rate"),
-            unit_name=unit,
-            scale=np.ones(3),
-            offset=np.zeros(3),
-            axes=np.eye(3),
-            range=None,
-        )
-        parts.append(_Correction(kind="mag", channels=channels, model=calibration.mag))
+        parts.append(_Correction(kind="mag", channels=given, model=calibration.mag))
     return tuple(parts)
 
 

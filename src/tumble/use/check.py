@@ -39,8 +39,7 @@ from tumble.inference.prediction import prediction
 from tumble.inference.variables import variables_of
 from tumble.methods.field_check import ChangedParameter, CheckResult, KnownBefore, field_check
 from tumble.planning.bounds import components_of
-from tumble.recording.circumstances import Circumstances
-from tumble.recording.session import Session, Site
+from tumble.recording.session import Circumstances, Session, Site
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.result.accepted import accepted_accelerometers

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from tumble.drafting.containers.sensor_rows import are_sensors
-from tumble.drafting.dialects.json_lines import column_name, values_of
+from tumble.drafting.dialects.named_values import column_name, values_of
 from tumble.errors import InputError
 from tumble.files import OutputFolder, plain_name, whole_file
 from tumble.recording.columns.names import columns_by_name

@@ -17,6 +17,7 @@ _BINARY = (
     (0, b"TDSm", "TDMS of LabVIEW", "export it as CSV"),
     (0, b"SQLite format 3", "a database", "export its readings as CSV"),
     (0, b"%PDF", "a document", "give the file with the readings"),
+    (257, b"ustar", "an archive of several files (tar)", "unpack it, and give its files"),
 )
 _RECORD = struct.Struct("<17d")
 _WEEK, _HALF_TURN = 604_800.0, 3.1416
@@ -28,10 +29,6 @@ def check_is_log(file: Path, seen: bytes) -> None:
     for start, mark, name, advice in _BINARY:
         if seen[start : start + len(mark)] == mark:
             raise InputError(f"{file}: expected a log, found {name}; {advice}")
-    if seen[257:262] == b"ustar":
-        raise InputError(
-            f"{file}: expected a log, found an archive of several files (tar); unpack it, and give its files"
-        )
     if _is_sbet(file, seen):
         raise InputError(
             f"{file}: expected readings of accelerometers and gyros, found a trajectory (SBET), which a filter has "

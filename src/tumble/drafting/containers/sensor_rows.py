@@ -5,20 +5,16 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Collection, Sequence
 from itertools import pairwise
 from pathlib import Path
 
+from tumble.drafting.dialects.spelling import LONGEST_LINE, MOST_SENSORS, copied
 from tumble.errors import InputError
-from tumble.files import OutputFolder, plain_name, whole_file
+from tumble.files import OutputFolder
 from tumble.recording.columns.names import ACCEL, GYRO, SENSOR_WORDS, columns_by_name
-from tumble.recording.log_source import readable
 from tumble.recording.text.dialect import Dialect, Top, is_clock
-from tumble.recording.text.pieces import opened
 
-_MOST_SENSORS = 20
-_LONGEST_LINE = 4096
 _STATED = re.compile(r"^[#%\s]*(?:[^'#%]*')?")
 _UNNAMED = ("time", "x", "y", "z")
 
@@ -27,7 +23,7 @@ def are_sensors(words: Sequence[str], dialect: Dialect) -> bool:
     """Whether the cells of a column are names of sensors: few words, one of which is that of accelerometers."""
     named = Counter(words)
     return (
-        2 <= len(named) <= _MOST_SENSORS
+        2 <= len(named) <= MOST_SENSORS
         and not any(not word or dialect.is_number(word) or is_clock(word) for word in named)
         and any(SENSOR_WORDS[ACCEL].search(word) for word in named)
     )
@@ -42,15 +38,18 @@ def split_by_header(file: Path, seen: bytes, folder: OutputFolder) -> list[Path]
     for delimiter in (",", ";"):
         words = {line.partition(delimiter)[0] for line in lines if not line.startswith(("#", "%"))}
         named = {word: names for word, *names in (line.split(delimiter) for line in stated) if word in words}
-        kinds = {word: names for word, names in named.items() if {ACCEL, GYRO} & set(columns_by_name(names).triads)}
+        inertial = (word for word, names in named.items() if {ACCEL, GYRO} & set(columns_by_name(names).triads))
+        kinds = {word: ",".join(named[word]) for word in inertial}
         if len(kinds) < 2:
             continue
 
-        def behind(_number: int, line: str, delimiter: str = delimiter) -> tuple[str, str] | None:
-            word, _, rest = line.partition(delimiter)
-            return word, rest.replace(delimiter, ",")
+        def behind(
+            _number: int, line: str, delimiter: str = delimiter, kinds: Collection[str] = kinds
+        ) -> tuple[str, str] | None:
+            word, _, rest = line[:LONGEST_LINE].partition(delimiter)
+            return (word, rest.replace(delimiter, ",")) if word in kinds else None
 
-        return _split(file, "utf-8", folder, {word: ",".join(names) for word, names in kinds.items()}, behind)
+        return copied(file, "utf-8", folder, kinds.__getitem__, behind)
     return []
 
 
@@ -75,37 +74,9 @@ def split_by_sensor(file: Path, seen: bytes, dialect: Dialect, top: Top, folder:
         )
 
     def row(number: int, line: str) -> tuple[str, str] | None:
-        cells = dialect.cells(line)
+        cells = dialect.cells(line[:LONGEST_LINE])
         if number < top.lines or len(cells) != len(top.names):
             return None
         return cells[label], ",".join(cells[j].replace(",", ".") for j in columns)
 
-    return _split(file, dialect.encoding, folder, ",".join(names), row)
-
-
-def _split(
-    file: Path,
-    encoding: str,
-    folder: OutputFolder,
-    names: str | dict[str, str],
-    row: Callable[[int, str], tuple[str, str] | None],
-) -> list[Path]:
-    """A file for each sensor below `names`, which are those of all or by sensor, and then of these alone; `row` gives
-    the sensor of a line and its values, None where it is none."""
-    parts: dict[str, Path] = {}
-    with ExitStack() as files, readable(file), opened(file, encoding) as stream:
-        outs = {}
-        for number, line in enumerate(stream):
-            sensor_and_values = row(number, line[:_LONGEST_LINE].decode(errors="replace").rstrip("\r\n"))
-            if sensor_and_values is None or not (isinstance(names, str) or sensor_and_values[0] in names):
-                continue
-            sensor, values = sensor_and_values
-            word = plain_name(sensor)
-            if word not in parts:
-                if len(parts) == _MOST_SENSORS:
-                    raise InputError(f"{file}: expected at most {_MOST_SENSORS} sensors, found more")
-                parts[word] = folder.new_file(f"{file.name.partition('.')[0]}-{word}.csv")
-                outs[word] = files.enter_context(files.enter_context(whole_file(parts[word])).open("wb"))
-                outs[word].write(f"{names if isinstance(names, str) else names[sensor]}\n".encode())
-            outs[word].write(values.encode() + b"\n")
-    return list(parts.values())
+    return copied(file, dialect.encoding, folder, lambda _: ",".join(names), row)

@@ -1,18 +1,22 @@
 """Lines that name their values: `ax=0.01 ay=-0.02`, `acc: 0.1, 0.2, 9.8; gyro: …`, `Acc (mg) [ 12.2, …`, `Rotation X:
 0.01, Y: -0.02, Z: 0.00 rad/s`, `GYRO: X=0.01, Y=-0.02, Z=0.00, ACCEL: X=…`; and samples of several such lines, as
 `rostopic echo` prints messages: a name stands for what is above it too, `angular_velocity:` and then `x: 0.1` further
-in, and a sample ends where a name comes again."""
+in, and a sample ends where a name comes again. And lines that are objects of JSON, `{"ts": 0.01, "acc": [0.1, 0.2,
+9.8], "gyro": {"x": 0, …}}`: a list of three numbers is three columns, an object within an object has its name before
+its own."""
 
 from __future__ import annotations
 
+import json
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from typing import Any
 
-from tumble.drafting.dialects.spelling import Spelling, of_named_values
-from tumble.recording.text.dialect import is_clock
+from tumble.drafting.dialects.spelling import LONGEST_LINE, Spelling, of_named_values
+from tumble.recording.text.dialect import Dialect, is_clock
 
-LONGEST_LINE = 4096
 # A word is looked at from its first letter, and once: a line of nothing but letters takes no longer than another one.
 _KEY = re.compile(
     r"(?<![^\W\d])([^\W\d][\w.]*+)\s*(?:\(\s*([^()\d]+?)\s*\)\s*)?(?:[=:]\s*(?=[-+\d.\[(])|(?=\[\s*[-+]?\d+\.))"
@@ -30,6 +34,8 @@ _ABOVE = re.compile(r"([ \t]*)([^\W\d][\w.]*)\s*:\s*")
 _LEAST_NAMES = 6
 _SHARE = 0.8
 _TIME = "time"
+_LABEL = re.compile(r"sensor|type|kind|topic|name", re.IGNORECASE)
+_NAME = re.compile(r"[^\W\d][\w .()-]{0,40}")
 _QUANTITIES = ("velocity", "acceleration", "rate", "field")
 
 
@@ -113,3 +119,45 @@ def _samples() -> Callable[[str], tuple[dict[str, str], int] | None]:
         return done
 
     return fed
+
+
+# -------------------- objects of JSON --------------------
+
+
+def json_lines(lines: Sequence[str]) -> Spelling | None:
+    """The objects that most lines are; None where they are none."""
+    return of_named_values(_json_cells, lines, "objects of JSON")
+
+
+def _json_cells(line: str) -> dict[str, str]:
+    """Names and values of the object in a line; nothing where it is none."""
+    text = line.strip().removeprefix("[").removesuffix("]").strip().removesuffix(",")
+    if not text.startswith("{") or len(text) > LONGEST_LINE:
+        return {}
+    for spelt in (text, text.replace("'", '"')):  # JSON, or as Python prints it
+        with suppress(ValueError, RecursionError):
+            read = json.loads(spelt)
+            return dict(values_of(read)) if isinstance(read, dict) else {}
+    return {}
+
+
+def values_of(read: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
+    """Names and values of an object and those within it: numbers, also as text, times of day, and the names of
+    sensors."""
+    for key, value in read.items():
+        name = before + column_name(key)
+        if isinstance(value, dict):
+            yield from values_of(value, f"{name}_")
+        elif isinstance(value, list) and len(value) == 3:
+            yield from values_of(dict(zip("xyz", value, strict=True)), f"{name}_")
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            yield name, repr(value)
+        elif isinstance(value, str):
+            is_label = _LABEL.search(name) and _NAME.fullmatch(value)
+            if is_label or is_clock(value) or Dialect().is_number(value):
+                yield name, value
+
+
+def column_name(key: str) -> str:
+    """The name of a value as that of a column of a table."""
+    return re.sub('[,"\\s]+', " ", key)

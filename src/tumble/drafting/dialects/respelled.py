@@ -7,19 +7,16 @@ as it is, for the reader to report.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tumble.drafting.dialects.cells import behind_a_clock, in_brackets, list_cells, thousands, units_in_cells
-from tumble.drafting.dialects.json_lines import json_lines
-from tumble.drafting.dialects.named_values import LONGEST_LINE, named_values, several_lines
+from tumble.drafting.dialects.named_values import json_lines, named_values, several_lines
 from tumble.drafting.dialects.sentences import novatel, sentences
-from tumble.drafting.dialects.spelling import Spelling
+from tumble.drafting.dialects.spelling import Spelling, copied
 from tumble.errors import InputError
-from tumble.files import OutputFolder, whole_file
-from tumble.recording.log_source import readable
+from tumble.files import OutputFolder
 from tumble.recording.text.dialect import encoding_of
-from tumble.recording.text.pieces import opened
 
 DIALECTS: tuple[Callable[[Sequence[str]], Spelling | None], ...] = (
     sentences,
@@ -52,22 +49,11 @@ def respelled(file: Path, seen: bytes, folder: OutputFolder) -> tuple[list[Path]
         spelling = Spelling(values=lambda line: [line], said="lines that end in a carriage return")
     if spelling is None:
         return None
-    target = folder.new_file(f"{file.name.partition('.')[0]}.csv")
-    with readable(file), opened(file, encoding) as stream, whole_file(target) as temporary, temporary.open("wb") as out:
-        if spelling.names:
-            out.write(f"{','.join(spelling.names)}\n".encode())
-        for line in _lines(iter(lambda: stream.read(1 << 16), b"")):
-            values = spelling.values(line)
-            if values is not None:
-                out.write((",".join(values) or line.replace(",", " ")).encode() + b"\n")
-    return [target], f"text: {spelling.said}: copied to {target.name} as a table"
+    of_line, names = spelling.values, ",".join(spelling.names)
 
+    def row(_number: int, line: str) -> tuple[str, str] | None:
+        values = of_line(line)
+        return None if values is None else ("", ",".join(values) or line.replace(",", " "))
 
-def _lines(pieces: Iterator[bytes]) -> Iterator[str]:
-    rest = b""
-    for piece in pieces:
-        *whole, rest = (rest + piece).replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
-        yield from (line.decode(errors="replace") for line in whole)
-        rest = rest[:LONGEST_LINE]
-    if rest.strip():
-        yield rest.decode(errors="replace")
+    target = copied(file, encoding, folder, lambda _: names, row)
+    return target, f"text: {spelling.said}: copied to {target[0].name} as a table"

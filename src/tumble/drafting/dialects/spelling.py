@@ -1,13 +1,23 @@
-"""How the lines of a text log that is no table are spelled: the columns they have, and the values of a line."""
+"""How the lines of a text log that is no table are spelled: the columns they have, and the values of a line; and the
+copy of a log, line by line, as a table, or as several."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import TypeVar
+from pathlib import Path
+from typing import IO, TypeVar
+
+from tumble.errors import InputError
+from tumble.files import OutputFolder, plain_name, whole_file
+from tumble.recording.log_source import readable
+from tumble.recording.text.pieces import opened
 
 LEAST_NUMBERS = 3
+LONGEST_LINE = 4096
+MOST_SENSORS = 20
 _SHARE = 0.8
 T = TypeVar("T")
 
@@ -55,3 +65,42 @@ def below_names(
         return row if row is not None else None if line == lines[0] else []
 
     return Spelling(names=names, values=values, said=f"{said} ({', '.join(names)})")
+
+
+def copied(
+    file: Path,
+    encoding: str,
+    folder: OutputFolder,
+    names: Callable[[str], str],
+    row: Callable[[int, str], tuple[str, str] | None],
+) -> list[Path]:
+    """The copies of a text log in a folder, a CSV file for each sensor, below the `names` of its columns; `row` gives
+    the sensor of a line, an empty word where there is one file alone, and its values, None where it is no row."""
+    files: dict[str, Path] = {}
+    outs: dict[str, IO[bytes]] = {}
+    with ExitStack() as stack, readable(file), opened(file, encoding) as stream:
+        for number, line in enumerate(_lines(iter(lambda: stream.read(1 << 16), b""))):
+            sensor_and_values = row(number, line)
+            if sensor_and_values is None:
+                continue
+            sensor, values = sensor_and_values
+            word = plain_name(sensor) if sensor else ""
+            if word not in files:
+                if len(files) == MOST_SENSORS:
+                    raise InputError(f"{file}: expected at most {MOST_SENSORS} sensors, found more")
+                files[word] = folder.new_file(f"{file.name.partition('.')[0]}{f'-{word}' if word else ''}.csv")
+                outs[word] = stack.enter_context(stack.enter_context(whole_file(files[word])).open("wb"))
+                outs[word].write(f"{names(sensor)}\n".encode() if names(sensor) else b"")
+            outs[word].write(values.encode() + b"\n")
+    return list(files.values())
+
+
+def _lines(pieces: Iterator[bytes]) -> Iterator[str]:
+    """Lines whatever they end in."""
+    rest = b""
+    for piece in pieces:
+        *whole, rest = (rest + piece).replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
+        yield from (line.decode(errors="replace") for line in whole)
+        rest = rest[:LONGEST_LINE]
+    if rest.strip():
+        yield rest.decode(errors="replace")

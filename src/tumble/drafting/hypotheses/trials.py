@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -50,7 +50,11 @@ _LARGEST_BIAS = 20.0  # deg/s: what reads more at rest has an offset
 def tried(draft: Draft, progress: Progress) -> tuple[Draft, list[str]]:
     """A draft with what rests and turns say of its guesses, and the faults that are left."""
     looks = _Looks(progress=progress)
-    draft, turned = _with_gyro_unit(_with_scales(draft, looks), looks)
+    if draft.log["accel"]["unit"] == "count":
+        draft = _with_accel_scale(draft, looks)
+    if draft.gyro_unknown and draft.log.get("gyro", {}).get("unit") == "count":
+        draft = _with_gyro_scale(draft, looks)
+    draft, turned = _with_gyro_unit(draft, looks)
     draft = _with_rate(_with_time_unit(draft, looks), turned, looks)
     return replace(draft, said=(*draft.said, *_evidence(draft, looks))), looks.at(draft).faults
 
@@ -76,15 +80,12 @@ class _Look:
         tilted = tilts(self.observations)
         return len(tilted) > 0 and 2 * int(np.count_nonzero(tilted)) >= len(tilted)
 
-    @property
-    def fitting_unit(self) -> str | None:
-        """The unit of the gyros that would fit better than the stated one."""
+    def fitting_unit(self, of: Literal["gyro", "time"]) -> str | None:
+        """The unit of the gyros, or of the times, that would fit better than the stated one."""
         found = self.observed
-        return (
-            fitting_unit(found.trial, found.session, found.rate, "gyro")
-            if found is not None and found.trial is not None and self.faults
-            else None
-        )
+        if found is None or found.trial is None or not self.faults:
+            return None
+        return fitting_unit(found.trial, found.session, found.rate, of)
 
 
 @dataclass(kw_only=True, slots=True)
@@ -106,15 +107,6 @@ class _Looks:
 
 
 # -------------------- counts, from rests and turns --------------------
-
-
-def _with_scales(draft: Draft, looks: _Looks) -> Draft:
-    """A draft with the scales of sensors in counts."""
-    if draft.log["accel"]["unit"] == "count":
-        draft = _with_accel_scale(draft, looks)
-    if draft.gyro_unknown and draft.log.get("gyro", {}).get("unit") == "count":
-        draft = _with_gyro_scale(draft, looks)
-    return draft
 
 
 def _with_accel_scale(draft: Draft, looks: _Looks) -> Draft:
@@ -194,7 +186,8 @@ def _with_gyro_unit(draft: Draft, looks: _Looks) -> tuple[Draft, bool]:
     """A draft with the gyros' unit in which they carry the vertical from rest to rest, or, where nothing turned, read
     the rate of the Earth, or no more at rest than gyros do; and whether anything turned."""
     look, gyro = looks.at(draft), draft.log.get("gyro", {})
-    if draft.gyro_unknown and not look.turned and look.fitting_unit is None and gyro["unit"] in _EARTH_UNITS:
+    fitting = look.fitting_unit("gyro")
+    if draft.gyro_unknown and not look.turned and fitting is None and gyro["unit"] in _EARTH_UNITS:
         latitude_deg = draft.content.get("site", {}).get("latitude_deg")
         for unit in _EARTH_UNITS:
             trial = draft.with_log(gyro={**gyro, "unit": unit})
@@ -209,7 +202,7 @@ def _with_gyro_unit(draft: Draft, looks: _Looks) -> tuple[Draft, bool]:
             gyro = {**gyro, "unit": "deg/s"}
             draft = draft.with_log([f"gyros: in deg/s, not rad/s (a guess): {why}"], gyro=gyro)
             look = looks.at(draft)
-    fitting = look.fitting_unit
+            fitting = look.fitting_unit("gyro")
     clocked = not (draft.rate_guessed or (draft.time_guessed and not draft.gyro_whole))  # else these may be wrong
     if look.faults and draft.gyro_unknown and clocked and fitting is None and gyro["unit"] == "rad/s":
         return _with_gyros_in_counts(draft, looks), True
@@ -261,11 +254,7 @@ def _evidence(draft: Draft, looks: _Looks) -> list[str]:
 
 def _with_time_unit(draft: Draft, looks: _Looks) -> Draft:
     """A draft whose times, if their unit is a guess, are in that in which the gyros carry the vertical."""
-    look = looks.at(draft)
-    found = look.observed
-    if not draft.time_guessed or not look.faults or found is None or found.trial is None:
-        return draft
-    unit = fitting_unit(found.trial, found.session, found.rate, "time")
+    unit = looks.at(draft).fitting_unit("time") if draft.time_guessed else None
     if unit is None:
         return draft
     before = draft.log.get("time_unit", "s")

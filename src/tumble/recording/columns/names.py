@@ -29,16 +29,31 @@ from tumble.recording.columns.patterns import (
     sensor_kind,
     unit_spelling,
 )
-from tumble.recording.columns.thermometers import of_sensors, thermometer
-from tumble.recording.formats.message import Sensors
 
 __all__ = ["ACCEL", "GYRO", "MAGNETOMETER", "SENSOR_WORDS", "TIME_KIND", "Columns", "columns_by_name", "in_order"]
 
 _LETTERS = {"x": "x", "y": "y", "z": "z", "0": "x", "1": "y", "2": "z"}
 _COUNTED = {"1": "x", "2": "y", "3": "z"}
+_THERMOMETER = re.compile(r"(t|temp|temperature)(\d?)")
+_ACCEL_WORD = re.compile(r"(acc|accel|accelerometers?|a)([xyz]?)")
+_GYRO_WORD = re.compile(r"(gyr|gyros?|gyroscopes?|g)([xyz]?)")
+_AXIS_WORD = re.compile(r"[xyz0-9]")
+_UNIT_WORD = re.compile(r"(deg_?)?[ckf]|deg|celsius|kelvin|fahrenheit|raw|counts?|lsb|adc")
+_CHIP = re.compile(r"imu|sensors?|chip|die")
+
+Place = tuple[str, str]
+"""Whose temperature a column has, "accel", "gyro" or "" where its name does not say, and its axis or number, or ""."""
 _DIRECTION = re.compile(
     r"roll|pitch|yaw|longitudinal|long|longit|forward|surge|lateral|lat|transverse|sway|vertical|vert|heave"
 )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Sensors:
+    """Three columns of one kind of sensor, and their unit as session.toml names it; None where nothing says it."""
+
+    columns: tuple[str, str, str]
+    unit: str | None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -87,7 +102,7 @@ def columns_by_name(names: Iterable[str]) -> Columns:
     times = [name for name in free if name not in ("T", interval) and _score(TIME_KIND, name)]
     time = _best(TIME_KIND, times)
     warm = {name: place for name, place in warm.items() if name not in (time, interval)}
-    temperatures = of_sensors(warm, gyros=GYRO in triads)
+    temperatures = _of_sensors(warm, gyros=GYRO in triads)
     return Columns(
         time=time,
         time_unit=None if time is None else time_unit(time),
@@ -156,7 +171,7 @@ def in_order(names: Sequence[str]) -> tuple[str, str, str]:
     >>> in_order(["rate z", "rate x", "rate y"]), in_order(["z", "y", "x"]), in_order(["4", "5", "6"])
     (('rate x', 'rate y', 'rate z'), ('x', 'y', 'z'), ('4', '5', '6'))
     """
-    first = [_axis_and_rest(_split(name)[0]) for name in names]
+    first = [next(iter(_axes(words) or _alone(words)), ("", "")) for words, _ in map(_split, names)]
     of_axis = dict(zip((axis for axis, _ in first), names, strict=True))
     if set(of_axis) == set("xyz") and len({stem for _, stem in first}) == 1:
         names = [of_axis[axis] for axis in "xyz"]
@@ -164,19 +179,12 @@ def in_order(names: Sequence[str]) -> tuple[str, str, str]:
     return x, y, z
 
 
-def _axis_and_rest(words: list[str]) -> tuple[str, str]:
-    """The likeliest reading of a name's words, which may be an axis alone."""
-    alone = (words[0], "") if len(words) == 1 and words[0] in ("x", "y", "z") else ("", "")
-    return next(iter(_axes(words)), alone)
-
-
 def _stems(names: Iterable[str]) -> dict[tuple[str, str], dict[str, str]]:
     """Columns by kind and name without the axis, and then by axis."""
     found: dict[tuple[str, str], dict[str, str]] = {}
     for name in names:
         words, unit = _split(name)
-        alone = [(words[0], "")] if len(words) == 1 and words[0] in ("x", "y", "z") else []
-        for axis, stem in _axes(words) or alone:
+        for axis, stem in _axes(words) or _alone(words):
             kind = sensor_kind(stem, unit)
             if kind is not None:
                 found.setdefault((kind, stem), {}).setdefault(axis, name)
@@ -206,6 +214,11 @@ def _axes(words: list[str]) -> list[tuple[str, str]]:
     return readings
 
 
+def _alone(words: list[str]) -> list[tuple[str, str]]:
+    """The reading of a name that is an axis and nothing else."""
+    return [(words[0], "")] if len(words) == 1 and words[0] in ("x", "y", "z") else []
+
+
 @lru_cache(maxsize=4096)
 def _split(name: str) -> tuple[list[str], str]:
     """The words of a name in small letters and its unit, if it has one: `AccX (m/s²)` is acc, x and m/s²; `gyr_x_dps`
@@ -220,17 +233,13 @@ def _split(name: str) -> tuple[list[str], str]:
     words = _words(name)
     for count in (2, 1):
         unit = "_".join(words[-count:])
-        if len(words) > count and unit in ALL_UNITS and _stands_for_itself(words[:-count]):
-            return words[:-count], unit
+        rest = words[:-count]  # which must have all that a name needs, an axis or the time
+        if rest and unit in ALL_UNITS and (_axes(rest) or score(TIME_KIND, "_".join(rest))):
+            return rest, unit
         inner = "_".join(words[-count - 1 : -1])
         if len(words) > count + 1 and inner in ALL_UNITS and len(inner) > 1 and words[-1] in _LETTERS:
             return [*words[: -count - 1], words[-1]], inner
     return words, ""
-
-
-def _stands_for_itself(words: list[str]) -> bool:
-    """Whether these words have all that a name needs, an axis or the time, so that the next one can be a unit."""
-    return bool(_axes(words)) or bool(score(TIME_KIND, "_".join(words)))
 
 
 def _words(name: str) -> list[str]:
@@ -242,3 +251,61 @@ def _words(name: str) -> list[str]:
     words = [word.lower() for word in words if word]
     said = [word for word in words if word != "axis"]
     return said if len(said) > 1 else words
+
+
+# -------------------- thermometers --------------------
+
+
+def thermometer(words: Sequence[str]) -> Place | None:
+    """What the words of a name say of a thermometer; None where it is none.
+
+    >>> thermometer(["temp", "gyro", "x"]), thermometer(["t3"]), thermometer(["chamber", "temperature"])
+    (('gyro', 'x'), ('', '3'), ('', ''))
+    """
+    at, word = next(((i, w) for i, text in enumerate(words) if (w := _THERMOMETER.fullmatch(text))), (0, None))
+    if word is None:
+        return None
+    kind, place, before, after = "", word[2], words[:at], words[at + 1 :]
+    for other in (*before, *after):
+        kinds = ((ACCEL, _ACCEL_WORD), (GYRO, _GYRO_WORD))
+        whose = next((k for k, pattern in kinds if len(other) > 1 and pattern.fullmatch(other)), "")
+        if whose:
+            kind, place = whose, place or other[-1] * (other[-1] in "xyz")
+        elif _AXIS_WORD.fullmatch(other) and (word[1] != "t" or other.isdecimal()):
+            place = other
+        elif other in after and not (_UNIT_WORD.fullmatch(other) or _CHIP.fullmatch(other)):
+            return None
+    return kind, place
+
+
+def _of_sensors(found: dict[str, Place], *, gyros: bool) -> tuple[str, ...]:
+    """The columns of three accelerometers and, where there are, three gyros, as [log.temperature] has them: one for
+    all, two for the accelerometers and the gyros, or one a sensor. A kind of sensors without one has that of the other
+    kind, or that which names none."""
+    if not found:
+        return ()
+    own = {kind: _of_kind(found, kind, gyros=gyros) for kind in (ACCEL, GYRO)}
+    first, second = own[ACCEL] or own[GYRO], own[GYRO] or own[ACCEL]
+    unnamed = [name for name, (kind, _) in found.items() if not kind]
+    accel, gyro = (kinds or unnamed[:1] or list(found)[:1] for kinds in (first, second))
+    if len(accel) == len(gyro) == 1:
+        return tuple(dict.fromkeys([*accel, *gyro] if gyros else accel))
+    every = (accel, gyro) if gyros else (accel,)
+    return tuple(name for columns in every for name in (columns if len(columns) == 3 else 3 * columns))
+
+
+def _of_kind(found: dict[str, Place], kind: str, *, gyros: bool) -> list[str]:
+    """The three thermometers of the sensors of a kind, or the one that it has; none where it has none of its own."""
+    for whose in (kind, ""):
+        by_place = {place: name for name, (of, place) in found.items() if of == whose and place}
+        numbered = sorted(place for place in by_place if place.isdecimal())
+        if set("xyz") <= by_place.keys():
+            return [by_place[axis] for axis in "xyz"]
+        if "".join(numbered) in ("012", "123"):
+            return [by_place[place] for place in numbered]
+        if not whose and gyros and "".join(numbered) in ("012345", "123456"):
+            return [by_place[place] for place in (numbered[:3] if kind == ACCEL else numbered[3:])]
+        alone = [name for name, (of, place) in found.items() if of == whose == kind and not place]
+        if alone:
+            return alone[:1]
+    return []

@@ -13,12 +13,12 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
-from tumble.recording.columns.names import ACCEL, GYRO, Columns, in_order
+from tumble.recording.columns.names import ACCEL, GYRO, Columns, Sensors, in_order
 from tumble.recording.columns.scales import CANDIDATES, NEAR
-from tumble.recording.formats.message import Sensors
 from tumble.units import Array, BoolArray
 
 _ELEMENT = re.compile(r"(.*)\[\d+\]")
@@ -96,27 +96,25 @@ def columns_by_data(names: Sequence[str], read: Array) -> ToldColumns:
     """What the columns (m, n) of a table with these names are; no triads where nothing looks like accelerometers.
     Columns of no numbers are NaN."""
     if not len(read):
-        return ToldColumns(columns=Columns(time=None, time_unit=None, triads={}, temperatures=(), others=()))
+        return ToldColumns(columns=Columns(time=None, time_unit=None, triads={}))
     growing = [j for j in range(len(names)) if grows(read[:, j])]
     read_at_all = [j for j in range(len(names)) if j not in growing and np.isfinite(read[:, j]).mean() > 0.5]
     attitudes = _attitudes(read, read_at_all)
     numbers = [j for j in read_at_all if j not in attitudes and _is_sensor(read[:, j])]
     runs = [(j, j + 1, j + 2) for j in numbers if j + 1 in numbers and j + 2 in numbers]
     runs = [run for run in runs if _are_one_sensor([names[j] for j in run])]
-    ranked: list[_Hypothesis] = []
-    if runs and len(read) >= _FEWEST_ROWS:
-        ranked = _hypotheses(read, runs, numbers, fused=bool(attitudes))
-    found: dict[str, Run] = {}
-    if ranked:
-        best = ranked[0]
-        found = {ACCEL: best.accel} | ({} if best.gyro is None else {GYRO: best.gyro})
+    enough = bool(runs) and len(read) >= _FEWEST_ROWS
+    ranked = _hypotheses(read, runs, numbers, fused=bool(attitudes)) if enough else []
+    best = {ACCEL: ranked[0].accel, GYRO: ranked[0].gyro} if ranked else {}
     return ToldColumns(
         columns=Columns(
-            time=_time([names[j] for j in growing], read[:, growing]),
+            time=time_by_data(names, read) or (names[growing[0]] if growing else None),
             time_unit=None,
-            triads={kind: Sensors(columns=in_order([names[j] for j in run]), unit=None) for kind, run in found.items()},
-            temperatures=(),
-            others=(),
+            triads={
+                kind: Sensors(columns=in_order([names[j] for j in run]), unit=None)
+                for kind, run in best.items()
+                if run is not None
+            },
         ),
         rivals=_weighed(names, ranked) if ranked else "",
     )
@@ -140,7 +138,9 @@ def _hypotheses(read: Array, runs: Sequence[Run], numbers: Sequence[int], *, fus
     if not quiet.any():
         return []
     noise = {run: _unlike_noise(read[:, run], quiet) for run in runs}
-    amid = {run: _AMID * _is_amid(run, numbers) for run in runs}
+    # where columns side by side are counted in threes, three are some of two threes
+    first = {j: next(k for k in range(j, -1, -1) if k - 1 not in numbers) for j in numbers}
+    amid = {run: _AMID * ((run[0] - first[run[0]]) % len(run) != 0) for run in runs}
     accels = {run: _cost_of_accelerometers(read[:, run], quiet, fused=fused) + noise[run] + amid[run] for run in runs}
     found = [_Hypothesis(cost=cost, of_accel=cost, accel=run, gyro=None) for run, cost in accels.items()]
     for accel, cost in accels.items():
@@ -165,7 +165,8 @@ def _cost_of_accelerometers(columns: Array, quiet: BoolArray, *, fused: bool) ->
     centres = [(middle * np.ones(3), 0.0) for middle in (0.0, *(MIDDLES if whole and (means > 0.0).all() else ()))]
     spread = float(np.linalg.norm(means.std(axis=0)))
     if len(means) > len("xyz") and spread > 0.0:
-        centres.append((_centre(means), 1.0))
+        rows = np.column_stack([2.0 * means, np.ones(len(means))])  # of the sphere through the means
+        centres.append((np.linalg.lstsq(rows, (means**2).sum(axis=1), rcond=None)[0][:3], 1.0))
     costs = []
     for centre, free in centres:
         lengths = np.linalg.norm(means - centre, axis=1)
@@ -194,37 +195,31 @@ def _unsteady(columns: Array, quiet: BoolArray) -> float:
     return min(of_rests**2, _MOST) + _BIAS * float(np.log1p(bias))
 
 
-def _cost_of_turns(columns: Array, accel: Array, quiet: BoolArray) -> float:
+def _cost_of_turns(rates: Array, accel: Array, quiet: BoolArray) -> float:
     """What it costs to say that three columns turn the vector of the accelerometers (m, 3), which is worth something
-    where they do; nothing where too little turns."""
-    share = _share_carried(columns - np.median(_rests(columns, quiet)[0], axis=0), accel)
-    return 0.0 if share is None else _CARRIED * (0.5 - share)
-
-
-def _share_carried(rates: Array, accel: Array) -> float | None:
-    """The share of the changes of the accelerometers' vector (m, 3) that rates (m, 3), whatever their scales and axes,
-    explain as a turn, da = −(M ω) × a; None where too little turns."""
+    where they do; nothing where too little turns. They turn it by the share of its changes that the rates (m, 3),
+    whatever their scales and axes, explain as a turn, da = −(M ω) × a."""
+    rates = rates - np.median(_rests(rates, quiet)[0], axis=0)
     known = np.isfinite(rates).all(axis=1) & np.isfinite(accel).all(axis=1)
     rates, accel = rates[known], accel[known]
-    if len(accel) < 4 * _FEWEST_MOVES:
-        return None
+    if not len(accel):
+        return 0.0
     length = float(np.median(np.linalg.norm(accel, axis=1))) or 1.0
     width = 1
-    while True:
-        blocks = len(accel) // width
-        if blocks < 4 * _FEWEST_MOVES:
-            return None
+    while (blocks := len(accel) // width) >= 4 * _FEWEST_MOVES:
         a = accel[: blocks * width].reshape(blocks, width, 3).mean(axis=1) / length
-        w = rates[: blocks * width].reshape(blocks, width, 3).mean(axis=1)
         change = np.diff(a, axis=0)
         size = np.linalg.norm(change, axis=1)
         rank = max(_FEWEST_MOVES, blocks // 200)
         if np.partition(size, -rank)[-rank] >= 2.0 * _MOVES:
             break
         width *= 2
+    else:
+        return 0.0
     moves = (size > max(_MOVES, 5.0 * float(np.median(size)))) & (size < _JUMPS)
     if np.count_nonzero(moves) < _FEWEST_MOVES:
-        return None
+        return 0.0
+    w = rates[: blocks * width].reshape(blocks, width, 3).mean(axis=1)
     middle, rate = 0.5 * (a[1:] + a[:-1])[moves], 0.5 * (w[1:] + w[:-1])[moves]
     axes = np.eye(3)
     rows = np.stack([np.cross(middle, axes[i]) * rate[:, [j]] for i in range(3) for j in range(3)], axis=2)
@@ -232,7 +227,7 @@ def _share_carried(rates: Array, accel: Array) -> float | None:
     matrix = rows.reshape(len(wanted), 9)
     matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
     left = wanted - matrix @ np.linalg.lstsq(matrix, wanted, rcond=None)[0]
-    return 1.0 - float(left @ left) / float(wanted @ wanted)
+    return _CARRIED * (float(left @ left) / float(wanted @ wanted) - 0.5)
 
 
 def _unlike_noise(columns: Array, quiet: BoolArray) -> float:
@@ -247,7 +242,8 @@ def _unlike_noise(columns: Array, quiet: BoolArray) -> float:
 def _are_one_sensor(names: Sequence[str]) -> bool:
     """Whether three names differ in one word or letter alone, as those of the axes of a sensor do: TRSS, TQly and TSNR
     do not."""
-    if len({_array(name) for name in names}) > 1:
+    arrays = {found[1] if (found := _ELEMENT.fullmatch(name)) else "" for name in names}  # `imu/fb` of `imu/fb[2]`
+    if len(arrays) > 1:
         return False
     parts = [re.findall(r"[^\W\d_]+|\d+", name.lower()) for name in names]
     if len(set(map(len, parts))) != 1:
@@ -258,52 +254,26 @@ def _are_one_sensor(names: Sequence[str]) -> bool:
     return len(set(map(len, apart[0]))) == 1 and sum(len(set(of)) > 1 for of in zip(*apart[0], strict=True)) == 1
 
 
-def _array(name: str) -> str:
-    """The array that a column is of, `imu/fb` of `imu/fb[2]`; nothing for others."""
-    found = _ELEMENT.fullmatch(name)
-    return found[1] if found else ""
-
-
-def _is_amid(run: Run, numbers: Sequence[int]) -> bool:
-    """Whether three columns are some of two threes, where columns side by side are counted in threes."""
-    first = run[0]
-    while first - 1 in numbers:
-        first -= 1
-    return (run[0] - first) % len(run) != 0
-
-
 def _attitudes(read: Array, numbers: Sequence[int]) -> set[int]:
     """Columns of quaternions, rounded ones too, and of vectors of unit length or of gravity that a filter has made:
-    three or four whose length is one and the same in motion too, which no sensor reads."""
+    three or four that change their direction, and never their length, in motion too, which no sensor reads."""
     found: set[int] = set()
-    for width in (4, 3):
-        for first in numbers:
-            run = [first + k for k in range(width)]
-            if not found & set(run) and set(run) <= set(numbers) and _turns_alone(read[:, run]):
+    for width, first in product((len("wxyz"), len("xyz")), numbers):
+        run = [first + k for k in range(width)]
+        columns = read[np.isfinite(read[:, run]).all(axis=1)][:, run] if set(run) <= set(numbers) - found else read[:0]
+        if len(columns):
+            length, spread = np.linalg.norm(columns, axis=1), columns.std(axis=0)
+            four = width == len("wxyz") and abs(length.mean() - 1.0) < _UNIT_NORM and spread.min() > _TURNED
+            alike = _ROUNDED_NORM if four else _SAME_NORM
+            if length.std() < min(alike * length.mean(), 0.1 * spread.max()):
                 found |= set(run)
     return found
-
-
-def _turns_alone(columns: Array) -> bool:
-    """Whether vectors change their direction, and never their length."""
-    columns = columns[np.isfinite(columns).all(axis=1)]
-    if not len(columns):
-        return False
-    length, spread = np.linalg.norm(columns, axis=1), columns.std(axis=0)
-    four = columns.shape[1] == len("wxyz") and abs(length.mean() - 1.0) < _UNIT_NORM and spread.min() > _TURNED
-    alike = _ROUNDED_NORM if four else _SAME_NORM
-    return bool(length.std() < min(alike * length.mean(), 0.1 * spread.max()))
 
 
 def time_by_data(names: Sequence[str], read: Array) -> str | None:
     """The column of a table (m, n) that is a time; None where none grows as one, or only a counter of samples."""
     growing = [j for j in range(len(names)) if grows(read[:, j]) and not _counts(read[:, j])]
     return names[growing[0]] if growing else None
-
-
-def _time(names: Sequence[str], read: Array) -> str | None:
-    """The time among columns that grow: the first that is no counter of samples, else the first."""
-    return time_by_data(names, read) or (names[0] if names else None)
 
 
 def _is_sensor(column: Array) -> bool:
@@ -357,9 +327,3 @@ def _rests(columns: Array, quiet: BoolArray) -> tuple[Array, Array]:
     means, scatter = _means(columns)
     known = quiet & np.isfinite(means).all(axis=1)
     return means[known], np.median(scatter[known], axis=0)
-
-
-def _centre(means: Array) -> Array:
-    """Centre (3,) of the sphere through points (m, 3)."""
-    rows = np.column_stack([2.0 * means, np.ones(len(means))])
-    return np.asarray(np.linalg.lstsq(rows, (means**2).sum(axis=1), rcond=None)[0][:3])

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tumble.recording.columns.names import ACCEL, GYRO
-from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, Unit
+from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, Array, Unit
 
 NEAR = 0.06
 """Logarithm of what is found over what a candidate reads: scale errors of small sensors, and what a few rests leave."""
@@ -30,6 +30,17 @@ GYRO_COUNTS: tuple[float, ...] = tuple(
     )
 )
 """Counts per °/s of data sheets: of the ranges of 16 bits, of other makers' mdps per count, of the BNO055 (16)."""
+
+
+FASTEST = 4200.0 * DEGREE
+"""rad/s: beyond the widest range of data sheets, 4000 °/s."""
+
+_STEPS = (*(full / 32768.0 for full in GYRO_RANGES), *(round(1.0 / counts, 12) for counts in GYRO_COUNTS))
+"""°/s per count."""
+_DECIMALS = range(9)
+_ROUNDED, _FEWEST, _SHARE = 0.2, 20, 0.99
+_SINGLE = 1e-6  # of the largest: what numbers of 32 bits are rounded to
+_DIGITS = 6  # that programs write of a number, unless they are told otherwise
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -113,3 +124,24 @@ def matched(kind: str, found: float, *, whole: bool) -> ScaleMatch:
     units = [c for c in ranked if c.unit is not None and abs(np.log(found / c.value)) <= NEAR]
     nearest = units[0] if units and not whole else ranked[0]
     return ScaleMatch(kind=kind, found=found, nearest=nearest, rival=next(c for c in ranked if c is not nearest))
+
+
+def step_in_deg_s(read: Array) -> float | None:
+    """The step, °/s, of a data sheet of which the readings (N, 3) are multiples, as counts written in °/s are;
+    None where they are of none, or rounded to more than a fifth of it."""
+    values = [np.unique(column[np.isfinite(column)]) for column in read.T]
+    if min(map(len, values)) < _FEWEST:
+        return None
+    whole = np.concatenate(values)
+    decimals = (d for d in _DECIMALS if np.abs(whole - whole.round(d)).max() < 1e-3 * 10.0**-d)
+    last = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(whole), 1e-300))) + 1 - _DIGITS)
+    six_digits = np.abs(whole / last - np.rint(whole / last)).max() < 1e-3
+    rounding = max(10.0 ** -next(decimals, 9), _SINGLE * float(np.abs(whole).max()), six_digits * float(last.max()))
+    apart = [column[1:] - column[0] for column in values]
+    for step in sorted(_STEPS, reverse=True):
+        counts = (a / step for a in apart)
+        if rounding < _ROUNDED * step and all(
+            np.mean(np.abs(count - count.round()) <= rounding / step) >= _SHARE for count in counts
+        ):
+            return step
+    return None

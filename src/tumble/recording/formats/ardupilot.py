@@ -7,10 +7,9 @@ ArduPilot subtracts its own offsets and divides by its own scales before it logs
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from functools import partial
+from collections.abc import Mapping
+from contextlib import ExitStack, redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +17,12 @@ import numpy as np
 import polars as pl
 from pymavlink.DFReader import DFReader_binary, DFReader_text
 
-from tumble.recording.autopilot import AutopilotSensor
-from tumble.recording.formats.message import AXES, TIME, Message, triad
-from tumble.recording.panic import COMMAND_LINE
+from tumble.recording.formats import AXES, TIME, Message, triads_of
+from tumble.recording.panic import COMMAND_LINE, without_panic
+from tumble.recording.session import AutopilotSensor
 
 NOTHING = "no messages IMU or ACC; set bit 'IMU' of LOG_BITMASK and record again"
 
-_STDERR = 2
 _PARAMETER = "PARM"
 _NAMED_INSIDE = 3  # INS_ACC3_ID, but INS4_ACC_ID
 _SECOND = 1e-6  # times are in µs
@@ -42,7 +40,11 @@ def messages(path: Path) -> list[Message]:
     """Messages with inertial sensors, an entry for each instance; read at one pass."""
     kept: dict[tuple[str, int], list[list[float]]] = {}
     ids: dict[str, int] = {}
-    with _silent():
+    with ExitStack() as stack:
+        if COMMAND_LINE.get():  # pymavlink prints a line for every byte that it skips, from Python and from C
+            stack.enter_context(without_panic(silent=True))
+            nowhere = stack.enter_context(redirect_stdout(StringIO()))
+            stack.enter_context(redirect_stderr(nowhere))
         log = DFReader_binary(str(path)) if path.suffix.lower() == ".bin" else DFReader_text(str(path))
         try:
             while (message := log.recv_match(type=[*_FIELDS, _PARAMETER])) is not None:
@@ -50,34 +52,14 @@ def messages(path: Path) -> list[Message]:
                 if kind == _PARAMETER:
                     ids |= {message.Name: int(message.Value)} if message.Name.endswith("_ID") else {}
                     continue
-                kept.setdefault((kind, int(message.I)), []).append(_reading(kind, message))
+                taken = getattr(message, "SampleUS", message.TimeUS)
+                temperature = [getattr(message, "T", math.nan)] if kind == "IMU" else []
+                reading = [taken, *(getattr(message, field) for field in _FIELDS[kind].values()), *temperature]
+                kept.setdefault((kind, int(message.I)), []).append(reading)
         finally:
             log.close()
     origin = min((rows[0][0] for rows in kept.values()), default=0.0)
     return [_message(kind, instance, np.array(rows), origin, ids) for (kind, instance), rows in sorted(kept.items())]
-
-
-@contextmanager
-def _silent() -> Iterator[None]:
-    """In a command, nothing is printed: pymavlink prints a line for every byte that it skips, from Python and from
-    C."""
-    if not COMMAND_LINE.get():
-        yield
-        return
-    with Path(os.devnull).open("w", encoding="utf-8") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
-        kept = os.dup(_STDERR)
-        os.dup2(nowhere.fileno(), _STDERR)
-        try:
-            yield
-        finally:
-            os.dup2(kept, _STDERR)
-            os.close(kept)
-
-
-def _reading(kind: str, message: Any) -> list[float]:
-    taken = getattr(message, "SampleUS", message.TimeUS)
-    temperature = [getattr(message, "T", math.nan)] if kind == "IMU" else []
-    return [taken, *(getattr(message, field) for field in _FIELDS[kind].values()), *temperature]
 
 
 def _message(kind: str, instance: int, rows: Any, origin: float, ids: Mapping[str, int]) -> Message:
@@ -91,10 +73,9 @@ def _message(kind: str, instance: int, rows: Any, origin: float, ids: Mapping[st
     return Message(
         name=f"{kind}.{instance}",
         count=len(rows),
-        accel=None if kind == "GYR" else triad("accel", "m/s^2"),
-        gyro=None if kind == "ACC" else triad("gyro", "rad/s"),
+        triads=triads_of(names, {"accel": "m/s^2", "gyro": "rad/s"}),
         temperatures=(_TEMPERATURE,) if warm else (),
-        rows=partial(_tables, rows[:, : len(names)], names),
+        rows=lambda: iter([pl.DataFrame(rows[:, : len(names)], schema=names, orient="row")]),
         remark=_REMARK,
         imu={
             sensor: AutopilotSensor(number=number, id=ids.get(f"{prefix}_{word}{counted}_ID") or None)
@@ -102,7 +83,3 @@ def _message(kind: str, instance: int, rows: Any, origin: float, ids: Mapping[st
             if kind in ("IMU", word)
         },
     )
-
-
-def _tables(rows: Any, names: list[str]) -> Iterator[pl.DataFrame]:
-    yield pl.DataFrame(rows, schema=names, orient="row")

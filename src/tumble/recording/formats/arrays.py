@@ -21,12 +21,12 @@ from scipy.io import loadmat
 from scipy.io.matlab import MatlabOpaque, MatReadError
 
 from tumble.errors import InputError
-from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, columns_by_name
+from tumble.recording.columns.names import ACCEL, columns_by_name
 from tumble.recording.columns.names import Columns as Known
 from tumble.recording.columns.numbers import columns_by_data, grows
-from tumble.recording.formats.message import TIME, Message
+from tumble.recording.formats import TIME, Message
 from tumble.recording.rows.gaps import is_reading
-from tumble.recording.text.unpacked import LARGEST_RATIO, SMALL_BYTES
+from tumble.recording.text.pieces import LARGEST_RATIO, SMALL_BYTES
 from tumble.units import TIME_UNITS
 
 NOTHING = "no arrays named as accelerometers are, such as acc_x or accel (m, 3)"
@@ -41,7 +41,7 @@ Columns = Mapping[str, tuple[str, int | None]]
 
 def messages(path: Path) -> list[Message]:
     """Tables with inertial sensors, one for each length of arrays; those whose names say so come first."""
-    shapes = _shapes(path)
+    shapes = {name: shape for name, (shape, _) in _arrays(path).items() if len(shape) in (1, 2)}
     by_name: list[Message] = []
     by_data: list[Message] = []
     for length in sorted({max(shape) for shape in shapes.values()}, reverse=True):
@@ -57,9 +57,7 @@ def messages(path: Path) -> list[Message]:
             Message(
                 name=f"{length} rows",
                 count=length,
-                accel=known.triads.get(ACCEL),
-                gyro=known.triads.get(GYRO),
-                magnetometer=known.triads.get(MAGNETOMETER),
+                triads=known.triads,
                 temperatures=known.temperatures,
                 timed=known.time is not None,
                 remark=remark,
@@ -91,17 +89,12 @@ def _columns(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> Iterator[tupl
             yield name, (name, None)
         elif 3 <= min(shape) <= _WIDEST:
             axes = list(range(min(shape)))
-            time = _time_of_four(path, name) if len(axes) == 4 else None
+            ends = {axis: _read_whole(path, {name: (name, axis)})[:, 0] for axis in (0, 3) if len(axes) == 4}
+            time = next((axis for axis, column in ends.items() if grows(column)), None)
             if time is not None:
                 axes.remove(time)
                 yield f"{name}/t", (name, time)
             yield from ((f"{name}[{at}]", (name, axis)) for at, axis in enumerate(axes))
-
-
-def _time_of_four(path: Path, name: str) -> int | None:
-    """Which of the four columns of an array is a time: the first or the last."""
-    read = _read_whole(path, {str(axis): (name, axis) for axis in (0, 3)})
-    return next((axis for axis, column in zip((0, 3), read.T, strict=True) if grows(column)), None)
 
 
 def _with_told_by_data(path: Path, columns: Columns, known: Known) -> tuple[Known, str]:
@@ -120,11 +113,6 @@ def _with_told_by_data(path: Path, columns: Columns, known: Known) -> tuple[Know
         return replace(known, triads=named), ""
     known = replace(known, triads={**found.triads, **named}, time=known.time or found.time)
     return known, "; ".join(told.said(named))
-
-
-def _shapes(path: Path) -> dict[str, tuple[int, ...]]:
-    """Shapes of the arrays of numbers of one or two dimensions by their paths."""
-    return {name: shape for name, (shape, _) in _arrays(path).items() if len(shape) in (1, 2)}
 
 
 def _rows(path: Path, columns: Columns, time: str | None, factor: float) -> Iterator[pl.DataFrame]:
@@ -190,17 +178,14 @@ def _nested(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
     for name, value in content.items():
         if isinstance(value, np.ndarray) and value.dtype.names:
             value = {field: value[field] for field in value.dtype.names}
-        samples = list(value) if isinstance(value, list) or _of_objects(value) else []
+        objects = isinstance(value, np.ndarray) and value.dtype.kind == "O" and value.ndim == 1
+        samples = list(value) if objects or isinstance(value, list) else []
         if samples and all(isinstance(sample, dict) for sample in samples):
             value = _stacked(samples)
         if isinstance(value, dict):
             yield from _nested(value, f"{prefix}{name}/")
         elif isinstance(value, np.ndarray) and value.dtype.kind in "fiu" and not name.startswith("__"):
             yield prefix + name, (value.shape, value.__getitem__)
-
-
-def _of_objects(value: Any) -> bool:
-    return isinstance(value, np.ndarray) and value.dtype.kind == "O" and value.ndim == 1
 
 
 def _stacked(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

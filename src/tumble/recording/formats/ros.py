@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
 from itertools import islice
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -20,28 +20,28 @@ import polars as pl
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from tumble.recording.columns.thermometers import thermometer
-from tumble.recording.formats.message import AXES, TIME, Message, triad
+from tumble.recording.columns.names import thermometer
+from tumble.recording.formats import AXES, TIME, Message, triads_of
 
 NOTHING = "no topic of type sensor_msgs/Imu"
 
-_IMU, _FIELD = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField"
-_TEMPERATURE = "sensor_msgs/msg/Temperature"
-_COLUMNS: Mapping[str, tuple[str, ...]] = {
-    _IMU: (*triad("accel", None).columns, *triad("gyro", None).columns),
-    _FIELD: triad("field", None).columns,
-    _TEMPERATURE: ("temperature",),
+_IMU, _TEMPERATURE = "sensor_msgs/msg/Imu", "sensor_msgs/msg/Temperature"
+_UNITS = {"accel": "m/s^2", "gyro": "rad/s", "field": "uT"}
+_FIELDS: Mapping[str, Mapping[str, tuple[str, float]]] = {
+    _IMU: {f"accel_{axis}": (f"linear_acceleration.{axis}", 1.0) for axis in AXES}
+    | {f"gyro_{axis}": (f"angular_velocity.{axis}", 1.0) for axis in AXES},
+    "sensor_msgs/msg/MagneticField": {f"field_{axis}": (f"magnetic_field.{axis}", 1e6) for axis in AXES},
+    _TEMPERATURE: {"temperature": ("temperature", 1.0)},
 }
+"""Columns of each type of message: its field, and how many of the unit of the column are one of its."""
 _ROWS = 1 << 15
 _LOOK = 100
-_MICROTESLA = 1e6  # in a tesla
 
 
 def messages(path: Path) -> list[Message]:
     """Topics with inertial sensors."""
     with _opened(path) as bag:
-        found = [(c.topic, c.msgtype, c.msgcount) for c in bag.connections if c.msgtype in _COLUMNS]
-    filled = [(topic, kind, count) for topic, kind, count in found if count]
+        filled = [(c.topic, c.msgtype, c.msgcount) for c in bag.connections if c.msgtype in _FIELDS and c.msgcount]
     origin = min((next(_stamped(path, topic))[0] for topic, _, _ in filled), default=0)
     return [_message(path, origin, topic, kind, count) for topic, kind, count in filled]
 
@@ -51,27 +51,19 @@ def _opened(path: Path) -> AnyReader:
 
 
 def _message(path: Path, origin: int, topic: str, kind: str, count: int) -> Message:
-    columns = _COLUMNS[kind]
+    columns = tuple(_FIELDS[kind])
     if kind == _TEMPERATURE:  # called by the sensors, where the name of the topic says whose it is
         whose, _ = thermometer(re.findall("[a-z]+", topic.lower())) or ("", "")
         columns = (f"{whose}_temperature",) if whose else columns
-    rows = partial(_rows, path, origin, topic, columns)
     look = next(_tables(islice(_readings(path, origin, topic), _LOOK), columns))
-    read = [bool(look.select(columns[at : at + 3]).to_numpy().any()) for at in (0, 3)]
-    imu = kind == _IMU
+    read = [name for name in columns if kind != _IMU or look.select(f"{name[:-1]}{a}" for a in AXES).to_numpy().any()]
     return Message(
         name=topic,
         count=count,
-        accel=triad("accel", "m/s^2") if imu and read[0] else None,
-        gyro=triad("gyro", "rad/s") if imu and read[1] else None,
-        magnetometer=triad("field", "uT") if kind == _FIELD else None,
+        triads=triads_of(read, _UNITS),
         temperatures=columns if kind == _TEMPERATURE else (),
-        rows=rows,
+        rows=lambda: _tables(_readings(path, origin, topic), columns),
     )
-
-
-def _rows(path: Path, origin: int, topic: str, columns: Sequence[str]) -> Iterator[pl.DataFrame]:
-    return _tables(_readings(path, origin, topic), columns)
 
 
 def _tables(readings: Iterator[list[float]], columns: Sequence[str]) -> Iterator[pl.DataFrame]:
@@ -81,21 +73,15 @@ def _tables(readings: Iterator[list[float]], columns: Sequence[str]) -> Iterator
 
 def _readings(path: Path, origin: int, topic: str) -> Iterator[list[float]]:
     """Every message of a topic as time (s after `origin`, ns) and its readings."""
+    fields = {kind: [(attrgetter(name), one) for name, one in of.values()] for kind, of in _FIELDS.items()}
     for stamp, kind, message in _stamped(path, topic):
-        if kind == _TEMPERATURE:
-            readings = [message.temperature]  # °C by the definition of the message
-        elif kind == _FIELD:
-            readings = [getattr(message.magnetic_field, axis) * _MICROTESLA for axis in AXES]
-        else:
-            vectors = (message.linear_acceleration, message.angular_velocity)
-            readings = [getattr(vector, axis) for vector in vectors for axis in AXES]
-        yield [(stamp - origin) * 1e-9, *readings]
+        yield [(stamp - origin) * 1e-9, *(read(message) * one for read, one in fields[kind])]
 
 
 def _stamped(path: Path, topic: str) -> Iterator[tuple[int, str, Any]]:
     """Every message of a topic with its time, ns, and its type."""
     with _opened(path) as bag:
-        wanted = [c for c in bag.connections if c.topic == topic and c.msgtype in _COLUMNS]
+        wanted = [c for c in bag.connections if c.topic == topic and c.msgtype in _FIELDS]
         for connection, recorded, raw in bag.messages(connections=wanted):
             message: Any = bag.deserialize(raw, connection.msgtype)
             stamp = message.header.stamp

@@ -16,8 +16,8 @@ import numpy as np
 import polars as pl
 from pyulog import ULog
 
-from tumble.recording.autopilot import AutopilotSensor
-from tumble.recording.formats.message import AXES, TIME, Message, triad
+from tumble.recording.formats import AXES, TIME, Message, triads_of
+from tumble.recording.session import AutopilotSensor
 
 NOTHING = "no messages sensor_accel or sensor_combined; set SDLOG_PROFILE to log the raw sensors"
 
@@ -55,16 +55,13 @@ def messages(path: Path) -> list[Message]:
 
 def _message(data: Any, origin: int, parameters: Mapping[str, Any]) -> Message:
     values, fields = data.data, dict(_FIELDS[data.name])
-    sensors = {kind: triad(kind, unit) for kind, unit in _UNITS.items() if f"{kind}_x" in fields}
     warmth = {}
     if data.name in _THERMOMETERS and _has_temperature(values):
         warmth = {f"{_THERMOMETERS[data.name]}_temperature": "temperature"}
     return Message(
         name=f"{data.name}.{data.multi_id}",
         count=len(values["timestamp"]),
-        accel=sensors.get("accel"),
-        gyro=sensors.get("gyro"),
-        magnetometer=sensors.get("field"),
+        triads=triads_of(fields, _UNITS),
         temperatures=tuple(warmth),
         rows=partial(_rows, values, fields | warmth, origin),
         remark=_REMARKS.get(data.name, ""),

@@ -22,7 +22,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 import polars as pl
 
 from tumble.errors import LogError
@@ -105,27 +104,20 @@ class LogRows:
     values: tuple[Array, ...]
     unread: Mapping[int, Unread] = field(default_factory=dict)
 
-    def part(self, rows: slice | npt.NDArray[np.bool_]) -> LogRows:
-        return LogRows(
-            numbers=self.numbers[rows],
-            time=self.time[rows],
-            values=tuple(v[rows] for v in self.values),
-            unread=self.unread,
-        )
+    def part(self, rows: slice | BoolArray) -> LogRows:
+        values = tuple(v[rows] for v in self.values)
+        return LogRows(numbers=self.numbers[rows], time=self.time[rows], values=values, unread=self.unread)
 
     def times_followed_by(self, other: LogRows) -> tuple[IntArray, Array]:
         return np.concatenate([self.numbers, other.numbers]), np.concatenate([self.time, other.time])
 
     def followed_by(self, other: LogRows) -> LogRows:
         numbers, time = self.times_followed_by(other)
-        return LogRows(
-            numbers=numbers,
-            time=time,
-            values=tuple(np.concatenate(pair) for pair in zip(self.values, other.values, strict=True)),
-            unread={**{n: u for n, u in self.unread.items() if n in self.numbers}, **other.unread},
-        )
+        values = tuple(np.concatenate(pair) for pair in zip(self.values, other.values, strict=True))
+        unread = {**{n: u for n, u in self.unread.items() if n in self.numbers}, **other.unread}
+        return LogRows(numbers=numbers, time=time, values=values, unread=unread)
 
-    def lost(self) -> npt.NDArray[np.bool_]:
+    def lost(self) -> BoolArray:
         """Which rows have a number that is not finite."""
         if all(v.min() >= -_LARGEST and v.max() <= _LARGEST for v in self.values if v.size):
             return np.zeros(len(self.time), dtype=bool)
@@ -168,76 +160,77 @@ class Bridge:
     gaps: list[Gap]
     last: LogRows | None = None
     held: LogRows | None = None
-    start: float = 0.0
     found: int = 0
     first: Gap | None = None
-    rows: int = 0
 
     def samples(self, stream: Iterator[LogRows]) -> Iterator[tuple[Array, Array, tuple[Array, ...]]]:
         """Times, intervals, s, and numbers of all samples, those of lost ones interpolated."""
+        count, start = 0, 0.0
         for new in stream:
-            self.rows += len(new.time)
+            count += len(new.time)
             if not len(new.time):
                 continue
             rows = new if self.held is None else self.held.followed_by(new)
             lost = rows.lost()
             if self.last is None:
-                self._check_begins_sound(rows, lost)
-                self.start = float(rows.time[0])
+                start = float(rows.time[0])
+                if lost[0]:
+                    raise self._unsound(rows, "a finite number in the first row", "remove the row")
             sound = len(lost) - int(np.argmin(lost[::-1])) if not lost.all() else 0
             held = rows.part(slice(sound, sound + _BRIDGED_SAMPLES + 1))
             self.held = held if len(held.time) else None
             if sound:
                 yield self._repaired(rows.part(slice(0, sound)), lost[:sound])
-        self._check_end()
+        # what can be said of a file only when it has ended
+        if self.held is not None:
+            raise self._unsound(self.held, "finite numbers up to the last row", "remove the rows from here on")
+        if self.last is None:
+            raise LogError(f"{self.source.path}: expected a log, found no rows; the file is empty")
+        length = float(self.last.time[0]) - start + self.interval
+        if length < _SHORTEST_TIME * (1.0 - 1e-9):
+            raise LogError(f"{self.source.path}: expected at least {_SHORTEST_TIME:g} s, found {length:.6g} s")
+        self._check_few(FREE + math.floor(SHARE * count), f"{count} rows ({SHARE:.0%} and {FREE})")
 
-    def _repaired(self, rows: LogRows, lost: npt.NDArray[np.bool_]) -> tuple[Array, Array, tuple[Array, ...]]:
-        """Samples of rows of which the last is sound; the row before them went out already, or is none."""
+    def _repaired(self, rows: LogRows, lost: BoolArray) -> tuple[Array, Array, tuple[Array, ...]]:
+        """Samples of rows of which the last is sound, as is the row before them, which went out already, or is none:
+        short gaps filled, every number finite, long ones left out."""
         before, self.last = self.last, rows.part(slice(-1, None))
+        new = 0 if before is None else 1
         number, time = (rows.numbers, rows.time) if before is None else before.times_followed_by(rows)
         steps = check_time(self.source, self.spec, number, time)
-        values, broken = rows.values, None
+        values, after_long = rows.values, np.empty(0, dtype=np.int64)
         if lost.any() or steps.max(initial=0.0) > JUMP * self.interval:
-            time, filled, broken = self._filled(rows if before is None else before.followed_by(rows), steps)
+            rows = rows if before is None else before.followed_by(rows)
+            # how many are missing before rows 1, 2, …, by their steps in time; of too many, one more than are bridged
+            missing = np.where(steps > JUMP * self.interval, np.floor(steps / self.interval + 0.5) - 1.0, 0.0)
+            missing = np.minimum(missing, _BRIDGED_SAMPLES + 1).astype(np.int64)
+            place = np.arange(len(rows.time)) + np.concatenate([[0], np.cumsum(missing)])
+            time = np.interp(np.arange(place[-1] + 1), place, rows.time)
+            absent, kept = np.ones((2, len(time)), dtype=bool)
+            absent[place] = rows.lost()
+            for start, stop in (np.flatnonzero(np.diff(absent)) + 1).reshape(-1, 2).tolist():
+                self._report(rows, place, time, start, stop)
+                kept[start:stop] = stop - start <= _BRIDGED_SAMPLES
+            after_long = np.flatnonzero(np.diff(np.flatnonzero(kept)) > 1) + 1
+            values = tuple(_interpolated(v, place, time)[kept][new:] for v in rows.values)
+            time = time[kept]
             steps = np.diff(time)
-            values = tuple(v[before is not None :] for v in filled)
-        dt = steps if before is not None else np.concatenate([[self.interval], steps])
-        if self.spec.time is None or self.spec.regular:
-            dt = np.full(len(dt), self.interval)
-        elif broken is not None and len(broken):
-            dt[broken - (before is not None)] = self.interval
-        return time[before is not None :], dt, values
-
-    def _filled(self, rows: LogRows, steps: Array) -> tuple[Array, tuple[Array, ...], IntArray]:
-        """Times and numbers of rows of which the first and the last are sound: short gaps filled, every number finite,
-        long ones left out; and the places of the first samples after these."""
-        missing = self._missing(steps)
-        place = np.arange(len(rows.time)) + np.concatenate([[0], np.cumsum(missing)])
-        time = np.interp(np.arange(place[-1] + 1), place, rows.time)
-        lost = np.ones(len(time), dtype=bool)
-        lost[place] = rows.lost()
-        kept = np.ones(len(time), dtype=bool)
-        edges = np.flatnonzero(np.diff(lost)) + 1
-        for start, stop in edges.reshape(-1, 2).tolist():
-            self._report(rows, place, time, start, stop)
-            kept[start:stop] = stop - start <= _BRIDGED_SAMPLES
-        broken = np.flatnonzero(np.diff(np.flatnonzero(kept)) > 1) + 1
-        return time[kept], tuple(_interpolated(v, place, time)[kept] for v in rows.values), broken
-
-    def _missing(self, steps: Array) -> IntArray:
-        """How many samples are missing before rows 1, 2, …, by their steps in time; of too many to be bridged, one more
-        than are."""
-        missing = np.where(steps > JUMP * self.interval, np.floor(steps / self.interval + 0.5) - 1.0, 0.0)
-        return np.minimum(missing, _BRIDGED_SAMPLES + 1).astype(np.int64)
+        dt = steps if new else np.concatenate([[self.interval], steps])
+        dt[slice(None) if self.spec.unstamped else after_long - new] = self.interval
+        return time[new:], dt, values
 
     def _report(self, rows: LogRows, place: IntArray, time: Array, start: int, stop: int) -> None:
-        """Add a run of lost samples, start … stop − 1, to the gaps; row i of `rows` is sample place[i]."""
+        """Add a run of lost samples, start … stop − 1, to the gaps; row i of `rows` is sample place[i]. In words, what
+        was found: of the first row that could not be read, and of each column the first number that is not finite."""
         first, end = np.searchsorted(place, [start, stop]).tolist()
         lost = rows.part(slice(first, end))
-        what = self._found_in(lost)
-        samples = max(stop - start, round(float(time[stop] - time[start - 1]) / self.interval) - 1)
-        what += ["missing samples"] if end - first < samples and stop - start <= _BRIDGED_SAMPLES else []
+        unread = [lost.unread[int(n)] for n in lost.numbers if int(n) in lost.unread]
+        columns = {u.column for u in unread}
+        what = [u.what for u in unread[:1]]
+        what += [f"{v} in '{column}'" for column, v in self._not_finite(lost) if not columns & {column, None}]
         long = stop - start > _BRIDGED_SAMPLES
+        samples = max(stop - start, round(float(time[stop] - time[start - 1]) / self.interval) - 1)
+        what += ["missing samples"] if end - first < samples and not long else []
         gap = Gap(
             file=self.file,
             row=int(rows.numbers[first]),
@@ -245,30 +238,12 @@ class Bridge:
             samples=samples,
             what=" and ".join(what) or "missing samples",
             stop=float(time[stop]),
-            integrable=not long and not self._doubtful(lost),
+            integrable=not long and not (self.spec.unstamped and None in columns),  # without times, it may be no sample
         )
         self.found += 1
         self.first = self.first or gap
         self.gaps.append(gap)
-        if self.found > MOST:
-            raise self._too_many(f"{MOST}", "a file")
-
-    def _doubtful(self, lost: LogRows) -> bool:
-        """Whether rows without times may have been no samples."""
-        if self.spec.time is not None and not self.spec.regular:
-            return False
-        unread = [lost.unread.get(int(n)) for n in lost.numbers]
-        return any(u is not None and u.column is None for u in unread)
-
-    def _found_in(self, rows: LogRows) -> list[str]:
-        """What was found in lost rows, in words: of the first that could not be read, and of each column the first
-        number that is not finite."""
-        unread = [rows.unread[int(n)] for n in rows.numbers if int(n) in rows.unread]
-        known = {u.column for u in unread}
-        said = [unread[0].what] if unread else []
-        return said + [
-            f"{value} in '{column}'" for column, value in self._not_finite(rows) if not known & {column, None}
-        ]
+        self._check_few(MOST, "a file")
 
     def _not_finite(self, rows: LogRows) -> list[tuple[str, float]]:
         """Columns with numbers that are not finite, and the first such number of each."""
@@ -276,10 +251,6 @@ class Bridge:
         bad = ~is_reading(numbers)
         columns = [column for column in self.spec.columns if column != self.spec.time]
         return [(columns[j], float(numbers[np.argmax(bad[:, j]), j])) for j in np.flatnonzero(bad.any(axis=0))]
-
-    def _check_begins_sound(self, rows: LogRows, lost: npt.NDArray[np.bool_]) -> None:
-        if lost[0]:
-            raise self._unsound(rows, "a finite number in the first row", "remove the row")
 
     def _unsound(self, rows: LogRows, expected: str, advice: str) -> LogError:
         """A message about the first of lost rows, where it cannot be bridged."""
@@ -290,26 +261,14 @@ class Bridge:
         column, value = self._not_finite(rows)[0]
         return LogError(f"{self.source.place(number, column)}: expected {expected}, found {value}; {advice}")
 
-    def _check_end(self) -> None:
-        """What can be said of a file only when it has ended."""
-        if self.held is not None:
-            raise self._unsound(self.held, "finite numbers up to the last row", "remove the rows from here on")
-        if self.last is None:
-            raise LogError(f"{self.source.path}: expected a log, found no rows; the file is empty")
-        length = float(self.last.time[0]) - self.start + self.interval
-        if length < _SHORTEST_TIME * (1.0 - 1e-9):
-            raise LogError(f"{self.source.path}: expected at least {_SHORTEST_TIME:g} s, found {length:.6g} s")
-        allowed = FREE + math.floor(SHARE * self.rows)
-        if self.found > allowed:
-            raise self._too_many(f"{allowed}", f"{self.rows} rows ({SHARE:.0%} and {FREE})")
-
-    def _too_many(self, allowed: str, where: str) -> LogError:
-        assert self.first is not None
-        advice = f"{REGULAR_HINT}, else record again" if self.spec.time is not None else "record again"
-        return LogError(
-            f"{self.source.place(self.first.row)}: expected at most {allowed} gaps in {where}, "
-            f"found {self.found}, the first here ({self.first.what}); {advice}"
-        )
+    def _check_few(self, allowed: int, where: str) -> None:
+        """Raises LogError where there are more gaps than allowed."""
+        if self.first is not None and self.found > allowed:
+            advice = f"{REGULAR_HINT}, else record again" if self.spec.time is not None else "record again"
+            raise LogError(
+                f"{self.source.place(self.first.row)}: expected at most {allowed} gaps in {where}, "
+                f"found {self.found}, the first here ({self.first.what}); {advice}"
+            )
 
 
 def _interpolated(numbers: Array, place: IntArray, time: Array) -> Array:

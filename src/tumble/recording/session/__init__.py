@@ -6,24 +6,46 @@ or frames in place of the log. Both give a `Session` (`session_file`), SI and ra
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from tumble.brief import Brief
 from tumble.errors import InputError
-from tumble.recording.autopilot import AutopilotSensor
-from tumble.recording.circumstances import UNKNOWN, Circumstances
 from tumble.recording.text.dialect import Dialect
 from tumble.sensors.model import Block
 from tumble.units import Array, Unit
 
 if TYPE_CHECKING:
-    from tumble.recording.readers import KeptLog
-    from tumble.recording.samples import Samples
+    from tumble.recording.readers import KeptLog, Samples
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AutopilotSensor:
+    """An accelerometer or a gyro of an autopilot, three axes: its number among those, from 1, and its device id, None
+    where the recording does not have it."""
+
+    number: int
+    id: int | None
+
+
+def sensors_content(sensors: Mapping[str, AutopilotSensor]) -> dict[str, int]:
+    """The sensors "accel" and "gyro" as [device.imu] and the calibration file have them."""
+    content: dict[str, int] = {}
+    for kind, sensor in sensors.items():
+        content[f"{kind}_number"] = sensor.number
+        content |= {} if sensor.id is None else {f"{kind}_id": sensor.id}
+    return content
+
+
+def sensors_from(content: Mapping[str, Any]) -> dict[str, AutopilotSensor]:
+    """The sensors of what `sensors_content` gives."""
+    kinds = [kind for kind in ("accel", "gyro") if content.get(f"{kind}_number") is not None]
+    return {kind: AutopilotSensor(number=content[f"{kind}_number"], id=content.get(f"{kind}_id")) for kind in kinds}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -96,14 +118,6 @@ class Channels:
         return out + self.offset if self.offset.any() else out
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Magnetometer:
-    """The three channels of a magnetometer and their unit, which is that of the site's field too."""
-
-    columns: tuple[str, ...]
-    unit: str
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TemperatureChannels:
     """The columns of the thermometers, and what their numbers are in °C: gain · number + shift, both (T,). `unit_name`
@@ -144,7 +158,8 @@ class LogSpec:
     accel: Channels
     gyro: Channels | None
     temperature: TemperatureChannels | None
-    magnetometer: Magnetometer | None = None
+    magnetometer: Channels | None = None
+    """In its unit, which is that of the site's field too."""
     clock: bool = False
     regular: bool = False
     dialect: Dialect | None = None
@@ -207,6 +222,78 @@ class Exclusion:
     by: Literal["session.toml", "request"] = "session.toml"
 
 
+# -------------------- what a certificate needs and no log says --------------------
+
+UNIX_TIMES = (946_684_800.0, 4_102_444_800.0)
+"""Seconds since 1970 at the beginning of 2000 and of 2100, between which times of a log are taken for such."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AirConditions:
+    """Temperature (°C) with its standard uncertainty, relative humidity (%) and air pressure (hPa); None where not
+    known."""
+
+    temperature: float | None = None
+    temperature_u: float | None = None
+    humidity: float | None = None
+    pressure: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Circumstances:
+    """Of a session: `date`, ISO 8601, a date or a date with a time, that which the session states, else the log's own
+    where its times are absolute, and never the time of computing; who recorded it; the air; and the equipment with its
+    traceability, in words."""
+
+    date: str | None = None
+    operator: str | None = None
+    air: AirConditions = AirConditions()
+    equipment: tuple[str, ...] = ()
+
+
+UNKNOWN = Circumstances()
+
+_AIR = {
+    "temperature": "temperature_degC",
+    "temperature_u": "temperature_u",
+    "humidity": "humidity_percent",
+    "pressure": "pressure_hPa",
+}
+"""Keys of the conditions in session.toml and in the calibration file."""
+
+
+def circumstances_content(given: Circumstances) -> dict[str, Any]:
+    """Circumstances under the keys of [session], those that are known."""
+    air = {key: getattr(given.air, name) for name, key in _AIR.items()}
+    values = {
+        "date": given.date,
+        "operator": given.operator,
+        "conditions": {key: value for key, value in air.items() if value is not None},
+        "equipment": list(given.equipment),
+    }
+    return {key: value for key, value in values.items() if value}
+
+
+def circumstances_from(content: Mapping[str, Any]) -> Circumstances:
+    """Circumstances from the keys of [session]. Raises ValueError for a date that is none."""
+    stated, date = content.get("conditions", {}), content.get("date")
+    air = {name: float(stated[key]) for name, key in _AIR.items() if stated.get(key) is not None}
+    if isinstance(date, str):
+        date = (dt.datetime if "T" in date else dt.date).fromisoformat(date)
+    return Circumstances(
+        date=None if date is None else date.isoformat(),
+        operator=content.get("operator"),
+        air=AirConditions(**air),
+        equipment=tuple(str(each) for each in content.get("equipment", ())),
+    )
+
+
+def date_of_unix(seconds: float) -> str | None:
+    """The date with the time of seconds since 1970, UTC; None for what is no such time."""
+    first, last = UNIX_TIMES
+    return dt.datetime.fromtimestamp(seconds, dt.UTC).isoformat(timespec="seconds") if first < seconds < last else None
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class Session(Brief):
     """What session.toml, or the description of samples in memory, says. `programme` is None for a free session:
@@ -231,6 +318,8 @@ class Session(Brief):
     programme: ProgrammeSpec | None
     excluded: tuple[Exclusion, ...] = ()
     circumstances: Circumstances = UNKNOWN
+    description: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
+    """The keys and values that it was made of, as session.toml has them."""
 
     @property
     def name(self) -> str:

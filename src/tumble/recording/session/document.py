@@ -2,7 +2,7 @@
 
 Each key's `description` says what is expected of it, and every message is made from it: "session.toml:
 site.latitude_deg: expected a number from -90 to 90, found 145.5". What concerns several keys at once is checked by the
-validators of the tables. `si` gives what a table says in SI and radians; `description_of` is the way back.
+validators of the tables. `si` gives what a table says in SI and radians.
 """
 
 from __future__ import annotations
@@ -17,8 +17,6 @@ from pydantic import AfterValidator, Field, model_validator
 from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
 from tumble.errors import ProgrammeError
 from tumble.programme import positions as programme
-from tumble.recording.autopilot import sensors_from
-from tumble.recording.circumstances import circumstances_from
 from tumble.recording.session import (
     Device,
     Exclusion,
@@ -26,14 +24,12 @@ from tumble.recording.session import (
     ProgrammeSpec,
     Session,
     Site,
+    circumstances_from,
+    sensors_from,
 )
-from tumble.recording.session.log_tables import LogTable
-from tumble.recording.session.table import SessionTable, check_span, name_of, one_of, visible
+from tumble.recording.session.log_tables import LogTable, SessionTable, check_span, key, name_of, one_of, visible
 from tumble.sensors.parameters import prior_of
-from tumble.units import (
-    DEGREE,
-    G_STANDARD,
-)
+from tumble.units import DEGREE, G_STANDARD
 
 LEAST_GRAVITY_U = 1e-15
 """m/s²: a smaller uncertainty than no gravimeter reaches is zero, or a mistake."""
@@ -47,14 +43,12 @@ _FIELD_ON_EARTH = (1.5e-5, 8e-5)  # T, at the ground: 22 to 67 µT, and magnetic
 class SiteTable(SessionTable):
     """[site]"""
 
-    latitude_deg: float | None = Field(default=None, ge=-90, le=90, description="a number from -90 to 90")
-    height_m: float = Field(default=0.0, ge=-1000, le=10000, description="a number from -1000 to 10000 (m)")
-    gravity: float | None = Field(
-        default=None, ge=9.7, le=9.9, description="a number from 9.7 to 9.9 (m/s^2, on Earth)"
-    )
-    gravity_u: float | None = Field(default=None, ge=0, le=0.1, description="a number from 0 to 0.1 (m/s^2)")
-    gravity_confirmed: bool = Field(default=False, description="true or false")
-    field: float | None = Field(default=None, gt=0, description="a positive number, in the unit of [log.magnetometer]")
+    latitude_deg: float | None = key("a number from -90 to 90", ge=-90, le=90)
+    height_m: float = key("a number from -1000 to 10000 (m)", 0.0, ge=-1000, le=10000)
+    gravity: float | None = key("a number from 9.7 to 9.9 (m/s^2, on Earth)", ge=9.7, le=9.9)
+    gravity_u: float | None = key("a number from 0 to 0.1 (m/s^2)", ge=0, le=0.1)
+    gravity_confirmed: bool = key("true or false", False)
+    field: float | None = key("a positive number, in the unit of [log.magnetometer]", gt=0)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -98,10 +92,10 @@ class SiteTable(SessionTable):
 class ImuTable(SessionTable):
     """[device.imu]"""
 
-    accel_number: int | None = Field(default=None, ge=1, le=9, description="a number from 1 to 9")
-    accel_id: int | None = Field(default=None, ge=1, lt=2**32, description="a device id, a whole number")
-    gyro_number: int | None = Field(default=None, ge=1, le=9, description="a number from 1 to 9")
-    gyro_id: int | None = Field(default=None, ge=1, lt=2**32, description="a device id, a whole number")
+    accel_number: int | None = key("a number from 1 to 9", ge=1, le=9)
+    accel_id: int | None = key("a device id, a whole number", ge=1, lt=2**32)
+    gyro_number: int | None = key("a number from 1 to 9", ge=1, le=9)
+    gyro_id: int | None = key("a device id, a whole number", ge=1, lt=2**32)
 
 
 class DeviceTable(SessionTable):
@@ -110,10 +104,10 @@ class DeviceTable(SessionTable):
     serial: Annotated[str, AfterValidator(name_of)] = Field(
         min_length=1, description="the serial number, a string that is not empty"
     )
-    model: Annotated[str, AfterValidator(name_of)] | None = Field(default=None, description="a string")
-    systematic: str | None = Field(default=None, min_length=1, description="the path of a calibration file")
-    grade: Literal["navigation", "tactical", "mems", "consumer"] | None = Field(
-        default=None, description="one of navigation, tactical, mems, consumer"
+    model: Annotated[str, AfterValidator(name_of)] | None = key("a string")
+    systematic: str | None = key("the path of a calibration file", min_length=1)
+    grade: Literal["navigation", "tactical", "mems", "consumer"] | None = key(
+        "one of navigation, tactical, mems, consumer"
     )
     imu: ImuTable = Field(default_factory=ImuTable, description="a table of sensors of an autopilot")
     prior: dict[str, str | dict[str, str]] = Field(
@@ -151,8 +145,8 @@ class ConditionsTable(SessionTable):
     temperature_degC: float | None = Field(  # noqa: N815
         default=None, ge=-90, le=200, description="a number from -90 to 200 (°C)"
     )
-    temperature_u: float | None = Field(default=None, ge=0, description="a number, not negative (K)")
-    humidity_percent: float | None = Field(default=None, ge=0, le=100, description="a number from 0 to 100 (%)")
+    temperature_u: float | None = key("a number, not negative (K)", ge=0)
+    humidity_percent: float | None = key("a number from 0 to 100 (%)", ge=0, le=100)
     pressure_hPa: float | None = Field(  # noqa: N815
         default=None, gt=0, le=1200, description="a number from 0 to 1200 (hPa)"
     )
@@ -161,10 +155,8 @@ class ConditionsTable(SessionTable):
 class CircumstancesTable(SessionTable):
     """[session]"""
 
-    date: datetime | date_type | None = Field(default=None, description="a date, or a date with a time, without quotes")
-    operator: Annotated[str, AfterValidator(visible)] | None = Field(
-        default=None, min_length=1, description="a name, a string"
-    )
+    date: datetime | date_type | None = key("a date, or a date with a time, without quotes")
+    operator: Annotated[str, AfterValidator(visible)] | None = key("a name, a string", min_length=1)
     conditions: ConditionsTable = Field(default_factory=ConditionsTable, description="a table of conditions")
     equipment: list[Annotated[str, AfterValidator(visible)]] = Field(
         default_factory=list, description="a list of strings"
@@ -174,12 +166,12 @@ class CircumstancesTable(SessionTable):
 class ExcludeTable(SessionTable):
     """[[exclude]]"""
 
-    rest: int | None = Field(default=None, ge=1, description="the number of a rest, from 1")
-    turn: int | None = Field(default=None, ge=1, description="the number of a turn, from 1")
-    start: float | None = Field(default=None, description="a number (s)")
-    stop: float | None = Field(default=None, description="a number (s)")
-    file: int | None = Field(default=None, ge=1, description="the number of a file of the log, from 1")
-    reason: str = Field(default="", description="a string")
+    rest: int | None = key("the number of a rest, from 1", ge=1)
+    turn: int | None = key("the number of a turn, from 1", ge=1)
+    start: float | None = key("a number (s)")
+    stop: float | None = key("a number (s)")
+    file: int | None = key("the number of a file of the log, from 1", ge=1)
+    reason: str = key("a string", "")
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -201,8 +193,8 @@ class PositionTable(SessionTable):
     """[[programme.position]]"""
 
     attitude: str = Field(description="an attitude code, a string")
-    start: float | None = Field(default=None, description="a number (s)")
-    stop: float | None = Field(default=None, description="a number (s)")
+    start: float | None = key("a number (s)")
+    stop: float | None = key("a number (s)")
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -220,12 +212,8 @@ class PositionTable(SessionTable):
 class ProgrammeTable(SessionTable):
     """[programme]"""
 
-    name: Annotated[str, one_of(programme.BUILT_IN)] | None = Field(
-        default=None, description="the name of a built-in programme"
-    )
-    position: list[PositionTable] | None = Field(
-        default=None, min_length=1, description="one or more tables [[programme.position]]"
-    )
+    name: Annotated[str, one_of(programme.BUILT_IN)] | None = key("the name of a built-in programme")
+    position: list[PositionTable] | None = key("one or more tables [[programme.position]]", min_length=1)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -246,7 +234,7 @@ class SessionDocument(SessionTable):
     device: DeviceTable = Field(description="the table [device]")
     site: SiteTable = Field(default_factory=SiteTable, description="the table [site]")
     log: LogTable = Field(description="the table [log]")
-    programme: ProgrammeTable | None = Field(default=None, description="the table [programme]")
+    programme: ProgrammeTable | None = key("the table [programme]")
     session: CircumstancesTable = Field(default_factory=CircumstancesTable, description="the table [session]")
     exclude: list[ExcludeTable] = Field(default_factory=list, description="tables [[exclude]]")
 
@@ -266,4 +254,5 @@ class SessionDocument(SessionTable):
             programme=None if self.programme is None else self.programme.si(),
             excluded=tuple(table.si() for table in self.exclude),
             circumstances=circumstances_from(self.session.model_dump()),
+            description=self.model_dump(exclude_unset=True, exclude_none=True),
         )

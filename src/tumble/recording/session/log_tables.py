@@ -1,43 +1,26 @@
-"""The tables [log], [log.accel], [log.gyro], [log.magnetometer] and [log.temperature] of session.toml."""
+"""What the tables of session.toml have in common, and [log] with those within it."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from tumble.documents import as_written
-from tumble.recording.session import (
-    Channels,
-    LogSpec,
-    Magnetometer,
-    TemperatureChannels,
-)
-from tumble.recording.session.table import (
-    SessionTable,
-    check_known,
-    check_one_per_column,
-    different,
-    encoding_of_text,
-    one_of,
-)
-from tumble.recording.text.dialect import DELIMITERS, Dialect
+from tumble.documents import as_written, is_plain, shown
+from tumble.errors import did_you_mean
+from tumble.recording.session import Channels, LogSpec, TemperatureChannels
+from tumble.recording.text.dialect import DELIMITERS, DIALECT_KEYS, Dialect
 from tumble.sensors.model import thermometers_of
-from tumble.units import (
-    ACCEL_UNITS,
-    GYRO_UNITS,
-    MAGNETIC_UNITS,
-    TEMPERATURE_UNITS,
-    TIME_UNITS,
-    Array,
-    Unit,
-)
+from tumble.units import ACCEL_UNITS, GYRO_UNITS, MAGNETIC_UNITS, TEMPERATURE_UNITS, TIME_UNITS, Array, Unit
 
+LONGEST_NAME = 200
+"""Characters of a serial number and of a type."""
 CLOCK = "iso8601"
 """The time unit of dates with times and times of day."""
 RAW = "raw"
@@ -51,6 +34,69 @@ Numbers = float | list[float] | None
 """One for all columns, or one a column."""
 
 
+class SessionTable(BaseModel):
+    """A table of the file: no other keys, no other types."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, defer_build=True)
+
+
+def key(description: str, default: Any = None, **limits: Any) -> Any:
+    """A key that may be absent, and what is expected of it where it is there."""
+    return Field(default=default, description=description, **limits)
+
+
+def check_known(value: str, known: Iterable[str], key: str = "") -> str:
+    """The value. Raises ValueError where it is none of those known."""
+    names = list(known)
+    if value not in names:
+        hint, before = did_you_mean(value, names), f"{key}: " if key else ""
+        raise ValueError(f'{before}expected one of {", ".join(names)}, found "{value}"{hint}')
+    return value
+
+
+def one_of(names: Iterable[str]) -> AfterValidator:
+    return AfterValidator(partial(check_known, known=tuple(names)))
+
+
+def visible(text: str) -> str:
+    if not is_plain(text):
+        raise ValueError(f"expected no control characters, found {shown(text)}")
+    return text
+
+
+def name_of(text: str) -> str:
+    if not (text.strip() and text.isprintable() and len(text) <= LONGEST_NAME):
+        raise ValueError(f"expected 1 to {LONGEST_NAME} printable characters, found {shown(text)}")
+    return text
+
+
+def encoding_of_text(name: str) -> str:
+    try:
+        "é".encode(name, errors="replace").decode(name)
+    except (LookupError, UnicodeError, ValueError, TypeError):
+        raise ValueError(f"expected a text encoding such as utf-16, found {as_written(name)}") from None
+    return name
+
+
+def different(files: str | list[str]) -> str | list[str]:
+    for file, count in Counter([files] if isinstance(files, str) else files).items():
+        if count > 1:
+            raise ValueError(f'expected different files, found "{file}" twice')
+    return files
+
+
+def check_span(start: float | None, stop: float | None) -> None:
+    if start is not None and stop is not None and start >= stop:
+        raise ValueError(f"start: expected a start before the stop {stop:g} s, found {start:g} s")
+
+
+def check_one_per_column(columns: int, **values: float | list[float] | None) -> None:
+    """Raises ValueError for a list of another length than there are columns."""
+    for key, value in values.items():
+        if isinstance(value, Sequence) and len(value) != columns:
+            raise ValueError(f"{key}: expected a number or {columns} numbers, one per column, found {len(value)}")
+
+
 class SensorsTable(SessionTable):
     """The common keys of [log.accel] and [log.gyro]."""
 
@@ -59,11 +105,11 @@ class SensorsTable(SessionTable):
 
     columns: list[str] = Field(min_length=3, description="a list of at least three column names")
     unit: str = Field(description="the name of a unit, a string")
-    scale: Numbers = Field(default=None, description="a number or a list of numbers")
-    scale_per: str | None = Field(default=None, description="the name of a unit, a string")
-    offset: Numbers = Field(default=None, description="a number or a list of numbers")
-    axes: list[list[float]] | None = Field(default=None, description="a list of unit vectors [x, y, z]")
-    range: float | None = Field(default=None, gt=0, description="a positive number")
+    scale: Numbers = key("a number or a list of numbers")
+    scale_per: str | None = key("the name of a unit, a string")
+    offset: Numbers = key("a number or a list of numbers")
+    axes: list[list[float]] | None = key("a list of unit vectors [x, y, z]")
+    range: float | None = key("a positive number", gt=0)
 
     @property
     def worth(self) -> Unit:
@@ -160,8 +206,13 @@ class MagnetometerTable(SessionTable):
     columns: list[str] = Field(min_length=3, max_length=3, description="a list of three column names")
     unit: Annotated[str, one_of(MAGNETIC_UNITS)] = Field(description="the name of a unit, a string")
 
-    def si(self) -> Magnetometer:
-        return Magnetometer(columns=tuple(self.columns), unit=self.unit)
+    def channels(self) -> Channels:
+        """In their unit, whatever it is."""
+        one, (scale, offset) = Unit(factor=1.0, kind="rate"), (np.ones(3), np.zeros(3))
+        columns = tuple(self.columns)
+        return Channels(
+            columns=columns, unit=one, unit_name=self.unit, scale=scale, offset=offset, axes=np.eye(3), range=None
+        )
 
 
 class TemperatureTable(SessionTable):
@@ -169,11 +220,9 @@ class TemperatureTable(SessionTable):
     accelerometers first; then a thermometer may come several times."""
 
     columns: list[str] = Field(min_length=1, description="a list of column names")
-    unit: Annotated[str, one_of([*TEMPERATURE_UNITS, RAW])] = Field(
-        default="degC", description="the name of a unit, a string"
-    )
-    scale: Numbers = Field(default=None, description="a number or a list of numbers: raw numbers per degC")
-    offset: Numbers = Field(default=None, description="a number or a list of numbers: the raw number at 0 degC")
+    unit: Annotated[str, one_of([*TEMPERATURE_UNITS, RAW])] = key("the name of a unit, a string", "degC")
+    scale: Numbers = key("a number or a list of numbers: raw numbers per degC")
+    offset: Numbers = key("a number or a list of numbers: the raw number at 0 degC")
 
     def celsius(self) -> tuple[Array, Array]:
         """Gain and shift (T,) of each column: °C are gain · number + shift."""
@@ -231,28 +280,20 @@ class LogTable(SessionTable):
     file: Annotated[str | list[str], AfterValidator(different)] = Field(
         min_length=1, description="a file name or a list of file names"
     )
-    time: str | None = Field(default=None, min_length=1, description="a column name")
-    time_unit: Annotated[str, one_of([*TIME_UNITS, CLOCK])] | None = Field(
-        default=None, description=f"one of {', '.join([*TIME_UNITS, CLOCK])}"
-    )
-    rate_hz: float | None = Field(default=None, gt=0, description="a positive number")
-    regular: bool | None = Field(default=None, description="true or false")
-    clock_ppm_u: float | None = Field(default=None, ge=0, description="a number that is not negative")
-    delimiter: Annotated[str, one_of(DELIMITERS)] | None = Field(
-        default=None, description="a character, or a blank for one or more blanks"
-    )
-    decimal: Annotated[str, one_of(".,")] | None = Field(default=None, description='"." or ","')
-    comment: str | None = Field(
-        default=None, min_length=1, max_length=8, description="the mark that comments begin with"
-    )
-    header: bool | None = Field(default=None, description="true or false")
-    encoding: Annotated[str, AfterValidator(encoding_of_text)] | None = Field(
-        default=None, description="the name of an encoding"
-    )
+    time: str | None = key("a column name", min_length=1)
+    time_unit: Annotated[str, one_of([*TIME_UNITS, CLOCK])] | None = key(f"one of {', '.join([*TIME_UNITS, CLOCK])}")
+    rate_hz: float | None = key("a positive number", gt=0)
+    regular: bool | None = key("true or false")
+    clock_ppm_u: float | None = key("a number that is not negative", ge=0)
+    delimiter: Annotated[str, one_of(DELIMITERS)] | None = key("a character, or a blank for one or more blanks")
+    decimal: Annotated[str, one_of(".,")] | None = key('"." or ","')
+    comment: str | None = key("the mark that comments begin with", min_length=1, max_length=8)
+    header: bool | None = key("true or false")
+    encoding: Annotated[str, AfterValidator(encoding_of_text)] | None = key("the name of an encoding")
     accel: AccelTable = Field(description="the table [log.accel]")
-    gyro: GyroTable | None = Field(default=None, description="the table [log.gyro]")
-    magnetometer: MagnetometerTable | None = Field(default=None, description="the table [log.magnetometer]")
-    temperature: TemperatureTable | None = Field(default=None, description="the table [log.temperature]")
+    gyro: GyroTable | None = key("the table [log.gyro]")
+    magnetometer: MagnetometerTable | None = key("the table [log.magnetometer]")
+    temperature: TemperatureTable | None = key("the table [log.temperature]")
 
     @property
     def sensors(self) -> tuple[int, int]:
@@ -294,7 +335,7 @@ class LogTable(SessionTable):
                 raise ValueError(f'{using[1]}: expected every column once, found "{column}" {also}')
 
     def si(self, folder: Path) -> LogSpec:
-        dialect = self.model_dump(include={"delimiter", "decimal", "comment", "header", "encoding"}, exclude_none=True)
+        dialect = self.model_dump(include={*DIALECT_KEYS}, exclude_none=True)
         return LogSpec(
             files=tuple(folder / file for file in ([self.file] if isinstance(self.file, str) else self.file)),
             time=self.time,
@@ -303,7 +344,7 @@ class LogTable(SessionTable):
             accel=self.accel.si(self.rate_hz),
             gyro=None if self.gyro is None else self.gyro.si(self.rate_hz),
             temperature=None if self.temperature is None else self.temperature.si(*self.sensors),
-            magnetometer=None if self.magnetometer is None else self.magnetometer.si(),
+            magnetometer=None if self.magnetometer is None else self.magnetometer.channels(),
             clock=self.time_unit == CLOCK,
             regular=bool(self.regular),
             dialect=Dialect(**dialect) if dialect else None,

@@ -13,9 +13,10 @@ import csv
 import io
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
+from itertools import product
 from typing import Any
 
 from tumble.recording.columns.patterns import is_unit
@@ -32,8 +33,8 @@ COMMENTS = ("#", "//", "%", "!", ";", "*")
 _TOP_LINES = 2000
 _SEEN_BYTES = 1 << 18
 _LEAST_NUMBERS = 3
-_LONGEST_CHARACTER = 4  # bytes, in UTF-8
-_GUESSED_ENCODINGS = ("cp1251", "gb18030")
+_ENCODINGS = {"utf-8": "", "cp1251": "[а-яё]{3}", "gb18030": "[\u4e00-\u9fff]{2}"}
+"""Those that are tried, and the letters of which text in them has words: a degree sign alone is Latin."""
 _BOMS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 
 _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf", re.IGNORECASE)
@@ -87,6 +88,9 @@ class Dialect:
         return numbers >= _LEAST_NUMBERS and 2 * (numbers + sum(map(is_clock, cells))) >= sum(map(bool, cells))
 
 
+DIALECT_KEYS = tuple(asdict(Dialect()))
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Top:
     """The names of the columns, how many lines stand above the first row of numbers, and those of them that are
@@ -102,28 +106,6 @@ def is_clock(cell: str) -> bool:
     return bool(_CLOCK.fullmatch(cell) if ":" in cell else _JOINED.fullmatch(cell))
 
 
-class Recoded(io.BufferedIOBase):
-    """A stream of another encoding as one of UTF-8."""
-
-    def __init__(self, stream: io.BufferedIOBase, encoding: str) -> None:
-        self._text = io.TextIOWrapper(stream, encoding=encoding, errors="replace", newline="\n")  # type: ignore[type-var]  # reads, as it must
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        return self._text.read(size).encode("utf-8", errors="replace")
-
-    def readinto(self, buffer: Any, /) -> int:
-        text = self.read(len(buffer) // _LONGEST_CHARACTER)
-        buffer[: len(text)] = text
-        return len(text)
-
-    def readline(self, size: int | None = -1, /) -> bytes:
-        return self._text.readline(-1 if size is None else size).encode("utf-8", errors="replace")
-
-    def close(self) -> None:
-        self._text.close()
-        super().close()
-
-
 # -------------------- what stands above the numbers --------------------
 
 
@@ -132,40 +114,36 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
     """What stands above the first row of numbers in the first lines of a file; None where no such row is. Remembered,
     because a file is opened several times on the way to a calibration."""
     rows = {i: len(cells) for i, line in enumerate(lines) if dialect.is_row(cells := dialect.cells(line))}
-    if 0 in rows and _are_numbers_of_columns(dialect.cells(lines[0])):
-        del rows[0]
-    first = _first_row({i: width for i, width in rows.items() if not dialect.is_comment(lines[i])})
+    if 0 in rows:  # it may have the numbers of the columns, above those of the rows: `,0,1,2,…`, as pandas writes it
+        empty, *others = dialect.cells(lines[0])
+        if not empty and others == [str(k) for k in range(len(others))]:
+            del rows[0]
+    plain_rows = [(i, width) for i, width in rows.items() if not dialect.is_comment(lines[i])]
+    following = [width for _, width in plain_rows[1:]] + [None]
+    first = next((i for (i, width), after in zip(plain_rows, following, strict=True) if after in (None, width)), None)
     if first is None:
         return None
     width = Counter(width for i, width in rows.items() if i >= first).most_common(1)[0][0]
-    if not dialect.header:
-        return Top(names=tuple(str(i + 1) for i in range(width)), lines=first, remarks=_said(lines[:first], dialect))
-    above = [(i, _uncommented(line, dialect)) for i, line in enumerate(lines[:first])]
-    rows_below = [dialect.cells(lines[i]) for i, each in rows.items() if i >= first and each == width][:FIRST_ROWS]
-    named = [
-        (i, n) for i, line in reversed(above) if (n := _names(dialect.cells(line), rows_below, dialect)) is not None
-    ]
-    if not named:
-        return Top(names=tuple(str(i + 1) for i in range(width)), lines=first, remarks=_said(lines[:first], dialect))
-    plain = [(i, n) for i, n in named if sum(map(dialect.is_number, n)) < _LEAST_NUMBERS]
-    at, names = (plain or named)[0]  # else a row with much text in it stands below the names
-    used = {at}
-    above_it = dict(named).get(at - 1)
-    if above_it is not None and _are_units(names):
-        at, names = at - 1, tuple(f"{name} [{_bare(unit)}]" for name, unit in zip(above_it, names, strict=True))
-        names = tuple(name.removesuffix(" []") for name in names)
-        used.add(at)
-    grouped = _grouped(names, dialect.cells(above[at - 1][1])) if at else None
-    if grouped is not None:
-        names = grouped
-        used.add(at - 1)
-    rest = [line for i, line in enumerate(lines[:first]) if i not in used]
-    return Top(names=names, lines=first, remarks=_said(rest, dialect))
-
-
-def _are_numbers_of_columns(cells: Sequence[str]) -> bool:
-    """Whether a first line has the numbers of the columns, above those of the rows: `,0,1,2,…`, as pandas writes it."""
-    return not cells[0] and cells[1:] == [str(k) for k in range(len(cells) - 1)]
+    above = [_uncommented(line, dialect) for line in lines[:first]]
+    below = [dialect.cells(lines[i]) for i, columns in rows.items() if i >= first and columns == width][:FIRST_ROWS]
+    named = {i: n for i, line in enumerate(above) if (n := _names(dialect.cells(line), below, dialect)) is not None}
+    names, used = tuple(str(i + 1) for i in range(width)), set[int]()
+    if named and dialect.header:
+        plain = [i for i, n in named.items() if sum(map(dialect.is_number, n)) < _LEAST_NUMBERS]
+        at = max(plain or named)  # else a row with much text in it stands below the names
+        names, used = named[at], {at}
+        if at - 1 in named and _are_units(names):
+            at, units = at - 1, names
+            names = tuple(
+                f"{name} [{_bare(unit)}]".removesuffix(" []") for name, unit in zip(named[at], units, strict=True)
+            )
+            used.add(at)
+        grouped = _grouped(names, dialect.cells(above[at - 1])) if at else None
+        if grouped is not None:
+            names = grouped
+            used.add(at - 1)
+    remarks = (" ".join(line.split()) for i, line in enumerate(above) if i not in used)
+    return Top(names=names, lines=first, remarks=tuple(filter(None, remarks)))
 
 
 def _grouped(names: tuple[str, ...], above: Sequence[str]) -> tuple[str, ...] | None:
@@ -189,17 +167,6 @@ def _grouped(names: tuple[str, ...], above: Sequence[str]) -> tuple[str, ...] | 
 def _plain(name: str) -> str:
     """A name without its unit."""
     return re.sub(r"\s*[\[(].*", "", name).lower()
-
-
-def _first_row(rows: Mapping[int, int]) -> int | None:
-    """The first of the rows of numbers, given with their widths, that the next is as wide as, or that nothing
-    follows."""
-    if not rows:
-        return None
-    for (i, width), following in zip(rows.items(), [*list(rows.values())[1:], None], strict=True):
-        if following is None or width == following:
-            return i
-    return None
 
 
 def _uncommented(line: str, dialect: Dialect) -> str:
@@ -251,10 +218,6 @@ def _bare(unit: str) -> str:
     return re.sub(r"[\[\]()]", "", unit).strip()
 
 
-def _said(lines: Sequence[str], dialect: Dialect) -> tuple[str, ...]:
-    return tuple(text for line in lines if (text := " ".join(_uncommented(line, dialect).split())))
-
-
 def head_lines(stream: io.BufferedIOBase) -> tuple[str, ...]:
     """The first lines of a stream, whole and without their ends."""
     seen = stream.read(_SEEN_BYTES)
@@ -276,23 +239,14 @@ def encoding_of(seen: bytes) -> str:
     zeros = [seen[k:4096:2].count(0) for k in (0, 1)]
     if max(zeros) > len(seen[:4096]) // 4:
         return "utf-16-le" if zeros[1] > zeros[0] else "utf-16-be"
-    if _decodes(seen, "utf-8"):
-        return "utf-8"
-    return next((name for name in _GUESSED_ENCODINGS if _decodes(seen, name) and _in_words(seen, name)), "latin-1")
-
-
-def _decodes(seen: bytes, encoding: str) -> bool:
-    try:
-        codecs.getincrementaldecoder(encoding)().decode(seen)
-    except UnicodeDecodeError:
-        return False
-    return True
-
-
-def _in_words(seen: bytes, encoding: str) -> bool:
-    """Whether text has words of the letters that an encoding is for: a degree sign alone is Latin."""
-    text = seen.decode(encoding, errors="replace")
-    return bool(re.search("[а-яё]{3}" if encoding == "cp1251" else "[\u4e00-\u9fff]{2}", text))
+    for name, words in _ENCODINGS.items():
+        try:
+            text = codecs.getincrementaldecoder(name)().decode(seen)
+        except UnicodeDecodeError:
+            continue
+        if re.search(words, text):
+            return name
+    return "latin-1"
 
 
 def dialect_of(seen: bytes) -> tuple[Dialect, Top] | None:
@@ -302,28 +256,18 @@ def dialect_of(seen: bytes) -> tuple[Dialect, Top] | None:
     text = seen.decode(encoding, errors="replace").removeprefix("\ufeff")
     lines = [line.rstrip("\r") for line in text.split("\n")]
     lines = (lines[:-1] if len(lines) > 1 else lines)[:_TOP_LINES]
-    comment = _comment(lines)
-    best: tuple[int, Dialect] | None = None
-    for delimiter in DELIMITERS:
-        for decimal in (".", ","):
-            mark = comment if comment != delimiter else None
-            trial = Dialect(delimiter=delimiter, decimal=decimal, comment=mark, encoding=encoding)
-            rows = Counter(len(c) for line in lines if trial.is_row(c := trial.cells(line)))
-            count = max(rows.values(), default=0)
-            if count and (best is None or count > best[0]):
-                best = count, trial
-    if best is None:
-        return None
-    dialect = best[1]
-    top = top_of(tuple(lines), dialect)
+    # the mark with which lines begin that are no rows, where there are such, and others
+    marks = Counter(mark for line in lines for mark in COMMENTS if line.lstrip().startswith(mark))
+    mark, count = marks.most_common(1)[0] if marks else ("", 0)
+    comment = mark if 0 < count < sum(bool(line.strip()) for line in lines) else None
+    rows_by_dialect: dict[Dialect, int] = {}
+    for delimiter, decimal in product(DELIMITERS, ".,"):
+        kept = comment if comment != delimiter else None
+        trial = Dialect(delimiter=delimiter, decimal=decimal, comment=kept, encoding=encoding)
+        widths = Counter(len(c) for line in lines if trial.is_row(c := trial.cells(line)))
+        rows_by_dialect[trial] = max(widths.values(), default=0)
+    dialect = max(rows_by_dialect, key=lambda trial: rows_by_dialect[trial])
+    top = top_of(tuple(lines), dialect) if rows_by_dialect[dialect] else None
     if top is None:
         return None
-    named = any(not name.isdecimal() for name in top.names)
-    return replace(dialect, header=named), top
-
-
-def _comment(lines: Sequence[str]) -> str | None:
-    """The mark with which lines begin that are no rows; None where there are none, or nothing else."""
-    counted = Counter(mark for line in lines for mark in COMMENTS if line.lstrip().startswith(mark))
-    mark, count = counted.most_common(1)[0] if counted else ("", 0)
-    return mark if 0 < count < sum(bool(line.strip()) for line in lines) else None
+    return replace(dialect, header=any(not name.isdecimal() for name in top.names)), top

@@ -1,45 +1,83 @@
-"""Text files as UTF-8 whatever their encoding, decompressed, in pieces of whole lines."""
+"""Text files as UTF-8 whatever their encoding, decompressed, in pieces of whole lines.
+
+Readings compress to a third or a tenth; what unpacks to a hundred times its size is no log, and would fill memory or a
+disk: it is refused, before it is unpacked where the archive says how large it will be.
+"""
 
 from __future__ import annotations
 
-import csv
+import gzip
 import io
+import sys
 from collections.abc import Iterator
 from mmap import mmap
 from pathlib import Path
+from typing import Any
 
 from tumble.errors import LogError
-from tumble.recording.text.dialect import LINE_BYTES, Recoded
-from tumble.recording.text.unpacked import unpacked
+from tumble.recording.text.dialect import LINE_BYTES
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+LARGEST_RATIO = 100
+SMALL_BYTES = 1 << 24
+"""So much may come out of any archive: rows of a few characters take twenty times as much memory."""
 
 _FIRST_PIECE_BYTES = 1 << 18
 _PIECE_BYTES = 1 << 24
+_LONGEST_CHARACTER = 4  # bytes, in UTF-8
+_HEADER_BYTES = 18
+"""The longest header of a frame of Zstandard."""
+_DEFLATE_RATIO = 1032
+"""What gzip reaches at most: an archive that states more was cut."""
 
 
 def opened(path: Path, encoding: str = "utf-8") -> io.BufferedIOBase:
-    """A file to read from as UTF-8, decompressed by its ending."""
+    """A file to read from as UTF-8, decompressed by its ending.
+
+    Raises LogError for an archive that holds more than one of its size can of a log, here or while it is read."""
     packed = path.suffix.lower() in (".gz", ".zst")
-    stream = unpacked(path) if packed else path.open("rb")
-    return stream if encoding == "utf-8" else Recoded(stream, encoding)
+    stream = _unpacked(path) if packed else path.open("rb")
+    return stream if encoding == "utf-8" else _Recoded(stream, encoding)
 
 
-def header(stream: io.BufferedIOBase, path: Path) -> tuple[str, ...]:
-    """The column names in the first line of a CSV file."""
-    line = stream.readline(LINE_BYTES).decode("utf-8-sig", errors="replace")
-    try:
-        return tuple(name.strip() for name in next(csv.reader([line.rstrip("\r\n")]), []))
-    except csv.Error as error:
-        raise LogError(f"{path}: expected the names of the columns in the first line, found: {error}") from None
+class _Recoded(io.BufferedIOBase):
+    """A stream of another encoding as one of UTF-8."""
+
+    def __init__(self, stream: io.BufferedIOBase, encoding: str) -> None:
+        self._text = io.TextIOWrapper(stream, encoding=encoding, errors="replace", newline="\n")  # type: ignore[type-var]  # reads, as it must
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        return self._text.read(size).encode("utf-8", errors="replace")
+
+    def readinto(self, buffer: Any, /) -> int:
+        text = self.read(len(buffer) // _LONGEST_CHARACTER)
+        buffer[: len(text)] = text
+        return len(text)
+
+    def readline(self, size: int | None = -1, /) -> bytes:
+        return self._text.readline(-1 if size is None else size).encode("utf-8", errors="replace")
+
+    def close(self) -> None:
+        self._text.close()
+        super().close()
 
 
 def whole_lines(stream: io.BufferedIOBase, path: Path) -> Iterator[bytes]:
     """The rest of a stream in pieces of whole lines, the first one small; blank lines at its end are left out."""
     buffer = mmap(-1, max(_FIRST_PIECE_BYTES, _PIECE_BYTES) + LINE_BYTES)  # takes memory only where it is filled
     held, size = 0, _FIRST_PIECE_BYTES
-    while read := _read_into(buffer, slice(held, held + size), stream):
-        stop = held + read
-        # the line after it may go on, or be the last before blank ones
-        end = buffer.rfind(b"\n", 0, _without_blanks(buffer, stop)) + 1
+    while True:
+        with memoryview(buffer) as whole, whole[held : held + size] as free:
+            stop = held + stream.readinto(free)
+        if stop == held:
+            break
+        # the line behind may go on, or be the last before blank ones
+        first = max(0, stop - LINE_BYTES)
+        end = buffer.rfind(b"\n", 0, first + len(buffer[first:stop].rstrip())) + 1
         if end:
             yield buffer[:end]
         rest = buffer[end:stop]
@@ -53,13 +91,60 @@ def whole_lines(stream: io.BufferedIOBase, path: Path) -> Iterator[bytes]:
         yield rest.rstrip() + empty.rstrip(b"\r") + line_end
 
 
-def _read_into(buffer: mmap, part: slice, stream: io.BufferedIOBase) -> int:
-    """Fill a part of a buffer from a stream; with how many bytes."""
-    with memoryview(buffer) as whole, whole[part] as free:
-        return stream.readinto(free)
+# -------------------- archives --------------------
 
 
-def _without_blanks(buffer: mmap, stop: int) -> int:
-    """Where the blanks begin that end the first `stop` bytes; of more of them than a line may have, one of these."""
-    first = max(0, stop - LINE_BYTES)
-    return first + len(buffer[first:stop].rstrip())
+def largest_unpacked(path: Path) -> int:
+    """How many bytes may come out of an archive of this size."""
+    return max(LARGEST_RATIO * path.stat().st_size, SMALL_BYTES)
+
+
+def _unpacked(path: Path) -> io.BufferedIOBase:
+    """The content of a file that ends in .gz or .zst, as far as an archive of its size can hold a log. The last member
+    of a gzip says how many bytes it holds, to 4 GB, where it is whole; the first frame of Zstandard may say so."""
+    gzipped, size, limit = path.suffix.lower() == ".gz", path.stat().st_size, largest_unpacked(path)
+    with path.open("rb") as file:
+        if gzipped:
+            file.seek(max(size - 4, 0))
+            stated = int.from_bytes(file.read(4), "little")
+            stated = stated if stated <= _DEFLATE_RATIO * size else 0
+        else:
+            try:
+                stated = zstd.get_frame_info(file.read(_HEADER_BYTES)).decompressed_size or 0
+            except zstd.ZstdError:
+                stated = 0
+    if stated > limit:
+        raise _too_large(path, limit, f"{_megabytes(stated)} stated")
+    return io.BufferedReader(_Limited(gzip.GzipFile(path) if gzipped else zstd.ZstdFile(path), path, limit))
+
+
+class _Limited(io.RawIOBase):
+    """What comes out of an archive, refused where it is more than `limit` bytes."""
+
+    def __init__(self, stream: Any, path: Path, limit: int) -> None:
+        self._stream, self._path, self._limit, self._count = stream, path, limit, 0
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any, /) -> int:
+        count = int(self._stream.readinto(buffer))
+        self._count += count
+        if self._count > self._limit:
+            raise _too_large(self._path, self._limit, f"{_megabytes(self._count)} and more")
+        return count
+
+    def close(self) -> None:
+        self._stream.close()
+        super().close()
+
+
+def _too_large(path: Path, limit: int, found: str) -> LogError:
+    return LogError(
+        f"{path}: expected readings, of which an archive of {_megabytes(path.stat().st_size)} holds at most "
+        f"{_megabytes(limit)}, found {found}; if it is a log, unpack it and name the file in it"
+    )
+
+
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:.3g} MB" if size < 1e9 else f"{size / 1e9:.3g} GB"

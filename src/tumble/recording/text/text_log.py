@@ -1,4 +1,4 @@
-"""A text file of a log.
+"""A text file of a log, and the times in it: of day, and dates.
 
 A text file, compressed or not, is cut into pieces of whole lines for polars to parse, whatever its dialect. Where
 polars refuses a piece, or leaves a value empty, the piece is halved until Python can read the few lines in question
@@ -11,28 +11,37 @@ from __future__ import annotations
 import codecs
 import csv
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
 from tumble.errors import LogError
-from tumble.recording.log_source import (
-    Kind,
-    Unread,
-    first_numbers,
-    in_column,
-    readable,
-    rows_of_numbers,
+from tumble.recording.log_source import Kind, Unread, first_numbers, in_column, readable, rows_of_numbers
+from tumble.recording.session import LogSpec
+from tumble.recording.text.dialect import (
+    BLANKS,
+    FIRST_ROWS,
+    JOINED,
+    LINE_BYTES,
+    Dialect,
+    head_lines,
+    names_of_rows,
+    top_of,
 )
-from tumble.recording.text.clock import date_of, day_of, seconds_of
-from tumble.recording.text.dialect import BLANKS, FIRST_ROWS, LINE_BYTES, Dialect, head_lines, names_of_rows, top_of
-from tumble.recording.text.pieces import header, opened, whole_lines
+from tumble.recording.text.pieces import opened, whole_lines
 from tumble.units import Array
 
 _SLOW_BYTES = 1 << 14
+
+_DATE = r"^\s*\"?(?:(\d{4})[-./](\d{1,2})[-./](\d{1,2})|(\d{1,2})[-./](\d{1,2})[-./](\d{4}))"
+_HALF = r"([AaPp]\.?[Mm]\.?)?"
+_TIME = r"(?:^|[T ])\s*(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d+))?)?\s*" + _HALF + r"\s*(Z|[+-]\d{2}:?\d{2})?\s*\"?$"
+_DAY = 86400
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -61,9 +70,28 @@ class TextLog:
             yield table, unread
 
     def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
+        """Columns without a name, or with that of another, get a number. Of a log of a stated dialect, what cannot be
+        read is NaN, and lines that are no rows are left out; else polars' errors are raised."""
+        names = [n if n and n not in self.names[:j] else f"column {j + 1}" for j, n in enumerate(self.names)]
+        schema = {name: pl.Float64 if name in numbers else pl.String for name in names}
+        comma = self.dialect.decimal == ","
+        point = pl.col(list(numbers)).str.strip_chars()
+        point = (point.str.replace(",", ".") if comma else point).cast(pl.Float64, strict=False).fill_null(np.nan)
         with readable(self.path), rows_of_numbers(self.path):
-            for table in _text_tables(self, numbers):
-                yield table.with_columns(pl.col(numbers).cast(pl.Float64))
+            for piece in self.pieces():
+                try:
+                    yield pl.read_csv(
+                        piece, has_header=False, schema=schema, separator=self.separator, decimal_comma=comma
+                    )
+                except pl.exceptions.PolarsError:
+                    if self.dialect == Dialect():
+                        raise
+                    rows: list[list[str]] = []
+                    for line in piece.decode("utf-8", errors="replace").splitlines():
+                        with suppress(csv.Error):
+                            cells = self.cells(line)
+                            rows += [cells] if len(cells) == len(names) and not self.dialect.is_comment(line) else []
+                    yield pl.DataFrame(rows, schema=dict.fromkeys(names, pl.String), orient="row").with_columns(point)
 
     def pieces(self) -> Iterator[bytes]:
         """The rows in pieces of whole lines that are parsed alike whatever the dialect."""
@@ -110,36 +138,31 @@ class _Text:
         middle = piece.find(b"\n", len(piece) // 2) + 1
         if len(piece) <= _SLOW_BYTES or not 0 < middle < len(piece):
             return self._line_by_line(piece, first)
-        above, said = self.table(piece[:middle], first)
+        above, unread = self.table(piece[:middle], first)
         below, more = self.table(piece[middle:], first + above.height)
-        return pl.concat([above, below]), said + more
+        return pl.concat([above, below]), unread + more
 
     def _at_once(self, piece: bytes) -> pl.DataFrame | None:
-        """The rows of a piece as polars reads them; None where it refuses, or leaves a value empty."""
-        names = self.source.names
+        """The rows of a piece as polars reads them; None where it refuses, leaves a value empty, or may have filled up
+        rows of too few values with nulls from the end."""
+        names, separator = self.source.names, self.source.separator
         kinds = {name: pl.String if name == self.clock else pl.Float64 for name in self.columns}
         schema = {(n if n in kinds else f"\0{j}"): kinds.get(n, pl.String) for j, n in enumerate(names)}
         comma = self.source.dialect.decimal == ","
         try:
-            table = pl.read_csv(
-                piece, has_header=False, schema=schema, separator=self.source.separator, decimal_comma=comma
-            )
+            table = pl.read_csv(piece, has_header=False, schema=schema, separator=separator, decimal_comma=comma)
         except pl.exceptions.PolarsError:
             return None
-        if table.height != _lines_in(piece):
+        ends = np.frombuffer(piece, dtype=np.uint8) == ord("\n")  # four times as fast as `bytes.count`
+        if table.height != int(np.count_nonzero(ends)) + (not piece.endswith(b"\n")):
             return None
-        if names[-1] not in kinds and self._may_be_short(table, piece):
+        short = names[-1] not in kinds and table.to_series(-1).null_count() > 0
+        if short and piece.count(separator.encode()) != table.height * (len(names) - 1):
             return None
         used = table.select(pl.col(self.columns))
         if self.clock is not None:
             used = used.with_columns(seconds_of(used[self.clock], self.day or 0).alias(self.clock))
         return None if any(column.null_count() for column in used) else used
-
-    def _may_be_short(self, table: pl.DataFrame, piece: bytes) -> bool:
-        """Whether there may be rows with too few values, which polars fills up with nulls from the end."""
-        if not table.to_series(-1).null_count():
-            return False
-        return piece.count(self.source.separator.encode()) != table.height * (len(self.source.names) - 1)
 
     def _line_by_line(self, piece: bytes, first: int) -> tuple[pl.DataFrame, list[Unread]]:
         """What `table` gives, by Python's csv and float(), which can say what is wrong in which row."""
@@ -148,50 +171,42 @@ class _Text:
         numbers = np.full((len(lines), len(self.columns)), np.nan)
         unread: list[Unread] = []
         for i, line in enumerate(lines):
-            last = i == len(lines) - 1 and not ended
-            found = self._numbers(line.removesuffix("\r"), numbers[i])
-            if found is not None:
-                cut = last and found.kind != Kind.NO_ROW
-                unread.append(replace(found, row=first + i, kind=Kind.CUT if cut else found.kind))
+            fault = self._numbers(line.removesuffix("\r"), numbers[i])
+            if fault is not None:
+                cut = i == len(lines) - 1 and not ended and fault.kind != Kind.NO_ROW
+                unread.append(replace(fault, row=first + i, kind=Kind.CUT if cut else fault.kind))
         return pl.DataFrame(numbers, schema=list(self.columns), orient="row"), unread
 
     def _numbers(self, line: str, out: Array) -> Unread | None:
         """Put the numbers of a line into `out`, NaN where one cannot be read; what was found instead of the first."""
-        if not line.strip() or self.source.dialect.is_comment(line):
-            return Unread(row=0, column=None, found="a blank line" if not line.strip() else line, kind=Kind.NO_ROW)
+        dialect, names = self.source.dialect, self.source.names
+
+        def unread(found: str, kind: Kind, column: str | None = None) -> Unread:
+            return Unread(row=0, column=column, found=found, kind=kind)
+
+        if not line.strip() or dialect.is_comment(line):
+            return unread(line if line.strip() else "a blank line", Kind.NO_ROW)
         try:
             values = self.source.cells(line)
         except csv.Error as error:
-            return Unread(row=0, column=None, found=str(error), kind=Kind.ROW)
-        if len(values) != len(self.source.names):
-            number = self.source.dialect.is_number
-            text = not any(number(v.strip()) for v in values)
-            found = line.strip() if text else f"{len(values)} values"
-            return Unread(row=0, column=None, found=found, kind=Kind.TEXT if text else Kind.ROW)
+            return unread(str(error), Kind.ROW)
+        if len(values) != len(names):
+            if any(dialect.is_number(v.strip()) for v in values):
+                return unread(f"{len(values)} values", Kind.ROW)
+            return unread(line.strip(), Kind.TEXT)
         fault: Unread | None = None
         for j, column in enumerate(self.columns):
-            text_of = values[self.source.names.index(column)]
+            cell = values[names.index(column)]
             try:
-                out[j] = self._number(column, text_of)
-            except ValueError:
-                fault = fault or Unread(row=0, column=column, found=text_of, kind=Kind.VALUE)
+                if column == self.clock:
+                    out[j] = float(seconds_of(pl.Series([cell], dtype=pl.String), self.day or 0)[0])
+                elif "_" in cell:  # a date such as 2026_06_15, which float() takes for a number
+                    raise ValueError(cell)
+                else:
+                    out[j] = float(cell.replace(",", ".") if dialect.decimal == "," else cell)
+            except (TypeError, ValueError):
+                fault = fault or unread(cell, Kind.VALUE, column)
         return fault
-
-    def _number(self, column: str, text: str) -> float:
-        if column == self.clock:
-            seconds = seconds_of(pl.Series([text], dtype=pl.String), self.day or 0)[0]
-            if seconds is None:
-                raise ValueError(text)
-            return float(seconds)
-        if "_" in text:  # a date such as 2026_06_15, which float() takes for a number
-            raise ValueError(text)
-        return float(text.replace(",", ".") if self.source.dialect.decimal == "," else text)
-
-
-def _lines_in(piece: bytes) -> int:
-    """How many lines a piece has; numpy counts four times as fast as `bytes.count`."""
-    ends = np.frombuffer(piece, dtype=np.uint8) == ord("\n")
-    return int(np.count_nonzero(ends)) + (not piece.endswith(b"\n"))
 
 
 def _with_tabs(piece: bytes) -> bytes:
@@ -204,10 +219,14 @@ def text_log(path: Path, dialect: Dialect | None) -> TextLog:
     """A text log: with its names in the first line, unless a dialect is stated."""
     if dialect is None:
         with opened(path) as stream:
-            names = header(stream, path)
-            lines = [stream.readline(LINE_BYTES).decode("utf-8", errors="replace") for _ in range(FIRST_ROWS)]
-        rows = [cells for line in lines if (cells := Dialect().cells(line.strip()))]
-        return TextLog(path=path, names=names_of_rows(names, rows), dialect=Dialect(), top=1)
+            first, *lines = [stream.readline(LINE_BYTES) for _ in range(1 + FIRST_ROWS)]
+        try:
+            above = next(csv.reader([first.decode("utf-8-sig", errors="replace").rstrip("\r\n")]), [])
+        except csv.Error as error:
+            raise LogError(f"{path}: expected the names of the columns in the first line, found: {error}") from None
+        below = (Dialect().cells(line.decode("utf-8", errors="replace").strip()) for line in lines)
+        names = names_of_rows([name.strip() for name in above], [cells for cells in below if cells])
+        return TextLog(path=path, names=names, dialect=Dialect(), top=1)
     with opened(path, dialect.encoding) as stream:
         top = top_of(head_lines(stream), dialect)
     if top is None:
@@ -215,41 +234,61 @@ def text_log(path: Path, dialect: Dialect | None) -> TextLog:
     return TextLog(path=path, names=top.names, dialect=dialect, top=top.lines)
 
 
-def _text_tables(source: TextLog, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
-    """The rows of a text log with all columns, these as numbers and the others as the text they are. Of a log of a
-    stated dialect, what cannot be read is NaN, and lines that are no rows are left out; else polars' errors are
-    raised."""
-    schema = {name: pl.Float64 if name in numbers else pl.String for name in _distinct(source.names)}
-    comma = source.dialect.decimal == ","
-    for piece in source.pieces():
-        try:
-            yield pl.read_csv(piece, has_header=False, schema=schema, separator=source.separator, decimal_comma=comma)
-        except pl.exceptions.PolarsError:
-            if source.dialect == Dialect():
-                raise
-            yield _text_table(source, piece, schema)
+# -------------------- times of day and dates as seconds --------------------
+# ISO 8601, 31.12.2025 23:59:59,5, 23:59:59.5, 11:59:59.5 PM and 2025_12_31_23_59_59.5
 
 
-def _text_table(source: TextLog, piece: bytes, schema: Mapping[str, type[pl.DataType]]) -> pl.DataFrame:
-    rows = []
-    for line in piece.decode("utf-8", errors="replace").splitlines():
-        try:
-            cells = source.cells(line)
-        except csv.Error:
-            continue
-        if len(cells) == len(schema) and not source.dialect.is_comment(line):
-            rows.append(cells)
-    text = pl.DataFrame(rows, schema=dict.fromkeys(schema, pl.String), orient="row")
-    point = pl.col([name for name, kind in schema.items() if kind == pl.Float64]).str.strip_chars()
-    point = point.str.replace(",", ".") if source.dialect.decimal == "," else point
-    return text.with_columns(point.cast(pl.Float64, strict=False).fill_null(float("nan")))
+def day_of(text: str) -> int:
+    """The day of a text's date, counted from 1970-01-01; 0 without a date."""
+    return int(_days(pl.Series([text], dtype=pl.String)).fill_null(0)[0])
 
 
-def _distinct(names: Sequence[str]) -> list[str]:
-    """Names of all columns; those without one, or with that of another, get a number."""
-    seen: set[str] = set()
-    out = []
-    for j, name in enumerate(names):
-        out.append(f"column {j + 1}" if not name or name in seen else name)
-        seen.add(name)
-    return out
+def date_of(text: str) -> str | None:
+    """The date with the time of a text, ISO 8601, with a time zone in UTC; None without a date."""
+    day = day_of(text)
+    seconds = seconds_of(pl.Series([text], dtype=pl.String), day)[0] if day else None
+    if not day or seconds is None:
+        return None
+    found = re.search(_TIME, text)
+    zone = UTC if found and found[6] else None
+    start = datetime(1970, 1, 1, tzinfo=zone) + timedelta(days=day)
+    return (start + timedelta(seconds=float(seconds))).isoformat(timespec="seconds")
+
+
+def seconds_of(text: pl.Series, day: int) -> pl.Series:
+    """Seconds since midnight of a day (`day_of`); null where the text is no time."""
+    text = _parted(text)
+    parts = {k: text.str.extract(_TIME, k) for k in range(1, 7)}
+    hour, minute = (parts[k].cast(pl.Float64, strict=False) for k in (1, 2))
+    half = parts[5].str.slice(0, 1).str.to_lowercase()  # of the day: 12 am is its beginning, 12 pm noon
+    hour = hour.zip_with(half.is_null(), hour % 12 + 12.0 * (half == "p"))
+    second = parts[3].fill_null("0") + "." + parts[4].fill_null("0")
+    zone = parts[6].str.replace(":", "").str.extract(r"([+-]\d{4})", 1).cast(pl.Int64, strict=False).fill_null(0)
+    east = zone.sign() * (zone.abs() // 100 * 60 + zone.abs() % 100) * 60
+    days = (_days(text).fill_null(day) - day) * _DAY
+    return (days - east) + hour * 3600 + minute * 60 + second.cast(pl.Float64, strict=False)
+
+
+def _parted(text: pl.Series) -> pl.Series:
+    """Dates and times whose parts are all joined alike as ISO 8601 has them."""
+    return text.str.replace(f'^\\s*"?{JOINED}', "${1}-${2}-${3}T${4}:${5}:${6}${7}")
+
+
+def _days(text: pl.Series) -> pl.Series:
+    """Days since 1970-01-01; null without a date."""
+    found = [_parted(text).str.extract(_DATE, k) for k in range(1, 7)]
+    year, month, day = (found[i].zip_with(found[i].is_not_null(), found[j]) for i, j in ((0, 5), (1, 4), (2, 3)))
+    written = year + "-" + month.str.zfill(2) + "-" + day.str.zfill(2)
+    return written.str.to_date("%Y-%m-%d", strict=False).cast(pl.Int32).cast(pl.Int64)
+
+
+def times_of(column: pl.Series, spec: LogSpec) -> Array:
+    """The times (s) of a log's time column, as it is in a table with all columns."""
+    if spec.clock and column.dtype == pl.String:
+        return seconds_of(column, 0).to_numpy()
+    if isinstance(column.dtype, pl.Datetime):
+        since = (column - column.dt.truncate("1d")[0]).dt.total_nanoseconds()
+        return np.asarray(since.to_numpy() * 1e-9)
+    comma = spec.dialect is not None and spec.dialect.decimal == "," and column.dtype == pl.String
+    numbers = (column.str.replace(",", ".") if comma else column).cast(pl.Float64)
+    return np.asarray(numbers.to_numpy() * spec.time_factor)
