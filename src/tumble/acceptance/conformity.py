@@ -18,7 +18,7 @@ Source: ILAC-G8:09/2019, 4.2.3 (guard band w = U on either side of a limit, JCGM
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -132,7 +132,7 @@ def verdict_at(calibration: Calibration, limits: Limits, occasion: Occasion) -> 
 
 
 def judge(
-    limits: Limits, occasion: Occasion, parameters: Iterable[Parameter], unobservable: Iterable[str] = ()
+    limits: Limits, occasion: Occasion, parameters: Sequence[Parameter], unobservable: Sequence[str] = ()
 ) -> Verdict | None:
     """The verdict on the parameters of a calibration in the frame of the limits; None where the limits have none for
     such a check. Parameters that have a limit and were not determined do not pass: those that the calibration calls
@@ -140,26 +140,16 @@ def judge(
     by_key = limits.checks.get(occasion)
     if not by_key:
         return None
-    judged, named = [], list(unobservable)
-    missing = [name for name in named if limits.of(name, occasion) is not None]
-    for p in parameters:
-        named.append(p.name)
-        if (between := limits.of(p.name, occasion)) is not None:
-            judged.append(_judgement(p.name, p.unit, p.value, expanded(p), between))
+    values = [(p.name, p.unit, p.value, expanded(p)) for p in parameters if limits.of(p.name, occasion) is not None]
+    named = [*unobservable, *(p.name for p in parameters)]
+    missing = [name for name in unobservable if limits.of(name, occasion) is not None]
     missing += [key for key in by_key if not any(meant_by(key, name) for name in named)]
-    for name in missing:
-        between = limits.of(name, occasion) or (-math.inf, math.inf)
-        judged.append(_judgement(name, group_of(name).unit, None, None, between))
+    judged = []
+    for name, unit, value, U in [*values, *((name, group_of(name).unit, None, None) for name in missing)]:
+        low, high = limits.of(name, occasion) or (-math.inf, math.inf)
+        result = _result(value, U, low, high)
+        judged.append(LimitJudgement(name=name, unit=unit, value=value, expanded=U, low=low, high=high, result=result))
     return Verdict(occasion=occasion, frame=limits.frame, judgements=tuple(judged))
-
-
-def _judgement(
-    name: str, unit: str, value: float | None, U: float | None, between: tuple[float, float]
-) -> LimitJudgement:
-    """A value (SI) with its U judged by the limits it has to be between."""
-    low, high = between
-    result = _result(value, U, low, high)
-    return LimitJudgement(name=name, unit=unit, value=value, expanded=U, low=low, high=high, result=result)
 
 
 def judge_value(value: float, u: float | None, low: float, high: float, dof: float | None = None) -> Result:

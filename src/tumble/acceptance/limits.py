@@ -100,7 +100,17 @@ def parse_limits(text: str, systematic: str | None, name: str) -> Limits:
     }
     if not any(checks.values()):
         raise InputError(f"{name}: expected limits in [incoming] or [periodic], found none")
-    values = {} if systematic is None else _systematic(systematic, frame, name)
+    values: Mapping[str, float] = {}
+    if systematic is not None:
+        from tumble.result.calibration import calibration_of
+
+        calibration = calibration_of(systematic, f"{name}: systematic")
+        if calibration.frame != frame:
+            raise InputError(
+                f"{name}: systematic: expected a calibration in the frame {frame!r} of the limits, found "
+                f"{calibration.frame!r}"
+            )
+        values = {p.name: p.value for p in calibration.parameters}
     for occasion, by_key in checks.items():
         for key, limit in by_key.items():
             if limit.relative and not any(meant_by(key, parameter) for parameter in values):
@@ -108,13 +118,16 @@ def parse_limits(text: str, systematic: str | None, name: str) -> Limits:
                     f"{name}: {occasion}: {key}: expected a systematic value to deviate from, found none; name a "
                     "calibration file that has it: systematic = FILE"
                 )
-    return Limits(
-        frame=frame,
-        checks=checks,
-        systematic=values,
-        schedule=schedule_of(content, name),
-        temperatures=_temperatures(content.get("temperature_degC"), name),
-    )
+    given, temperatures = content.get("temperature_degC"), None
+    if given is not None:
+        numbers = isinstance(given, list) and all(isinstance(n, int | float) and not isinstance(n, bool) for n in given)
+        if not numbers or len(given) != 2 or not -273.15 <= given[0] < given[1] <= 1000.0:
+            raise InputError(
+                f"{name}: temperature_degC: expected the lowest and the highest, as [-20, 60], found {given!r}"
+            )
+        temperatures = float(given[0]), float(given[1])
+    schedule = schedule_of(content, name)
+    return Limits(frame=frame, checks=checks, systematic=values, schedule=schedule, temperatures=temperatures)
 
 
 def _limit(key: str, value: Any, where: str) -> Limit:
@@ -147,28 +160,3 @@ def _limit(key: str, value: Any, where: str) -> Limit:
     if low >= high:
         raise InputError(f"{where}: expected a min below max, found {value['min']!r} and {value['max']!r}")
     return Limit(low=low, high=high)
-
-
-def _temperatures(given: Any, name: str) -> tuple[float, float] | None:
-    """Between which temperatures, °C, limits hold, where they are not those at the reference."""
-    if given is None:
-        return None
-    numbers = isinstance(given, list) and all(isinstance(n, int | float) and not isinstance(n, bool) for n in given)
-    if not numbers or len(given) != 2 or not -273.15 <= given[0] < given[1] <= 1000.0:
-        raise InputError(
-            f"{name}: temperature_degC: expected the lowest and the highest, as [-20, 60], found {given!r}"
-        )
-    return float(given[0]), float(given[1])
-
-
-def _systematic(text: str, frame: str, name: str) -> Mapping[str, float]:
-    """The systematic values of a type, SI, by parameter."""
-    from tumble.result.calibration import calibration_of
-
-    calibration = calibration_of(text, f"{name}: systematic")
-    if calibration.frame != frame:
-        raise InputError(
-            f"{name}: systematic: expected a calibration in the frame {frame!r} of the limits, found "
-            f"{calibration.frame!r}"
-        )
-    return {p.name: p.value for p in calibration.parameters}

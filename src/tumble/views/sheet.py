@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 
@@ -57,13 +58,13 @@ def write_sheet(
             f"{path}: expected a name that ends in {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}, found "
             f"{path.suffix or 'no ending'!r}"
         )
+    pace = {"rest": rest, "rate": rate, "move": move}
     if ending == ".svg":
-        content = sheet_drawing(programme, rest=rest, rate=rate, move=move).encode()
+        content = sheet_drawing(programme, **pace).encode()
     elif ending == ".html":
-        made = sheet_page(programme, rest=rest, rate=rate, move=move, serial=serial, number=number, revision=revision)
-        content = made.encode()
+        content = sheet_page(programme, **pace, serial=serial, number=number, revision=revision).encode()
     else:
-        content = sheet_pdf(programme, rest=rest, rate=rate, move=move, serial=serial, number=number, revision=revision)
+        content = _pdf(programme, pace, serial, number, revision)
     try:
         with whole_file(path) as temporary:
             temporary.write_bytes(content)
@@ -71,17 +72,15 @@ def write_sheet(
         raise InputError(f"{path}: expected a file that can be written: {error.strerror or error}") from error
 
 
-def sheet_pdf(
-    programme: Programme, *, rest: float, rate: float, move: float, serial: str, number: str, revision: str
-) -> bytes:
+def _pdf(programme: Programme, pace: Mapping[str, float], serial: str, number: str, revision: str) -> bytes:
     """The page as PDF/A-2b on A4, without a date: the same bytes for the same sheet."""
     with needs_extra("a sheet as PDF", "report", "matplotlib", "typst"):
         from tumble.views.render.characters import drawable, everywhere
         from tumble.views.render.pdf import set_in_type
-    rows = sheet_rows(programme, rest=rest, rate=rate, move=move)
+    rows = sheet_rows(programme, **pace)
     content = {
         "name": programme.name,
-        "pace": pace_of(programme, rows, rate, move),
+        "pace": pace_of(programme, rows, pace["rate"], pace["move"]),
         "number": number,
         "revision": revision,
         "forms": form_of(serial, number, revision),

@@ -41,21 +41,16 @@ def budget_blocks(calibration: Calibration, *, every: bool = False) -> list[Bloc
 def share_table(calibration: Calibration) -> Table:
     """Sources with type, standard uncertainty and degrees of freedom, and their mean shares in u² of the parameters of
     each group, the largest first."""
-    shares, budget = shares_by_group(calibration), calibration.budget
+    shares, budget, rows = shares_by_group(calibration), calibration.budget, []
     every = np.array(list(shares.values()))
-    order = np.argsort(-every.mean(axis=0))
-    large = [s for s in order.tolist() if every[:, s].max() >= SHOWN]
-    rows = []
-    for s in large:
-        row = {"source": budget[s].words, "type": budget[s].type, **_size(budget[s])}
-        row["dof"] = _degrees(budget[s].dof)
+    order = np.argsort(-every.mean(axis=0)).tolist()
+    small = [s for s in order if every[:, s].max() < SHOWN]
+    for s in (s for s in order if s not in small):
+        row = {"source": budget[s].words, "type": budget[s].type, **_size(budget[s]), "dof": _degrees(budget[s].dof)}
         rows.append(row | {group: percent(float(share[s])) for group, share in shares.items()})
-    small = [s for s in order.tolist() if s not in large]
     if small:
-        rows.append(
-            {"source": REST, "type": "", "u": "", "unit": "", "dof": ""}
-            | {group: percent(float(share[small].sum())) for group, share in shares.items()}
-        )
+        together = {group: percent(float(share[small].sum())) for group, share in shares.items()}
+        rows.append({"source": REST, "type": "", "u": "", "unit": "", "dof": ""} | together)
     caption = "Shares of u² by source, mean over the parameters of a group."
     return table(rows, words=("source", "type", "unit"), dense=True, caption=caption)
 
@@ -63,30 +58,21 @@ def share_table(calibration: Calibration) -> Table:
 def parameter_budget(calibration: Calibration, name: str) -> Table:
     """The budget of a parameter as EA-4/02 has it: source, type, standard uncertainty, sensitivity, contribution, share
     of u² and degrees of freedom."""
-    parameter, rows = calibration[name], []
+    parameter, lines, rows = calibration[name], calibration.uncertainty_budget(name), []
     size, unit = shown_units(calibration.parameters)[name]
-
-    def row(words: str, kind: str, contribution: float, dof: float | None, share: float) -> dict[str, str]:
-        return {
-            "source": words,
-            "type": kind,
-            "u": "",
-            "unit": "",
-            "sensitivity": "",
-            f"contribution, {unit}": _two(contribution / size),
-            "share": percent(share),
-            "dof": _degrees(dof),
-        }
-
-    lines = calibration.uncertainty_budget(name)
+    u, contribution = parameter.u or 0.0, f"contribution, {unit}"
     for line in (each for each in lines if each.share >= SHOWN):
-        of_source = _size(line)
-        of_source["sensitivity"] = "" if line.sensitivity is None else _two(line.sensitivity)
-        rows.append(row(line.words, line.type, line.contribution, line.dof, line.share) | of_source)
-    if small := [each for each in lines if each.share < SHOWN]:
-        share = sum(each.share for each in small)
-        rows.append(row(REST, "", math.sqrt(share) * (parameter.u or 0.0), None, share) | {"dof": ""})
-    rows.append(row("together", "", parameter.u or 0.0, parameter.dof, 1.0))
+        row = {"source": line.words, "type": line.type, **_size(line)}
+        row |= {"sensitivity": "" if line.sensitivity is None else _two(line.sensitivity)}
+        row |= {contribution: _two(line.contribution / size), "share": percent(line.share)}
+        rows.append(row | {"dof": _degrees(line.dof)})
+    without = {"type": "", "u": "", "unit": "", "sensitivity": ""}
+    small = [each.share for each in lines if each.share < SHOWN]
+    if small:
+        rest = {contribution: _two(math.sqrt(sum(small)) * u / size), "share": percent(sum(small)), "dof": ""}
+        rows.append({"source": REST} | without | rest)
+    whole = {contribution: _two(u / size), "share": percent(1.0), "dof": _degrees(parameter.dof)}
+    rows.append({"source": "together"} | without | whole)
     caption = f"Uncertainty budget of {name}; the sensitivity is in {parameter.unit} over the unit of the source, SI."
     return table(rows, words=("source", "type", "unit"), dense=True, caption=caption)
 
