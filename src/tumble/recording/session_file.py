@@ -56,7 +56,7 @@ def read_session(folder: FilePath) -> Session:
         raise SessionError(f"{path}: expected a readable file, found: {error.strerror}") from None
     session = validated(SessionDocument, content, str(path), SessionError).si(path.parent)
     _check_files(session, str(path))
-    return session
+    return _compared(session)
 
 
 def session_of(description: Mapping[str, Any], data: Data | None = None) -> Session:
@@ -87,7 +87,19 @@ def session_of(description: Mapping[str, Any], data: Data | None = None) -> Sess
     session = validated(SessionDocument, description, where, SessionError).si(None)
     session = replace(session, log=replace(session.log, files=samples or session.log.files))
     _check_files(session, where)
-    return session
+    return _compared(session)
+
+
+def _compared(session: Session) -> Session:
+    """A session whose log's clock was compared with the second one that it has."""
+    if session.log.reference_clock is None:
+        return session
+    from tumble.recording.readers import source_of
+    from tumble.recording.rows.reference_clock import clock_rate
+
+    log = session.log
+    found = clock_rate([source_of(file, log.dialect) for file in log.files], log)
+    return replace(session, log=replace(log, clock_rate=found.rate, clock_u=found.u))
 
 
 def session_from(given: Session | FilePath) -> Session:

@@ -271,11 +271,19 @@ def estimated(
             f"no uncertainty of the time base is stated: {1e6 * session.log.time_base_u:.0f} ppm, as of a crystal, "
             f"are in the u of {' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact",
         )
+    if (reference := session.log.reference_clock) is not None:
+        slow = session.log.clock_rate - 1.0
+        notes += (
+            f"a second of the log's clock lasts {1e6 * slow:+.1f} ppm longer by '{reference.column}', to "
+            f"{1e6 * session.log.time_base_u:.2g} ppm: {' and '.join(by_clock) or 'no parameter'} corrected for it",
+        )
     unstamped = session.log.unstamped
     observations = replace(observations, start=start, notes=notes, by_clock=by_clock, unstamped=unstamped)
     try:
         with np.errstate(over="ignore"):  # damaged samples, of which it breaks down
             estimate = method(observations)
+        of_clock = by_time_base(estimate.names, clocked(session.log.clock_rate - 1.0, session.log.increments))
+        estimate = replace(estimate, values=estimate.values + of_clock)
         if estimate.method != "joint":  # which counts the time base itself
             estimate = _with_time_base(estimate, observations)
         if terms == "full" and estimate.method == "joint":

@@ -145,6 +145,16 @@ temperature and with age."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class ReferenceClock:
+    """A second clock in the log: its column, in units of `factor` s, and how well it keeps time, the relative standard
+    uncertainty `u` of its rate."""
+
+    column: str
+    factor: float
+    u: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class LogSpec:
     """The log's files, or tables in memory, and columns. Either `time`, a column in units of `time_factor` s, or
     `rate`, Hz. `clock`: the times are those of a clock or a calendar; `regular`: rows are equally spaced, whatever
@@ -164,6 +174,9 @@ class LogSpec:
     regular: bool = False
     dialect: Dialect | None = None
     clock_u: float | None = None
+    reference_clock: ReferenceClock | None = None
+    clock_rate: float = 1.0
+    """Seconds in a second of the log's clock, by the reference clock."""
 
     @property
     def unstamped(self) -> bool:

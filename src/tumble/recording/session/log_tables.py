@@ -14,7 +14,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from tumble.documents import as_written, is_plain, shown
 from tumble.errors import did_you_mean
-from tumble.recording.session import Channels, LogSpec, TemperatureChannels
+from tumble.recording.session import Channels, LogSpec, ReferenceClock, TemperatureChannels
 from tumble.recording.text.dialect import DELIMITERS, DIALECT_KEYS, Dialect
 from tumble.sensors.model import thermometers_of
 from tumble.units import ACCEL_UNITS, GYRO_UNITS, MAGNETIC_UNITS, TEMPERATURE_UNITS, TIME_UNITS, Array, Unit
@@ -274,6 +274,17 @@ class TemperatureTable(SessionTable):
         )
 
 
+class ReferenceClockTable(SessionTable):
+    """[log.reference_clock]"""
+
+    column: str = Field(min_length=1, description="a column name")
+    unit: Annotated[str, one_of(TIME_UNITS)] = key(f"one of {', '.join(TIME_UNITS)}", "s")
+    ppm_u: float = Field(ge=0, description="a number that is not negative")
+
+    def si(self) -> ReferenceClock:
+        return ReferenceClock(column=self.column, factor=TIME_UNITS[self.unit], u=1e-6 * self.ppm_u)
+
+
 class LogTable(SessionTable):
     """[log]"""
 
@@ -294,6 +305,7 @@ class LogTable(SessionTable):
     gyro: GyroTable | None = key("the table [log.gyro]")
     magnetometer: MagnetometerTable | None = key("the table [log.magnetometer]")
     temperature: TemperatureTable | None = key("the table [log.temperature]")
+    reference_clock: ReferenceClockTable | None = key("the table [log.reference_clock]")
 
     @property
     def sensors(self) -> tuple[int, int]:
@@ -309,6 +321,11 @@ class LogTable(SessionTable):
             raise ValueError("time_unit: expected only with log.time, found log.rate_hz")
         if self.regular and self.time is None:
             raise ValueError("regular: expected only with log.time, found log.rate_hz, which makes rows regular")
+        if self.reference_clock is not None and (self.time is None or self.time_unit == CLOCK):
+            found = "log.rate_hz" if self.time is None else f'log.time_unit "{CLOCK}"'
+            raise ValueError(f"reference_clock: expected a time column of numbers to compare with it, found {found}")
+        if self.reference_clock is not None and self.clock_ppm_u is not None:
+            raise ValueError("clock_ppm_u: expected none beside log.reference_clock, which says it, found one")
         self._check_columns()
         for key, table in (("accel", self.accel), ("gyro", self.gyro)):
             ranged = table is not None and table.range is not None and table.worth.kind == "increment"
@@ -322,6 +339,7 @@ class LogTable(SessionTable):
     def _check_columns(self) -> None:
         """Every column is one thing; a thermometer may be that of several sensors where each has one."""
         keys = {"time": [self.time] if self.time is not None else []}
+        keys["reference_clock.column"] = [] if self.reference_clock is None else [self.reference_clock.column]
         for kind, table in (("accel", self.accel), ("gyro", self.gyro), ("magnetometer", self.magnetometer)):
             keys[f"{kind}.columns"] = table.columns if table is not None else []
         if self.temperature is not None:
@@ -349,4 +367,5 @@ class LogTable(SessionTable):
             regular=bool(self.regular),
             dialect=Dialect(**dialect) if dialect else None,
             clock_u=None if self.clock_ppm_u is None else 1e-6 * self.clock_ppm_u,
+            reference_clock=None if self.reference_clock is None else self.reference_clock.si(),
         )
