@@ -12,6 +12,7 @@ from typing import Any
 from tumble.recording.readers import KeptLog
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_of
+from tumble.recording.text.dialect import DIALECT_KEYS
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -83,7 +84,7 @@ def session_text(draft: Draft, folder: Path, programme: str | None, *, named: bo
         "",
         "[log]",
         _line("file", files[0] if len(files) == 1 else files),
-        *(_line(key, log[key]) for key in _LOG_KEYS if key in log),
+        *(_line(key, log[key]) for key in (*DIALECT_KEYS, "time", "time_unit", "regular", "rate_hz") if key in log),
         "",
     ]
     for kind in ("accel", "gyro", "temperature"):
@@ -91,20 +92,10 @@ def session_text(draft: Draft, folder: Path, programme: str | None, *, named: bo
             lines += [f"[log.{kind}]", *(_line(key, value) for key, value in log[kind].items()), ""]
     if draft.magnetometer is not None:
         lines += ["# [log.magnetometer]", *(f"# {_line(key, value)}" for key, value in draft.magnetometer.items()), ""]
-    if programme is None:
-        lines += [
-            "# the positions, if they were planned: see `tumble programme`",
-            "# [programme]",
-            '# name = "rough-table"',
-        ]
-    else:
-        lines += ["[programme]", _line("name", programme)]
+    planned = "# the positions, if they were planned: see `tumble programme`"
+    unplanned = [planned, "# [programme]", '# name = "rough-table"']
+    lines += unplanned if programme is None else ["[programme]", _line("name", programme)]
     return "\n".join(lines) + "\n"
-
-
-_LOG_KEYS = (
-    "delimiter", "decimal", "comment", "header", "encoding", "time", "time_unit", "regular", "rate_hz"
-)  # fmt: skip
 
 
 def _line(key: str, value: Any) -> str:

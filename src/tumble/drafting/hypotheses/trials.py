@@ -34,7 +34,7 @@ from tumble.units import DEGREE, GYRO_UNITS
 
 _LOW_RATES = 10, 12.5, 20, 25, 26, 50, 51.2, 52, 60, 62.5, 64, 100, 102.4, 104, 119, 120, 125, 128, 200, 204.8, 208
 _HIGH_RATES = 238, 240, 250, 256, 300, 400, 416, 476, 500, 512, 800, 833, 952, 1000, 1024, 1600, 1660, 2000, 4000, 8000
-_USUAL_RATES = np.array([*_LOW_RATES, *_HIGH_RATES])  # Hz
+_USUAL_RATES = (*_LOW_RATES, *_HIGH_RATES)  # Hz
 _DOUBLED_RATES = 25.0, 50.0, 100.0, 200.0, 400.0  # Hz: ranges are doubled too
 _RATE_NEAR, _RATE_AGREES = 0.04, 1.7
 _TRIAL_RATES = (ASSUMED_RATE, ASSUMED_RATE / 4.0, 4.0 * ASSUMED_RATE)
@@ -290,10 +290,10 @@ def _with_rate(draft: Draft, turned: bool, looks: _Looks) -> Draft:
     stated = unit = log["gyro"]["unit"]
     if draft.gyro_unknown:
         rates = {name: rate * GYRO_UNITS[name].factor / GYRO_UNITS[stated].factor for name in _RATE_UNITS}
-        unit = next((name for name, at in rates.items() if _usual(at) is not None), stated)
+        unit = next((name for name, at in rates.items() if _usual(at)), stated)
         rate = rates[unit]
     usual = _usual(rate)
-    if doubted and usual is None:
+    if doubted and not usual:
         told = (
             f"time: column {log['time']!r} is taken as it is written, though the gyros would carry the vertical at "
             f"{rate:.4g} samples per second: is their unit right? If it counts samples or ticks, give the rate "
@@ -305,8 +305,9 @@ def _with_rate(draft: Draft, turned: bool, looks: _Looks) -> Draft:
         told = f"gyros: in {unit}, not {stated}: so they carry the vertical at the rate of the times"
         # in the unit stated, the scale of the gyros is wrong, or a turn, and not the time
         return draft if unit == stated else draft.with_log([told], gyro=gyro)
-    value = float(f"{rate:.4g}") if usual is None else usual
-    seen = f"from the turns ({rate:.4g} found): a guess to some percent; put the log's rate there"
+    value, *rivals = usual or [float(f"{rate:.4g}")]
+    also = f"{' or '.join(f'{rival:g}' for rival in rivals)} would fit too; " if rivals else ""
+    seen = f"from the turns ({rate:.4g} found): a guess to some percent; {also}put the log's rate there"
     said = [f"time: rate_hz = {value:g} {seen}"]
     if doubted:
         said.insert(0, f"time: column {log['time']!r} counts samples or ticks: in no unit do the gyros fit it")
@@ -317,7 +318,7 @@ def _with_rate(draft: Draft, turned: bool, looks: _Looks) -> Draft:
     return draft if doubted and looks.at(changed).faults else changed  # what is wrong may not be the time alone
 
 
-def _usual(rate: float) -> float | None:
-    """The usual rate near to one, Hz; None where there is none."""
-    near = float(_USUAL_RATES[np.argmin(np.abs(np.log(_USUAL_RATES / rate)))])
-    return near if abs(near / rate - 1.0) < _RATE_NEAR else None
+def _usual(rate: float) -> list[float]:
+    """The usual rates near to one, Hz, the nearest first."""
+    ranked = sorted(_USUAL_RATES, key=lambda usual: abs(np.log(usual / rate)))
+    return [usual for usual in ranked if abs(usual / rate - 1.0) < _RATE_NEAR]
