@@ -96,6 +96,15 @@ def test_a_description_says_what_the_session_says(on_disk: Session) -> None:
     assert again.log.columns == on_disk.log.columns
 
 
+def test_a_description_keeps_what_is_left_out_and_the_priors(on_disk: Session) -> None:
+    content = description_of(on_disk)
+    content["device"] |= {"grade": "mems", "prior": {"accel_quadratic": "20 ug/g^2"}}
+    content |= {"exclude": [{"rest": 2, "reason": "knocked"}]}
+    again = session_of(content)
+    assert description_of(again) == content
+    assert [(left_out.rest, left_out.reason) for left_out in again.excluded] == [(2, "knocked")]
+
+
 def test_several_tables_are_several_files(on_disk: Session, columns: dict[str, Array]) -> None:
     half = len(columns["t"]) // 2
     parts = [{n: v[:half] for n, v in columns.items()}, {n: v[half:] for n, v in columns.items()}]
