@@ -118,6 +118,15 @@ COMMANDS: Mapping[str, Mapping[str, str]] = {
 }
 """The commands by what they are for, each with the first sentence of its docstring: the list of them imports none."""
 
+_FILES = {
+    "recordings": ("new", "inspect", "noise"),
+    "results": ("verify", "check", "compare", "apply"),
+    "planning": ("programme", "plan", "budget", "require", "simulate"),
+    "passing_on": ("report", "export", "selftest"),
+    "many": ("campaign", "fleet"),
+}
+"""The files of `commands/` that several commands are in; every other command has one of its own name."""
+
 _READING = (*COMMANDS["From a recording to a calibration"], *COMMANDS["Many at once"])
 _NAMES = [name for group in COMMANDS.values() for name in group]
 
@@ -155,7 +164,8 @@ class _Commands(click.Group):
         """A command, imported when it is first asked for."""
         del ctx
         if cmd_name in _NAMES and cmd_name not in self.commands:
-            command: click.Command = getattr(import_module(f"tumble.commands.{cmd_name}"), cmd_name)
+            file = next((file for file, names in _FILES.items() if cmd_name in names), cmd_name)
+            command: click.Command = getattr(import_module(f"tumble.commands.{file}"), cmd_name)
             for part in getattr(command, "commands", {}).values():
                 part.short_help = first_sentence(part)
             self.add_command(command)

@@ -42,7 +42,7 @@ LIMITS = 'format = 1\n[periodic]\n"accel.bias" = "5 g"\n'
 
 def scattered(degrees: float, scatter: float = 1e-4) -> Fit:
     """A group of residuals with a scatter that was estimated with so many degrees of freedom."""
-    return Fit(chi_square=degrees, degrees=degrees, scatter=scatter, scatter_unit="m/s^2")
+    return Fit(chi_square=degrees, degrees=degrees, scatter=scatter, unit="m/s^2")
 
 
 def of_groups(**fits: Fit) -> Calibration:
@@ -216,7 +216,7 @@ def test_u_of_a_mean_covers_as_stated(launches: int, run_to_run: float) -> None:
 
 def test_a_report_says_what_u_covers() -> None:
     """With the result, and with the verdict on the limits."""
-    hidden = Fit(chi_square=3.0, degrees=3.0, scatter=0.0, scatter_unit="m/s^2")
+    hidden = Fit(chi_square=3.0, degrees=3.0, scatter=0.0, unit="m/s^2")
     said = reported(of_groups(accelerometers=hidden))
     assert said.count("no scatter of the accelerometers was detected, with 3 degrees of freedom to show one") == 2
     assert "may be there unseen" not in reported(of_groups(accelerometers=scattered(5.0)))

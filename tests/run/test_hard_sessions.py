@@ -16,8 +16,7 @@ from tumble.errors import InputError
 from tumble.recording.arrays import session_of_arrays
 from tumble.recording.session import Exclusion, Session
 from tumble.result.calibration import Calibration
-from tumble.run.launches import calibrate_launches
-from tumble.run.same_recording import same_recording
+from tumble.run.launches import calibrate_launches, same_recording
 from tumble.simulation.session import read_truth
 from tumble.units import DEGREE, Array
 

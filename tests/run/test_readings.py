@@ -17,8 +17,7 @@ from tumble.cli import main
 from tumble.errors import InputError
 from tumble.methods.ellipsoid_fit import TRIAD
 from tumble.result.calibration import read_calibration
-from tumble.run.from_readings import calibrate_table, paper_form
-from tumble.run.readings_grade import AT_REST
+from tumble.run.from_readings import AT_REST, calibrate_table, paper_form
 from tumble.run.readings_table import ReadingsTable, read_table
 from tumble.sensors.grades import GRADES
 from tumble.sensors.parameters import units_of, usual_sizes

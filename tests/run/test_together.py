@@ -241,7 +241,7 @@ def test_two_levels_leave_the_curvature_to_what_is_usual(seed: int) -> None:
     levels = together(replace(scenario, truth=truth), [ramp(t, t) for t in (10.0, 40.0)])
     found = joint(levels)
     assert found.converged
-    widened = {group.name: group.widened for group in found.groups}
+    widened = {group.name: group.prior_widened for group in found.groups}
     assert "temperature.lag" not in widened
     assert all(widened[f"{base}.t2"] == 1.0 for base in ("accel.bias", "accel.scale", "gyro.bias", "gyro.scale"))
     assert not verdict(found, levels).reasons

@@ -56,7 +56,7 @@ def larger(
         parameters=made.parameters + more,
         covariance=covariance,
         groups=tuple(
-            GroupFinding(name=g.name, kept=True, prior=_usual(g), widened=1.0, learned=(0.99,) * 3)
+            GroupFinding(name=g.name, kept=True, prior=_usual(g), prior_widened=1.0, learned=(0.99,) * 3)
             for g in instrument.further
         ),
         axes={kind: tuple(map(tuple, axes.tolist())) for kind, axes in zip(("accel", "gyro"), nominal, strict=True)},

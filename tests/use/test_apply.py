@@ -215,7 +215,7 @@ def test_a_reading_predicted_from_a_true_vector_gives_it_back(seed: int, rows: i
 @pytest.mark.parametrize(
     ("made", "said"),
     [
-        (calibration(serial="B-1"), "expected the device of the calibration, 'B-1', found 'A-0007'"),
+        (calibration(serial="B-1"), "expected a session of device 'B-1', which was calibrated, found 'A-0007'"),
         (calibration(accel=HEXAD), "log.accel: expected as many sensors as the calibration has, 6, found 3"),
         (calibration(with_gyro=False), "log.gyro: expected as many sensors as the calibration has, 0, found 3"),
     ],

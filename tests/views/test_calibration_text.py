@@ -165,10 +165,10 @@ def full(by_method: dict[str, Calibration]) -> Calibration:
         parameter("gyro.bias.x.drift", 3 * DEGREE_PER_HOUR / 3600, 1e-9, "rad/s/s", prior=1e-8, learned=0.5),
     )
     groups = (
-        GroupFinding(name="accel.quadratic", kept=True, prior=90 * QUADRATIC, widened=3.0, learned=(0.99, 0.04)),
-        GroupFinding(name="accel.delay", kept=True, prior=5e-3, widened=1.0, learned=(0.9999,)),
-        GroupFinding(name="gyro.bias.drift", kept=True, prior=1e-8, widened=1.0, learned=(0.5,)),
-        GroupFinding(name="gyro.asymmetry", kept=False, prior=1e-5, widened=1.0, learned=(0.0, 0.0, 0.0)),
+        GroupFinding(name="accel.quadratic", kept=True, prior=90 * QUADRATIC, prior_widened=3.0, learned=(0.99, 0.04)),
+        GroupFinding(name="accel.delay", kept=True, prior=5e-3, prior_widened=1.0, learned=(0.9999,)),
+        GroupFinding(name="gyro.bias.drift", kept=True, prior=1e-8, prior_widened=1.0, learned=(0.5,)),
+        GroupFinding(name="gyro.asymmetry", kept=False, prior=1e-5, prior_widened=1.0, learned=(0.0, 0.0, 0.0)),
     )
     biases = tuple(replace(p, u=10 * MICRO_G) if p.name.startswith("accel.bias") else p for p in whole.parameters)
     prediction = Prediction(force_u=1.7 * MICRO_G, rate_u=0.4 * DEGREE_PER_HOUR, at_rate=23.0 * DEGREE)

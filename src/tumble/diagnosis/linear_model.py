@@ -166,7 +166,7 @@ def with_left_out(estimate: Estimate, found: LeftOut, gravity: float) -> Estimat
             name=name,
             kept=True,
             prior=float(found.usual[members.start - first]),
-            widened=1.0,
+            prior_widened=1.0,
             learned=(0.0,) * (members.stop - members.start),
         )
         for name, members in ((group.name, instrument.members[group.name]) for group in instrument.further)

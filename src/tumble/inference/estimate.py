@@ -127,12 +127,12 @@ def chance_of(chi_square: float, degrees: float) -> float:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Fit:
     """Chi-square of a group of residuals with its degrees of freedom and the scatter (SI) that was added to the
-    noise within rests to explain it; `scatter_unit` is m/s^2, rad/s or rad."""
+    noise within rests to explain it; `unit` is m/s^2, rad/s or rad."""
 
     chi_square: float
     degrees: float
     scatter: float
-    scatter_unit: str
+    unit: str
 
     @property
     def probability(self) -> float:
@@ -143,13 +143,13 @@ class Fit:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupFinding:
     """A group of parameters beyond the linear model: whether the session says anything of it (`kept`), the standard
-    deviation of its prior, SI, how many times that had to be `widened`, and the `learned` fraction 1 − u²/s² of each
-    parameter, s being the widened prior."""
+    deviation of its prior, SI, how many times that had to be widened (`prior_widened`), and the `learned` fraction
+    1 − u²/s² of each parameter, s being the widened prior."""
 
     name: str
     kept: bool
     prior: float
-    widened: float
+    prior_widened: float
     learned: tuple[float, ...]
 
 

@@ -136,6 +136,6 @@ def chi_squares(problem: Problem, after: Left, components: Components | None = N
             chi_square=float((residual[:, own] ** 2).sum()),
             degrees=float(np.diagonal(covariance, axis1=1, axis2=2)[:, own].sum()),
             scatter=0.0 if components is None else float(getattr(components, component)),
-            scatter_unit=unit,
+            unit=unit,
         )
     return out

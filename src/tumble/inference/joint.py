@@ -77,7 +77,7 @@ def _estimate(
     accel_sigmas, gyro_sigmas, turn_sigmas = sigmas(problem, noise, best.told.weights, best.left)
     alone = chi_squares(problem, left(problem, fitted.at.solved(problem, Components()))).values()
     chi_square, degrees = (sum(getattr(fit, name) for fit in alone) for name in ("chi_square", "degrees"))
-    total = Fit(chi_square=chi_square, degrees=degrees, scatter=0.0, scatter_unit="")
+    total = Fit(chi_square=chi_square, degrees=degrees, scatter=0.0, unit="")
     observations, linear = problem.observations, instrument.linear_count
     values = fitted.at.point.values + shown.step[1:]
     common = {**common_covariances(observations, instrument), "lag": by_lag}
@@ -251,6 +251,6 @@ def _findings(fitted: Maximum) -> Iterator[GroupFinding]:
             name=group.name,
             kept=bool(learned.max() > KEPT),
             prior=float(usual[own][0]),
-            widened=float(size[0] / usual[own][0]),
+            prior_widened=float(size[0] / usual[own][0]),
             learned=tuple(learned.tolist()),
         )

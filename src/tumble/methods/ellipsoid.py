@@ -103,7 +103,7 @@ def _refused(observations: Observations, refusal: Refusal) -> Estimate:
         rest_sigmas=np.zeros(len(observations.rests)),
         turn_sigmas=np.empty(0),
         increments=(),
-        fits={"accelerometers": Fit(chi_square=0.0, degrees=0.0, scatter=0.0, scatter_unit="m/s^2")},
+        fits={"accelerometers": Fit(chi_square=0.0, degrees=0.0, scatter=0.0, unit="m/s^2")},
         converged=False,
         reasons=(refusal.reason,),
     )

@@ -116,7 +116,7 @@ class EllipsoidFit(Brief):
 
     def fit(self, unit: str) -> Fit:
         """Chi-square and scatter as a calibration keeps them; `unit` is that of the modulus."""
-        return Fit(chi_square=self.chi_square, degrees=float(self.degrees), scatter=self.scatter, scatter_unit=unit)
+        return Fit(chi_square=self.chi_square, degrees=float(self.degrees), scatter=self.scatter, unit=unit)
 
 
 def fit_ellipsoid(

@@ -158,7 +158,7 @@ def field_check(observations: Observations, known: KnownBefore) -> CheckResult:
             chi_square=left.squares + float(unfreed.z @ unfreed.z) - float(along @ along),
             degrees=float(left.degrees - len(free)),
             scatter=0.0,
-            scatter_unit="",
+            unit="",
         ),
         values=known.values + (PR @ np.linalg.solve(S, left.d))[1:],
         covariance=(covariance - PR @ np.linalg.solve(S, PR.T))[1:, 1:],

@@ -127,7 +127,7 @@ class Residuals:
     def fit(self, scatter: float, unit: str) -> Fit:
         """The same as a calibration keeps it."""
         statistic, degrees = self.chi_square()
-        return Fit(chi_square=statistic, degrees=degrees, scatter=scatter, scatter_unit=unit)
+        return Fit(chi_square=statistic, degrees=degrees, scatter=scatter, unit=unit)
 
     def sigmas(self, size: int, *, scaled: bool) -> Array:
         """How far residuals, `size` at a time, are out, in sigmas; `scaled` where their scatter is from themselves."""

@@ -193,7 +193,7 @@ def estimate_accelerometers(observations: Observations) -> Accelerometers:
         by_gravity=by_gravity,
         vertical=unit_vector(model.apply(rests.accel)),
         covariance=solution.covariance + site.gravity_u**2 * np.outer(by_gravity, by_gravity),
-        fit=Fit(chi_square=rows.chi_square(), degrees=degrees, scatter=scatter, scatter_unit="m/s^2"),
+        fit=Fit(chi_square=rows.chi_square(), degrees=degrees, scatter=scatter, unit="m/s^2"),
         sigmas=sigmas(np.sqrt((normalised**2).mean(axis=1)), degrees, scatter > 0.0),
         increments=increments,
     )

@@ -216,7 +216,7 @@ def findings(problem: Problem, variance: Array) -> Iterator[GroupFinding]:
             name=name,
             kept=bool(learned.max() > KEPT),
             prior=usual,
-            widened=float(size[0]) / usual,
+            prior_widened=float(size[0]) / usual,
             learned=tuple(learned.tolist()),
         )
 

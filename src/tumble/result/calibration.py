@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import chain
 from pathlib import Path
@@ -40,8 +40,6 @@ from tumble.result.file import (
     CalibrationFile,
     CircumstancesContent,
     DeviceContent,
-    FitTable,
-    GroupTable,
     IncrementTable,
     IterationTable,
     LaunchTable,
@@ -183,6 +181,14 @@ class Calibration(Mapping[str, Parameter]):
             return self.measured_between
         low, high = max(map(min, by_sensor)), min(map(max, by_sensor))
         return (low, high) if low <= high else None
+
+    def covariance_of(self, names: Sequence[str]) -> Array | None:
+        """The covariance (m, m) of the parameters of these names; None where there is none."""
+        if self.covariance is None:
+            return None
+        order = list(self)
+        chosen = [order.index(name) for name in names]
+        return np.asarray(self.covariance[np.ix_(chosen, chosen)])
 
     def __getitem__(self, name: str) -> Parameter:
         """The parameter of that name. Raises KeyError, which says of a calibration without any why it has none."""
@@ -393,7 +399,6 @@ class Calibration(Mapping[str, Parameter]):
         lag = [p.value for p in self.parameters if p.name == "temperature.lag"]
         return CalibrationFile.model_construct(
             **_same(self, CalibrationFile),
-            **_written(self),
             format=FORMAT,
             device=DeviceContent.model_construct(
                 serial=self.serial, model=self.model, imu=AutopilotTable.model_validate(sensors_content(self.imu))
@@ -402,7 +407,6 @@ class Calibration(Mapping[str, Parameter]):
             gyro=self._sensor_table("gyro", self.gyro, "rad/s"),
             mag=self._sensor_table("mag", self.mag, self["mag.bias.x"].unit if self.mag is not None else ""),
             outcome=OutcomeTable.model_validate(self.outcome.content(), strict=False),
-            groups=tuple(map(GroupTable.of, self.groups)),
             temperature=TemperatureContent.model_construct(
                 reference=self.reference_temperature,
                 range=self.temperature_range,
@@ -420,7 +424,6 @@ class Calibration(Mapping[str, Parameter]):
             launches=tuple(
                 LaunchTable.model_construct(
                     **_same(launch, LaunchTable),
-                    **_written(launch),
                     circumstances=_circumstances_table(launch.circumstances),
                 )
                 for launch in self.launches
@@ -447,9 +450,7 @@ _OTHERWISE = {
     "gyro",
     "mag",
     "outcome",
-    "groups",
     "iterations",
-    "fits",
     "launches",
     "circumstances",
 }
@@ -457,27 +458,19 @@ _OTHERWISE = {
 
 
 def _same(result: Calibration | Launch, table: type[CalibrationFile | LaunchTable]) -> dict[str, Any]:
-    """What a result and its table have alike."""
+    """What a result has in common with its table, and its covariance."""
     names = {each.name for each in fields(result)} & set(table.model_fields) - _OTHERWISE
-    return {name: getattr(result, name) for name in names}
-
-
-def _written(result: Calibration | Launch) -> dict[str, Any]:
-    """What a result and each of its launches have in another form in the file."""
-    return {
-        "covariance": None if result.covariance is None else result.covariance.tolist(),
-        "fits": {name: FitTable.of(fit) for name, fit in result.fits.items()},
-    }
+    same = {name: getattr(result, name) for name in names}
+    return same | {"covariance": None if result.covariance is None else result.covariance.tolist()}
 
 
 def _read(table: CalibrationFile | LaunchTable, result: type[Calibration | Launch]) -> dict[str, Any]:
     """What a result and each of its launches have of their tables."""
     names = {each.name for each in fields(result)} & set(type(table).model_fields) - _OTHERWISE
-    fits, size = {name: fit.fit for name, fit in table.fits.items()}, len(table.parameters)
+    size = len(table.parameters)
     return {name: getattr(table, name) for name in names} | {
-        "parameters": with_degrees(table.parameters, fits),
+        "parameters": with_degrees(table.parameters, table.fits),
         "covariance": None if table.covariance is None else np.array(table.covariance, float).reshape(size, size),
-        "fits": fits,
     }
 
 
@@ -548,7 +541,6 @@ def calibration_of(text: str, name: str) -> Calibration:
         gyro=gyro,
         mag=mag,
         outcome=file.outcome.outcome,
-        groups=tuple(group.finding for group in file.groups),
         reference_temperature=temperature.reference,
         thermometers=temperature.thermometers,
         references=temperature.references,

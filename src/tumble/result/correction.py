@@ -81,15 +81,35 @@ def corrected_readings(
     temperature: Temperatures | None,
 ) -> tuple[Array, Array | None]:
     """Specific force and angular rate (..., 3) of readings (..., n), see `Calibration.apply`. Raises InputError."""
-    force_readings = _checked(compensator.accel, "accel", accel, dt)
-    shape = force_readings.shape[:-1]
-    steps, celsius = _intervals(dt, shape), given_temperatures(temperature, compensator, shape)
+
+    def checked(block: Block | None, kind: str, given: npt.ArrayLike) -> Array:
+        """One number for each sensor and sample."""
+        readings = numbers_of(kind, given, increments=dt is not None)
+        if block is None:
+            raise InputError(f"{kind} readings: expected none, for the calibration has no {kind}, found some")
+        if readings.shape[-1:] != (block.size,):
+            raise InputError(
+                f"{kind} readings: expected {block.size} numbers a sample, one for each sensor of the calibration, "
+                f"found an array of shape {readings.shape}"
+            )
+        return readings
+
+    force_readings = checked(compensator.accel, "accel", accel)
+    shape, steps = force_readings.shape[:-1], None
+    if dt is not None:  # an interval for each sample; one for all of them is repeated
+        intervals = numbers_of("dt", dt)
+        if intervals.shape not in ((), shape):
+            raise InputError(f"dt: expected a number for each sample, {shape}, found the shape {intervals.shape}")
+        if not (intervals > 0.0).all():
+            raise InputError(f"dt: expected intervals above 0 s, found {intervals.min():g}")
+        steps = np.ravel(np.broadcast_to(intervals, shape))
+    celsius = given_temperatures(temperature, compensator, shape)
     flat = force_readings.reshape(-1, compensator.accel.size)
     force = true_force(compensator, flat, dt=steps, temperature=celsius["accel"])
     felt = force.reshape(*shape, 3)
     if gyro is None:
         return felt, None
-    rate_readings = _checked(compensator.gyro, "gyro", gyro, dt)
+    rate_readings = checked(compensator.gyro, "gyro", gyro)
     assert compensator.gyro is not None
     if rate_readings.shape[:-1] != shape and not (compensator.linear and dt is None):
         raise InputError(
@@ -102,57 +122,30 @@ def corrected_readings(
     return felt, rate.reshape(*rate_readings.shape[:-1], 3)
 
 
-def _checked(block: Block | None, kind: str, given: npt.ArrayLike, dt: npt.ArrayLike | None) -> Array:
-    """Readings of a kind of sensors, one number for each sensor and sample."""
-    readings = numbers_of(kind, given, increments=dt is not None)
-    if block is None:
-        raise InputError(f"{kind} readings: expected none, for the calibration has no {kind}, found some")
-    sensors = block.size
-    if readings.shape[-1:] != (sensors,):
-        raise InputError(
-            f"{kind} readings: expected {sensors} numbers a sample, one for each sensor of the calibration, found an "
-            f"array of shape {readings.shape}"
-        )
-    return readings
-
-
-def _intervals(given: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array | None:
-    """An interval for each sample, flat; one for all of them is repeated."""
-    if given is None:
-        return None
-    numbers = numbers_of("dt", given)
-    if numbers.shape not in ((), shape):
-        raise InputError(f"dt: expected a number for each sample, {shape}, found the shape {numbers.shape}")
-    if not (numbers > 0.0).all():
-        raise InputError(f"dt: expected intervals above 0 s, found {numbers.min():g}")
-    return np.ravel(np.broadcast_to(numbers, shape))
-
-
 def given_temperatures(
     given: Temperatures | None, compensator: Compensator, shape: tuple[int, ...]
 ) -> dict[str, Array | None]:
     """Temperatures (N, n) or (N, 1), °C, of the "accel" and "gyro" of samples of a shape (...), N together: of all
     sensors (...), or by kind, (...) or (..., n), K. Raises InputError for others, and for one thermometer where the
     calibration has several."""
+
+    def by_sample(what: str, kelvin: npt.ArrayLike, sensors: int) -> Array:
+        numbers = numbers_of(what, kelvin)
+        if numbers.shape in ((), shape):
+            numbers = np.broadcast_to(numbers, shape)[..., None]
+        elif numbers.shape != (*shape, sensors):
+            raise InputError(f"{what}: expected a number for each sample, {shape}, found the shape {numbers.shape}")
+        return celsius_of(numbers.reshape(-1, numbers.shape[-1]))
+
     sizes = {block.kind: block.size for block in (compensator.accel, compensator.gyro) if block is not None}
     if given is None:
         return dict.fromkeys(sizes)
     if isinstance(given, Mapping):
         check_kinds(given, sizes)
-        return {kind: _by_sample(f"temperature of {kind}", given[kind], shape, n) for kind, n in sizes.items()}
+        return {kind: by_sample(f"temperature of {kind}", given[kind], n) for kind, n in sizes.items()}
     if compensator.several_thermometers:
         raise InputError(
             "temperature: expected those of the thermometers of the calibration by kind of sensors, "
             f"{{{', '.join(f'{kind!r}: …' for kind in sizes)}}}, found one array"
         )
-    every = _by_sample("temperature", given, shape, 1)
-    return dict.fromkeys(sizes, every)
-
-
-def _by_sample(what: str, given: npt.ArrayLike, shape: tuple[int, ...], sensors: int) -> Array:
-    numbers = numbers_of(what, given)
-    if numbers.shape in ((), shape):
-        numbers = np.broadcast_to(numbers, shape)[..., None]
-    elif numbers.shape != (*shape, sensors):
-        raise InputError(f"{what}: expected a number for each sample, {shape}, found the shape {numbers.shape}")
-    return celsius_of(numbers.reshape(-1, numbers.shape[-1]))
+    return dict.fromkeys(sizes, by_sample("temperature", given, 1))

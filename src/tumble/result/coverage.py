@@ -90,11 +90,17 @@ def apart(u: float | None, degrees: float | None, shared: Iterable[float]) -> tu
 
 
 def with_degrees(parameters: Iterable[Parameter], fits: Mapping[str, Fit]) -> tuple[Parameter, ...]:
-    """Parameters of a method that gives no degrees of freedom, with those of the fits; unchanged if any has some."""
+    """Parameters of a method that gives no degrees of freedom, with those of the fits, the fewest of the groups of
+    residuals of a kind of sensor that scatter; unchanged if any has some."""
     parameters = tuple(parameters)
     if any(p.dof is not None for p in parameters):
         return parameters
-    return tuple(replace(p, dof=_of_fits(fits, p.name)) for p in parameters)
+    scattering = {group: fit.degrees for group, fit in fits.items() if fit.scatter > 0.0 and fit.degrees > 0.0}
+    fewest = {
+        kind: min((degrees for group, degrees in scattering.items() if group.startswith(kind)), default=None)
+        for kind in {sensor_kind(p.name) for p in parameters}
+    }
+    return tuple(replace(p, dof=fewest[sensor_kind(p.name)]) for p in parameters)
 
 
 def degrees_through(jacobian: Array, u: Array, degrees: Iterable[float | None]) -> list[float | None]:
@@ -123,16 +129,11 @@ def degrees_of_mean(
     factors = (coverage_factor(inf if d is None else d) for d in (L - 1.0 if degrees is None else degrees, of_within))
     U = max(k * sqrt(variance) for k, variance in zip(factors, (between, within), strict=True))
     square = max(between, within)
-    of_square = _degrees_behind(U / sqrt(square)) if square > 0.0 else None
+    of_square, factor = None, U / sqrt(square) if square > 0.0 else 0.0
+    if factor > coverage_factor(MANY_DEGREES):  # the degrees of freedom with this coverage factor
+        behind = float(special.stdtridf(1.0 - 0.5 * erfc(sqrt(2.0)), factor))
+        of_square = behind if behind < MANY_DEGREES else None
     return sqrt(square + common**2), welch_satterthwaite([(square, of_square), (common**2, None)])
-
-
-def _degrees_behind(factor: float) -> float | None:
-    """The degrees of freedom with a coverage factor; None: known."""
-    degrees = (
-        float(special.stdtridf(1.0 - 0.5 * erfc(sqrt(2.0)), factor)) if factor > coverage_factor(MANY_DEGREES) else inf
-    )
-    return degrees if degrees < MANY_DEGREES else None
 
 
 def by_gravity(parameters: Sequence[Parameter], covariance: Array | None, site: Site | None) -> Array:
@@ -147,18 +148,14 @@ def by_gravity(parameters: Sequence[Parameter], covariance: Array | None, site: 
     if site is None or covariance is None or site.gravity_u == 0.0:
         return nothing
     relative = site.gravity_u / site.gravity
-    change = np.array([-(1.0 + p.value) * relative if _is_scale(p) else 0.0 for p in parameters])
+    scales = [group_name(p.name) == "accel.scale" for p in parameters]  # and not drifts or slopes over temperature
+    change = np.array([-(1.0 + p.value) * relative if s else 0.0 for p, s in zip(parameters, scales, strict=True)])
     u = np.sqrt(np.diag(covariance))
     if not change.any() or not np.all(u > 0.0):
         return nothing
     scaled = change / u
     size = float(scaled @ np.linalg.lstsq(covariance / np.outer(u, u), scaled, rcond=None)[0])
     return nothing if size > COUNTED else change / sqrt(max(size, 1.0))
-
-
-def _is_scale(parameter: Parameter) -> bool:
-    """Whether it is a scale factor of an accelerometer, and not its drift or its slope over temperature."""
-    return group_name(parameter.name) == "accel.scale"
 
 
 def shared_gravity(first: Site | None, second: Site | None) -> bool:
@@ -177,10 +174,3 @@ def without_expanded(parameters: Sequence[Parameter]) -> Iterator[str]:
             f"no U is stated of {named}: {min(few.values()):.1g} degrees of freedom stand behind u, fewer than one; "
             "more rests or turns would give them"
         )
-
-
-def _of_fits(fits: Mapping[str, Fit], name: str) -> float | None:
-    """The fewest of the groups of a parameter's kind of sensor that scatter; None where none does."""
-    kind = sensor_kind(name)
-    groups = [fit for group, fit in fits.items() if group.startswith(kind)]
-    return min((fit.degrees for fit in groups if fit.scatter > 0.0 and fit.degrees > 0.0), default=None)

@@ -159,54 +159,14 @@ class OutcomeTable(_Table):
         return Outcome.from_content(self.model_dump())
 
 
-class GroupTable(_Table):
-    """What the session says of a group of parameters beyond the linear model."""
-
-    name: str
-    kept: bool
-    prior: Size
-    prior_widened: Size
-    learned: Vector
-
-    @staticmethod
-    def of(group: GroupFinding) -> GroupTable:
-        """The table of a group."""
-        return GroupTable.model_construct(
-            name=group.name, kept=group.kept, prior=group.prior, prior_widened=group.widened, learned=group.learned
-        )
-
-    @property
-    def finding(self) -> GroupFinding:
-        """The group."""
-        return GroupFinding(
-            name=self.name, kept=self.kept, prior=self.prior, widened=self.prior_widened, learned=self.learned
-        )
+def fit_content(fit: Fit) -> dict[str, Any]:
+    """A fit as the file has it."""
+    content = {"chi_square": fit.chi_square, "degrees": fit.degrees, "probability": fit.probability}
+    return content | {"scatter": fit.scatter, "unit": fit.unit}
 
 
-class FitTable(_Table):
-    """The chi-square of a group of residuals, and the scatter that explains it."""
-
-    chi_square: Size
-    degrees: float
-    probability: Any = None
-    scatter: Size
-    unit: str
-
-    @staticmethod
-    def of(fit: Fit) -> FitTable:
-        """The table of a fit."""
-        return FitTable.model_construct(
-            chi_square=fit.chi_square,
-            degrees=fit.degrees,
-            probability=fit.probability,
-            scatter=fit.scatter,
-            unit=fit.scatter_unit,
-        )
-
-    @property
-    def fit(self) -> Fit:
-        """The fit."""
-        return Fit(chi_square=self.chi_square, degrees=self.degrees, scatter=self.scatter, scatter_unit=self.unit)
+_Fit = Annotated[Fit, _sizes("chi_square", "scatter"), PlainSerializer(fit_content)]
+_Group = Annotated[GroupFinding, _sizes("prior", "prior_widened")]
 
 
 class TemperatureContent(_Table):
@@ -268,7 +228,7 @@ class _ResultTable(_Table):
     site: Annotated[Site, _sizes("gravity_u"), AfterValidator(_check_site)] | None = None
     rests: tuple[RestResult, ...] = Field(default=(), max_length=MOST_RESTS)
     turns: tuple[TurnResult, ...] = Field(default=(), max_length=MOST_RESTS)
-    fits: dict[str, FitTable] = {}
+    fits: dict[str, _Fit] = {}
 
     @model_validator(mode="after")
     def _check_covariance(self) -> Self:
@@ -368,7 +328,7 @@ class CalibrationFile(_ResultTable, _HeadTable):
     gyro: SensorTable | None
     mag: SensorTable | None = None
     outcome: OutcomeTable
-    groups: tuple[GroupTable, ...] = Field(default=(), max_length=MOST_PARAMETERS)
+    groups: tuple[_Group, ...] = Field(default=(), max_length=MOST_PARAMETERS)
     hyperparameters: tuple[_Hyperparameter, ...] = Field(default=(), max_length=MOST_PARAMETERS)
     integral: Integral | None = None
     process_bias: tuple[Annotated[ProcessBias, _sizes("u", "next_u")], ...] = Field(

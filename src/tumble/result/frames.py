@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tumble.result.coverage import degrees_through
-from tumble.result.parts import Parameter
+from tumble.result.parts import Parameter, learned_fraction
 from tumble.sensors.frames import Frame, Framed, carried_further, convert
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
@@ -46,47 +46,37 @@ def turned(
         covariance=None if covariance is None else covariance[:own, :own],
         target=frames[1],
     )
-    carry = _carry(blocks, [p.name for p in rest], framed.rotation)
+    names, carry = [p.name for p in rest], np.eye(len(rest))
+    instrument = Instrument.of(*blocks, {group_name(name) for name in names}, _VARIABLES)
+    further = instrument.names[instrument.linear_count :]
+    at = [names.index(name) for name in further if name in names]
+    if len(at) == len(further):
+        carry[np.ix_(at, at)] = carried_further(instrument, framed.rotation)
     if covariance is not None:
         count = len(framed.names)
         whole = np.zeros((count + len(rest), len(parameters)))
         whole[:count, :own], whole[count:, own:] = framed.jacobian, carry
         covariance = np.asarray(whole @ covariance @ whole.T)
     u = [None] * len(parameters) if covariance is None else np.sqrt(np.diag(covariance)).tolist()
-    degrees = _degrees(framed.jacobian, parameters[:own])
+
+    def degrees_of(jacobian: Array, before: tuple[Parameter, ...]) -> list[float | None]:
+        return degrees_through(jacobian, np.array([p.u or 0.0 for p in before]), [p.dof for p in before])
+
+    def learned(p: Parameter, u: float | None) -> float | None:
+        known = p.learned is not None and p.prior is not None and u is not None
+        return learned_fraction(u or 0.0, p.prior or 1.0) if known else p.learned
+
+    degrees = degrees_of(framed.jacobian, parameters[:own])
     linear = tuple(
         Parameter(name=name, value=float(value), u=each, unit=unit, dof=dof)
         for name, value, each, unit, dof in zip(framed.names, framed.values, u, framed.units, degrees, strict=False)
     )
     values = carry @ np.array([p.value for p in rest])
     after = tuple(
-        replace(p, value=float(value), u=each, deviation=None, learned=_learned(p, each), dof=dof)
-        for p, value, each, dof in zip(rest, values, u[len(linear) :], _degrees(carry, rest), strict=True)
+        replace(p, value=float(value), u=each, deviation=None, learned=learned(p, each), dof=dof)
+        for p, value, each, dof in zip(rest, values, u[len(linear) :], degrees_of(carry, rest), strict=True)
     )
     return Turned(framed=framed, carry=carry, parameters=linear + after, covariance=covariance)
-
-
-def _degrees(jacobian: Array, before: tuple[Parameter, ...]) -> list[float | None]:
-    """Degrees of freedom of what parameters become by a `jacobian`."""
-    return degrees_through(jacobian, np.array([p.u or 0.0 for p in before]), [p.dof for p in before])
-
-
-def _learned(parameter: Parameter, u: float | None) -> float | None:
-    """The part of the prior's variance that u has taken off, where the parameter has one."""
-    if parameter.learned is None or parameter.prior is None or u is None:
-        return parameter.learned
-    return min(max(1.0 - (u / parameter.prior) ** 2, 0.0), 1.0)
-
-
-def _carry(blocks: tuple[Block, Block | None], names: list[str], Q: Array) -> Array:
-    """Derivative (r, r) of the parameters of these names beyond the linear model in the new frame."""
-    out = np.eye(len(names))
-    instrument = Instrument.of(*blocks, {group_name(name) for name in names}, _VARIABLES)
-    further = instrument.names[instrument.linear_count :]
-    at = [names.index(name) for name in further if name in names]
-    if len(at) == len(further):
-        out[np.ix_(at, at)] = carried_further(instrument, Q)
-    return out
 
 
 def with_spread(mean: Turned, launches: list[Turned]) -> tuple[Parameter, ...]:

@@ -123,7 +123,7 @@ def _line(calibration: Calibration, name: str, members: Sequence[Parameter]) -> 
         largest=largest,
         learned=(min(learned), max(learned)) if learned else None,
         prior=prior,
-        widened=found.widened if found is not None else 1.0,
+        widened=found.prior_widened if found is not None else 1.0,
         size=size,
         shown=shown,
     )
@@ -145,7 +145,12 @@ def decided_by_priors(calibration: Calibration) -> str | None:
     """Which groups leave the biases of the accelerometers to a prior, and which rests would settle it, in a line; None
     where the data decide."""
     biases = [p.u for p in calibration.parameters if group_name(p.name) == "accel.bias" and p.u]
-    groups = [line.words for line in group_lines(calibration) if _open(line)]
+    groups = []  # that accelerometers show at rest and that are known by their priors
+    for line in group_lines(calibration):
+        entry = named_group(line.name)
+        seen_at_rest = entry is not None and entry.kind == "accel" and entry.regressors is not None
+        if seen_at_rest and line.largest is not None and line.learned is not None and line.learned[0] < BY_PRIOR:
+            groups.append(line.words)
     if calibration.prediction is None or not biases or not groups:
         return None
     times = max(biases) / calibration.prediction.force_u
@@ -155,13 +160,6 @@ def decided_by_priors(calibration: Calibration) -> str | None:
         f"a prior, not the data, decides u of {'; '.join(groups)}: u of a single bias is up to {times:.1f} times that "
         "of the corrected specific force; rests in oblique attitudes (corners, edges) would settle it: tumble plan"
     )
-
-
-def _open(line: GroupLine) -> bool:
-    """Whether a group that accelerometers show at rest is known by its prior rather than by the data."""
-    entry = named_group(line.name)
-    seen_at_rest = entry is not None and entry.kind == "accel" and entry.regressors is not None
-    return seen_at_rest and line.largest is not None and line.learned is not None and line.learned[0] < BY_PRIOR
 
 
 def verdicts(calibration: Calibration) -> tuple[str, ...]:
@@ -235,12 +233,18 @@ def left_said(left: LeftByMatrix) -> str:
 def remarks(calibration: Calibration) -> tuple[str, ...]:
     """Of which parameters no U is stated; and, for each kind of sensor whose U is of known noise although few residuals
     could have shown a scatter, how large one may be there unseen."""
+
+    def unseen(fit: Fit) -> float:
+        """The largest scatter, in units of the noise, that leaves so small a chi-square in UNSEEN of all cases."""
+        least = 2.0 * float(special.gammaincinv(0.5 * fit.degrees, UNSEEN))
+        return sqrt(max(fit.chi_square / least - 1.0, 0.0))
+
     found = list(without_expanded(calibration.parameters))
     if calibration.launches:
         return tuple(found)
     for kind, sensors in _KINDS.items():
         groups = [fit for name, fit in calibration.fits.items() if name.startswith(kind) and fit.degrees > 0.0]
-        hidden = max(((_hidden(fit), fit.degrees) for fit in groups if fit.scatter == 0.0), default=(0.0, 0.0))
+        hidden = max(((unseen(fit), fit.degrees) for fit in groups if fit.scatter == 0.0), default=(0.0, 0.0))
         if hidden[0] > 1.0:
             found.append(
                 f"no scatter of the {sensors} was detected, with {hidden[1]:.2g} degrees of freedom to show one: U "
@@ -248,9 +252,3 @@ def remarks(calibration: Calibration) -> tuple[str, ...]:
                 "there unseen"
             )
     return tuple(found)
-
-
-def _hidden(fit: Fit) -> float:
-    """The largest scatter, in units of the noise, that leaves so small a chi-square in UNSEEN of all cases."""
-    least = 2.0 * float(special.gammaincinv(0.5 * fit.degrees, UNSEEN))
-    return sqrt(max(fit.chi_square / least - 1.0, 0.0))

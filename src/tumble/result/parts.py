@@ -82,6 +82,11 @@ class Parameter:
         return stated_factor(self.dof)
 
 
+def learned_fraction(u: float, prior: float) -> float:
+    """How much of the variance of a prior of this standard deviation u has taken off, 0 to 1."""
+    return min(max(1.0 - (u / prior) ** 2, 0.0), 1.0)
+
+
 def _is_known(parameter: Parameter) -> Parameter:
     if not is_parameter(parameter.name):
         raise ValueError(

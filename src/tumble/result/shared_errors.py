@@ -33,14 +33,16 @@ def shared_errors(first: Calibration, second: Calibration) -> dict[str, tuple[Ar
     of the first (m₁, k) and of the second (m₂, k)."""
     found = {}
     if shared_gravity(first.site, second.site):
-        found[GRAVITY] = (_of_gravity(first), _of_gravity(second))
+        ours, theirs = (by_gravity(each.parameters, each.covariance, each.site)[:, None] for each in (first, second))
+        found[GRAVITY] = (ours, theirs)
     if first.serial == second.serial and shared_time_base(first.clock_u, second.clock_u):
         found[TIME_BASE] = (of_time_base(first)[:, None], of_time_base(second)[:, None])
     if first.serial == second.serial:
-        ours, theirs = (by_priors(each.parameters, each.covariance) for each in (first, second))
-        names = [name for name in ours if name in theirs]
+        by_ours, by_theirs = (by_priors(each.parameters, each.covariance) for each in (first, second))
+        names = [name for name in by_ours if name in by_theirs]
         if names:
-            found[PRIORS] = (np.stack([ours[n] for n in names], axis=1), np.stack([theirs[n] for n in names], axis=1))
+            ours, theirs = (np.stack([each[name] for name in names], axis=1) for each in (by_ours, by_theirs))
+            found[PRIORS] = (ours, theirs)
     return {source: changes for source, changes in found.items() if changes[0].any() and changes[1].any()}
 
 
@@ -60,10 +62,6 @@ def by_priors(parameters: Sequence[Parameter], covariance: Array | None) -> dict
 def shared_time_base(first: float, second: float) -> bool:
     """Whether two calibrations of a device, with these relative uncertainties of the time base, share its error."""
     return first == second > 0.0
-
-
-def _of_gravity(calibration: Calibration) -> Array:
-    return by_gravity(calibration.parameters, calibration.covariance, calibration.site)[:, None]
 
 
 def of_time_base(calibration: Calibration) -> Array:

@@ -14,7 +14,7 @@ from itertools import chain
 import numpy as np
 
 from tumble.result.calibration import Calibration
-from tumble.result.parts import Parameter, RestResult, stated_factor
+from tumble.result.parts import RestResult, stated_factor
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array
 
@@ -103,33 +103,26 @@ def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
     warmer = temperature - calibration.reference_of(name)
     P = np.stack([warmer**d for d, _ in known], axis=1)
     own = [i for _, i in known]
-    expanded = None
+    parameters, expanded = [calibration.parameters[i] for i in own], None
     if calibration.covariance is not None:
+        # Welch–Satterthwaite (JCGM 100:2008, G.4.1). Parameters that go against each other have a sum known better than
+        # they are, to which it does not apply: a sum has at least the degrees of freedom of the parameter that has
+        # least, as it has where they are independent
         S = calibration.covariance[np.ix_(own, own)]
         u2 = np.einsum("ni,ij,nj->n", P, S, P)
-        k = _coverage(u2, P**2 * np.diag(S), [calibration.parameters[i] for i in own])
-        expanded = None if k is None else k * np.sqrt(u2)
+        per_degree = np.array([0.0 if p.dof is None else 1.0 / p.dof for p in parameters])
+        spread = (P**2 * np.diag(S)) ** 2 @ per_degree
+        degrees = np.divide(u2**2, spread, out=np.full(len(u2), math.inf), where=spread > 0.0)
+        least = min((p.dof for p in parameters if p.dof is not None), default=math.inf)
+        factors = [k for k in map(stated_factor, np.maximum(degrees, least).tolist()) if k is not None]
+        expanded = np.array(factors) * np.sqrt(u2) if len(factors) == len(u2) else None
     return Curve(
         name=name,
         unit=calibration[name].unit,
         temperature=temperature,
-        value=P @ np.array([calibration.parameters[i].value for i in own]),
+        value=P @ np.array([p.value for p in parameters]),
         expanded=expanded,
     )
-
-
-def _coverage(u2: Array, parts: Array, parameters: list[Parameter]) -> Array | None:
-    """k (N,) of sums of variance u2 (N,) by the Welch–Satterthwaite formula, of what each parameter contributes to it,
-    (N, m); JCGM 100:2008, G.4.1. Parameters that go against each other have a sum known better than they are, to which
-    the formula does not apply: a sum has at least the degrees of freedom of the parameter that has least, as it has
-    where they are independent. None where these are too few for a U."""
-    known = [p.dof for p in parameters if p.dof is not None]
-    per_degree = np.array([0.0 if p.dof is None else 1.0 / p.dof for p in parameters])
-    spread = parts**2 @ per_degree
-    degrees = np.divide(u2**2, spread, out=np.full(len(u2), math.inf), where=spread > 0.0)
-    degrees = np.maximum(degrees, min(known, default=math.inf))
-    factors = [k for k in map(stated_factor, degrees.tolist()) if k is not None]
-    return np.array(factors) if len(factors) == len(degrees) else None
 
 
 def coefficients(calibration: Calibration, kind: str, what: str) -> Array:

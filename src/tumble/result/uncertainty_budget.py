@@ -10,9 +10,9 @@ Source: EA-4/02 M:2022, section 4; JCGM 100:2008 (GUM), 5.1 and G.4.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import sqrt
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -65,18 +65,17 @@ def contributions_of(budget: UncertaintyBudget | None, names: Sequence[str]) -> 
     variances = np.where(variances > ROUNDING * variances.sum(axis=0), variances, 0.0)
     return tuple(
         SourceContributions(
-            name=each.name,
-            words=each.words,
-            type=each.type,
-            u=each.u,
-            unit=each.unit,
-            dof=each.dof,
+            **_as_source(each),
             contributions={
                 n: sqrt(variance) for n, variance in zip(names, own.tolist(), strict=True) if variance > 0.0
             },
         )
         for each, own in zip(budget.sources, variances, strict=True)
     )
+
+
+def _as_source(each: Source) -> dict[str, Any]:
+    return {field.name: getattr(each, field.name) for field in fields(Source)}
 
 
 def uncertainty_budget(calibration: Calibration, name: str) -> tuple[BudgetLine, ...]:
@@ -90,12 +89,7 @@ def uncertainty_budget(calibration: Calibration, name: str) -> tuple[BudgetLine,
         )
     lines = [
         BudgetLine(
-            name=each.name,
-            words=each.words,
-            type=each.type,
-            u=each.u,
-            unit=each.unit,
-            dof=each.dof,
+            **_as_source(each),
             contribution=each.contributions[name],
             share=(each.contributions[name] / (parameter.u or np.inf)) ** 2,
             sensitivity=each.contributions[name] / each.u if each.u else None,

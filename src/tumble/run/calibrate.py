@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any, Literal, get_args, overload
 
 import numpy as np
@@ -34,13 +35,13 @@ from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.coverage import by_gravity
 from tumble.result.parts import Parameter
-from tumble.run.from_estimate import result_of, without_result
+from tumble.run.from_estimate import bridged_in, result_of, without_result
 from tumble.run.magnetometer import with_magnetometer
-from tumble.run.notes import bridged_in
 from tumble.run.observed import Progress, inspected, observations_for_calibration
 from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.grades import guessed_grade
+from tumble.sensors.model import SensorKind
 from tumble.sensors.parameters import usual_sizes
 
 _LOG = logging.getLogger(__name__)
@@ -48,10 +49,11 @@ Method = Literal["joint", "staged", "sequential", "scalar", "ellipsoid"]
 DEFAULT_METHOD: Method = "joint"
 Terms = Literal["full", "linear"]
 """Which parameters: all groups of the table, or bias, scale factor and axis angles alone."""
-METHODS: Mapping[str, Callable[[Observations], Estimate]] = {"joint": joint, "staged": staged, "ellipsoid": ellipsoid}
+Estimator = Callable[[Observations], Estimate]
+METHODS: Mapping[str, Estimator] = {"joint": joint, "staged": staged, "ellipsoid": ellipsoid}
 WITH_ALL_TERMS = ("joint", "ellipsoid")
 """Those that know of groups of parameters beyond bias, scale factor and axis angles."""
-ITERATED_METHODS: Mapping[str, Callable[[Observations, int], Estimate]] = {"sequential": sequential, "scalar": scalar}
+ITERATED_METHODS: Mapping[str, Callable[..., Estimate]] = {"sequential": sequential, "scalar": scalar}
 """The pipelines of the paper, which take a number of iterations."""
 
 
@@ -127,46 +129,50 @@ def calibrate(
     else:
         given = session_from(session)
     given = given.without(without)
-    estimator = _estimator(method, iterations)
+    known: dict[str, Callable[..., Estimate]] = {**METHODS, **ITERATED_METHODS}
+    if method not in known:
+        raise InputError(f"method: expected one of {', '.join(known)}, found {method!r}")
+    if iterations is not None and method not in ITERATED_METHODS:
+        raise InputError(
+            f"iterations: expected none with the method {method!r}, which iterates until nothing changes, found "
+            f"{iterations}; only {' and '.join(ITERATED_METHODS)} take a number"
+        )
+    estimator: Estimator = known[method] if iterations is None else partial(known[method], iterations=iterations)
     Convention(frame=frame, block=given.accel_block)
-    known: Terms = terms if method in WITH_ALL_TERMS else "linear"
-    made = _calibrated(given, method, estimator, frame, known, progress)
+    terms = terms if method in WITH_ALL_TERMS else "linear"
+    made = _calibrated(given, method, estimator, frame, terms, progress)
     if not given.excluded:
         return made
+
+    # what is accepted without some rests only is a choice, and no u contains it: the outcome of all counts too
     try:
-        whole = _calibrated(replace(given, excluded=()), method, estimator, frame, known, progress).outcome
+        whole = _calibrated(replace(given, excluded=()), method, estimator, frame, terms, progress).outcome
     except InputError as error:  # a rest too many for the programme, such as a knocked one
         whole = Outcome(reasons=(str(error),))
-    return _beside_all(made, whole)
-
-
-def _beside_all(made: Calibration, whole: Outcome) -> Calibration:
-    """A calibration from a part of a recording beside the outcome of the whole, which counts: what is accepted without
-    some rests only is a choice, and no u contains it."""
     of_whole = f"with what was left out: {whole.verdict}" + (f": {'; '.join(whole.reasons)}" if whole.reasons else "")
-    outcome = made.outcome
     chosen = [kind for kind in accepted_kinds(made) if not (whole.accel if kind == "accel" else whole.gyro).accepted]
     if not chosen:
         return replace(made, notes=(*made.notes, of_whole))
     remark = f"accepted without what was left out only, a choice of which u contains nothing; {of_whole}"
+    return replace(made, outcome=_beside(made.outcome, remarks=(remark,), of=chosen))
+
+
+def _beside(
+    outcome: Outcome, *, reasons: tuple[str, ...] = (), remarks: tuple[str, ...] = (), of: Sequence[SensorKind]
+) -> Outcome:
+    """An outcome with further reasons and remarks, which concern these kinds of sensors."""
+    further = (*reasons, *remarks)
     return replace(
-        made,
-        outcome=replace(
-            outcome,
-            remarks=(*outcome.remarks, remark),
-            of_accel=outcome.of_accel if "gyro" in chosen else (*outcome.of_accel, remark),
-            of_gyro=outcome.of_gyro if "accel" in chosen else (*outcome.of_gyro, remark),
-        ),
+        outcome,
+        reasons=(*outcome.reasons, *reasons),
+        remarks=(*outcome.remarks, *remarks),
+        of_accel=outcome.of_accel if "gyro" in of else (*outcome.of_accel, *further),
+        of_gyro=outcome.of_gyro if "accel" in of else (*outcome.of_gyro, *further),
     )
 
 
 def _calibrated(
-    session: Session,
-    method: str,
-    estimator: Callable[[Observations], Estimate],
-    frame: Frame,
-    terms: Terms,
-    progress: Progress,
+    session: Session, method: str, estimator: Estimator, frame: Frame, terms: Terms, progress: Progress
 ) -> Calibration:
     """The calibration from what a session does not leave out."""
     systematic = systematic_of(session)
@@ -180,34 +186,13 @@ def _calibrated(
     else:
         made = result_of(session, *estimate, systematic, frame, provenance, bridged)
         made = replace(with_magnetometer(made, session, estimate[1]), sample_rate=observed.rate)
-        if faults := observed.gyro_faults:  # the accelerometers were calibrated alone
-            outcome, names = made.outcome, () if session.gyro_block is None else session.gyro_block.names
-            outcome = replace(
-                outcome,
-                reasons=(*outcome.reasons, *faults),
-                of_gyro=(*outcome.of_gyro, *faults),
-                unobservable=(*outcome.unobservable, *names),
-            )
-            made = replace(made, outcome=outcome)
+        if observed.gyro_faults:  # the accelerometers were calibrated alone
+            outcome = _beside(made.outcome, reasons=observed.gyro_faults, of=("gyro",))
+            names = () if session.gyro_block is None else session.gyro_block.names
+            made = replace(made, outcome=replace(outcome, unobservable=(*outcome.unobservable, *names)))
     for sentence in (*made.notes, *made.outcome.remarks, *made.outcome.reasons):
         _LOG.info("%s: %s", session.name, sentence)
     return replace(made, circumstances=observed.circumstances)
-
-
-def _estimator(method: str, iterations: int | None) -> Callable[[Observations], Estimate]:
-    """The function of a method's name."""
-    if method in ITERATED_METHODS:
-        iterated = ITERATED_METHODS[method]
-        return lambda observations: iterated(observations, 2 if iterations is None else iterations)
-    if method not in METHODS:
-        known = ", ".join([*METHODS, *ITERATED_METHODS])
-        raise InputError(f"method: expected one of {known}, found {method!r}")
-    if iterations is not None:
-        raise InputError(
-            f"iterations: expected none with the method {method!r}, which iterates until nothing changes, found "
-            f"{iterations}; only {' and '.join(ITERATED_METHODS)} take a number"
-        )
-    return METHODS[method]
 
 
 def systematic_of(session: Session) -> Mapping[str, float]:
@@ -218,8 +203,7 @@ def systematic_of(session: Session) -> Mapping[str, float]:
     if passport.frame != "accelerometer":
         raise CalibrationError(
             f"{session.device.systematic}: expected a calibration in the frame 'accelerometer', found "
-            f"{passport.frame!r}; "
-            "calibrate without --frame to get one"
+            f"{passport.frame!r}; calibrate without --frame to get one"
         )
     return {p.name: p.value for p in passport.parameters}
 
@@ -245,9 +229,9 @@ def with_grade(session: Session, observations: Observations, terms: Terms) -> Ob
 
 def grade_of(session: Session, observations: Observations) -> tuple[str, str]:
     """The grade of a session's device, and what it had to be guessed from in words, nothing where it is stated."""
+    rests = observations.rests
     if session.device.grade is not None:
         return session.device.grade, ""
-    rests = observations.rests
     accel_white = float(np.median(rests.accel_noise))
     if not rests.gyro_noise.size:
         return guessed_grade(accel_white, None)
@@ -256,11 +240,7 @@ def grade_of(session: Session, observations: Observations) -> tuple[str, str]:
 
 
 def estimated(
-    session: Session,
-    observations: Observations,
-    method: Callable[[Observations], Estimate],
-    start: Mapping[str, float],
-    terms: Terms,
+    session: Session, observations: Observations, method: Estimator, start: Mapping[str, float], terms: Terms
 ) -> tuple[Estimate, Observations] | Outcome:
     """The estimate and what it was made from, or why there is none."""
     by_clock = clocked(session.log.time_base_u, session.log.increments)
@@ -286,17 +266,17 @@ def estimated(
         estimate = replace(estimate, values=estimate.values + of_clock)
         if estimate.method != "joint":  # which counts the time base itself
             estimate = _with_time_base(estimate, observations)
-        if terms == "full" and estimate.method == "joint":
-            return estimate, observations
-        if terms == "full":
+        if terms == "linear":
+            whole = with_grade(session, observations, "full")
+            estimate = judged(estimate, observations, whole)
+            notes += left_out(estimate, observations, whole)
+        elif estimate.method != "joint":
             estimate = judged(estimate, observations, observations)
-            return estimate, replace(observations, notes=(*notes, *taken_as_nothing(estimate)))
-        whole = with_grade(session, observations, "full")
-        estimate = judged(estimate, observations, whole)
-        return estimate, replace(observations, notes=notes + left_out(estimate, observations, whole))
+            notes += taken_as_nothing(estimate)
     except np.linalg.LinAlgError as error:
         broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
         return Outcome(reasons=(one_attitude(observations) or broken,))
+    return estimate, replace(observations, notes=notes)
 
 
 def _with_time_base(estimate: Estimate, observations: Observations) -> Estimate:
@@ -310,17 +290,11 @@ def _with_time_base(estimate: Estimate, observations: Observations) -> Estimate:
         degrees = np.inf if estimate.degrees is None else float(estimate.degrees.min())
         budget = of_fit(estimate.covariance, of_gravity, observations.site.gravity_u, degrees)
     of_clock, relative = np.outer(change, change), max(map(abs, observations.by_clock.values()), default=0.0)
-    return replace(
-        estimate,
-        covariance=estimate.covariance + of_clock,
-        budget=budget.beside(source("clock", relative, "1"), of_clock),
-    )
+    budget = budget.beside(source("clock", relative, "1"), of_clock)
+    return replace(estimate, covariance=estimate.covariance + of_clock, budget=budget)
 
 
 def provenance_of(log_sha256: str) -> dict[str, str]:
     """Where a calibration is from: its log, the program and the time."""
-    return {
-        "log_sha256": log_sha256,
-        "software": f"tumble {__version__}",
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-    }
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    return {"log_sha256": log_sha256, "software": f"tumble {__version__}", "created": created}

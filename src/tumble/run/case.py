@@ -29,7 +29,6 @@ from scipy.linalg import block_diag
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate
 from tumble.inference.sources import source
-from tumble.programme.positions import Programme
 from tumble.reduction.observations import Observations
 from tumble.rotation import UP, rotation_matrix, skew, tangent_basis
 from tumble.sensors.compensation import specific_force
@@ -41,6 +40,7 @@ from tumble.units import DEGREE, Array, IntArray
 _ON_A_FACE = np.cos(1.0 * DEGREE)
 _ITERATIONS = 5  # each leaves the square of ψ and t, which are below 0.2 rad
 _SINGULAR = 1e-6  # of the largest singular value
+_WAYS = (("up", 1.0), ("down", -1.0))
 _SPREAD_OUT = 0.05  # rad: directions nearer to one line do not give a rotation
 
 
@@ -125,62 +125,44 @@ def align_case(
         raise InputError(
             f"case: expected placements on faces in three directions, found {len(normals_c)} placements in fewer"
         )
+    basis = tangent_basis(normals_c)
+    turned = np.einsum("irk,ikj->irj", basis, skew(normals_c))
+
+    def rows_of(mat_cb: Array, attitudes: Array | None) -> Array:
+        """Derivative (2N, 3 or 5) of C_cb u − n across n with respect to ψ and, where azimuths are known, t."""
+        every = [turned]
+        if attitudes is not None:
+            every.append(np.einsum("irk,ikj->irj", basis, -np.swapaxes(attitudes @ mat_cb.T, 1, 2)[:, :, [0, 2]]))
+        return np.asarray(np.concatenate(every, axis=2).reshape(2 * len(normals_c), -1))
+
     mat_cb = rotation_between(normals_c, verticals.direction)
-    if attitudes is not None and not _tells_tilt(normals_c, attitudes @ mat_cb.T, tolerance):
-        attitudes = None
+    if attitudes is not None and tolerance is None:  # do the placements tell the plate's tilt from the rotation?
+        singular = np.linalg.svd(rows_of(mat_cb, attitudes), compute_uv=False)
+        if len(normals_c) < 4 or singular[-1] <= 1e-2 * singular[0]:
+            attitudes = None
     scatter, prior = 0.0, np.zeros((3, 3) if attitudes is None else (5, 5))
     for _ in range(_ITERATIONS):
-        rows = _case_rows(normals_c, None if attitudes is None else attitudes @ mat_cb.T)
-        misfit = _across(normals_c, verticals.direction @ mat_cb.T - normals_c)
+        rows = rows_of(mat_cb, attitudes)
+        misfit = np.einsum("irk,ik->ir", basis, verticals.direction @ mat_cb.T - normals_c).ravel()
         gain = np.linalg.solve(rows.T @ rows + prior, rows.T)
         step = gain @ misfit
         mat_cb = rotation_matrix(step[:3]) @ mat_cb
         left = misfit - rows @ step
-        scatter = _scatter(left, rows.shape[1], tolerance if attitudes is None else None)
-        if tolerance is not None:
-            prior[3:, 3:] = np.eye(len(prior) - 3) * (scatter / tolerance) ** 2
+        scatter = float(np.sqrt(left @ left / max(len(left) - rows.shape[1], 1)))
+        if tolerance is not None and attitudes is None:
+            scatter = max(scatter, tolerance)
+        elif tolerance is not None:
+            prior[3:, 3:] = np.eye(2) * (scatter / tolerance) ** 2
     covariance = scatter**2 * np.asarray(np.linalg.inv(rows.T @ rows + prior), dtype=float)
-    by_parameters = np.einsum("kr,rm->km", gain[:3], _moved(normals_c, mat_cb, verticals.by_parameters))
+    moved = np.einsum("irk,kj,ijm->irm", basis, mat_cb, verticals.by_parameters).reshape(len(left), -1)
     return CaseAlignment(
-        alignment=Alignment(mat_cb=mat_cb, covariance=covariance[:3, :3], by_parameters=by_parameters),
+        alignment=Alignment(mat_cb=mat_cb, covariance=covariance[:3, :3], by_parameters=gain[:3] @ moved),
         tilt=step[3:],
         tilt_u=np.sqrt(np.diag(covariance)[3:]),
         scatter=scatter,
         residual=np.linalg.norm(left.reshape(-1, 2), axis=1),
         rests=rests,
     )
-
-
-def _case_rows(normals_c: Array, attitudes_c: Array | None) -> Array:
-    """Derivative (2N, 3 or 5) of C_cb u − n across n with respect to ψ and, where azimuths are known, t."""
-    rows = np.einsum("irk,ikj->irj", tangent_basis(normals_c), skew(normals_c))
-    if attitudes_c is not None:
-        leaning = -np.swapaxes(attitudes_c, 1, 2)[:, :, [0, 2]]
-        rows = np.concatenate([rows, np.einsum("irk,ikj->irj", tangent_basis(normals_c), leaning)], axis=2)
-    return np.asarray(rows.reshape(2 * len(normals_c), -1))
-
-
-def _across(normals_c: Array, vectors: Array) -> Array:
-    """Components (2N,) of vectors across the normals."""
-    return np.asarray(np.einsum("irk,ik->ir", tangent_basis(normals_c), vectors).ravel())
-
-
-def _moved(normals_c: Array, mat_cb: Array, change: Array) -> Array:
-    """Changes (N, 3, m) of verticals in b, as components (2N, m) across the normals in the case."""
-    moved = np.einsum("irk,kj,ijm->irm", tangent_basis(normals_c), mat_cb, change)
-    return np.asarray(moved.reshape(2 * len(normals_c), -1))
-
-
-def _tells_tilt(normals_c: Array, attitudes_c: Array, tolerance: float | None) -> bool:
-    """Whether the placements tell the plate's tilt from the rotation, or a tolerance holds it."""
-    singular = np.linalg.svd(_case_rows(normals_c, attitudes_c), compute_uv=False)
-    return tolerance is not None or bool(singular[-1] > 1e-2 * singular[0] and len(normals_c) > 3)
-
-
-def _scatter(left: Array, unknowns: int, tolerance: float | None) -> float:
-    """Standard deviation of an equation, from what is left; not less than a stated tolerance."""
-    estimated = float(np.sqrt(left @ left / max(len(left) - unknowns, 1)))
-    return max(estimated, tolerance or 0.0)
 
 
 def case_of(
@@ -195,8 +177,14 @@ def case_of(
             "frame 'case': expected a session with a [programme] that stands on all six faces, such as cube-14 or "
             "nine, found none: without it no rest is known to be on a face"
         )
-    _check_faces(programme)
-    nominal = np.array([p.vertical_b for p in programme.positions])[position]
+    nominal = np.array([p.vertical_b for p in programme.positions])
+    faces = {f"{axis} {way}": sign * row for axis, row in zip("XYZ", np.eye(3), strict=True) for way, sign in _WAYS}
+    if missing := [name for name, face in faces.items() if np.max(nominal @ face) < _ON_A_FACE]:
+        raise InputError(
+            f"frame 'case': expected a programme that stands on all six faces, such as cube-14 or nine, found "
+            f"{programme.name!r} without {', '.join(missing)}"
+        )
+    nominal = nominal[position]
     rests = np.flatnonzero(np.abs(nominal).max(axis=1) > _ON_A_FACE)
     attitudes = _attitudes(observations, accel.direction, gyro)
     chosen = Verticals(
@@ -212,18 +200,6 @@ def case_of(
         attitudes=None if attitudes is None else attitudes[rests],
         tolerance=tolerance,
     )
-
-
-def _check_faces(programme: Programme) -> None:
-    verticals = np.array([p.vertical_b for p in programme.positions])
-    names = ("X up", "X down", "Y up", "Y down", "Z up", "Z down")
-    wanted = np.concatenate([[axis, -axis] for axis in np.eye(3)])
-    missing = [n for n, w in zip(names, wanted, strict=True) if np.max(verticals @ w) < _ON_A_FACE]
-    if missing:
-        raise InputError(
-            f"frame 'case': expected a programme that stands on all six faces, such as cube-14 or nine, found "
-            f"{programme.name!r} without {', '.join(missing)}"
-        )
 
 
 def _attitudes(observations: Observations, verticals: Array, gyro: SensorModel | None) -> Array | None:
@@ -290,6 +266,9 @@ def estimate_in(frame: Frame, estimate: Estimate, observations: Observations) ->
         own = slice(len(framed.names))
         of_case[own, own] = framed.covariance - budget.covariances[:, own, own].sum(axis=0)
         budget = budget.beside(source("case", found.scatter, "rad"), of_case)
+    degrees = estimate.degrees  # parameters of the linear model mix: they have the fewest
+    if degrees is not None:
+        degrees = np.append(np.full(len(framed.names), degrees[:linear].min()), degrees[linear:])
     moved = replace(
         estimate,
         budget=budget,
@@ -301,16 +280,9 @@ def estimate_in(frame: Frame, estimate: Estimate, observations: Observations) ->
         accel=framed.accel,
         gyro=framed.gyro,
         increments=tuple(jacobian @ step for step in estimate.increments),
-        degrees=_degrees_in(estimate, linear, len(framed.names)),
+        degrees=degrees,
     )
     return moved, found
-
-
-def _degrees_in(estimate: Estimate, linear: int, framed: int) -> Array | None:
-    """Degrees of freedom behind u in another frame: for parameters of the linear model, which mix, the fewest."""
-    if estimate.degrees is None:
-        return None
-    return np.append(np.full(framed, estimate.degrees[:linear].min()), estimate.degrees[linear:])
 
 
 def _verticals_of_rests(estimate: Estimate, observations: Observations) -> Verticals:

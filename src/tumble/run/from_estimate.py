@@ -1,8 +1,9 @@
-"""From an estimate to a calibration: its parameters, rests, turns, and all that belongs to them."""
+"""From an estimate to a calibration: its parameters, rests, turns, and in sentences what was bridged or left out and
+what the session does not tell."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -11,20 +12,25 @@ from tumble.diagnosis.undetermined import faces_alone
 from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Outcome
-from tumble.recording.session import Channels, Session
+from tumble.inference.variables import at_two_temperatures, both_ways, over_a_range
+from tumble.recording.rows.gaps import Gap
+from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.matching import left_out
-from tumble.reduction.rests.rests import Rests
-from tumble.result.calibration import Calibration, SensingAxes
+from tumble.reduction.rests.warming import OVER_TEMPERATURE
+from tumble.result.calibration import Calibration
 from tumble.result.coverage import MANY_DEGREES, with_degrees
 from tumble.result.parts import Parameter, Readings, RestResult, SensorsAtRest, TurnResult
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.case import CaseAlignment, estimate_in
-from tumble.run.notes import case_found, one_rate, over_temperature, unchecked
 from tumble.sensors.frames import Frame, convert
-from tumble.sensors.model import Block
-from tumble.sensors.parameters import sensor_kind
-from tumble.units import ZERO_CELSIUS, Array, IntArray
+from tumble.sensors.parameters import THERMAL, group_name, sensor_kind, variable_of
+from tumble.units import DEGREE, ZERO_CELSIUS, Array, IntArray
+
+GAPS_SHOWN = 5
+ONE_RATE = 1.3
+"""The largest rate of the turns, root mean square, in parts of the smallest, where they count as one rate: at rest,
+scale factors that change with the square of the rate would be known seven times worse than at it."""
 
 
 def result_of(
@@ -39,13 +45,19 @@ def result_of(
     """The calibration of an estimate; `bridged` are notes of the gaps of its log."""
     outcome = verdict(estimate, observations, gravity_confirmed=observations.site.gravity_confirmed)
     rests, turns = rest_results(estimate, observations), turn_results(estimate, observations)
+    blocks = {b.kind: b for b in (observations.accel_block, observations.gyro_block) if b is not None}
     complete = bool(estimate.observable[: len(observations.accel_block.names)].all())
     learned, limited = learned_in(estimate), tuple(over_temperature(estimate, observations))
     estimate, case = estimate_in(frame, estimate, observations)
-    systematic = _systematic_in(frame, systematic, observations, estimate.gyro is not None, case)
+    if frame != "accelerometer":  # nothing of a systematic calibration that lacks one of the parameters
+        framed = [block for kind, block in blocks.items() if kind == "accel" or estimate.gyro is not None]
+        names = [name for block in framed for name in block.names]
+        known = set(names) <= set(systematic) and (frame != "case" or case is not None)
+        systematic = _systematic_in(frame, systematic, observations, names, case) if known else {}
     seen = np.flatnonzero(estimate.observable)
     faces = faces_alone(estimate, outcome.unobservable)
     missing = set() if faces else {sensor_kind(name) for name in outcome.unobservable}
+    thermometers = None if observations.rests.temperatures is None else session.log.temperature
     return Calibration(
         serial=session.device.serial,
         model=session.device.model,
@@ -63,14 +75,12 @@ def result_of(
         site=observations.site,
         programme=None if observations.programme is None else observations.programme.name,
         readings=readings_of_session(session),
-        notes=bridged
-        + left_out(session.excluded)
-        + observations.notes
-        + gravity_doubted(observations.site)
-        + unchecked(estimate)
-        + one_rate(estimate, observations)
-        + limited
-        + case_found(case),
+        notes=(
+            *(*bridged, *left_out(session.excluded), *observations.notes, *gravity_doubted(observations.site)),
+            *_of_the_fit(estimate, observations),
+            *limited,
+            *_of_the_case(case),
+        ),
         provenance=provenance,
         groups=estimate.groups,
         hyperparameters=estimate.hyperparameters,
@@ -78,9 +88,9 @@ def result_of(
         process_bias=estimate.process_bias if frame == "accelerometer" else (),
         budget=contributions_of(estimate.budget, estimate.names),
         prediction=estimate.prediction,
-        axes=_axes(observations),
+        axes={kind: tuple(map(tuple, block.axes.tolist())) for kind, block in blocks.items()},
         reference_temperature=reference_of(observations),
-        thermometers=_thermometers(session, observations),
+        thermometers={} if thermometers is None else {kind: thermometers.names(kind) for kind in blocks},
         references=references_of(observations),
         imu=session.device.imu,
         clock_u=session.log.time_base_u,
@@ -113,32 +123,30 @@ def parameters_of(
     estimate: Estimate, seen: IntArray, systematic: Mapping[str, float], learned: Mapping[str, Mapping[str, float]]
 ) -> tuple[Parameter, ...]:
     """The parameters that the data determine, those `seen`, in the order of the estimate."""
+    u, degrees = estimate.u, np.full(len(estimate.names), np.inf) if estimate.degrees is None else estimate.degrees
     return tuple(
         Parameter(
             name=name,
             value=value,
-            u=float(estimate.u[i]),
+            u=float(u[i]),
             unit=estimate.units[i],
             deviation=value - systematic[name] if name in systematic else None,
-            dof=_dof(estimate, i),
+            dof=None if degrees[i] > MANY_DEGREES else float(degrees[i]),
             **learned.get(name, {}),
         )
         for i, name, value in ((i, estimate.names[i], float(estimate.values[i])) for i in seen.tolist())
     )
 
 
-def _axes(observations: Observations) -> dict[str, SensingAxes]:
-    """Nominal sensing directions by kind of sensor."""
-    blocks = (observations.accel_block, observations.gyro_block)
-    return {block.kind: tuple(map(tuple, block.axes.tolist())) for block in blocks if block is not None}
-
-
-def _thermometers(session: Session, observations: Observations) -> dict[str, tuple[str, ...]]:
-    """The column of the thermometer of each sensor by kind."""
-    known, blocks = session.log.temperature, (observations.accel_block, observations.gyro_block)
-    if known is None or observations.rests.temperatures is None:
+def learned_in(estimate: Estimate) -> dict[str, dict[str, float]]:
+    """Prior, as widened, and learned fraction of the parameters of groups beyond the linear model, by name."""
+    if estimate.instrument is None:
         return {}
-    return {block.kind: known.names(block.kind) for block in blocks if block is not None}
+    return {
+        name: {"prior": group.prior * group.prior_widened, "learned": learned}
+        for group in estimate.groups
+        for name, learned in zip(estimate.names[estimate.instrument.members[group.name]], group.learned, strict=True)
+    }
 
 
 def reference_of(observations: Observations) -> float | None:
@@ -156,38 +164,18 @@ def references_of(observations: Observations) -> dict[str, tuple[float, ...]]:
     return {block.kind: tuple(celsius[block.thermometer].tolist()) for block in blocks if block is not None}
 
 
-def _dof(estimate: Estimate, i: int) -> float | None:
-    """Degrees of freedom behind the u of a parameter; None where there are more than matter."""
-    if estimate.degrees is None or estimate.degrees[i] > MANY_DEGREES:
-        return None
-    return float(estimate.degrees[i])
-
-
-def learned_in(estimate: Estimate) -> dict[str, dict[str, float]]:
-    """Prior, as widened, and learned fraction of the parameters of groups beyond the linear model, by name."""
-    instrument = estimate.instrument
-    if instrument is None:
-        return {}
-    return {
-        name: {"prior": group.prior * group.widened, "learned": learned}
-        for group in estimate.groups
-        for name, learned in zip(estimate.names[instrument.members[group.name]], group.learned, strict=True)
-    }
-
-
 def _systematic_in(
-    frame: Frame, systematic: Mapping[str, float], observations: Observations, gyros: bool, case: CaseAlignment | None
+    frame: Frame,
+    systematic: Mapping[str, float],
+    observations: Observations,
+    names: Sequence[str],
+    case: CaseAlignment | None,
 ) -> Mapping[str, float]:
-    """Values of the systematic calibration in another frame; none where it lacks one of them."""
-    if frame == "accelerometer":
-        return systematic
-    accel, gyro = observations.accel_block, observations.gyro_block if gyros else None
-    names = accel.names + (() if gyro is None else gyro.names)
-    if not set(names) <= set(systematic) or (frame == "case" and case is None):
-        return {}
+    """Values of the systematic calibration of these parameters, accelerometers first, in another frame."""
+    gyros = len(names) > len(observations.accel_block.names)
     framed = convert(
-        accel,
-        gyro,
+        observations.accel_block,
+        observations.gyro_block if gyros else None,
         source="accelerometer",
         values=np.array([systematic[name] for name in names]),
         covariance=None,
@@ -200,17 +188,20 @@ def _systematic_in(
 def readings_of_session(session: Session) -> dict[str, Readings]:
     """What the readings of a session are."""
     given = {"accel": session.log.accel, "gyro": session.log.gyro, "mag": session.log.magnetometer}
-    return {kind: _readings_in(channels) for kind, channels in given.items() if channels is not None}
+    return {
+        kind: Readings(
+            columns=channels.columns,
+            unit=channels.unit_name,
+            increments=channels.unit.kind == "increment",
+            scale=tuple((channels.scale / channels.unit.factor).tolist()),
+            offset=tuple(channels.offset.tolist()),
+        )
+        for kind, channels in given.items()
+        if channels is not None
+    }
 
 
-def _readings_in(channels: Channels) -> Readings:
-    return Readings(
-        columns=channels.columns,
-        unit=channels.unit_name,
-        increments=channels.unit.kind == "increment",
-        scale=tuple((channels.scale / channels.unit.factor).tolist()),
-        offset=tuple(channels.offset.tolist()),
-    )
+# -------------------- rests and turns --------------------
 
 
 def rest_results(estimate: Estimate, observations: Observations) -> tuple[RestResult, ...]:
@@ -222,6 +213,25 @@ def rest_results(estimate: Estimate, observations: Observations) -> tuple[RestRe
             f"expected rests in attitudes far apart, found {len(rests)} for which the fit comes to no finite values; "
             "put the device down in others too (`tumble programme` lists them)"
         )
+    celsius = None if rests.temperatures is None else rests.temperatures - ZERO_CELSIUS
+    numbers: dict[str, list[list[list[float]]]] = {}  # by kind of the mean, the noise and the drift at each rest
+    for block, mean, noise, drift in (
+        (observations.accel_block, rests.accel, rests.accel_noise, rests.accel_drift),
+        (observations.gyro_block, rests.gyro, rests.gyro_noise, rests.gyro_drift),
+    ):
+        if block is not None and mean.shape[1]:
+            none = np.empty((len(rests), 0))
+            warm = none if celsius is None else celsius[:, block.thermometer]
+            numbers[block.kind] = [values.tolist() for values in (mean, noise, drift, warm)]
+
+    def sensors(kind: str, i: int) -> SensorsAtRest | None:
+        if kind not in numbers:
+            return None
+        mean, noise, drift, temperature = (tuple(values[i]) for values in numbers[kind])
+        return SensorsAtRest(mean=mean, noise=noise, drift=drift, temperature=temperature)
+
+    positions = None if observations.programme is None else observations.programme.positions
+    at = observations.position
     return tuple(
         RestResult(
             file=int(rests.file[i]),
@@ -229,52 +239,39 @@ def rest_results(estimate: Estimate, observations: Observations) -> tuple[RestRe
             stop=float(rests.stop[i]),
             residual=float(estimate.rest_residual[i]),
             sigmas=float(estimate.rest_sigmas[i]),
-            attitude=_attitude(observations, i),
-            accel=_sensors_at_rest(
-                rests.accel[i], rests.accel_noise[i], rests.accel_drift[i], _celsius(rests, i, observations.accel_block)
-            ),
-            gyro=_sensors_at_rest(
-                rests.gyro[i], rests.gyro_noise[i], rests.gyro_drift[i], _celsius(rests, i, observations.gyro_block)
-            ),
+            attitude=None if positions is None or at is None else positions[int(at[i])].attitude,
+            accel=sensors("accel", i),
+            gyro=sensors("gyro", i),
             temperature=None if rests.temperature is None else float(rests.temperature[i]) - ZERO_CELSIUS,
         )
         for i in range(len(rests))
     )
 
 
-def _attitude(observations: Observations, rest: int) -> str | None:
-    if observations.programme is None or observations.position is None:
-        return None
-    return observations.programme.positions[int(observations.position[rest])].attitude
-
-
-def _sensors_at_rest(mean: Array, noise: Array, drift: Array, celsius: Array) -> SensorsAtRest | None:
-    if len(mean) == 0:
-        return None
-    each = (tuple(values.tolist()) for values in (mean, noise, drift, celsius))
-    return SensorsAtRest(**dict(zip(("mean", "noise", "drift", "temperature"), each, strict=True)))
-
-
-def _celsius(rests: Rests, i: int, block: Block | None) -> Array:
-    """Temperatures (n,), °C, of the sensors of a block at a rest; none where there is no thermometer."""
-    if rests.temperatures is None or block is None:
-        return np.empty(0)
-    return np.asarray(rests.temperatures[i, block.thermometer] - ZERO_CELSIUS)
-
-
 def turn_results(estimate: Estimate, observations: Observations) -> tuple[TurnResult, ...]:
-    """The turns of a calibration, in their order; none of an estimate that has none."""
-    if observations.turns is None or not len(estimate.turn_sigmas):
+    """The turns of a calibration, in their order, with their angles by its gyros and, not negative, by the programme;
+    none of an estimate that has none."""
+    turns, programme, position = observations.turns, observations.programme, observations.position
+    if turns is None or not len(estimate.turn_sigmas):
         return ()
-    turns, rotations = observations.turns, _rotations(estimate, observations)
+    rotations, linearised = turns.C, estimate.linearised  # nominal ones without gyros, else those of the likelihood
+    if estimate.gyro is not None and linearised is not None and linearised.about is not None:
+        rotations = linearised.rotations
+    elif estimate.gyro is not None:
+        rotations = observations.turns_about(estimate.gyro).C
     angles = np.arccos(np.clip(0.5 * (np.trace(rotations, axis1=1, axis2=2) - 1.0), -1.0, 1.0))
+    programmed: list[float | None] = [None] * len(turns)
+    if programme is not None and position is not None and programme.ordered:
+        for k, (before, after) in enumerate(zip(position[turns.first], position[turns.last], strict=True)):
+            angle = programme.moves[int(before)].angle if after == before + 1 else None
+            programmed[k] = None if angle is None else abs(angle)
     return tuple(
         TurnResult(
             first=int(turns.first[k]),
             last=int(turns.last[k]),
             duration=float(turns.duration[k]),
             angle=None if estimate.gyro is None else float(angles[k]),
-            programmed=_programmed_angle(observations, int(turns.first[k]), int(turns.last[k])),
+            programmed=programmed[k],
             sigmas=float(estimate.turn_sigmas[k]),
         )
         for k in range(len(turns))
@@ -282,22 +279,97 @@ def turn_results(estimate: Estimate, observations: Observations) -> tuple[TurnRe
     )
 
 
-def _rotations(estimate: Estimate, observations: Observations) -> Array:
-    """Rotations (K, 3, 3) of the turns by the gyros of an estimate, nominal ones where it has none: as its likelihood
-    has them, where it has one."""
-    assert observations.turns is not None
-    if estimate.gyro is None:
-        return observations.turns.C
-    linearised = estimate.linearised
-    if linearised is None or linearised.about is None:
-        return observations.turns_about(estimate.gyro).C
-    return linearised.rotations
+# -------------------- notes --------------------
 
 
-def _programmed_angle(observations: Observations, first: int, last: int) -> float | None:
-    """Angle (rad, not negative) of the programme's turn from one rest to the next."""
-    if observations.programme is None or observations.position is None or not observations.programme.ordered:
-        return None
-    before, after = int(observations.position[first]), int(observations.position[last])
-    angle = observations.programme.moves[before].angle if after == before + 1 else None
-    return None if angle is None else abs(angle)
+def bridged_in(gaps: Sequence[Gap]) -> tuple[str, ...]:
+    """What was bridged or left out in the log: the first of each kind, and how many more."""
+    kinds = {
+        "bridged": [gap for gap in gaps if gap.samples and gap.integrable],
+        "left out": [gap for gap in gaps if not gap.samples],
+        "gap": [gap for gap in gaps if not gap.integrable],
+    }
+    notes = []
+    for kind, places in kinds.items():
+        for gap in places[:GAPS_SHOWN]:
+            lost = f" ({gap.samples} samples)" if gap.samples > 1 else ""
+            what = gap.what.removesuffix(": left out")
+            notes.append(f"{kind}: file {gap.file + 1}, row {gap.row}, {gap.time:.3f} s: {what}{lost}")
+        if len(places) > GAPS_SHOWN:
+            lost = f", {sum(gap.samples for gap in places)} samples in all" if places[0].samples else ""
+            notes.append(f"{kind}: {len(places) - GAPS_SHOWN} more such places{lost}")
+    return tuple(notes)
+
+
+def _of_the_fit(estimate: Estimate, observations: Observations) -> Iterator[str]:
+    """What no redundancy checks, and what turns of about one rate say of scale factors."""
+    if estimate.fits["accelerometers"].degrees < 0.5 and not estimate.unobservable:
+        yield "as many rests as accelerometer parameters: nothing checks the fit, a bad rest would go unnoticed"
+    turns, about = observations.turns, None if estimate.linearised is None else estimate.linearised.about
+    cubic = any(group_name(name) == "gyro.cubic" for name in estimate.names)
+    if estimate.method != "joint" or turns is None or about is None or cubic:
+        return
+    made = turns.duration > 0.0  # between the parts of a rest nothing is turned
+    rates = np.sqrt(about.moments.body_rates[made][:, [0, 3, 5]].sum(axis=1) / turns.duration[made])
+    if len(rates) and rates.max() < ONE_RATE * rates.min():
+        yield (
+            f"all turns have about {rates.mean() / DEGREE:.2g} °/s: the scale factors of the gyros hold at this rate; "
+            "for others turn at a second rate too, or state gyro_cubic in [device.prior]"
+        )
+
+
+def _of_the_case(case: CaseAlignment | None) -> Iterator[str]:
+    """How the case was found."""
+    if case is None:
+        return
+    u = np.sqrt(np.diag(case.alignment.covariance)) / DEGREE
+    plate = "azimuths are not known, so that the tilt of the plate is part of the scatter"
+    if len(case.tilt):
+        lean, lean_u = np.linalg.norm(case.tilt) / DEGREE, np.linalg.norm(case.tilt_u) / DEGREE
+        plate = f"the plate leans by {lean:.2g}° (u {lean_u:.1g}°)"
+    yield (
+        f"case: from {len(case.rests)} rests on its six faces, which scatter by {case.scatter / DEGREE:.2g}° an axis; "
+        f"standard uncertainty of its alignment {u[0]:.2g}°, {u[1]:.2g}°, {u[2]:.2g}° about X, Y, Z; {plate}"
+    )
+
+
+def over_temperature(estimate: Estimate, observations: Observations) -> Iterator[str]:
+    """What the temperatures of several sessions, or of a session over temperature, determine, and what not."""
+    kelvin, turns = observations.rests.temperature, observations.turns
+    if kelvin is None or (observations.together is None and not over_a_range(observations)):
+        return
+
+    def span(temperatures: Array) -> str:
+        return f"{temperatures.min() - ZERO_CELSIUS:z.1f} to {temperatures.max() - ZERO_CELSIUS:z.1f} °C"
+
+    yield f"temperatures of the rests: {span(kelvin)}; beyond them nothing was measured"
+    if not over_a_range(observations):
+        yield (
+            f"temperatures span {np.ptp(kelvin):.1f} K, less than {OVER_TEMPERATURE:.0f}: coefficients over "
+            "temperature are mostly what is usual; take sessions at temperatures further apart"
+        )
+        return
+    thermal = [group for group in estimate.groups if variable_of(group.name) in THERMAL]
+    unseen = [group.name for group in thermal if not group.kept]
+    if at_two_temperatures(observations):
+        yield (
+            "coefficients t2 are what is usual, which is in the u of biases and scale factors at the reference "
+            "temperature: two temperatures show slopes and no curvature; take a third between them"
+        )
+    elif unseen:
+        yield f"nothing is seen of {', '.join(unseen)}: turn at more temperatures, each axis up and down"
+    if turns is not None and (turns.duration > 0.0).any():  # rests joined by turns, which alone show scale factors
+        really = turns.duration > 0.0
+        turned = kelvin[np.concatenate([turns.first[really], turns.last[really]])]
+        if np.ptp(turned) < 0.5 * np.ptp(kelvin):
+            yield (
+                f"turns span {span(turned)} only: how scale factors change beyond that is what is usual; turn at the "
+                "other temperatures too"
+            )
+    lagging = any(group.name == "temperature.lag" and group.kept for group in estimate.groups)
+    if lagging and not both_ways(observations):
+        u = float(estimate.u[estimate.names.index("temperature.lag")])
+        yield (
+            f"the temperature was not passed both ways: the lag behind the thermometer is known to {u:.0f} s only, and "
+            "hysteresis not at all, which is in u by its usual size; ramp up and down in one recording"
+        )

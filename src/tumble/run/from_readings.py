@@ -9,21 +9,31 @@ form of the source: k in output per g, the angles θ of its upper triangular mat
 The estimate is that of the method `ellipsoid` from rests, whose means the rows are: with quadratic and cubic terms,
 asymmetry and drift of the accelerometers in u, of the size usual for the grade. Rows are taken to be in the order and
 at the pace of an operator's sheet; those of a recording show in themselves what drifts.
+
+A table has no noise in time to tell the grade of its accelerometers by. Guessed is the poorest of two. By the biases:
+the poorest grade whose three usual biases are so small by chance in no less than CHANCE of its instruments. By the
+residuals e of the fit, the best grade in which they are so large in no less,
+
+    e = (I − A A⁺)(n + B φ),   Σe² ~ a χ²_ν,  a ν = tr C,  2 a² ν = 2 tr C²,   C = σ²(I − A A⁺) + L Σ_φ Lᵀ
+
+σ being the grade's in-run instability, Σ_φ the usual sizes of what it has beyond the linear model and L what this
+leaves in the residuals (Satterthwaite). Noise of the reading itself makes the guess poorer, and u larger, never
+smaller.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import chdtr, chdtrc, ndtri
 
-from tumble import __version__
 from tumble.brief import Brief
+from tumble.diagnosis.linear_model import left_out_of
 from tumble.diagnosis.observability import Refusal, undetermined
 from tumble.errors import InputError
 from tumble.files import FilePath
@@ -35,29 +45,27 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Parameter, Readings
+from tumble.run.calibrate import Terms, provenance_of
 from tumble.run.case import estimate_in
 from tumble.run.from_estimate import learned_in, parameters_of
-from tumble.run.readings_grade import AT_REST, guessed_grade, residual_of
 from tumble.run.readings_table import (
     THE_FIELD,
+    UNITS,
     Nominal,
     ReadingsTable,
     Sensor,
     TablePositions,
-    plain_units,
     positions_of,
     read_table,
     sizes_seen,
 )
 from tumble.run.readings_table import nominal as nominal_of
 from tumble.sensors.frames import Convention, Frame, convert, frame_of
+from tumble.sensors.grades import GRADES
 from tumble.sensors.grades import grade as grade_named
-from tumble.sensors.parameters import usual_sizes, variable_of
+from tumble.sensors.parameters import FURTHER, usual_sizes, variable_of
 from tumble.units import Array, engineering
 from tumble.usual_setup import MOVE, ON_TABLE
-
-if TYPE_CHECKING:
-    from tumble.run.calibrate import Terms
 
 SCATTER_LIMIT = {"accel": 1e-3, "gyro": 1e-3, "mag": 2e-2}
 """Scatter of the positions, in parts of the modulus, above which a triad does not follow the model. Near steel the
@@ -77,7 +85,24 @@ NAMED = 4
 BAD_CHANCE = 1e-3
 """A position is bad where chance alone makes one of the positions so bad in less than this part of all tables."""
 
-_FIT_NAMES = {"accel": "accelerometers", "gyro": "gyros", "mag": "magnetometer"}
+WAVED = (
+    "an accelerometer that is waved reads its own motion: what of it is always along the same side of the device, as "
+    "in turns about a wrist (0.1 m at 60 °/s: 11 mg), passes for a bias and is not in u; a table of readings at rest "
+    "has none of it"
+)
+"""What a recording cannot show of itself."""
+
+CHANCE = 0.01
+
+AT_REST = tuple(
+    group.name
+    for group in FURTHER
+    if group.kind == "accel" and (group.regressors is not None or group.variable == "time")
+)
+"""The groups of the accelerometers that a table of readings may have in it: what it says nothing of, a temperature or a
+motion, is not known to have been there."""
+
+FIT_NAMES = {"accel": "accelerometers", "gyro": "gyros", "mag": "magnetometer"}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
@@ -144,26 +169,32 @@ def calibrate_table(
         modulus_u=modulus_u,
         known=known,
     )
-    serial = table.path.stem if serial is None else serial
     if grade is not None:
         grade_named(grade)
-    found, noise = _fitted(positions, nominal, _bad_sigmas(positions))
-    if isinstance(found, Refusal):
-        found = undetermined(nominal.to_si(whole.values), block=TRIAD) or found  # counts the rows as they are written
-        misstated = None if len(found.null) else _misstated(nominal, sizes_seen(table.values, nominal.modulus))
-        outcome = Outcome(reasons=(misstated or found.reason,), unobservable=_names(nominal, TRIAD.names))
-        empty = _calibration(serial, positions, nominal, None, None, frame, outcome, ())
-        return ReadingsCalibration(calibration=empty, table=table, nominal=nominal, fit=None, recorded=False)
-    found, estimate, said = _estimated(found, noise, positions, nominal, grade, terms)
-    outcome = Outcome(reasons=tuple(_reasons(positions, nominal, found)), remarks=_remarks(positions, nominal))
-    calibration = _calibration(serial, positions, nominal, found, estimate, frame, outcome, said)
+    fitted, noise = _fitted(positions, nominal, float(-ndtri(0.5 * BAD_CHANCE / len(table.values))))
+    fit: EllipsoidFit | None = None
+    estimate: Estimate | None = None
+    notes: tuple[str, ...] = ()
     recorded = positions.stretch is not None
-    return ReadingsCalibration(calibration=calibration, table=table, nominal=nominal, fit=found, recorded=recorded)
-
-
-def _bad_sigmas(positions: TablePositions) -> float:
-    """Beyond so many standard deviations a position is bad."""
-    return float(-ndtri(0.5 * BAD_CHANCE / len(positions.table.values)))
+    if isinstance(fitted, Refusal):
+        refusal = (
+            undetermined(nominal.to_si(whole.values), block=TRIAD) or fitted
+        )  # counts the rows as they are written
+        misstated = None if len(refusal.null) else _misstated(nominal, sizes_seen(table.values, nominal.modulus))
+        names = tuple(f"{sensor}.{name.partition('.')[2]}" for name in TRIAD.names)
+        outcome = Outcome(reasons=(misstated or refusal.reason,), unobservable=names)
+    else:
+        fit, estimate, notes = _estimated(fitted, noise, positions, nominal, grade, terms)
+        remarks = (WAVED,) if recorded and sensor == "accel" else ()
+        outcome = Outcome(reasons=tuple(_reasons(positions, nominal, fit)), remarks=remarks)
+    serial = table.path.stem if serial is None else serial
+    return ReadingsCalibration(
+        calibration=_calibration(serial, positions, nominal, fit, estimate, frame, outcome, notes),
+        table=table,
+        nominal=nominal,
+        fit=fit,
+        recorded=recorded and fit is not None,
+    )
 
 
 def _fitted(positions: TablePositions, nominal: Nominal, bad: float) -> tuple[EllipsoidFit | Refusal, Array]:
@@ -171,20 +202,13 @@ def _fitted(positions: TablePositions, nominal: Nominal, bad: float) -> tuple[El
     made with. It has the scatter that the residuals show; where they show less than the last digit of the readings
     explains, that. Of blocks of rows it has their own scatter."""
     readings = nominal.to_si(positions.table.values)
-    modulus_u = nominal.modulus_u or 0.0
+    fit = partial(fit_ellipsoid, readings, modulus=nominal.modulus, modulus_u=nominal.modulus_u or 0.0)
     floor, none = np.diag((positions.resolution_u / nominal.scale) ** 2), np.zeros((3, 3))
     if positions.stretch is not None:
-        found = fit_ellipsoid(readings, modulus=nominal.modulus, modulus_u=modulus_u, blocks=positions.stretch)
-        return found, none
+        return fit(blocks=positions.stretch), none
     if positions.covariance is not None:
         floor += positions.covariance / np.outer(nominal.scale, nominal.scale)
-    known = fit_ellipsoid(
-        readings,
-        modulus=nominal.modulus,
-        modulus_u=modulus_u,
-        covariance=np.broadcast_to(floor, (len(readings), 3, 3)),
-        bad_sigmas=bad,
-    )
+    known = fit(covariance=np.broadcast_to(floor, (len(readings), 3, 3)), bad_sigmas=bad)
     if isinstance(known, Refusal):
         return known, floor
     within = positions.covariance is not None
@@ -192,39 +216,69 @@ def _fitted(positions: TablePositions, nominal: Nominal, bad: float) -> tuple[El
         known = replace(known, noise_degrees=float(positions.degrees))
     if within or (known.degrees > 0 and known.chi_square <= known.degrees):
         return known, floor
-    return fit_ellipsoid(readings, modulus=nominal.modulus, modulus_u=modulus_u, bad_sigmas=bad), none
+    return fit(bad_sigmas=bad), none
 
 
 def _estimated(
-    found: EllipsoidFit, noise: Array, positions: TablePositions, nominal: Nominal, grade: str | None, terms: Terms
+    fit: EllipsoidFit, noise: Array, positions: TablePositions, nominal: Nominal, grade: str | None, terms: Terms
 ) -> tuple[EllipsoidFit, Estimate, tuple[str, ...]]:
     """The fit, with the positions that what it leaves out makes look bad, the estimate of the method `ellipsoid`, and
     what its u has of what it leaves out, in words."""
     rests = _rests(positions, nominal, noise)
     if nominal.sensor == "gyro":
-        said = "u has no part of asymmetry and g-sensitivity of the gyros, which the readings do not tell from biases"
-        return found, estimate_of(found, rests), (said,)
-    if nominal.sensor == "mag" or terms == "linear" or found.covariance is None:
-        return found, estimate_of(found, rests), ()
-    chosen, origin = (grade, "") if grade is not None else guessed_grade(found, rests)
-    known = {name: size for name, size in usual_sizes(chosen).items() if name in AT_REST}
-    what = "quadratic and cubic terms, asymmetry and drift"
+        note = "u has no part of asymmetry and g-sensitivity of the gyros, which the readings do not tell from biases"
+        return fit, estimate_of(fit, rests), (note,)
+    if nominal.sensor == "mag" or terms == "linear" or fit.covariance is None:
+        return fit, estimate_of(fit, rests), ()
+    chosen, origin = (grade, "") if grade is not None else guessed_grade(fit, rests)
+    usual, what = _usual(chosen), "quadratic and cubic terms, asymmetry and drift"
     if positions.stretch is not None:
-        known = {name: size for name, size in known.items() if variable_of(name) is None}
+        usual = {name: size for name, size in usual.items() if variable_of(name) is None}
         what = "quadratic and cubic terms and asymmetry"
-    said = (
+    note = (
         f"{what} of the size usual for the grade {chosen} are in u{origin}; the values take them as nothing, and "
         "--terms linear leaves them out"
     )
-    rests = replace(rests, usual=known)
-    bad = ~found.used
-    bad[list(found.doubtful)] = True
-    if bad.any():
+    rests = replace(rests, usual=usual)
+    bad = ~fit.used
+    bad[list(fit.doubtful)] = True
+    if bad.any():  # by how much a residual may be off by the in-run instability and by what is left out
+        beyond, instability = left_out_of(rests), GRADES[chosen].noise.accel_instability
+        sigma = np.sqrt(instability**2 + ((beyond.leaves * beyond.usual) ** 2).sum(axis=1))
+        allowed = float(-ndtri(0.5 * BAD_CHANCE / len(positions.table.values))) * sigma
         whole, noise = _fitted(positions, nominal, np.inf)
-        allowed = _bad_sigmas(positions) * residual_of(rests, chosen)
         if isinstance(whole, EllipsoidFit) and np.all(np.abs(whole.residual) <= np.where(bad, allowed, np.inf)):
-            found, rests = whole, replace(_rests(positions, nominal, noise), usual=known)
-    return found, estimate_of(found, rests), (said,)
+            fit, rests = whole, replace(_rests(positions, nominal, noise), usual=usual)
+    return fit, estimate_of(fit, rests), (note,)
+
+
+def _usual(grade: str) -> dict[str, float]:
+    """What a table may have beyond the linear model, and its usual size."""
+    return {name: size for name, size in usual_sizes(grade).items() if name in AT_REST}
+
+
+def guessed_grade(fit: EllipsoidFit, rests: Observations) -> tuple[str, str]:
+    """The grade, and what it is guessed from, in words (module docstring)."""
+    best, *_, poorest = order = [*GRADES]
+
+    def chance_of_biases(grade: str) -> float:
+        return float(chdtr(3, (fit.values[:3] ** 2).sum() / GRADES[grade].accel.bias ** 2))
+
+    def chance_of_residuals(grade: str) -> float:
+        if fit.degrees == 0:
+            return 1.0
+        beyond = left_out_of(replace(rests, usual=_usual(grade)))
+        noise, left = GRADES[grade].noise.accel_instability ** 2, beyond.leaves * beyond.usual
+        of_groups = left.T @ left
+        trace = noise * fit.degrees + np.trace(of_groups)
+        square = noise**2 * fit.degrees + 2.0 * noise * np.trace(of_groups) + float((of_groups**2).sum())
+        degrees = trace**2 / square
+        return float(chdtrc(degrees, degrees * float((fit.residual[fit.used] ** 2).sum()) / trace))
+
+    by_biases = next((grade for grade in order[::-1] if chance_of_biases(grade) > CHANCE), best)
+    by_residuals = next((grade for grade in order if chance_of_residuals(grade) > CHANCE), poorest)
+    poorer, what = max((by_biases, "biases"), (by_residuals, "residuals"), key=lambda each: order.index(each[0]))
+    return poorer, f", guessed from the {what}; state another with --grade"
 
 
 def _rests(positions: TablePositions, nominal: Nominal, noise: Array) -> Observations:
@@ -258,102 +312,101 @@ def _rests(positions: TablePositions, nominal: Nominal, noise: Array) -> Observa
     )
 
 
-def _names(nominal: Nominal, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of parameters for the sensors that they are of."""
-    return tuple(f"{nominal.sensor}.{name.partition('.')[2]}" for name in names)
-
-
-def _remarks(positions: TablePositions, nominal: Nominal) -> tuple[str, ...]:
-    """What the readings cannot show of themselves."""
-    if positions.stretch is None or nominal.sensor != "accel":
-        return ()
-    return (
-        "an accelerometer that is waved reads its own motion: what of it is always along the same side of the device, "
-        "as in turns about a wrist (0.1 m at 60 °/s: 11 mg), passes for a bias and is not in u; a table of readings at "
-        "rest has none of it",
-    )
-
-
-def _reasons(positions: TablePositions, nominal: Nominal, found: EllipsoidFit) -> list[str]:
+def _reasons(positions: TablePositions, nominal: Nominal, fit: EllipsoidFit) -> Iterator[str]:
     """What speaks against a fit."""
-    table = positions.table
-    misstated = _misstated(nominal, np.abs(nominal.scale) * (1.0 + found.values[3:6]))
+    misstated = _misstated(nominal, np.abs(nominal.scale) * (1.0 + fit.values[3:6]))
     if misstated is not None:
-        return [misstated]
-    size, unit = engineering(nominal.result_unit, float(np.abs(found.residual).max()))
-    reasons = [
-        f"position {i + 1} (line {table.lines[i]}) does not fit: {found.sigmas[i]:.1f} sigma, residual "
-        f"{found.residual[i] / size:+.3g} {unit}; it was left out"
-        for i in np.flatnonzero(~found.used)
-    ]
-    if found.doubtful and found.worst is not None:
-        which = " or ".join(f"{i + 1} (line {table.lines[i]})" for i in sorted(found.doubtful))
-        reasons.append(
-            f"position {which} does not fit: {found.worst.sigmas:.1f} sigma"
-            + ("; these positions do not tell which, so that none was left out" if len(found.doubtful) > 1 else "")
+        yield misstated
+        return
+
+    def named(which: Iterable[int]) -> str:
+        return " or ".join(f"{i + 1} (line {positions.table.lines[i]})" for i in which)
+
+    size, unit = engineering(nominal.result_unit, float(np.abs(fit.residual).max()))
+    for i in np.flatnonzero(~fit.used).tolist():
+        yield (
+            f"position {named([i])} does not fit: {fit.sigmas[i]:.1f} sigma, residual {fit.residual[i] / size:+.3g} "
+            f"{unit}; it was left out"
         )
+    if fit.doubtful and fit.worst is not None:
+        several = "; these positions do not tell which, so that none was left out" if len(fit.doubtful) > 1 else ""
+        yield f"position {named(sorted(fit.doubtful))} does not fit: {fit.worst.sigmas:.1f} sigma{several}"
+    rows = "positions" if positions.stretch is None else "samples"
     limit = (SCATTER_LIMIT[nominal.sensor] if positions.stretch is None else RECORDED_LIMIT) * nominal.modulus
-    if found.scatter > limit:
-        size, unit = engineering(nominal.result_unit, found.scatter)
-        rows = "positions" if positions.stretch is None else "samples"
-        said = f"the {rows} scatter by {found.scatter / size:.3g} {unit}, more than {limit / size:.3g} {unit}"
-        first = () if found.worst is None else (found.worst.position, *found.worst.rivals)
-        if found.worst is not None and len(first) <= NAMED and found.worst.scatter < 0.5 * found.scatter:
-            which = " or ".join(f"{i + 1} (line {table.lines[i]})" for i in sorted(first))
-            said += (
-                f"; look first at position {which}, without which it would be {found.worst.scatter / size:.3g} {unit}"
-            )
-        reasons.append(said)
-    if not found.converged:
-        reasons.append("the fit did not converge: the readings contradict the model")
-    return reasons
+    if fit.scatter > limit:
+        size, unit = engineering(nominal.result_unit, fit.scatter)
+        first, look = () if fit.worst is None else (fit.worst.position, *fit.worst.rivals), ""
+        if fit.worst is not None and len(first) <= NAMED and fit.worst.scatter < 0.5 * fit.scatter:
+            without = f"{fit.worst.scatter / size:.3g} {unit}"
+            look = f"; look first at position {named(sorted(first))}, without which it would be {without}"
+        yield f"the {rows} scatter by {fit.scatter / size:.3g} {unit}, more than {limit / size:.3g} {unit}{look}"
+    if not fit.converged:
+        yield "the fit did not converge: the readings contradict the model"
 
 
 def _misstated(nominal: Nominal, seen: Array | None) -> str | None:
     """That the channels' output `seen` (3,), per SI unit, is not what scale and unit state, and which would fit."""
-    if nominal.estimated or nominal.sensor == "mag" or seen is None:
-        return None
-    if _near_one(seen / np.abs(nominal.scale)):
+
+    def near_one(ratios: Array) -> bool:
+        return bool(np.all(np.abs(ratios - 1.0) <= SIZE_TOLERANCE))
+
+    if nominal.estimated or nominal.sensor == "mag" or seen is None or near_one(seen / np.abs(nominal.scale)):
         return None
     stated, outputs = (
         ", ".join(f"{v * nominal.per_factor:.3g}" for v in scale)
         for scale in (nominal.scale, np.sign(nominal.scale) * seen)
     )
-    fitting = [f"--unit {unit}" for unit, factor in plain_units(nominal.sensor).items() if _near_one(seen * factor)]
+    fitting = [f"--unit {unit}" for unit, factor in UNITS[nominal.sensor].items() if near_one(seen * factor)]
     if nominal.unit == nominal.per:
         length = "gravity" if nominal.sensor == "accel" else "--modulus"
-        said = f"the readings are {outputs} times what --unit {nominal.unit} and {length} give"
+        fault = f"the readings are {outputs} times what --unit {nominal.unit} and {length} give"
     else:
-        said = f"the outputs seen are {outputs} {nominal.unit}/{nominal.per}, the scale states {stated}"
+        fault = f"the outputs seen are {outputs} {nominal.unit}/{nominal.per}, the scale states {stated}"
         fitting += [f"--scale={outputs}".replace(" ", "")]
-    return f"{said}; {' or '.join(fitting) or 'another unit or scale'} would fit"
-
-
-def _near_one(ratios: Array) -> bool:
-    return bool(np.all(np.abs(ratios - 1.0) <= SIZE_TOLERANCE))
+    return f"{fault}; {' or '.join(fitting) or 'another unit or scale'} would fit"
 
 
 def _calibration(
     serial: str,
     positions: TablePositions,
     nominal: Nominal,
-    found: EllipsoidFit | None,
+    fit: EllipsoidFit | None,
     estimate: Estimate | None,
     frame: Frame,
     outcome: Outcome,
-    said: tuple[str, ...],
+    notes: tuple[str, ...],
 ) -> Calibration:
+    sensor = nominal.sensor
     parameters: tuple[Parameter, ...] = ()
-    known = found is not None and found.covariance is not None
+    known = fit is not None and fit.covariance is not None
     if estimate is not None:
         learned = learned_in(estimate)
         estimate, _ = estimate_in(frame, estimate, _rests(positions, nominal, np.zeros((3, 3))))
-        units = (nominal.result_unit,) * 3 + estimate.units[3:]
-        named = replace(estimate, names=_names(nominal, estimate.names), units=units)
-        parameters = parameters_of(named, np.arange(len(units)), {}, learned)
+        named = replace(
+            estimate,
+            names=tuple(f"{sensor}.{name.partition('.')[2]}" for name in estimate.names),
+            units=(nominal.result_unit,) * 3 + estimate.units[3:],
+        )
+        parameters = parameters_of(named, np.arange(len(named.names)), {}, learned)
         parameters = parameters if known else tuple(replace(p, u=None, dof=None) for p in parameters)
-    model = None if estimate is None else estimate.accel
-    fits = {} if found is None else {_FIT_NAMES[nominal.sensor]: found.fit(nominal.result_unit)}
+    models: dict[str, Any] = dict.fromkeys(("accel", "gyro", "mag")) | {sensor: estimate and estimate.accel}
+    site = Site(
+        latitude=None,
+        height=0.0,
+        gravity=nominal.modulus,
+        gravity_u=nominal.modulus_u or 0.0,
+        gravity_is_unit=nominal.modulus_u is None,
+    )
+    # where the scatter is that of all there is, a row has no uncertainty beside it
+    row_known = fit is not None and (positions.covariance is not None or fit.scatter == 0.0)
+    worth = Readings(
+        columns=positions.table.columns,
+        unit=nominal.unit,
+        increments=False,
+        scale=tuple(nominal.scale.tolist()),
+        offset=(0.0, 0.0, 0.0),
+        row_u=tuple((positions.row_u / np.abs(nominal.scale)).tolist()) if row_known else (),
+    )
     return Calibration(
         serial=serial,
         model=None,
@@ -361,96 +414,56 @@ def _calibration(
         frame="accelerometer" if estimate is None else frame,
         parameters=parameters,
         covariance=estimate.covariance if estimate is not None and known else None,
-        accel=model if nominal.sensor == "accel" else None,
-        gyro=model if nominal.sensor == "gyro" else None,
-        mag=model if nominal.sensor == "mag" else None,
+        **models,
         outcome=outcome,
-        fits=fits,
-        site=_site(nominal),
-        readings={nominal.sensor: _readings(positions, nominal, found)},
-        notes=(*positions.left_out, *_notes(positions, nominal, found), *said),
+        fits={} if fit is None else {FIT_NAMES[sensor]: fit.fit(nominal.result_unit)},
+        site=site if sensor == "accel" else None,
+        readings={sensor: worth},
+        notes=(*positions.left_out, *_notes(positions, nominal, fit), *notes),
         groups=() if estimate is None else estimate.groups,
         prediction=None if estimate is None else estimate.prediction,
-        provenance={
-            "log_sha256": positions.table.sha256,
-            "software": f"tumble {__version__}",
-            "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        },
+        provenance=provenance_of(positions.table.sha256),
     )
 
 
-def _site(nominal: Nominal) -> Site | None:
-    """Gravity as stated, where it was the modulus, or as the unit."""
-    if nominal.sensor != "accel":
-        return None
-    unit = nominal.modulus_u is None
-    return Site(
-        latitude=None,
-        height=0.0,
-        gravity=nominal.modulus,
-        gravity_u=nominal.modulus_u or 0.0,
-        gravity_is_unit=unit,
-    )
-
-
-def _readings(positions: TablePositions, nominal: Nominal, found: EllipsoidFit | None) -> Readings:
-    """What the readings are; where the scatter is that of all there is, a row has no uncertainty beside it."""
-    known = found is not None and (positions.covariance is not None or found.scatter == 0.0)
-    return Readings(
-        columns=positions.table.columns,
-        unit=nominal.unit,
-        increments=False,
-        scale=tuple(nominal.scale.tolist()),
-        offset=(0.0, 0.0, 0.0),
-        row_u=tuple((positions.row_u / np.abs(nominal.scale)).tolist()) if known else (),
-    )
-
-
-def _notes(positions: TablePositions, nominal: Nominal, found: EllipsoidFit | None) -> tuple[str, ...]:
-    table, notes = positions.table, list(_modulus_said(nominal))
-    per = ", ".join(f"{s * nominal.per_factor:.6g}" for s in nominal.scale)
+def _notes(positions: TablePositions, nominal: Nominal, fit: EllipsoidFit | None) -> Iterator[str]:
+    """What u has of the modulus, where that is not what is usual, and what was taken for scale and polarity."""
+    u, per = nominal.modulus_u, ", ".join(f"{s * nominal.per_factor:.6g}" for s in nominal.scale)
+    if nominal.sensor == "accel" and u is None:
+        yield (
+            "gravity is not stated: g at the place of the readings is the unit, for which 9.80665 m/s^2 stands; u has "
+            "no part of it, which may be 0.3 %. For values in m/s^2 give --gravity and --gravity-u"
+        )
+    elif nominal.sensor == "accel" and u == 0.0:
+        yield "gravity is taken as exact, as --gravity-u states"
+    elif nominal.sensor == "accel":
+        yield f"gravity {nominal.modulus:.9g} m/s^2 with u = {u:.2g} m/s^2, in all scale factors"
+    elif u is None and nominal.per != THE_FIELD:
+        what = {"gyro": "the rate of the table", "mag": "the field"}[nominal.sensor]
+        yield (
+            f"the uncertainty of {what} is not stated (--modulus-u): scale factors are relative to it, and u has no "
+            "part of it"
+        )
     if nominal.estimated:
-        notes.append(f"no nominal scale was stated: {per} {nominal.unit}/{nominal.per} was taken from the readings")
+        yield f"no nominal scale was stated: {per} {nominal.unit}/{nominal.per} was taken from the readings"
     if nominal.assumed:
-        notes.append(
+        yield (
             f"polarity of {', '.join(nominal.assumed)}: taken as positive, since the readings do not tell it; state it "
             "with --scale or --position"
         )
-    negative = [name for name, s in zip(table.columns, nominal.scale, strict=True) if s < 0.0]
+    negative = [name for name, s in zip(positions.table.columns, nominal.scale, strict=True) if s < 0.0]
     if negative:
-        said = f"polarity of {', '.join(negative)}: negative, as the scale or the positions state"
-        if len(negative) % 2:
-            said += (
-                "; as they are written, the readings are the mirror image of a right-handed triad, so the fit needs a "
-                "reflection"
-            )
-        notes.append(said)
-    if found is not None and found.covariance is not None and found.scatter == 0.0 and positions.covariance is None:
-        notes.append("the residuals are no larger than the last digit of the readings explains: u is of that digit")
-    if found is not None and found.degrees == 0:
-        said = "as many positions as parameters: nothing checks the fit"
-        notes.append(said + (", and no uncertainty can be given" if found.covariance is None else ""))
-    return tuple(notes)
-
-
-def _modulus_said(nominal: Nominal) -> tuple[str, ...]:
-    """What u has of the modulus, where that is not what is usual."""
-    if nominal.sensor == "accel":
-        if nominal.modulus_u is None:
-            return (
-                "gravity is not stated: g at the place of the readings is the unit, for which 9.80665 m/s^2 stands; u "
-                "has no part of it, which may be 0.3 %. For values in m/s^2 give --gravity and --gravity-u",
-            )
-        if nominal.modulus_u == 0.0:
-            return ("gravity is taken as exact, as --gravity-u states",)
-        return (f"gravity {nominal.modulus:.9g} m/s^2 with u = {nominal.modulus_u:.2g} m/s^2, in all scale factors",)
-    what = {"gyro": "the rate of the table", "mag": "the field"}[nominal.sensor]
-    if nominal.modulus_u is None and nominal.per != THE_FIELD:
-        return (
-            f"the uncertainty of {what} is not stated (--modulus-u): scale factors are relative to it, and u has no "
-            "part of it",
+        mirrored = (
+            "; as they are written, the readings are the mirror image of a right-handed triad, so the fit needs a "
+            "reflection"
         )
-    return ()
+        odd = mirrored if len(negative) % 2 else ""
+        yield f"polarity of {', '.join(negative)}: negative, as the scale or the positions state{odd}"
+    if fit is not None and fit.covariance is not None and fit.scatter == 0.0 and positions.covariance is None:
+        yield "the residuals are no larger than the last digit of the readings explains: u is of that digit"
+    if fit is not None and fit.degrees == 0:
+        unknown = ", and no uncertainty can be given" if fit.covariance is None else ""
+        yield f"as many positions as parameters: nothing checks the fit{unknown}"
 
 
 # -------------------- the form of the source --------------------
@@ -495,6 +508,3 @@ def paper_form(result: ReadingsCalibration) -> PaperForm:
         b=b / nominal.per_factor,
         covariance=covariance,
     )
-
-
-# -------------------- what is said --------------------

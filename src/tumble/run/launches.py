@@ -9,11 +9,11 @@ launches: they are taken out of either and do not average out (`tumble.result.co
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import zip_longest
+from itertools import combinations, zip_longest
 from pathlib import Path
-from typing import TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 
@@ -29,12 +29,11 @@ from tumble.recording.session import AirConditions, Circumstances, Session
 from tumble.recording.session_file import session_from
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import by_gravity, degrees_of_mean, shared_gravity
-from tumble.result.parts import Launch, Parameter
+from tumble.result.parts import Launch, Parameter, learned_fraction
 from tumble.result.shared_errors import by_priors
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.calibrate import DEFAULT_METHOD, Method, Terms, calibrate, provenance_of
 from tumble.run.observed import Progress
-from tumble.run.same_recording import Means, check_recordings
 from tumble.run.type_spread import TypeSpread, pooled
 from tumble.sensors.frames import Convention, Frame, frame_of
 from tumble.sensors.instrument import Instrument
@@ -100,15 +99,33 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
     """
     launches = [run.calibration for run in runs]
     first, session, count = launches[0], runs[0].session, len(runs)
-    _check_alike(runs)
+    digests = [launch.provenance["log_sha256"] for launch in launches]
+    for run in runs[1:]:
+        if run.calibration.serial != first.serial:
+            raise InputError(
+                f"{run.session.name}: expected a launch of device {first.serial!r} like the first session, found "
+                f"{run.calibration.serial!r}; calibrate each device by itself"
+            )
+    check_recordings([(r.session.name, d, _means(r.calibration)) for r, d in zip(runs, digests, strict=True)])
     names = [name for name in first if all(name in launch for launch in launches)]
     members = [[launch[name] for launch in launches] for name in names]
+
+    # at one reference temperature
     reference = _mean_where_known([launch.reference_temperature for launch in launches])
-    references = _mean_references([launch.references for launch in launches])
-    moves = [_to_temperature(launch, names, reference, references) for launch in launches]
-    values = np.array([move @ [launch[n].value for n in names] for launch, move in zip(launches, moves, strict=True)])
-    mean, spread = values.mean(axis=0), values.std(axis=0, ddof=1)
-    digests = [launch.provenance["log_sha256"] for launch in launches]
+    sizes = [{kind: len(celsius) for kind, celsius in launch.references.items()} for launch in launches]
+    references = {
+        kind: tuple(np.mean([launch.references[kind] for launch in launches], axis=0).tolist())
+        for kind in (sizes[0] if all(each == sizes[0] for each in sizes) else ())
+    }
+    values, covariances = [], []
+    for launch in launches:
+        move, C = np.eye(len(names)), launch.covariance_of(names)
+        if reference is not None:
+            there = replace(launch, reference_temperature=reference, references=references)
+            move = to_temperature(names, np.array([there.reference_of(n) - launch.reference_of(n) for n in names]))
+        values.append(move @ [launch[n].value for n in names])
+        covariances.append(move @ (np.zeros_like(move) if C is None else C) @ move.T)
+    mean, spread = np.mean(values, axis=0), np.std(values, axis=0, ddof=1)
 
     # how much the device changes from launch to launch, by these launches and, where it is like them, those of its type
     others = None if alike is None else alike.without(set(digests))
@@ -119,25 +136,31 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
         unlike += [name] if both is None else []
         instability.append((s**2, count - 1.0) if both is None else both)
 
-    # covariance of the mean and degrees of freedom of its diagonal (module docstring)
-    whole = [move @ _covariance_of(launch, names) @ move.T for launch, move in zip(launches, moves, strict=True)]
-    gravity = _gravity_in_common(launches, names, whole)
+    # what is common to all launches: one standard uncertainty of gravity, where they are of one value of g and count
+    # it, of the time base and of what is wrong with the priors
+    gravity = np.zeros(len(names))
+    if all(shared_gravity(first.site, launch.site) for launch in launches):
+        changes = [by_gravity([x[n] for n in names], C, x.site) for x, C in zip(launches, covariances, strict=True)]
+        gravity = np.mean(changes, axis=0)
     clock_u = min(run.session.log.time_base_u for run in runs)
     clock = by_time_base(names, clocked(clock_u, session.log.increments))
-    of_site = np.outer(gravity, gravity) + np.outer(clock, clock)
+    of_gravity, of_clock = np.outer(gravity, gravity), np.outer(clock, clock)
     of_priors = [
         sum((np.outer(each, each) for each in by_priors([launch[n] for n in names], C).values()), np.zeros_like(C))
-        for launch, C in zip(launches, whole, strict=True)
+        for launch, C in zip(launches, covariances, strict=True)
     ]
-    apart = [np.diag(C - of_site - of_prior).clip(0.0) for C, of_prior in zip(whole, of_priors, strict=True)]
-    common = of_site + np.mean(of_priors, axis=0)
-    covariance = np.sum([C - of_site - P for C, P in zip(whole, of_priors, strict=True)], axis=0) / count**2 + common
+    of_site, common = of_gravity + of_clock, of_gravity + of_clock + np.mean(of_priors, axis=0)
+
+    # covariance of the mean and degrees of freedom of its diagonal (module docstring)
+    own = [C - of_site - of_prior for C, of_prior in zip(covariances, of_priors, strict=True)]
+    apart = [np.diag(C).clip(0.0) for C in own]
+    covariance = np.sum(own, axis=0) / count**2 + common
     of_launches = covariance - common
     np.fill_diagonal(of_launches, np.sum(apart, axis=0) / count**2)
     parameters = []
     for i, (name, each) in enumerate(zip(names, members, strict=True)):
         parts = []
-        for p, C, variance in zip(each, whole, apart, strict=True):
+        for p, C, variance in zip(each, covariances, apart, strict=True):
             dof = None if p.dof is None or C[i, i] == 0.0 else p.dof * float(variance[i] / C[i, i]) ** 2
             parts.append((float(variance[i]), dof))
         s2, degrees = instability[i]
@@ -155,19 +178,20 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
                 run_to_run=float(spread[i]),
                 dof=dof,
                 prior=prior,
-                learned=None if prior is None else float(np.clip(1.0 - (u / prior) ** 2, 0.0, 1.0)),
+                learned=None if prior is None else learned_fraction(u, prior),
             )
         )
-    by_name = dict(zip(names, mean.tolist(), strict=True))
-    of_gravity, of_clock = np.outer(gravity, gravity), np.outer(clock, clock)
     budget = UncertaintyBudget(sources=(source("within launches"),), covariances=of_launches[None])
-    for own, of_own in (
+    for each_source, of_source in (
         (source("launches", dof=count - 1.0 if others is None else None), covariance - of_launches - common),
         (source("gravity", first.site.gravity_u if first.site else None, "m/s^2"), of_gravity),
         (source("clock", clock_u, "1"), of_clock),
         (source("priors"), common - of_gravity - of_clock),
     ):
-        budget = budget.beside(own, of_own)
+        budget = budget.beside(each_source, of_source)
+
+    by_name = dict(zip(names, mean.tolist(), strict=True))
+    alike_in_all: dict[str, Any] = {key: _common_items([getattr(x, key) for x in launches]) for key in _OF_THE_DEVICE}
     return Calibration(
         serial=first.serial,
         model=first.model,
@@ -187,22 +211,26 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
         ),
         site=_common([launch.site for launch in launches]),
         programme=_common([launch.programme for launch in launches]),
-        readings=_common_items([launch.readings for launch in launches]),
-        notes=(*_notes(runs), *_left_out(launches, names), *_pooled_with(alike, unlike)),
-        launches=tuple(map(_launch, runs)),
+        notes=(*_notes(runs, names), *_pooled_with(alike, unlike)),
+        launches=tuple(
+            Launch(session=run.name, log_sha256=digest, **{key: getattr(run.calibration, key) for key in _OF_A_LAUNCH})
+            for run, digest in zip(runs, digests, strict=True)
+        ),
         provenance=provenance_of(digest_of_all(digests)),
         groups=_groups(launches, parameters),
         budget=contributions_of(budget, names),
         prediction=_prediction(runs, names, mean, covariance),
-        axes=_common_items([launch.axes for launch in launches]),
         reference_temperature=reference,
         references=references,
-        thermometers=_common_items([launch.thermometers for launch in launches]),
         circumstances=circumstances_of_all([launch.circumstances for launch in launches]),
-        imu=_common_items([launch.imu for launch in launches]),
         sample_rate=_mean_where_known([launch.sample_rate for launch in launches]),
         clock_u=clock_u,
+        **alike_in_all,
     )
+
+
+_OF_THE_DEVICE = ("readings", "axes", "thermometers", "imu")
+_OF_A_LAUNCH = ("parameters", "covariance", "site", "circumstances", "rests", "turns", "fits")
 
 
 def digest_of_all(digests: Iterable[str]) -> str:
@@ -217,37 +245,6 @@ def circumstances_of_all(each: Sequence[Circumstances]) -> Circumstances:
         operator=_common([one.operator for one in each]),
         air=_common([one.air for one in each]) or AirConditions(),
         equipment=tuple(dict.fromkeys(item for one in each for item in one.equipment)),
-    )
-
-
-def _outcome(runs: Sequence[Run]) -> Outcome:
-    """What is said of the sessions, each sentence with the name of its own."""
-
-    def sentences(what: Callable[[Outcome], tuple[str, ...]]) -> tuple[str, ...]:
-        return tuple(f"{run.name}: {each}" for run in runs for each in what(run.calibration.outcome))
-
-    return Outcome(
-        reasons=sentences(lambda outcome: outcome.reasons),
-        remarks=sentences(lambda outcome: outcome.remarks),
-        unobservable=tuple(dict.fromkeys(name for run in runs for name in run.calibration.outcome.unobservable)),
-        of_accel=sentences(lambda outcome: outcome.of_accel),
-        of_gyro=sentences(lambda outcome: outcome.of_gyro),
-    )
-
-
-def _launch(run: Run) -> Launch:
-    """A launch by itself, as it stands beside the mean."""
-    launch = run.calibration
-    return Launch(
-        session=run.name,
-        parameters=launch.parameters,
-        covariance=launch.covariance,
-        log_sha256=launch.provenance["log_sha256"],
-        site=launch.site,
-        circumstances=launch.circumstances,
-        rests=launch.rests,
-        turns=launch.turns,
-        fits=launch.fits,
     )
 
 
@@ -267,44 +264,14 @@ def _mean_where_known(values: Sequence[float | None]) -> float | None:
     return float(np.mean(known)) if len(known) == len(values) else None
 
 
-def _check_alike(runs: Sequence[Run]) -> None:
-    serial = runs[0].calibration.serial
-    for run in runs[1:]:
-        if run.calibration.serial != serial:
-            raise InputError(
-                f"{run.session.name}: expected a launch of device {serial!r} like the first "
-                f"session, found {run.calibration.serial!r}; calibrate each device by itself"
-            )
-    check_recordings([(r.session.name, r.calibration.provenance["log_sha256"], _means(r.calibration)) for r in runs])
-
-
-def _means(calibration: Calibration) -> Means:
-    """What the sensors read in the rests of a calibration."""
-    means, u = [], []
-    for rest in calibration.rests:
-        sensors = [each for each in (rest.accel, rest.gyro) if each is not None]
-        if sensors:
-            means.append(np.concatenate([each.mean for each in sensors]))
-            u.append(np.concatenate([each.noise for each in sensors]) / np.sqrt(rest.stop - rest.start))
-    return (np.array(means), np.array(u)) if means else (np.empty((0, 0)), np.empty((0, 0)))
-
-
-def _covariance_of(launch: Calibration, names: list[str]) -> Array:
-    """The covariance of these parameters of a launch; zero where it has none."""
-    if launch.covariance is None:
-        return np.zeros((len(names), len(names)))
-    order = list(launch)
-    chosen = [order.index(name) for name in names]
-    return np.asarray(launch.covariance[np.ix_(chosen, chosen)])
-
-
-def _gravity_in_common(launches: Sequence[Calibration], names: list[str], covariances: Sequence[Array]) -> Array:
-    """What one standard uncertainty of g changes in the parameters (m,) of all launches; zero where they are of several
-    values of g, or do not count its uncertainty."""
-    if not all(shared_gravity(launches[0].site, launch.site) for launch in launches):
-        return np.zeros(len(names))
-    changes = [by_gravity([x[n] for n in names], C, x.site) for x, C in zip(launches, covariances, strict=True)]
-    return np.asarray(np.mean(changes, axis=0))
+def _outcome(runs: Sequence[Run]) -> Outcome:
+    """What is said of the sessions, each sentence with the name of its own."""
+    sentences: dict[str, tuple[str, ...]] = {
+        what: tuple(f"{run.name}: {each}" for run in runs for each in getattr(run.calibration.outcome, what))
+        for what in ("reasons", "remarks", "of_accel", "of_gyro")
+    }
+    unobservable = dict.fromkeys(name for run in runs for name in run.calibration.outcome.unobservable)
+    return Outcome(unobservable=tuple(unobservable), **sentences)
 
 
 def _groups(launches: Sequence[Calibration], parameters: Sequence[Parameter]) -> tuple[GroupFinding, ...]:
@@ -320,20 +287,18 @@ def _groups(launches: Sequence[Calibration], parameters: Sequence[Parameter]) ->
     )
 
 
-def _notes(runs: Sequence[Run]) -> Iterator[str]:
-    """What there is to say of the launches, once, with the launches of which it holds."""
-    names_by_note: dict[str, list[str]] = {}
+def _notes(runs: Sequence[Run], names: list[str]) -> Iterator[str]:
+    """What there is to say of the launches, once, with the launches of which it holds; and which groups of parameters
+    some of them have and not all."""
+    launches_by_note: dict[str, list[str]] = {}
     for run in runs:
         for note in run.calibration.notes:
-            names_by_note.setdefault(note, []).append(run.name)
-    for note, names in names_by_note.items():
-        yield f"{'every launch' if len(names) == len(runs) else ', '.join(names)}: {note}"
-
-
-def _left_out(launches: Sequence[Calibration], names: list[str]) -> tuple[str, ...]:
-    """The groups of parameters that some launches have and not all, as a note."""
-    known = positions_by_group(name for launch in launches for name in launch if name not in names)
-    return (f"left out of the mean, not known of every launch: {', '.join(known)}",) if known else ()
+            launches_by_note.setdefault(note, []).append(run.name)
+    for note, launches in launches_by_note.items():
+        yield f"{'every launch' if len(launches) == len(runs) else ', '.join(launches)}: {note}"
+    known = positions_by_group(name for run in runs for name in run.calibration if name not in names)
+    if known:
+        yield f"left out of the mean, not known of every launch: {', '.join(known)}"
 
 
 def _pooled_with(alike: TypeSpread | None, unlike: list[str]) -> Iterator[str]:
@@ -365,24 +330,6 @@ def _prediction(runs: Sequence[Run], names: list[str], values: Array, covariance
     )
 
 
-def _mean_references(every: Sequence[Mapping[str, tuple[float, ...]]]) -> dict[str, tuple[float, ...]]:
-    """The reference temperatures of each sensor by its own thermometer; none where launches have other sensors."""
-    sizes = [{kind: len(celsius) for kind, celsius in references.items()} for references in every]
-    if any(each != sizes[0] for each in sizes):
-        return {}
-    return {kind: tuple(np.mean([each[kind] for each in every], axis=0).tolist()) for kind in every[0]}
-
-
-def _to_temperature(
-    launch: Calibration, names: list[str], reference: float | None, references: Mapping[str, tuple[float, ...]]
-) -> Array:
-    """The matrix (m, m) that takes parameters of a launch to other reference temperatures."""
-    if reference is None or launch.reference_temperature is None:
-        return np.eye(len(names))
-    there = replace(launch, reference_temperature=reference, references=references)
-    return to_temperature(names, np.array([there.reference_of(n) - launch.reference_of(n) for n in names]))
-
-
 def _mean_model(frame: str, block: Block | None, values: Mapping[str, float]) -> SensorModel | None:
     """The sensor model of the mean parameters; None where a launch lacks one of them."""
     if block is None:
@@ -396,3 +343,52 @@ def _mean_model(frame: str, block: Block | None, values: Mapping[str, float]) ->
 def difference_percent(value: Array | float, reference: Array | float) -> Array:
     """How far values are from those of another method, % of the latter: the last column of the paper's Table 1."""
     return np.asarray(100.0 * (np.asarray(value) - reference) / reference)
+
+
+# -------------------- whether two recordings are one, given twice: in other formats, or with other digits -----------
+
+
+CLOSE = 0.5
+"""Standard uncertainties of the noise of a mean: rounding changes it by less, and another recording of the same
+attitude, whose means differ by √2 of them, is as close in six channels once in 2,500 times."""
+SHARE = 0.5
+"""Of the rests of the shorter recording, that have one like them in the other; chance makes two of them once in
+millions."""
+EQUAL = 1e-9
+"""Relative: means of equal numbers that were added up in another way."""
+
+Means = tuple[Array, Array]
+"""Mean readings (N, n) of all channels at rest, and the standard uncertainties (N, n) of their noise."""
+
+
+def check_recordings(recordings: Sequence[tuple[str, str, Means]]) -> None:
+    """Raises InputError where two recordings, each with its name, the SHA-256 of the log and what its rests read, are
+    one: they read the same to rounding, or neither rests and they are of one log."""
+    for (name, digest, means), (other, other_digest, other_means) in combinations(recordings, 2):
+        if same_recording(means, other_means) or (digest == other_digest and not len(means[0])):
+            raise InputError(
+                f"{other}: holds the same recording as {name}, their rests read the same to rounding; name every "
+                "recording once"
+            )
+
+
+def same_recording(first: Means, second: Means) -> bool:
+    """Whether rests of two recordings read the same values to rounding."""
+    fewer = min(len(first[0]), len(second[0]))
+    if not fewer or first[0].shape[1] != second[0].shape[1]:
+        return False
+    apart = np.abs(first[0][:, None] - second[0][None])
+    near = CLOSE * np.minimum(first[1][:, None], second[1][None]) + EQUAL * np.abs(first[0][:, None])
+    alike = np.any(np.all(apart <= near, axis=2), axis=1)
+    return bool(np.count_nonzero(alike) >= max(SHARE * fewer, 1))
+
+
+def _means(calibration: Calibration) -> Means:
+    """What the sensors read in the rests of a calibration."""
+    means, u = [], []
+    for rest in calibration.rests:
+        sensors = [each for each in (rest.accel, rest.gyro) if each is not None]
+        if sensors:
+            means.append(np.concatenate([each.mean for each in sensors]))
+            u.append(np.concatenate([each.noise for each in sensors]) / np.sqrt(rest.stop - rest.start))
+    return (np.array(means), np.array(u)) if means else (np.empty((0, 0)), np.empty((0, 0)))

@@ -153,47 +153,39 @@ def observations_for_calibration(observed: Observed) -> Observations | Outcome:
     """The observations of the positions of a session's programme, or of all rests where it has none, without the gyros
     where these are spoiled; or why there is nothing to calibrate with. Raises ProgrammeError for a recording that does
     not go through the programme."""
-    found = _observations_of_all(observed)
-    return found.of_accelerometers() if observed.gyro_faults and isinstance(found, Observations) else found
-
-
-def _observations_of_all(observed: Observed) -> Observations | Outcome:
-    found = _matched(observed)
-    if isinstance(found, Outcome):
-        return found
-    reduction, match, said = found
-    whole = match.rests == observed.segmentation.rests and reduction is observed.reduction
-    if observed.observations is not None and whole:
-        notes = (*observed.observations.notes, *said)
-        return replace(observed.observations, programme=match.programme, position=match.position, notes=notes)
-    observations = _observed_again(observed, reduction, match)
-    return replace(observations, notes=(*observations.notes, *said))
-
-
-def _observed_again(observed: Observed, reduction: Reduction, match: Match) -> Observations:
-    """The observations of other rests and turns."""
-    session, before = observed.session, observed.observations
-    arrays = None if before is None else before.arrays
-    return observe(reduction, match, session.accel_block, session.gyro_block, session.site, arrays)
+    matched, every = _matched(observed), observed.observations
+    if isinstance(matched, Outcome):
+        return matched
+    reduction, match, torn = matched
+    if every is None or match.rests != observed.segmentation.rests or reduction is not observed.reduction:
+        every = _observed_again(observed, reduction, match)
+    every = replace(every, programme=match.programme, position=match.position, notes=(*every.notes, *torn))
+    return every.of_accelerometers() if observed.gyro_faults else every
 
 
 def observations_in_parts(observed: Observed) -> tuple[Observations, IntArray] | Outcome:
     """The same with rests that warm in parts, and the number of the rest that each part is of."""
-    found = _matched(observed)
-    if isinstance(found, Outcome):
-        return found
-    reduction, whole, said = found
+    matched = _matched(observed)
+    if isinstance(matched, Outcome):
+        return matched
+    reduction, whole, torn = matched
     match, numbers = in_parts(reduction, whole)
-    observations = _observed_again(observed, reduction, match)
-    return held(replace(observations, notes=(*observations.notes, *said))), numbers
+    parts = _observed_again(observed, reduction, match)
+    return held(replace(parts, notes=(*parts.notes, *torn))), numbers
+
+
+def _observed_again(observed: Observed, reduction: Reduction, match: Match) -> Observations:
+    """The observations of other rests and turns."""
+    session, arrays = observed.session, None if observed.observations is None else observed.observations.arrays
+    return observe(reduction, match, session.accel_block, session.gyro_block, session.site, arrays)
 
 
 def _matched(observed: Observed) -> tuple[Reduction, Match, tuple[str, ...]] | Outcome:
     """The rests of a session's programme, or all, the reduction without the turns that are left out, and notes of those
     that were not recorded as a whole."""
+    session = observed.session
     if observed.faults:
         return Outcome(reasons=observed.faults)
-    session = observed.session
     match = match_rests(session, observed.reduction, observed.segmentation)
     if not match.rests:
         return no_rests(observed.segmentation)

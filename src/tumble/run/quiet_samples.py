@@ -5,7 +5,7 @@ A log is read once: its samples are kept while it is reduced, in memory while th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
@@ -71,6 +71,20 @@ def noise(recording: Session | FilePath, layout: Mapping[str, Any] | None = None
     return RecordedNoise(panels=noise_panels(record), rate=record.rate, source=record.source)
 
 
+def noise_panels(record: QuietRecord) -> tuple[Panel, ...]:
+    """Allan deviation and noise coefficients of the accelerometers and of the gyros."""
+    panels = []
+    for title, unit, columns, samples in (
+        ("accelerometers", "m/s^2", record.accel_columns, record.accel),
+        ("gyros", "rad/s", record.gyro_columns, record.gyro),
+    ):
+        if samples.shape[1]:
+            deviation = allan_deviation(samples, record.rate)
+            parameters = tuple(identify(deviation))
+            panels.append(Panel(title=title, unit=unit, channels=columns, deviation=deviation, parameters=parameters))
+    return tuple(panels)
+
+
 def is_session(path: Path) -> bool:
     """Whether a path is that of a session, and not of a log."""
     if not path.exists():
@@ -80,17 +94,31 @@ def is_session(path: Path) -> bool:
 
 def longest_rest(session: Session, *, progress: Progress = Log.chunks) -> QuietRecord:
     """The longest rest of a session. Raises InputError where nothing rests."""
+    pieces: list[tuple[int, float, int]] = []  # of the log: file, last time, rows
     with SpooledTemporaryFile[bytes](max_size=_IN_MEMORY_BYTES) as store:
-        samples = _Samples(session, store)
-        found = inspect_session(session, progress=lambda log: samples.kept(progress(log)))
-        rests = found.segmentation.rests
-        if not rests:
+
+        def kept(log: Log) -> Iterator[Chunk]:
+            for chunk in progress(log):
+                store.write(np.column_stack([chunk.time, _samples(chunk)]).tobytes())
+                pieces.append((chunk.file, float(chunk.time[-1]), len(chunk.time)))
+                yield chunk
+
+        observed = inspect_session(session, progress=kept)
+        if not observed.segmentation.rests:
             raise InputError(
                 f"{session.name}: expected a rest to take the noise from, found none; see `tumble inspect`"
             )
-        longest = max(rests, key=lambda rest: rest.stop - rest.start)
-        accel, gyro = samples.between(longest.file, longest.start, longest.stop)
-    return _record(session, accel, gyro, found.rate, f"the longest rest, {longest.start:z.1f}–{longest.stop:z.1f} s")
+        rest = max(observed.segmentation.rests, key=lambda rest: rest.stop - rest.start)
+        width, first, tables = 1 + sum(_sensors(session)), 0, list[Array]()
+        for file, last, rows in pieces:
+            if file == rest.file and last > rest.start and (not tables or tables[-1][-1, 0] <= rest.stop):
+                store.seek(first * width * 8)
+                tables.append(np.frombuffer(store.read(rows * width * 8)).reshape(rows, width))
+            first += rows
+    table = np.concatenate(tables)
+    table = table[(table[:, 0] > rest.start + _MARGIN) & (table[:, 0] <= rest.stop + _MARGIN)]
+    words = f"the longest rest, {rest.start:z.1f}–{rest.stop:z.1f} s"
+    return _record(session, table[:, 1:], observed.rate, words)
 
 
 def whole_log(file: Path, layout: Mapping[str, Any]) -> QuietRecord:
@@ -102,70 +130,26 @@ def whole_log(file: Path, layout: Mapping[str, Any]) -> QuietRecord:
     except SessionError as error:
         raise InputError(f"{file}: {str(error).split(': ', 1)[1]}; describe the log with the options") from None
     log = open_log(session)
-    chunks = list(log.chunks())
-    accel, gyro = np.concatenate([c.accel for c in chunks]), np.concatenate([_gyro_of(c) for c in chunks])
-    return _record(session, accel, gyro, log.rate, f"all of {file.name}")
+    return _record(session, np.concatenate(list(map(_samples, log.chunks()))), log.rate, f"all of {file.name}")
 
 
-def _record(session: Session, accel: Array, gyro: Array, rate: float, source: str) -> QuietRecord:
+def _samples(chunk: Chunk) -> Array:
+    """Accelerometers and gyros, sample by sample."""
+    return chunk.accel if chunk.gyro is None else np.hstack([chunk.accel, chunk.gyro])
+
+
+def _sensors(session: Session) -> tuple[int, int]:
+    """How many accelerometers and gyros there are."""
+    return len(session.log.accel.columns), len(session.log.gyro.columns) if session.log.gyro else 0
+
+
+def _record(session: Session, samples: Array, rate: float, source: str) -> QuietRecord:
+    accel, gyro = np.hsplit(samples, [_sensors(session)[0]])
     return QuietRecord(
-        accel=accel,
-        gyro=gyro,
+        accel=np.ascontiguousarray(accel),
+        gyro=np.ascontiguousarray(gyro),
         rate=rate,
         source=source,
         accel_columns=session.log.accel.columns,
         gyro_columns=session.log.gyro.columns if session.log.gyro else (),
     )
-
-
-def _gyro_of(chunk: Chunk) -> Array:
-    return np.empty((len(chunk.time), 0)) if chunk.gyro is None else chunk.gyro
-
-
-class _Samples:
-    """The samples of a session's log, kept in `store` while it is read, row by row: time, accelerometers, gyros."""
-
-    def __init__(self, session: Session, store: SpooledTemporaryFile[bytes]) -> None:
-        self._store = store
-        self._sensors = len(session.log.accel.columns)
-        self._width = 1 + self._sensors + (len(session.log.gyro.columns) if session.log.gyro else 0)
-        self._pieces: list[tuple[int, float, int]] = []  # file, last time, rows
-
-    def kept(self, chunks: Iterable[Chunk]) -> Iterator[Chunk]:
-        """The same chunks."""
-        for chunk in chunks:
-            self._store.write(np.column_stack([chunk.time, chunk.accel, _gyro_of(chunk)]).tobytes())
-            self._pieces.append((chunk.file, float(chunk.time[-1]), len(chunk.time)))
-            yield chunk
-
-    def between(self, file: int, start: float, stop: float) -> tuple[Array, Array]:
-        """Readings (m, n) of accelerometers and gyros of the samples of a file after `start` up to `stop`, s."""
-        found: list[Array] = []
-        first = 0
-        for of, last, rows in self._pieces:
-            if of == file and last > start and (not found or found[-1][-1, 0] <= stop):
-                self._store.seek(first * self._width * 8)
-                piece = self._store.read(rows * self._width * 8)
-                found.append(np.frombuffer(piece).reshape(rows, self._width))
-            first += rows
-        table = np.concatenate(found)
-        table = table[(table[:, 0] > start + _MARGIN) & (table[:, 0] <= stop + _MARGIN)]
-        accel, gyro = np.hsplit(table[:, 1:], [self._sensors])
-        return np.ascontiguousarray(accel), np.ascontiguousarray(gyro)
-
-
-def noise_panels(record: QuietRecord) -> tuple[Panel, ...]:
-    """Allan deviation and noise coefficients of the accelerometers and of the gyros."""
-    kinds = (
-        ("accelerometers", "m/s^2", record.accel_columns, record.accel),
-        ("gyros", "rad/s", record.gyro_columns, record.gyro),
-    )
-    panels = []
-    for title, unit, columns, samples in kinds:
-        if samples.shape[1]:
-            deviation = allan_deviation(samples, record.rate)
-            parameters = identify(deviation)
-            panels.append(
-                Panel(title=title, unit=unit, channels=columns, deviation=deviation, parameters=tuple(parameters))
-            )
-    return tuple(panels)

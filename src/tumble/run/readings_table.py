@@ -30,7 +30,7 @@ import csv
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -65,7 +65,7 @@ LARGEST = 1e30
 """No reading is as large: its powers would leave the range of numbers."""
 
 _RAW = ("V", "count")
-_UNITS: Mapping[Sensor, Mapping[str, float]] = {
+UNITS: Mapping[Sensor, Mapping[str, float]] = {
     "accel": {name: ACCEL_UNITS[name].factor for name in ("g", "m/s^2")},
     "gyro": {name: GYRO_UNITS[name].factor for name in ("deg/s", "deg/h", "rad/s")},
     "mag": dict.fromkeys(MAGNETIC_UNITS, 1.0),
@@ -139,26 +139,49 @@ def read_table(path: Path) -> ReadingsTable:
         raise InputError(f"{path}: line {reader.line_num}: expected comma-separated numbers, found: {error}") from error
     if not rows:
         raise InputError(f"{path}: expected a header of three columns and a row per position, found an empty file")
-    columns = _header(path, *rows[0])
+    columns = tuple(cell.strip() for cell in rows[0][1])
+    if fault := _fault_of_header(columns):
+        raise InputError(f"{path}: line {rows[0][0]}: expected {fault}")
     if len(rows) == 1:
         raise InputError(f"{path}: expected a row per position below the header, found none")
-    values = [
-        [_number(path, line, column, cell) for column, cell in _cells(path, line, columns, row)]
-        for line, row in rows[1:]
-    ]
+    for line, row in rows[1:]:
+        if len(row) != len(columns):
+            raise InputError(f"{path}: line {line}: expected three numbers, one per column, found {len(row)} values")
+        for column, cell in zip(columns, row, strict=True):
+            if not abs(_number(cell)) < LARGEST:
+                found = repr(cell.strip()[:40]) if cell.strip() else "an empty value"
+                place = f"{path}: line {line}, column {column!r}"
+                raise InputError(f"{place}: expected a number, found {found}; correct the row")
+    last_places = np.array([[_last_place(cell) for cell in row] for _, row in rows[1:]])
     return ReadingsTable(
         path=path,
         columns=columns,
-        values=np.array(values),
+        values=np.array([[float(cell) for cell in row] for _, row in rows[1:]]),
         lines=tuple(line for line, _ in rows[1:]),
         sha256=hashlib.sha256(content).hexdigest(),
-        steps=np.array([_step(row[column] for _, row in rows[1:]) for column in range(3)]),
+        steps=10.0 ** np.minimum(0, last_places.min(axis=0)),  # of whole numbers 1
     )
 
 
-def _step(cells: Iterable[str]) -> float:
-    """The step of the last digit of the cells of a column, the smallest of them; of whole numbers 1."""
-    return 10.0 ** min(0, *(_last_place(cell) for cell in cells))
+def _fault_of_header(names: tuple[str, ...]) -> str:
+    """What was expected of the names of three columns, and what was found; empty where they are such."""
+    if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
+        return f"commas between the columns, found {names[0][:40]!r}; save as CSV with commas"
+    if len(names) != 3:
+        return f"a header of three columns, one per channel, found {len(names)}"
+    if not any(math.isnan(_number(name)) for name in names):
+        return "a header with the names of three columns, found numbers; put one above"
+    if "" in names:
+        return f"names of three columns, found an empty one in column {names.index('') + 1}"
+    name, count = Counter(names).most_common(1)[0]
+    return f"three different columns, found {name!r} {count} times" if count > 1 else ""
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return math.nan
 
 
 def _last_place(cell: str) -> int:
@@ -167,59 +190,7 @@ def _last_place(cell: str) -> int:
     return int(exponent or 0) - len(mantissa.partition(".")[2])
 
 
-def _header(path: Path, line: int, row: list[str]) -> tuple[str, ...]:
-    names = tuple(cell.strip() for cell in row)
-    place = f"{path}: line {line}"
-    if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
-        raise InputError(
-            f"{place}: expected commas between the columns, found {names[0][:40]!r}; save as CSV with commas"
-        )
-    if len(names) != 3:
-        raise InputError(f"{place}: expected a header of three columns, one per channel, found {len(names)}")
-    if all(map(_is_number, names)):
-        raise InputError(f"{place}: expected a header with the names of three columns, found numbers; put one above")
-    if "" in names:
-        raise InputError(
-            f"{place}: expected names of three columns, found an empty one in column {names.index('') + 1}"
-        )
-    for name, count in Counter(names).items():
-        if count > 1:
-            raise InputError(f"{place}: expected three different columns, found {name!r} {count} times")
-    return names
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _cells(path: Path, line: int, columns: tuple[str, ...], row: list[str]) -> list[tuple[str, str]]:
-    if len(row) != len(columns):
-        raise InputError(f"{path}: line {line}: expected three numbers, one per column, found {len(row)} values")
-    return list(zip(columns, row, strict=True))
-
-
-def _number(path: Path, line: int, column: str, cell: str) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
-    if not abs(value) < LARGEST:
-        found = repr(cell.strip()[:40]) if cell.strip() else "an empty value"
-        raise InputError(f"{path}: line {line}, column {column!r}: expected a number, found {found}; correct the row")
-    return value
-
-
 # -------------------- what the readings are worth --------------------
-
-
-def plain_units(sensor: Sensor) -> Mapping[str, float]:
-    """The units in which the readings of a kind of sensor need no scale, with their factors to the unit of the
-    calibration."""
-    return _UNITS[sensor]
 
 
 def nominal(
@@ -243,7 +214,7 @@ def nominal(
     positions (from 1).
 
     Raises InputError, one line, for what does not go together."""
-    units = _UNITS[sensor]
+    units = UNITS[sensor]
     if unit not in (*_RAW, *units):
         raise InputError(f"--unit: expected one of {', '.join((*_RAW, *units))} for --sensor {sensor}, found {unit!r}")
     if unit not in _RAW and (scale is not None or scale_per is not None):
@@ -255,43 +226,51 @@ def nominal(
     per = unit if unit not in _RAW else (scale_per or next(iter(units)))
     if per not in units:
         raise InputError(f"--scale-per: expected one of {', '.join(units)} for --sensor {sensor}, found {per!r}")
-    length, length_u = _length(sensor, (gravity, gravity_u), (modulus, modulus_u), units[per])
-    sizes, estimated = _sizes(table, unit, scale, length / units[per])
+
+    # the length of the true vector, in the unit of the result
+    factor = units[per]
+    if sensor == "accel":
+        if (modulus, modulus_u) != (None, None):
+            raise InputError("--modulus: expected --gravity for accelerometers, found --modulus")
+        length, length_u = _gravity(gravity, gravity_u)
+    else:
+        if (gravity, gravity_u) != (None, None):
+            raise InputError(f"--gravity: expected --modulus for --sensor {sensor}, found --gravity")
+        if modulus is None:
+            what = {"gyro": "the rate of the table", "mag": "the field, or 1 where only ratios are wanted"}[sensor]
+            raise InputError(f"--modulus: expected {what} for --sensor {sensor}, found none")
+        if not 0.0 < modulus < LARGEST:
+            raise InputError(f"--modulus: expected a positive number, found {modulus:g}")
+        if modulus_u is not None and not 0.0 <= modulus_u <= LARGEST_U * modulus:
+            raise InputError(
+                f"--modulus-u: expected a number from 0 to {LARGEST_U:g} of the modulus, found {modulus_u:g}"
+            )
+        length, length_u = modulus * factor, None if modulus_u is None else modulus_u * factor
+
+    # the output per unit: 1, as stated, or from the readings to three digits
+    sizes, estimated = np.ones(3), unit in _RAW and scale is None
+    if estimated:
+        seen = sizes_seen(table.values, length / factor)
+        seen = 0.5 * np.ptp(table.values, axis=0) / (length / factor) if seen is None else seen
+        sizes = np.array([float(f"{s:.3g}") if s > 0.0 else 1.0 for s in seen])
+    elif scale is not None:
+        if len(scale) not in (1, 3):
+            raise InputError(f"--scale: expected one number or three, one per column, found {len(scale)}")
+        sizes = np.broadcast_to(np.asarray(scale, dtype=float), 3)
+        if not np.all((np.abs(sizes) > 1.0 / LARGEST) & (np.abs(sizes) < LARGEST)):
+            raise InputError(f"--scale: expected numbers other than zero, found {', '.join(f'{s:g}' for s in sizes)}")
     signs, told = _polarity(table, sizes, known or {}, free=estimated)
     return Nominal(
         sensor=sensor,
         unit=unit,
         per=per,
-        per_factor=units[per],
-        scale=sizes * signs / units[per],
+        per_factor=factor,
+        scale=sizes * signs / factor,
         modulus=length,
         modulus_u=length_u,
         estimated=estimated,
         assumed=tuple(name for name, known_by in zip(table.columns, told, strict=True) if estimated and not known_by),
     )
-
-
-_Stated = tuple[float | None, float | None]
-"""A quantity as options state it, with its standard uncertainty."""
-
-
-def _length(sensor: Sensor, gravity: _Stated, modulus: _Stated, factor: float) -> tuple[float, float | None]:
-    """The modulus in the unit of the result and its standard uncertainty."""
-    if sensor == "accel":
-        if modulus != (None, None):
-            raise InputError("--modulus: expected --gravity for accelerometers, found --modulus")
-        return _gravity(*gravity)
-    if gravity != (None, None):
-        raise InputError(f"--gravity: expected --modulus for --sensor {sensor}, found --gravity")
-    length, u = modulus
-    if length is None:
-        what = {"gyro": "the rate of the table", "mag": "the field, or 1 where only ratios are wanted"}[sensor]
-        raise InputError(f"--modulus: expected {what} for --sensor {sensor}, found none")
-    if not 0.0 < length < LARGEST:
-        raise InputError(f"--modulus: expected a positive number, found {length:g}")
-    if u is not None and not 0.0 <= u <= LARGEST_U * length:
-        raise InputError(f"--modulus-u: expected a number from 0 to {LARGEST_U:g} of the modulus, found {u:g}")
-    return length * factor, None if u is None else u * factor
 
 
 def _gravity(gravity: float | None, u: float | None) -> tuple[float, float | None]:
@@ -305,22 +284,6 @@ def _gravity(gravity: float | None, u: float | None) -> tuple[float, float | Non
     if u is not None and not 0.0 <= u <= LARGEST_GRAVITY_U:
         raise InputError(f"--gravity-u: expected a number from 0 to {LARGEST_GRAVITY_U:g} (m/s^2), found {u:g}")
     return gravity, NORMAL_GRAVITY_U if u is None else u
-
-
-def _sizes(table: ReadingsTable, unit: str, scale: Sequence[float] | None, length: float) -> tuple[Array, bool]:
-    """The scale (3,) per unit as stated, 1 where there is none, or from the readings, to three digits."""
-    if unit not in _RAW:
-        return np.ones(3), False
-    if scale is not None:
-        if len(scale) not in (1, 3):
-            raise InputError(f"--scale: expected one number or three, one per column, found {len(scale)}")
-        given = np.broadcast_to(np.asarray(scale, dtype=float), 3).copy()
-        if not np.all((np.abs(given) > 1.0 / LARGEST) & (np.abs(given) < LARGEST)):
-            raise InputError(f"--scale: expected numbers other than zero, found {', '.join(f'{s:g}' for s in given)}")
-        return given, False
-    seen = sizes_seen(table.values, length)
-    sizes = 0.5 * np.ptp(table.values, axis=0) / length if seen is None else seen
-    return np.array([float(f"{s:.3g}") if s > 0.0 else 1.0 for s in sizes]), True
 
 
 def sizes_seen(values: Array, length: float) -> Array | None:
@@ -361,8 +324,7 @@ def _polarity(table: ReadingsTable, sizes: Array, known: Mapping[int, Array], *,
     return signs, told
 
 
-_SHOWN = 3
-
+COPIES_SHOWN = 3
 BLOCKS = 20
 """Of a recording: the fewer, the longer what errs alike may last, and the less is u itself known; twice the nine
 parameters is the least that leaves each of them something to be judged by."""
@@ -405,37 +367,26 @@ def positions_of(table: ReadingsTable, rows_per_position: int = 1) -> TablePosit
         raise InputError(
             f"--rows-per-position: expected a number that goes into the {N} rows of {table.path}, found {rows}"
         )
-    blocks = table.values.reshape(-1, rows, 3)
+    blocks, lines = table.values.reshape(-1, rows, 3), table.lines[::rows]
     _, first, inverse = np.unique(blocks.reshape(len(blocks), -1), axis=0, return_index=True, return_inverse=True)
-    own = np.sort(first)
-    lines = table.lines[::rows]
-    means = blocks[own].mean(axis=1)
+    once, equal = np.sort(first), first[inverse.ravel()]
+    left_out: tuple[str, ...] = ()
+    if len(again := np.flatnonzero(equal != np.arange(len(blocks)))):
+        named = [f"line {lines[i]} as line {lines[equal[i]]}" for i in again[:COPIES_SHOWN]]
+        named += [f"{len(again) - COPIES_SHOWN} more"] if len(again) > COPIES_SHOWN else []
+        left_out = (
+            f"{'rows' if rows == 1 else f'blocks of {rows} rows'} that repeat others to the last digit: {len(again)} "
+            f"({', '.join(named)}); a copy is no further reading, and each counts once",
+        )
+    means, covariance = blocks[once].mean(axis=1), None
+    if rows > 1:  # of the mean of a block, from the scatter within all blocks
+        away = (blocks[once] - means[:, None]).reshape(-1, 3)
+        covariance = np.asarray(away.T @ away / (len(once) * (rows - 1)) / rows)
     return TablePositions(
-        table=replace(table, values=means, lines=tuple(lines[i] for i in own)),
-        covariance=None if rows == 1 else _covariance_of_mean(blocks[own], means),
+        table=replace(table, values=means, lines=tuple(lines[i] for i in once)),
+        covariance=covariance,
         rows=rows,
-        degrees=len(own) * (rows - 1),
-        left_out=_copies(lines, first[inverse.ravel()], rows),
-        stretch=np.arange(len(own)) * BLOCKS // len(own) if rows == 1 and len(own) >= CONSECUTIVE else None,
+        degrees=len(once) * (rows - 1),
+        left_out=left_out,
+        stretch=np.arange(len(once)) * BLOCKS // len(once) if rows == 1 and len(once) >= CONSECUTIVE else None,
     )
-
-
-def _covariance_of_mean(blocks: Array, means: Array) -> Array:
-    """Of the mean of a block, (3, 3), from the scatter within all blocks (B, N, 3)."""
-    away = (blocks - means[:, None]).reshape(-1, 3)
-    B, N, _ = blocks.shape
-    return np.asarray(away.T @ away / (B * (N - 1)) / N)
-
-
-def _copies(lines: tuple[int, ...], first: IntArray, rows: int) -> tuple[str, ...]:
-    """That blocks repeat others, in words; `first` (B,) is the first block that is equal to each."""
-    again = np.flatnonzero(first != np.arange(len(first)))
-    if not len(again):
-        return ()
-    named = [f"line {lines[i]} as line {lines[first[i]]}" for i in again[:_SHOWN]]
-    named += [f"{len(again) - _SHOWN} more"] if len(again) > _SHOWN else []
-    what = "rows" if rows == 1 else f"blocks of {rows} rows"
-    said = (
-        f"{what} that repeat others to the last digit: {len(again)} ({', '.join(named)}); a copy is no further reading"
-    )
-    return (f"{said}, and each counts once",)

@@ -16,7 +16,7 @@ time, as in `log`, less the samples that are missing in it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, pairwise
@@ -28,14 +28,13 @@ import polars as pl
 
 from tumble.errors import InputError, LogError
 from tumble.files import FilePath
-from tumble.inference.variables import sensors_at
 from tumble.recording.arrays import SI
 from tumble.recording.columns.names import unit_of_name
 from tumble.recording.log import one_ahead, open_log
-from tumble.recording.log_source import LogSource, rows_of_numbers
+from tumble.recording.log_source import rows_of_numbers
 from tumble.recording.readers import source_of
 from tumble.recording.rows.gaps import side_by_side
-from tumble.recording.session import Channels, LogSpec, Session
+from tumble.recording.session import Channels, Session
 from tumble.recording.session_file import description_of, session_from
 from tumble.recording.text.dialect import DIALECT_KEYS
 from tumble.recording.text.text_log import times_of
@@ -44,12 +43,11 @@ from tumble.reduction.rests.thermometer import followed
 from tumble.result.accepted import accepted_accelerometers, accepted_part
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.correction import angular_acceleration, corrected, true_force, true_rate
-from tumble.run.observed import inspect_session
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import groups, positions_by_group
-from tumble.units import ZERO_CELSIUS, Array, Unit
-from tumble.use.thermometers import check_thermometers
+from tumble.units import Array, Unit
+from tumble.use.same_device import check_device, rests_of
 
 _SLICE = 1 << 14
 """Rows that are corrected at a time: what is made of them on the way fits the cache of a core."""
@@ -176,16 +174,22 @@ def applied(calibration: Calibration | FilePath, session: Session | FilePath) ->
 
 def _parts(calibration: Calibration, session: Session) -> tuple[_Correction, ...]:
     """What is to be corrected; the calibration is that of the session's device."""
-    if calibration.serial != session.device.serial:
-        raise InputError(
-            f"{session.name}: expected the device of the calibration, {calibration.serial!r}, found "
-            f"{session.device.serial!r}; calibrate that device"
-        )
-    check_thermometers(calibration, session)
-    felt = calibration.accel or calibration.compensator.model("accel")
-    parts = [replace(_part("accel", felt, session.log.accel, session), copied=calibration.accel is None)]
+    check_device(calibration, session)
+    copied = calibration.accel is None
+    wanted: list[tuple[str, SensorModel | None, Channels]] = [
+        ("accel", calibration.accel or calibration.compensator.model("accel"), session.log.accel)
+    ]
     if session.log.gyro is not None and (calibration.gyro is not None or not calibration.absent):
-        parts.append(_part("gyro", calibration.gyro, session.log.gyro, session))
+        wanted.append(("gyro", calibration.gyro, session.log.gyro))
+    parts = []
+    for kind, model, channels in wanted:
+        count = 0 if model is None else len(model.bias)
+        if model is None or count != len(channels.columns):
+            raise InputError(
+                f"{session.name}: log.{kind}: expected as many sensors as the calibration has, {count}, found "
+                f"{len(channels.columns)}; columns that the session does not name are copied"
+            )
+        parts.append(_Correction(kind=kind, channels=channels, model=model, copied=copied and kind == "accel"))
     if session.log.magnetometer is not None and calibration.mag is not None:
         given, unit = session.log.magnetometer, calibration["mag.bias.x"].unit
         if given.unit_name != unit:
@@ -197,26 +201,21 @@ def _parts(calibration: Calibration, session: Session) -> tuple[_Correction, ...
     return tuple(parts)
 
 
-def _part(kind: str, model: SensorModel | None, channels: Channels, session: Session) -> _Correction:
-    found = 0 if model is None else len(model.bias)
-    if model is None or found != len(channels.columns):
-        raise InputError(
-            f"{session.name}: log.{kind}: expected as many sensors as the calibration has, {found}, found "
-            f"{len(channels.columns)}; columns that the session does not name are copied"
-        )
-    return _Correction(kind=kind, channels=channels, model=model)
-
-
 def _tables(
     session: Session, parts: tuple[_Correction, ...], compensator: Compensator, interval: float
 ) -> Iterator[pl.DataFrame]:
-    """The corrected rows of all files."""
+    """The corrected rows of all files, in tables of a bounded size."""
     names: list[str] | None = None
-    moved = _is_moved(session, compensator)
+    moved, spec = _is_moved(session, compensator), session.log
+    numbers = [column for part in parts for column in part.channels.columns]  # the other columns are as they are
+    if spec.dialect is not None and spec.dialect.decimal == ",":  # all that the session names
+        numbers = [column for column in spec.columns if not (spec.clock and column == spec.time)]
     for file in session.log.files:
         source = source_of(file, session.log.dialect)
         reader = _Reader(path=source.path, session=session, parts=parts, compensator=compensator, interval=interval)
-        slices = chain.from_iterable(t.iter_slices(_SLICE) for t in one_ahead(_rows(source, parts, session.log)))
+        for added in (column for part in parts for column in part.added if column in source.names):
+            raise InputError(f"{source.path}: expected no column '{added}', the block's vector gets it; rename it")
+        slices = chain.from_iterable(t.iter_slices(_SLICE) for t in one_ahead(source.whole(numbers)))
         pieces = ((table, reader.read(table)) for table in slices)
         alone = ((table, rows, slice(None)) for table, rows in pieces)
         for table, rows, own in _with_neighbours(pieces) if moved else alone:
@@ -227,14 +226,9 @@ def _tables(
                 )
             true = _true(compensator, rows, parts, session, interval if moved else None)
             new = {name: c for part in parts for name, c in part.columns(true[part.kind][own]).items()}
-            yield _with_columns(table, new)
-
-
-def _with_columns(table: pl.DataFrame, new: Mapping[str, Array]) -> pl.DataFrame:
-    """A table with new columns in place of those of their names, and behind the others; `with_columns` of polars takes
-    as long as correcting a few thousand rows."""
-    corrected = {name: pl.Series(name, np.ascontiguousarray(column)) for name, column in new.items()}
-    return pl.DataFrame(list(({each.name: each for each in table} | corrected).values()))
+            corrected_columns = {name: pl.Series(name, np.ascontiguousarray(column)) for name, column in new.items()}
+            # `with_columns` of polars takes as long as correcting a few thousand rows
+            yield pl.DataFrame(list(({each.name: each for each in table} | corrected_columns).values()))
 
 
 def _is_moved(session: Session, compensator: Compensator) -> bool:
@@ -342,8 +336,8 @@ class _Reader:
         return np.asarray(steps / np.maximum(np.floor(steps / self.interval + 0.5), 1.0))
 
     def _temperatures(self, table: pl.DataFrame) -> Array | None:
-        """Temperatures (N, T), °C, where parameters change with them: a lost one is the one before, or the
-        reference."""
+        """Temperatures (N, T), °C, where parameters change with them, of the sensors, which follow the
+        thermometers; a lost one is the one before, or the reference."""
         thermometers, references = self.session.log.temperature, self.compensator.references
         if thermometers is None or not references or not self.compensator.warm:
             return None
@@ -355,16 +349,14 @@ class _Reader:
             for block in (self.compensator.accel, self.compensator.gyro):
                 if block is not None:
                     last[block.thermometer] = references[block.kind]
-        celsius = thermometers.to_celsius(numbers)
-        filled = np.column_stack([_forward(each, float(t)) for each, t in zip(celsius.T, last, strict=True)])
-        if not len(filled):
-            return filled
-        before, self.warmth = self.warmth, filled[-1].copy()
-        return self._of_sensors(filled, before)
-
-    def _of_sensors(self, celsius: Array, before: Array | None) -> Array:
-        """Temperatures (N, T), °C, of the sensors, which follow those of the thermometers; `before` are their last."""
-        lag = self.compensator.lag
+        known = pl.DataFrame(thermometers.to_celsius(numbers), schema=list(thermometers.columns)).fill_nan(None)
+        known = known.fill_null(strategy="forward")
+        celsius = np.column_stack([known[:, k].fill_null(float(t)).to_numpy() for k, t in enumerate(last)]).astype(
+            float
+        )
+        if not len(celsius):
+            return celsius
+        before, self.warmth, lag = self.warmth, celsius[-1].copy(), self.compensator.lag
         if lag == 0.0:
             return celsius
         whole = celsius if before is None else np.vstack([before, celsius])
@@ -373,23 +365,6 @@ class _Reader:
         behind = np.column_stack(every)[len(whole) - len(celsius) :]
         self.behind = behind[-1].copy()
         return behind if lag > 0.0 else np.asarray(2.0 * celsius - behind)
-
-
-def _forward(celsius: Array, before: float) -> Array:
-    """Temperatures (N,) in which a lost one is the one before it."""
-    known = pl.Series(celsius).fill_nan(None).fill_null(strategy="forward")
-    return np.asarray(known.fill_null(before).to_numpy(), dtype=float)
-
-
-def _rows(source: LogSource, parts: tuple[_Correction, ...], spec: LogSpec) -> Iterator[pl.DataFrame]:
-    """A file in tables of a bounded size, with every column: sensors as numbers, the others as they are; where these
-    have decimal commas, all that the session names as numbers."""
-    for added in (column for part in parts for column in part.added if column in source.names):
-        raise InputError(f"{source.path}: expected no column '{added}', the block's vector gets it; rename it")
-    numbers = [column for part in parts for column in part.channels.columns]
-    if spec.dialect is not None and spec.dialect.decimal == ",":
-        numbers = [column for column in spec.columns if not (spec.clock and column == spec.time)]
-    yield from source.whole(numbers)
 
 
 # -------------------- was it worth it --------------------
@@ -420,17 +395,9 @@ def rest_residuals(calibration: Calibration | FilePath, session: Session | FileP
     calibration = accepted_accelerometers(calibration_from(calibration), "rests show what is corrected")
     session = session_from(session)
     _parts(calibration, session)
-    compensator, seen = calibration.compensator, inspect_session(session)
-    observations = seen.observations
-    if observations is None or seen.faults:
-        found = seen.faults[0] if seen.faults else "none"
-        raise InputError(f"{session.name}: expected rests to verify with, found {found}; leave out --verify")
+    _, observations, celsius = rests_of(calibration, session, otherwise="; leave out --verify")
     rests, g = observations.rests, session.site.gravity
-    warmth = None
-    if rests.temperatures is not None:
-        at_rest = sensors_at(observations, rests.temperatures, compensator.lag) - ZERO_CELSIUS
-        warmth = _by_sensor(at_rest, session.accel_block)
-    forces = session.accel_block.nominal().apply(rests.accel), compensator.force(rests.accel, warmth)
+    forces = session.accel_block.nominal().apply(rests.accel), calibration.compensator.force(rests.accel, celsius)
     before, after = (np.linalg.norm(force, axis=1) - g for force in forces)
     return tuple(
         RestResidual(file=int(f), start=float(start), stop=float(stop), before=float(b), after=float(a))

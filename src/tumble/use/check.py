@@ -37,7 +37,7 @@ from tumble.files import FilePath
 from tumble.inference.estimate import Outcome
 from tumble.inference.prediction import prediction
 from tumble.inference.variables import variables_of
-from tumble.methods.field_check import ChangedParameter, CheckResult, KnownBefore, field_check
+from tumble.methods.field_check import CheckResult, KnownBefore, field_check
 from tumble.planning.bounds import components_of
 from tumble.recording.session import Circumstances, Session, Site
 from tumble.recording.session_file import session_from
@@ -45,6 +45,7 @@ from tumble.reduction.observations import Observations
 from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.coverage import by_gravity, shared_gravity
+from tumble.result.parts import learned_fraction
 from tumble.run.calibrate import grade_of, provenance_of
 from tumble.run.from_estimate import readings_of_session, reference_of, references_of
 from tumble.run.observed import inspect_session, observations_for_calibration
@@ -52,7 +53,7 @@ from tumble.run.type_spread import KnownLaunches, known_launches
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_of, sensor_kind, shown_in, to_temperature, usual_sizes, variable_of
-from tumble.use.thermometers import check_thermometers
+from tumble.use.same_device import check_device
 
 _FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
 _RAW = ("count", "V")
@@ -93,11 +94,18 @@ class FieldCheck(Brief):
     def reasons(self) -> tuple[str, ...]:
         """What has changed, in sentences; none where the calibration holds."""
         if self.result.explained:
-            return tuple(_said(change) for change in self.result.changes)
+            reasons = []
+            for change in self.result.changes:
+                (size, unit), value = shown_in(change.name, change.unit, change.value), change.value
+                said = f"{change.name} has changed by {value / size:+.3g} {unit} (u {change.u / size:.2g} {unit})"
+                for name, value in change.others.items():
+                    size, unit = shown_in(name, group_of(name).unit, value)
+                    said += f", or {name} by {value / size:+.3g} {unit}"
+                reasons.append(said)
+            return tuple(reasons)
         fit = self.result.misfit
-        turns = (
-            "its rests alone agree with the calibration, so that the turns are to blame; " if self.rests_agree else ""
-        )
+        agree = "its rests alone agree with the calibration, so that the turns are to blame; "
+        turns = agree if self.rests_agree else ""
         return (
             f"no change of biases, scale factors or axes explains the session, so that it says nothing of them: "
             f"χ² {fit.chi_square:.1f} for {fit.degrees:.0f}, by chance with probability {fit.probability:.1g}; {turns}"
@@ -109,16 +117,7 @@ class FieldCheck(Brief):
         alone. It says so in its notes. Raises CalibrationError where no change explains the session."""
         if not self.result.explained:
             raise CalibrationError(f"{self.session}: expected a check that is explained, found {self.reasons[-1]}")
-        return _updated(self).in_frame(self.frame)
-
-
-def _said(change: ChangedParameter) -> str:
-    size, unit = shown_in(change.name, change.unit, change.value)
-    said = f"{change.name} has changed by {change.value / size:+.3g} {unit} (u {change.u / size:.2g} {unit})"
-    for name, value in change.others.items():
-        other, other_unit = shown_in(name, group_of(name).unit, value)
-        said += f", or {name} by {value / other:+.3g} {other_unit}"
-    return said
+        return _updated(self, self.reasons).in_frame(self.frame)
 
 
 def check_calibration(
@@ -150,13 +149,28 @@ def check_calibration(
     if own.gyro is None and observations.gyro_block is not None:
         observations = observations.of_accelerometers()
     grade, guessed_from = grade_of(session, observations)
+    launches = _launches(own, launches)
     known = known_before(own, observations, grade, session.device.prior, launches)
     result = field_check(observations, known)
     rests_agree = False
     if not result.explained and observations.gyro_block is not None:
         at_rest = observations.of_accelerometers()
-        known_at_rest = known_before(own, at_rest, grade, session.device.prior, launches)
-        rests_agree = field_check(at_rest, known_at_rest).valid
+        rests_agree = field_check(at_rest, known_before(own, at_rest, grade, session.device.prior, launches)).valid
+
+    # what was supposed
+    origin = f", guessed from {guessed_from}; [device] grade says another" if guessed_from else ""
+    count = sum(each.degrees + 1 for each in launches)
+    of_device = f", or as from launch to launch of {count} launches of the device" if launches else ""
+    notes = [
+        *own.absent,
+        f"what turning on again changes: as usual of the grade {grade}{of_device}{origin}; it is allowed for, and "
+        "`tumble verify` judges the same session without",
+    ]
+    then, now = own.reference_temperature, reference_of(observations)
+    if then is None or now is None:
+        notes.append("the temperatures of calibration and check are not both known: no difference is allowed for")
+    elif abs(now - then) > 1.0:
+        notes.append(f"calibrated at {then:.1f} °C, checked at {now:.1f} °C: parameters by their slopes and curvatures")
     return FieldCheck(
         calibration=own,
         session=session.name,
@@ -165,10 +179,10 @@ def check_calibration(
         turns=0 if observations.turns is None else len(observations.turns),
         result=result,
         rests_agree=rests_agree,
-        notes=_notes(own, observations, (grade, guessed_from), _launches(own, launches)),
+        notes=tuple(notes),
         frame=given.frame,
         instrument=known.instrument,
-        temperature=reference_of(observations),
+        temperature=now,
         references=references_of(observations),
         site=session.site,
         circumstances=observed.circumstances,
@@ -180,20 +194,13 @@ def _check_given(calibration: Calibration, session: Session) -> None:
     """A calibration that can be checked, and a session of its device."""
     if calibration.covariance is None:
         raise CalibrationError(f"calibration of {calibration.serial!r}: expected one with uncertainties, found none")
-    if session.device.serial != calibration.serial:
-        raise InputError(
-            f"{session.name}: expected a session of device {calibration.serial!r}, which was calibrated, found "
-            f"{session.device.serial!r}"
-        )
-    blocks = [block for block in (session.accel_block, session.gyro_block) if block is not None]
-    for block in blocks:
-        model = calibration.accel if block.kind == "accel" else calibration.gyro
-        if model is not None and len(model.bias) != block.size:
+    check_device(calibration, session)
+    for block, model in ((session.accel_block, calibration.accel), (session.gyro_block, calibration.gyro)):
+        if block is not None and model is not None and len(model.bias) != block.size:
             raise InputError(
                 f"{session.name}: log.{block.kind}: expected the {len(model.bias)} sensors of the calibration, found "
                 f"{block.size}"
             )
-    check_thermometers(calibration, session)
     for kind, now in readings_of_session(session).items():
         then = calibration.readings.get(kind)
         raw = then is not None and (now.unit in _RAW or then.unit in _RAW)
@@ -204,33 +211,10 @@ def _check_given(calibration: Calibration, session: Session) -> None:
             )
 
 
-def _launches(calibration: Calibration, others: Sequence[KnownLaunches]) -> tuple[KnownLaunches, ...]:
+def _launches(calibration: Calibration, others: Sequence[KnownLaunches]) -> Sequence[KnownLaunches]:
     """The launches behind a calibration and those of other ones of its device, each once."""
     own = known_launches(calibration)
-    if own is None:
-        return tuple(others)
-    return (own, *(each for each in others if not each.logs & own.logs))
-
-
-def _notes(
-    calibration: Calibration, observations: Observations, grade: tuple[str, str], launches: Sequence[KnownLaunches]
-) -> tuple[str, ...]:
-    """What was supposed."""
-    name, guessed_from = grade
-    origin = f", guessed from {guessed_from}; [device] grade says another" if guessed_from else ""
-    count = sum(each.degrees + 1 for each in launches)
-    known = f", or as from launch to launch of {count} launches of the device" if launches else ""
-    notes = [
-        *calibration.absent,
-        f"what turning on again changes: as usual of the grade {name}{known}{origin}; it is allowed for, and "
-        "`tumble verify` judges the same session without",
-    ]
-    then, now = calibration.reference_temperature, reference_of(observations)
-    if then is None or now is None:
-        notes.append("the temperatures of calibration and check are not both known: no difference is allowed for")
-    elif abs(now - then) > 1.0:
-        notes.append(f"calibrated at {then:.1f} °C, checked at {now:.1f} °C: parameters by their slopes and curvatures")
-    return tuple(notes)
+    return others if own is None else (own, *(each for each in others if not each.logs & own.logs))
 
 
 # What was known before
@@ -312,7 +296,7 @@ def known_before(
 # The updated calibration
 
 
-def _updated(check: FieldCheck) -> Calibration:
+def _updated(check: FieldCheck, reasons: tuple[str, ...]) -> Calibration:
     """The calibration by the check, at the temperature of the check."""
     before, result, instrument = check.calibration, check.result, check.instrument
     assert before.covariance is not None
@@ -322,17 +306,21 @@ def _updated(check: FieldCheck) -> Calibration:
         if variable_of(p.name) == "time" or p.name not in instrument.names:
             continue
         i = instrument.names.index(p.name)
-        learned, own_u = p.learned, float(u[i])
+        value, own_u, learned = float(result.values[i]), float(u[i]), p.learned
         if p.prior is not None and learned is not None:
-            learned = min(max(1.0 - (own_u / p.prior) ** 2, 0.0), 1.0)
+            learned = learned_fraction(own_u, p.prior)
         dof = None if p.name in changed else p.dof  # what is of the check alone has none of the calibration
-        value = float(result.values[i])
         parameters.append(replace(p, value=value, u=own_u, deviation=None, run_to_run=None, dof=dof, learned=learned))
         at.append(i)
     others = [i for i, p in enumerate(before.parameters) if sensor_kind(p.name) == "mag"]  # took no part
     gyro = instrument.gyro
     warm = before.reference_temperature is not None
     at_rate = None if before.prediction is None else before.prediction.at_rate
+    note = (
+        f"no calibration of its own: that of {before.provenance.get('created', 'an unknown date')}, updated by a field "
+        f"check of {check.rests} rests ({check.session}): "
+        f"{'; '.join(reasons) or 'nothing had changed beyond chance'}"
+    )
     return Calibration(
         # the device and its sensors
         serial=before.serial,
@@ -363,19 +351,9 @@ def _updated(check: FieldCheck) -> Calibration:
         site=before.site if before.site == check.site else None,
         circumstances=check.circumstances,
         sample_rate=check.sample_rate,
-        notes=(_how(check), *before.notes),
+        notes=(note, *before.notes),
         provenance={
             **provenance_of(check.sha256),
             "calibrated_log_sha256": before.provenance.get("log_sha256", "unknown"),
         },
-    )
-
-
-def _how(check: FieldCheck) -> str:
-    """How the calibration was updated."""
-    changed = "; ".join(check.reasons) or "nothing had changed beyond chance"
-    made = check.calibration.provenance.get("created", "an unknown date")
-    return (
-        f"no calibration of its own: that of {made}, updated by a field check of {check.rests} rests "
-        f"({check.session}): {changed}"
     )

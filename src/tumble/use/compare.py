@@ -17,7 +17,7 @@ estimated with ν degrees of freedom, the fewest of all differences, χ²/m is F
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import inf, sqrt
 from pathlib import Path
@@ -30,7 +30,7 @@ from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.result.calibration import Calibration, calibration_from, text_of
 from tumble.result.coverage import UNLEARNED, apart, expanded_of, welch_satterthwaite
-from tumble.result.further import remarks
+from tumble.result.further import remarks as remarks_of
 from tumble.result.parts import Parameter
 from tumble.result.shared_errors import shared_errors
 from tumble.units import Array
@@ -130,31 +130,39 @@ def compare_calibrations(
     (True, 21)
     """
     first = calibration_from(first)
-    second = _second(second, gyro, first)
+    if not isinstance(second, Calibration) and is_foreign(text_of(Path(second))):
+        second = foreign_calibration(second, gyro, first)
+    elif gyro is not None:
+        raise InputError(f"{gyro}: expected a file of gyros beside one of imu_tk only, found it beside a calibration")
+    else:
+        second = calibration_from(second)
     foreign = second.method in (KALIBR, IMU_TK)
     frame = second.frame if first.frame == "case" or foreign else first.frame
     a, b = first.in_frame(frame), second.in_frame(frame)
-    ours, theirs = ({p.name: p for p in c.parameters} for c in (a, b))
-    common = [name for name in ours if name in theirs]
+    common = [name for name in a if name in b]
     if not common:
         raise InputError(
-            f"compare: expected calibrations with parameters in common, found {len(ours)} and {len(theirs)} parameters "
-            "and none in both; compare devices of one kind"
+            f"compare: expected calibrations with parameters in common, found {len(a)} and {len(b)} parameters and "
+            "none in both; compare devices of one kind"
         )
     sources = shared_errors(a, b)
-    shared = [
-        _of_parameters(calibration, common, [each[k] for each in sources.values()])
-        for k, calibration in enumerate((a, b))
-    ]
-    differences = tuple(_difference(ours[name], theirs[name], g, h) for name, g, h in zip(common, *shared, strict=True))
-    covariance = _covariance(a, b, common, *shared)
-    fewest = min((d.dof for d in differences if d.u and d.dof is not None), default=None)
+    shared = []  # what one standard uncertainty of each error that both share changes in the parameters, (m, k)
+    for k, calibration in enumerate((a, b)):
+        order, changes = list(calibration), [np.zeros((len(calibration), 0)), *(each[k] for each in sources.values())]
+        shared.append(np.concatenate(changes, axis=1)[[order.index(name) for name in common]])
+    differences = tuple(_difference(a[name], b[name], g, h) for name, g, h in zip(common, *shared, strict=True))
+    covariances, covariance = (a.covariance_of(common), b.covariance_of(common)), None
+    if covariances[0] is not None and covariances[1] is not None:
+        covariance = covariances[0] + covariances[1] - shared[0] @ shared[1].T - shared[1] @ shared[0].T
     learned = np.array([d.u != 0.0 for d in differences])
     chi_square, degrees, probability = _chi_square(
         np.array([d.value for d in differences])[learned],
         None if covariance is None else covariance[np.ix_(learned, learned)],
-        fewest,
+        min((d.dof for d in differences if d.u and d.dof is not None), default=None),
     )
+    remarks = list(_remarks(first, second, frame))
+    if sources:
+        remarks.append(f"the same error of {' and of '.join(sources)} in both is no part of their differences")
     return Comparison(
         frame=frame,
         differences=differences,
@@ -162,26 +170,9 @@ def compare_calibrations(
         chi_square=chi_square,
         degrees=degrees,
         probability=probability,
-        missing=tuple(name for name in (*ours, *theirs) if name not in common),
-        remarks=(*_remarks(first, second, frame), *_common(sources), *(second.notes if foreign else ())),
+        missing=tuple(name for name in (*a, *b) if name not in common),
+        remarks=(*remarks, *(second.notes if foreign else ())),
     )
-
-
-def _second(given: Calibration | FilePath, gyro: FilePath | None, like: Calibration) -> Calibration:
-    """The second calibration: one of tumble, or a result of another program for the same readings."""
-    if not isinstance(given, Calibration) and is_foreign(text_of(Path(given))):
-        return foreign_calibration(given, gyro, like)
-    if gyro is not None:
-        raise InputError(f"{gyro}: expected a file of gyros beside one of imu_tk only, found it beside a calibration")
-    return calibration_from(given)
-
-
-def _of_parameters(calibration: Calibration, names: Sequence[str], changes: Sequence[Array]) -> Array:
-    """Changes (M, k) of all parameters of a calibration by what is shared, of those of these names alone (m, k)."""
-    if not changes:
-        return np.zeros((len(names), 0))
-    order = [p.name for p in calibration.parameters]
-    return np.concatenate(changes, axis=1)[[order.index(name) for name in names]]
 
 
 def _difference(first: Parameter, second: Parameter, g: Array, h: Array) -> Difference:
@@ -205,19 +196,6 @@ def _difference(first: Parameter, second: Parameter, g: Array, h: Array) -> Diff
     )
 
 
-def _covariance(first: Calibration, second: Calibration, names: Sequence[str], g: Array, h: Array) -> Array | None:
-    """Covariance (m, m) of the differences of these parameters, of which what both share changes those of the first by
-    `g` (m, k), of the second by `h` (m, k)."""
-    total = -g @ h.T - h @ g.T
-    for calibration in (first, second):
-        if calibration.covariance is None:
-            return None
-        order = [p.name for p in calibration.parameters]
-        chosen = [order.index(name) for name in names]
-        total += calibration.covariance[np.ix_(chosen, chosen)]
-    return np.asarray(total)
-
-
 def _chi_square(
     differences: Array, covariance: Array | None, fewest: float | None
 ) -> tuple[float, int, float] | tuple[None, None, None]:
@@ -226,8 +204,7 @@ def _chi_square(
     if covariance is None or np.any(np.diag(covariance) <= 0.0):
         return None, None, None
     u = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(u, u)
-    scaled = differences / u
+    correlation, scaled = covariance / np.outer(u, u), differences / u
     rank = int(np.linalg.matrix_rank(correlation, hermitian=True))
     chi_square = max(0.0, float(scaled @ np.linalg.pinv(correlation, hermitian=True) @ scaled))
     if fewest is None:
@@ -235,29 +212,18 @@ def _chi_square(
     return chi_square, rank, float(fdtrc(rank, fewest, chi_square / rank))
 
 
-def _common(sources: Iterable[str]) -> list[str]:
-    """What was taken as the same in both."""
-    found = list(sources)
-    return [f"the same error of {' and of '.join(found)} in both is no part of their differences"] if found else []
-
-
-def _remarks(first: Calibration, second: Calibration, frame: str) -> list[str]:
+def _remarks(first: Calibration, second: Calibration, frame: str) -> Iterator[str]:
     """What a reader must know about the two."""
-    out = []
     if first.serial != second.serial:
-        out.append(f"different devices: {first.serial} and {second.serial}")
+        yield f"different devices: {first.serial} and {second.serial}"
     for which, calibration in (("first", first), ("second", second)):
         if calibration.frame != frame:
-            out.append(f"the {which} was converted from the frame {calibration.frame!r} to {frame!r}")
+            yield f"the {which} was converted from the frame {calibration.frame!r} to {frame!r}"
         if not calibration.outcome.accepted:
-            out.append(f"the {which} was not accepted: {'; '.join(calibration.outcome.reasons)}")
+            yield f"the {which} was not accepted: {'; '.join(calibration.outcome.reasons)}"
         if all(p.u is None for p in calibration.parameters):
-            out.append(f"the {which} has no uncertainties: nothing is judged")
-        out += [f"the {which}: {remark}" for remark in remarks(calibration)]
-    digests = [c.provenance.get("log_sha256") for c in (first, second)]
-    if digests[0] is not None and digests[0] == digests[1]:
-        out.append("both come from the same log: their differences are smaller than their uncertainties allow")
-    return out
-
-
-# -------------------- as text --------------------
+            yield f"the {which} has no uncertainties: nothing is judged"
+        yield from (f"the {which}: {remark}" for remark in remarks_of(calibration))
+    logs = [calibration.provenance.get("log_sha256") for calibration in (first, second)]
+    if logs[0] is not None and logs[0] == logs[1]:
+        yield "both come from the same log: their differences are smaller than their uncertainties allow"

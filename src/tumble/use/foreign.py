@@ -33,7 +33,6 @@ from tumble.result.calibration import Calibration, text_of
 from tumble.result.parts import Parameter
 from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
 from tumble.sensors.parameters import group_of
-from tumble.units import Array
 
 NEAR_ONE = 0.3
 """By how much a sensitivity may differ from one."""
@@ -57,21 +56,27 @@ def foreign_calibration(path: FilePath, gyro: FilePath | None, like: Calibration
     blocks = like.compensator.accel, like.compensator.gyro
     if not blocks[0].triad or (blocks[1] is not None and not blocks[1].triad):
         raise InputError(f"{path}: expected a calibration of triads to compare it with, found another block of sensors")
-    if "accelerometers:" in text:
-        return _of_kalibr(path, text, gyro, like)
-    accel, said = _of_triad(path, like, "accel")
-    gyros = None if gyro is None else _of_triad(Path(gyro), like, "gyro")[0]
-    turned = to_accelerometer_frame(blocks[0], accel, gyros)
-    return _calibration(like, IMU_TK, turned, _values(blocks, turned), (said,))
-
-
-def _calibration(
-    like: Calibration, program: str, models: _Models, values: dict[str, float], notes: tuple[str, ...]
-) -> Calibration:
+    further: dict[str, float] = {}
+    of_kalibr = "accelerometers:" in text
+    if of_kalibr:
+        if gyro is not None:
+            raise InputError(f"{gyro}: expected no file of gyros beside {path}, which has them, found one")
+        models, further = _of_kalibr(path, text, blocks)
+        _check_near_one(path, models[0], like, "accel")
+        note = "biases of Kalibr change with time and are not in its file"
+    else:
+        accel, note = _of_triad(path, like, "accel")
+        gyros = None if gyro is None else _of_triad(Path(gyro), like, "gyro")[0]
+        models = to_accelerometer_frame(blocks[0], accel, gyros)
+    values: dict[str, float] = {}
+    for block, model in zip(blocks, models, strict=True):
+        if block is not None and model is not None:
+            values |= dict(zip(block.names, block.parameters(model).tolist(), strict=True))
+    values = {name: value for name, value in values.items() if not (of_kalibr and ".bias." in name)} | further
     return Calibration(
         serial=like.serial,
         model=like.model,
-        method=program,
+        method=KALIBR if of_kalibr else IMU_TK,
         frame="accelerometer",
         parameters=tuple(
             Parameter(name=name, value=value, u=None, unit=group_of(name).unit) for name, value in values.items()
@@ -80,65 +85,41 @@ def _calibration(
         accel=models[0],
         gyro=models[1],
         outcome=Outcome(),
-        notes=notes,
+        notes=(note,),
         axes=like.axes,
     )
-
-
-def _values(blocks: tuple[Block, Block | None], models: _Models) -> dict[str, float]:
-    """Bias, scale-factor errors and axis angles by name."""
-    out: dict[str, float] = {}
-    for block, model in zip(blocks, models, strict=True):
-        if block is not None and model is not None:
-            out |= dict(zip(block.names, block.parameters(model).tolist(), strict=True))
-    return out
 
 
 # Kalibr
 
 
-def _of_kalibr(path: Path, text: str, gyro: FilePath | None, like: Calibration) -> Calibration:
-    if gyro is not None:
-        raise InputError(f"{gyro}: expected no file of gyros beside {path}, which has them, found one")
-    found = dict(_numbers_by_key(text))
-    first = sorted({key[0] for key in found if key[0].startswith("imu")})[:1]
-    section = {key[len(first) :]: numbers for key, numbers in found.items() if list(key[: len(first)]) == first}
-    M_a, M_g, A, C = (
-        _matrix(path, section, key)
-        for key in (("accelerometers", "M"), ("gyroscopes", "M"), ("gyroscopes", "A"), ("gyroscopes", "C_gyro_i"))
-    )
-    blocks = like.compensator.accel, like.compensator.gyro
-    accel = SensorModel(matrix=_in_channels(blocks[0], M_a), bias=np.zeros(3))
-    gyros = None if blocks[1] is None else SensorModel(matrix=_in_channels(blocks[1], M_g @ C), bias=np.zeros(3))
-    values = _values(blocks, (accel, gyros))
-    values = {name: value for name, value in values.items() if ".bias." not in name}
+def _of_kalibr(path: Path, text: str, blocks: tuple[Block, Block | None]) -> tuple[_Models, dict[str, float]]:
+    """The models of a file of Kalibr without biases, whose readings are those of the channels if they are in the order
+    X, Y, Z; and g-sensitivity and, of the model with the size effect, lever arms of accelerometers x and y from z."""
+    numbers = dict(_numbers_by_key(text))
+    first = sorted({key[0] for key in numbers if key[0].startswith("imu")})[:1]
+    section = {key[len(first) :]: row for key, row in numbers.items() if list(key[: len(first)]) == first}
+    matrices = []
+    for key in (("accelerometers", "M"), ("gyroscopes", "M"), ("gyroscopes", "A"), ("gyroscopes", "C_gyro_i")):
+        nine = section.get(key, [])
+        if len(nine) != 9:
+            raise InputError(
+                f"{path}: {'.'.join(key)}: expected nine numbers, a matrix, as Kalibr writes with --imu-models "
+                f"scale-misalignment, found {len(nine)}"
+            )
+        matrices.append(np.array(nine).reshape(3, 3))
+    M_a, M_g, A, C = matrices
+    accel, gyros = SensorModel(matrix=np.asarray(blocks[0].axes @ M_a), bias=np.zeros(3)), None
+    further: dict[str, float] = {}
     if blocks[1] is not None:
+        gyros = SensorModel(matrix=np.asarray(blocks[1].axes @ (M_g @ C)), bias=np.zeros(3))
         names = (f"gyro.g_sensitivity.{sensor}{axis}" for sensor in "xyz" for axis in "xyz")
-        values |= dict(zip(names, (A @ C).ravel().tolist(), strict=True))
-    values |= _levers(section)
-    _check_near_one(path, accel, like, "accel")
-    note = "biases of Kalibr change with time and are not in its file"
-    return _calibration(like, KALIBR, (accel, gyros), values, (note,))
-
-
-def _in_channels(block: Block, matrix: Array) -> Array:
-    """Rows for X, Y, Z as rows for the channels of a block, polarity included: its readings are Kalibr's if they are in
-    that order."""
-    return np.asarray(block.axes @ matrix)
-
-
-def _levers(section: dict[tuple[str, ...], list[float]]) -> dict[str, float]:
-    """Lever arms of accelerometers x and y from z, of the model with the size effect."""
-    places = {s: section.get(("accelerometers", f"r{s}_i")) for s in "xyz"}
-    last = places["z"]
-    if last is None or len(last) != 3:
-        return {}
-    return {
-        f"accel.lever.{sensor}.{axis}": place[i] - last[i]
-        for sensor, place in places.items()
-        for i, axis in enumerate("xyz")
-        if sensor != "z" and place is not None
-    }
+        further |= dict(zip(names, (A @ C).ravel().tolist(), strict=True))
+    x, y, z = (section.get(("accelerometers", f"r{sensor}_i")) for sensor in "xyz")
+    for sensor, place in (("x", x), ("y", y)):
+        if z is not None and len(z) == 3 and place is not None:
+            further |= {f"accel.lever.{sensor}.{axis}": place[i] - z[i] for i, axis in enumerate("xyz")}
+    return (accel, gyros), further
 
 
 def _numbers_by_key(text: str) -> Iterator[tuple[tuple[str, ...], list[float]]]:
@@ -157,16 +138,6 @@ def _numbers_by_key(text: str) -> Iterator[tuple[tuple[str, ...], list[float]]]:
         numbers = [float(n) for n in _NUMBER.findall(key[3])] if key[3].startswith("[") else []
     if numbers:
         yield tuple(name for _, name in above), numbers
-
-
-def _matrix(path: Path, section: dict[tuple[str, ...], list[float]], key: tuple[str, ...]) -> Array:
-    numbers = section.get(key, [])
-    if len(numbers) != 9:
-        raise InputError(
-            f"{path}: {'.'.join(key)}: expected nine numbers, a matrix, as Kalibr writes with --imu-models "
-            f"scale-misalignment, found {len(numbers)}"
-        )
-    return np.array(numbers).reshape(3, 3)
 
 
 # imu_tk

@@ -39,24 +39,21 @@ from tumble.brief import Brief
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Fit
-from tumble.inference.variables import sensors_at
 from tumble.methods.least_squares import sigmas
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration, calibration_from
-from tumble.result.parts import Readings
 from tumble.run.calibrate import grade_of
 from tumble.run.case import Verticals, verticals_of
-from tumble.run.observed import inspect_session
 from tumble.run.readings_table import read_table
 from tumble.sensors.frames import Convention, frame_of, triad_axes
 from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import LINEAR, Variable, group_name, sensor_kind
-from tumble.units import ZERO_CELSIUS, Array, engineering
-from tumble.use.thermometers import check_thermometers
+from tumble.sensors.parameters import Variable, beyond_linear, group_name, sensor_kind
+from tumble.units import Array, engineering
+from tumble.use.same_device import check_device, rests_of
 
 CHANCE = 0.01
 """How often a good calibration is refused."""
@@ -122,9 +119,13 @@ class Verification(Brief):
 
 
 def positions_of(given: Session | FilePath, calibration: Calibration) -> Positions:
-    """The positions of a session, its folder, or a table of readings. The sensors of a
-    session follow their thermometers with the calibration's lag. Raises InputError where nothing rests, and as
-    `positions_of_table`.
+    """The positions of a session, its folder, or a table of readings. The sensors of a session follow their
+    thermometers with the calibration's lag. Rows of a table are in the unit and with the scale that the calibration was
+    made with, taken where gravity is as it was there, and have the noise of its rests, or of a row of its table beside
+    its scatter.
+
+    Raises InputError where nothing rests and for a table that cannot be read, and CalibrationError where the
+    calibration does not say what the readings of a table are worth, or nothing says how uncertain they are.
 
     >>> import tumble
     >>> request = tumble.Setup.of(grade="mems", positions=12)
@@ -133,25 +134,11 @@ def positions_of(given: Session | FilePath, calibration: Calibration) -> Positio
     (12, 3)
     """
     if not isinstance(given, Session) and not Path(given).is_dir():
-        return positions_of_table(Path(given), calibration)
+        return _positions_of_table(Path(given), calibration)
     session = session_from(given)
-    if session.device.serial != calibration.serial:
-        raise InputError(
-            f"{session.name}: expected a session of device {calibration.serial!r}, which was calibrated, found "
-            f"{session.device.serial!r}"
-        )
-    if calibration.accel is not None:
-        check_thermometers(calibration, session)
-    seen = inspect_session(session)
-    observations = seen.observations
-    if observations is None or seen.faults:
-        fault = seen.faults[0] if seen.faults else "no rests; look at it with `tumble inspect`"
-        raise InputError(f"{session.name}: expected rests to verify with, found {fault}")
-    rests, celsius = observations.rests, None
-    if rests.temperatures is not None:
-        lag = 0.0 if calibration.accel is None else calibration.compensator.lag
-        celsius = sensors_at(observations, rests.temperatures, lag)[:, observations.accel_block.thermometer]
-        celsius = celsius - ZERO_CELSIUS
+    check_device(calibration, session)
+    observed, observations, celsius = rests_of(calibration, session)
+    rests = observations.rests
     return Positions(
         block=observations.accel_block,
         readings=rests.accel,
@@ -162,25 +149,31 @@ def positions_of(given: Session | FilePath, calibration: Calibration) -> Positio
         ),
         gravity=session.site.gravity,
         gravity_u=session.site.gravity_u,
-        sha256=seen.sha256,
+        sha256=observed.sha256,
         celsius=celsius,
         grade=grade_of(session, observations)[0],
     )
 
 
-def positions_of_table(path: Path, calibration: Calibration) -> Positions:
-    """The rows of a table of readings, in the unit and with the scale that the calibration was made with, taken where
-    gravity is as it was there. Their noise is that of its rests, or of a row of its table beside its scatter.
-
-    Raises InputError for a table that cannot be read, and CalibrationError where the calibration does not say what
-    the readings are worth, or nothing says how uncertain they are."""
+def _positions_of_table(path: Path, calibration: Calibration) -> Positions:
+    """The rows of a table of readings."""
     table, worth = read_table(path), calibration.readings.get("accel")
     if calibration.accel is None or worth is None or worth.increments or calibration.site is None:
         raise CalibrationError(
             f"{path}: expected a calibration of three accelerometers that says what their readings are worth, found "
             "none; calibrate again, or verify with a session"
         )
-    variance = _variance_of_a_row(calibration, worth)
+
+    # the variance of a row beside the scatter: of a row of its table, or of a mean as long as the rests
+    rests = [(np.array(r.accel.noise), r.stop - r.start) for r in calibration.rests if r.accel is not None]
+    variance = np.array(worth.row_u) ** 2 if worth.row_u else np.zeros(3)
+    if rests and not worth.row_u:
+        variance = np.median([noise**2 / duration for noise, duration in rests], axis=0)
+    elif not worth.row_u and _accelerometer_fit(calibration).scatter == 0.0:
+        raise CalibrationError(
+            f"calibration of {calibration.serial!r}: expected one that says how uncertain a reading is, found no "
+            "scatter in it: it has as many positions as parameters; calibrate with more"
+        )
     readings = (table.values - np.array(worth.offset)) / np.array(worth.scale)
     return Positions(
         block=Block(kind="accel", axes=triad_axes(calibration.accel.matrix)),
@@ -193,26 +186,8 @@ def positions_of_table(path: Path, calibration: Calibration) -> Positions:
     )
 
 
-def _variance_of_a_row(calibration: Calibration, worth: Readings) -> Array:
-    """Variance (3,) of a row beside the scatter between positions: of a mean as long as the rests of the calibration,
-    or of a row of its table. Raises CalibrationError where nothing says how uncertain a reading is."""
-    if worth.row_u:
-        return np.array(worth.row_u) ** 2
-    variances = [
-        np.array(rest.accel.noise) ** 2 / (rest.stop - rest.start)
-        for rest in calibration.rests
-        if rest.accel is not None
-    ]
-    if not variances and _accelerometer_fit(calibration).scatter == 0.0:
-        raise CalibrationError(
-            f"calibration of {calibration.serial!r}: expected one that says how uncertain a reading is, found no "
-            "scatter in it: it has as many positions as parameters; calibrate with more"
-        )
-    return np.median(variances, axis=0) if variances else np.zeros(3)
-
-
 def _accelerometer_fit(calibration: Calibration) -> Fit:
-    nothing = Fit(chi_square=0.0, degrees=0.0, scatter=0.0, scatter_unit="m/s^2")
+    nothing = Fit(chi_square=0.0, degrees=0.0, scatter=0.0, unit="m/s^2")
     return calibration.fits.get("accelerometers", nothing)
 
 
@@ -232,21 +207,27 @@ def verify_calibration(calibration: Calibration | FilePath, check: Positions | S
     """
     calibration = accepted_accelerometers(calibration_from(calibration), VERIFIED)
     positions = check if isinstance(check, Positions) else positions_of(check, calibration)
-    seen, by_parameters = _seen(calibration, positions)
+    seen, J, names, length = _seen(calibration, positions)
     assert calibration.accel is not None
     if any(launch.log_sha256 == positions.sha256 for launch in calibration.launches):
         raise InputError(
             f"calibration of {calibration.serial!r}: expected positions that did not take part in it, or those of its "
             f"only session, found one of its {len(calibration.launches)} launches; verify with another session"
         )
-    fit, J = _accelerometer_fit(calibration), by_parameters
+    fit, site = _accelerometer_fit(calibration), calibration.site
     across = seen.direction[:, None, :] @ calibration.accel.inverse()
     noise = positions.covariance + fit.scatter**2 * np.eye(positions.block.size)
     variance = (across @ noise @ np.swapaxes(across, 1, 2))[:, 0, 0]
     known = np.einsum("im,mk,ik->i", J, seen.parameter_covariance, J)
-    difference = positions.gravity - np.linalg.norm(_force(calibration, positions), axis=1)
+    difference = positions.gravity - length
+
+    def limit(degrees: float) -> float:
+        """What the largest of so many ratios exceeds in CHANCE of all cases."""
+        tail = 1.0 - 0.5 * CHANCE / len(difference)
+        return float(special.ndtri(tail) if np.isinf(degrees) else special.stdtrit(degrees, tail))
+
     if calibration.provenance.get("log_sha256") == positions.sha256:  # the calibration's own: each is left out in turn
-        untold = _untold(calibration, positions, J)
+        untold = _untold(calibration, names, J)
         left = 1.0 - np.maximum(known - untold - positions.gravity_u**2, 0.0) / variance
         left = np.where(left > NOTHING_LEFT, left, np.nan)  # nothing else determines it
         u = np.sqrt(variance * left + untold)
@@ -255,57 +236,46 @@ def verify_calibration(calibration: Calibration | FilePath, check: Positions | S
             difference=difference / left,
             u=u / left,
             sigmas=sigmas(difference / u, fit.degrees, fit.scatter > 0.0),
-            limit=_limit(len(left), np.inf),
+            limit=limit(np.inf),
             left_out=True,
         )
-    same_gravity = calibration.site is not None and (
-        (calibration.site.gravity, calibration.site.gravity_u) == (positions.gravity, positions.gravity_u)
-    )
-    by_gravity = -(positions.gravity_u**2) if same_gravity else positions.gravity_u**2
+    shared = site is not None and (site.gravity, site.gravity_u) == (positions.gravity, positions.gravity_u)
+    by_gravity = -(positions.gravity_u**2) if shared else positions.gravity_u**2
     u = np.sqrt(variance + np.maximum(known + by_gravity, 0.0))
     by_scatter = float(np.max(fit.scatter**2 * (across[:, 0] ** 2).sum(axis=1) / u**2))
+
+    # with what turning on again changes in the linear parameters, all together; never where the grade is not known
+    by_turn_on = False
+    if positions.grade is not None:
+        spread, linear = TURN_ON[positions.grade], positions.block.names
+        turned_on = np.zeros(len(names))
+        turned_on[: len(linear)] = [2.0 * spread_of(spread, name) ** 2 for name in linear]
+        V = np.diag(variance) + by_gravity + J @ (seen.parameter_covariance + np.diag(turned_on)) @ J.T
+        N, square = len(difference), float(difference @ np.linalg.solve(V, difference))
+        if fit.scatter == 0.0 or np.isinf(fit.degrees):
+            by_turn_on = square < float(special.chdtri(N, CHANCE))
+        else:
+            by_turn_on = square / N < float(special.fdtri(N, fit.degrees, 1.0 - CHANCE))
     return Verification(
         labels=positions.labels,
         difference=difference,
         u=u,
         sigmas=np.abs(difference) / u,
-        limit=_limit(len(u), fit.degrees / by_scatter**2 if by_scatter > 0.0 else np.inf),  # Welch–Satterthwaite
+        limit=limit(fit.degrees / by_scatter**2 if by_scatter > 0.0 else np.inf),  # Welch–Satterthwaite
         left_out=False,
-        by_turn_on=_by_turn_on(positions, seen, J, difference, np.diag(variance) + by_gravity, fit),
+        by_turn_on=by_turn_on,
     )
 
 
-def _limit(count: int, degrees: float) -> float:
-    """What the largest of `count` ratios exceeds in CHANCE of all cases."""
-    tail = 1.0 - 0.5 * CHANCE / count
-    return float(special.ndtri(tail) if np.isinf(degrees) else special.stdtrit(degrees, tail))
-
-
-def _by_turn_on(positions: Positions, seen: Verticals, J: Array, difference: Array, variance: Array, fit: Fit) -> bool:
-    """Whether Δg (N,), of the `variance` (N, N) without the calibration, are no larger than by chance, all together,
-    with what turning on again usually changes in the linear parameters between two power-ons; never where the grade is
-    not known."""
-    if positions.grade is None:
-        return False
-    names, turned_on = positions.block.names, np.zeros(len(seen.parameter_covariance))
-    turned_on[: len(names)] = [2.0 * spread_of(TURN_ON[positions.grade], name) ** 2 for name in names]
-    V = variance + J @ (seen.parameter_covariance + np.diag(turned_on)) @ J.T
-    N, square = len(difference), float(difference @ np.linalg.solve(V, difference))
-    if fit.scatter == 0.0 or np.isinf(fit.degrees):
-        return square < float(special.chdtri(N, CHANCE))
-    return square / N < float(special.fdtri(N, fit.degrees, 1.0 - CHANCE))
-
-
-def _untold(calibration: Calibration, positions: Positions, J: Array) -> Array:
+def _untold(calibration: Calibration, names: tuple[str, ...], J: Array) -> Array:
     """The part (N,) of the variance of the force in the calibration's own positions that comes from parameters of which
     they have told nothing: given these, the force is as well known as the fit has it."""
-    names, covariance = _accelerometer_names(calibration, positions), calibration.covariance
-    untold = [i for i, p in enumerate(calibration.parameters) if p.learned == 0.0]
-    if covariance is None or not untold:
+    untold = [p.name for p in calibration.parameters if p.learned == 0.0]
+    every = calibration.covariance_of([*names, *untold])
+    if every is None or not untold:
         return np.zeros(len(J))
-    at = [i for i, p in enumerate(calibration.parameters) if p.name in names]
-    moved = J @ covariance[np.ix_(at, untold)]
-    return np.asarray(np.einsum("ik,ki->i", moved, np.linalg.solve(covariance[np.ix_(untold, untold)], moved.T)))
+    moved = J @ every[: len(names), len(names) :]
+    return np.asarray(np.einsum("ik,ki->i", moved, np.linalg.solve(every[len(names) :, len(names) :], moved.T)))
 
 
 def verticals(calibration: Calibration, positions: Positions) -> Verticals:
@@ -314,73 +284,47 @@ def verticals(calibration: Calibration, positions: Positions) -> Verticals:
     return _seen(accepted_accelerometers(calibration, VERIFIED), positions)[0]
 
 
-def _seen(calibration: Calibration, positions: Positions) -> tuple[Verticals, Array]:
-    """The verticals, and the derivative (N, m) of |true| with the parameters of the accelerometers."""
+def _seen(calibration: Calibration, positions: Positions) -> tuple[Verticals, Array, tuple[str, ...], Array]:
+    """The verticals, and |true| (N,), by the parameters at their temperatures, with its derivative (N, m) and the names
+    of the parameters that a reading of the accelerometers at rest depends on. Raises InputError where the linear ones
+    are not those of the block, and where a group lacks some."""
     assert calibration.accel is not None
-    names = _accelerometer_names(calibration, positions)
-    force = _force(calibration, positions)
-    change = _change(calibration, positions, force)
-    index = [i for i, p in enumerate(calibration.parameters) if p.name in names]
-    known = np.zeros((len(index), len(index)))
-    if calibration.covariance is not None:
-        known = calibration.covariance[np.ix_(index, index)]
-    seen = verticals_of(calibration.accel, force, change, positions.covariance, known)
-    return seen, -np.einsum("ik,kp,ipm->im", seen.direction, calibration.accel.inverse(), change)
-
-
-def _force(calibration: Calibration, positions: Positions) -> Array:
-    """Specific force (N, 3) in the positions, by the parameters at their temperatures."""
-    return calibration.compensator.force(positions.readings, positions.celsius)
-
-
-def _beyond(calibration: Calibration, positions: Positions) -> Instrument:
-    """The accelerometers with what a reading at rest depends on beyond the linear model, with the changes over
-    temperature where the positions have temperatures."""
-    found = {group_name(p.name) for p in calibration.parameters}
-    warm = positions.celsius is not None and calibration.reference_temperature is not None
-    return Instrument.of(positions.block, None, found, variables=_OVER_TEMPERATURE if warm else ())
-
-
-def _accelerometer_names(calibration: Calibration, positions: Positions) -> tuple[str, ...]:
-    """The parameters that a reading of the accelerometers at rest depends on, in their order. Raises InputError where
-    the linear ones are not those of the block, and where a group lacks some."""
-    assert calibration.accel is not None
-    block = positions.block
+    block, celsius, reference = positions.block, positions.celsius, calibration.reference_temperature
     convention = Convention(frame=frame_of(calibration.frame), block=block)
-    linear = {group.name for group in LINEAR}
     if calibration.outcome.unobservable:
         raise CalibrationError(
             f"calibration of {calibration.serial!r}: expected one of all parameters, found no "
             f"{', '.join(calibration.outcome.unobservable)}; verify one from oblique rests too"
         )
-    found = [p.name for p in calibration.parameters if sensor_kind(p.name) == block.kind]
-    if tuple(name for name in found if group_name(name) in linear) != convention.names:
+    known = [name for name in calibration if sensor_kind(name) == block.kind]
+    if tuple(name for name in known if not beyond_linear(name)) != convention.names:
         raise InputError(
             f"calibration of {calibration.serial!r}: expected readings of its {len(calibration.accel.bias)} "
             f"accelerometers, found {block.size} with other axes; verify with recordings of the same device"
         )
-    further = _beyond(calibration, positions)
-    names = convention.names + further.names[further.linear_count :]
-    if missing := sorted(set(names).difference(found)):
+    over_temperature = _OVER_TEMPERATURE if celsius is not None and reference is not None else ()
+    instrument = Instrument.of(block, None, set(map(group_name, calibration)), variables=over_temperature)
+    names = convention.names + instrument.names[instrument.linear_count :]
+    if missing := sorted(set(names).difference(known)):
         raise InputError(
             f"calibration of {calibration.serial!r}: expected all parameters of a group or none, found no "
             f"{missing[0]!r}: the file was changed; calibrate again"
         )
-    return names
 
-
-def _change(calibration: Calibration, positions: Positions, force: Array) -> Array:
-    """Derivative (N, n, m) of the readings with the parameters of `_accelerometer_names`, in specific forces (N, 3)."""
-    block = positions.block
-    convention = Convention(frame=frame_of(calibration.frame), block=block)
+    # the derivative (N, n, m) of the readings
+    force = calibration.compensator.force(positions.readings, celsius)
     linear = convention.jacobian(np.array([calibration[name].value for name in convention.names]))
-    own = np.einsum("pkm,ik->ipm", linear[:, :3], force) + linear[:, 3]
-    instrument = _beyond(calibration, positions)
+    of_linear = np.einsum("pkm,ik->ipm", linear[:, :3], force) + linear[:, 3]
     derivative = instrument.derivative(block, np.zeros(len(instrument.names)))
     every = np.einsum("npb,pbm->npm", functions(block, force, np.zeros_like(force)), derivative)
     for changed, base, variable in instrument.changes:
-        assert positions.celsius is not None
-        assert calibration.reference_temperature is not None
-        warmer = positions.celsius - calibration.reference_temperature
-        every[:, :, changed] = (warmer ** _OVER_TEMPERATURE[variable])[:, :, None] * every[:, :, base]
-    return np.concatenate([own, every[:, :, instrument.linear_count :]], axis=2)
+        assert celsius is not None
+        assert reference is not None
+        warmer = (celsius - reference) ** _OVER_TEMPERATURE[variable]
+        every[:, :, changed] = warmer[:, :, None] * every[:, :, base]
+    change = np.concatenate([of_linear, every[:, :, instrument.linear_count :]], axis=2)
+    covariance = calibration.covariance_of(names)
+    covariance = np.zeros((len(names), len(names))) if covariance is None else covariance
+    seen = verticals_of(calibration.accel, force, change, positions.covariance, covariance)
+    J = -np.einsum("ik,kp,ipm->im", seen.direction, calibration.accel.inverse(), change)
+    return seen, J, names, np.linalg.norm(force, axis=1)

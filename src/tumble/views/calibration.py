@@ -279,7 +279,7 @@ def _short_lines(calibration: Calibration) -> list[str]:
         if not checked(fit):
             fits.append(f"{name}: no more data than unknowns, so that nothing checks the fit")
         else:
-            scatter = f", scatter {in_engineering(fit.scatter_unit, fit.scatter)}" if fit.scatter > 0.0 else ""
+            scatter = f", scatter {in_engineering(fit.unit, fit.scatter)}" if fit.scatter > 0.0 else ""
             fits.append(f"{name} {fit.chi_square:.1f} for {fit.degrees:.1f}{scatter}")
     lines += _rest_lines(calibration)
     return [*lines, f"chi-square for degrees of freedom: {'; '.join(fits)}"] if fits else lines

@@ -9,7 +9,7 @@ from dataclasses import asdict
 import numpy as np
 
 from tumble.methods.field_check import CHANCE
-from tumble.result.file import FitTable
+from tumble.result.file import fit_content
 from tumble.selftest import SelftestRecord
 from tumble.sensors.parameters import group_name, group_of, positions_by_group
 from tumble.units import G_STANDARD, engineering, two_digits
@@ -154,7 +154,7 @@ def field_check_data(check: FieldCheck) -> Content:
             for name, (change, u) in result.tests.items()
         ],
         **fields(result, "largest limit"),
-        "misfit": FitTable.of(result.misfit).model_dump(),
+        "misfit": fit_content(result.misfit),
         "notes": check.notes,
     }
 

@@ -243,7 +243,7 @@ def _fit_table(fits: Mapping[str, Fit]) -> Table | None:
             "chi-square": f"{fit.chi_square:.1f}",
             "degrees of freedom": f"{fit.degrees:.1f}",
             "probability": f"{fit.probability:.2f}" if checked(fit) else "",
-            "scatter added": in_engineering(fit.scatter_unit, fit.scatter) if fit.scatter > 0.0 else "none",
+            "scatter added": in_engineering(fit.unit, fit.scatter) if fit.scatter > 0.0 else "none",
         }
         for name, fit in fits.items()
     ]

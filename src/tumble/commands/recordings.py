@@ -1,0 +1,115 @@
+"""Commands that look at a recording: `new`, `inspect`, `noise`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from tumble.commands import ask, tell
+from tumble.errors import InputError
+
+
+@click.command(epilog=ask.examples("tumble new imu-7 LOG0007.TXT --latitude 56.84 --serial A-7"))
+@click.argument("folder", type=ask.PATH)
+@click.argument("more", metavar="[LOG]...", nargs=-1, type=ask.PATH)
+@ask.option("--log", "The recording: a log, a folder, a pattern, a bag.", type=ask.PATH, multiple=True)
+@ask.SERIAL
+@ask.LATITUDE
+@ask.LOG
+@ask.programme("Built-in programme that was gone through.")
+@ask.option("--message", "Topic or message of a recording, where there are several.", metavar="NAME")
+def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: Any) -> None:
+    """Write a commented session.toml for a log into FOLDER, and say what was guessed.
+
+    LOG, or --log, is one or more text files in any dialect, .parquet, .xlsx, .bag, .db3, .mcap, .ulg, .bin, .mat, .h5,
+    .npy, a .zip of such, a ROS 2 folder, or a folder or a pattern of files that were recorded one after the other.
+    """
+    from tumble.drafting.new_session import new_session
+
+    if not log and not more:
+        raise click.UsageError("Missing argument 'LOG': the recording")
+    given = ask.given_of(options)
+    draft, faults = new_session(folder, [*log, *more], given, progress=tell.with_progress)
+    for sentence in draft.said:
+        tell.say(sentence)
+    for fault in faults:
+        tell.warn(f"look at this: {fault}")
+    told = {"the serial number": given.serial, "the place": given.latitude}
+    missing = [what for what, value in told.items() if value is None]
+    tell.say(f"written to {folder / 'session.toml'}" + (f"; fill in {' and '.join(missing)}" if missing else ""))
+
+
+@click.command(epilog=ask.examples("tumble inspect imu-7"))
+@click.argument("session", type=ask.PATH)
+@ask.option("--plot/picture", "Draw the recording with its rests into .svg, .png or .pdf.", type=ask.FILE)
+@ask.JSON
+def inspect(session: Path, picture: Path | None, as_json: bool) -> None:
+    """Show the rests and turns found in SESSION, and what was rejected and why."""
+    from tumble.run.observed import inspect_session
+    from tumble.views.inspection import inspection_blocks, inspection_data
+    from tumble.views.recording_picture import plot
+
+    observed = inspect_session(session, progress=tell.with_progress)
+    if picture is not None:
+        plot(observed, picture)
+        tell.say(f"written to {picture}")
+    tell.show(as_json, lambda: inspection_data(observed), lambda: inspection_blocks(observed))
+    for fault in (*observed.faults, *observed.gyro_faults):
+        tell.warn(f"fault: {fault}")
+    sys.exit(1 if observed.faults else 0)
+
+
+@click.command(
+    epilog=ask.examples(
+        "tumble noise imu-7", "tumble noise still.csv --accel ax,ay,az --gyro gx,gy,gz --sample-rate 100"
+    )
+)
+@click.argument("recording", metavar="SESSION|LOG", type=ask.PATH)
+@ask.option("--plot/picture", "Draw the Allan deviations into this .svg, .png or .pdf.", type=ask.FILE)
+@ask.LOG
+@ask.option("--accel-unit", "Of a LOG: unit of the accelerometers, as in session.toml.")
+@ask.option("--gyro-unit", "Of a LOG: unit of the gyros.")
+@ask.JSON
+def noise(
+    recording: Path,
+    picture: Path | None,
+    accel_unit: str | None,
+    gyro_unit: str | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Allan deviation: the noise of every sensor, from the longest rest of SESSION or from all of a LOG at rest.
+
+    LOG is a log in any dialect: its columns, units and times are found as `tumble new` finds them, where no option says
+    them.
+    """
+    from tempfile import TemporaryDirectory
+
+    from tumble.drafting.new_session import new_session
+    from tumble.run.quiet_samples import is_session, noise
+    from tumble.views.noise import noise_blocks, noise_data, plot
+
+    if is_session(recording):
+        found = noise(recording)
+    else:
+        with TemporaryDirectory() as folder:
+            given = ask.given_of(options)
+            draft, _ = new_session(Path(folder) / "session", recording, given, progress=tell.with_progress)
+            if draft.rate_guessed:
+                raise InputError(
+                    f"{recording}: expected a time column (--time) or the rate (--sample-rate), found neither"
+                )
+            layout = dict(draft.content["log"])
+            for kind, unit in (("accel", accel_unit), ("gyro", gyro_unit)):
+                if unit is not None:
+                    layout[kind] = {"columns": layout.get(kind, {"columns": []})["columns"], "unit": unit}
+            found = noise(recording, layout)
+        for sentence in draft.said:
+            tell.say(sentence)
+    if picture is not None:
+        plot(found.panels, picture)
+        tell.say(f"written to {picture}")
+    tell.show(as_json, lambda: noise_data(found), lambda: noise_blocks(found.source, found.panels))
