@@ -57,7 +57,7 @@ def chain(module: ModuleType) -> list[Array]:
     module.eliminate(*given, factor, triangle)
     rng, unknowns, covariance = np.random.default_rng(2), np.zeros((9, 3)), np.eye(7) + 0.1
     parameters = rng.standard_normal(7)
-    own, shared = module.put_back(factor, given[2], parameters, covariance, unknowns)
+    own, shared = module.put_back(factor, parameters, covariance, unknowns)
     Z, component = rng.standard_normal((4, 5, 6)), np.array([0, 0, 1, 2, 2, 4])
     whitening = module.whitening(np.tile(np.eye(5), (4, 1, 1)), Z, component, np.array([0.1, 0.0, 0.3, 0.0, 0.2]))
     return [factor, triangle, unknowns, own, shared, whitening]

@@ -94,8 +94,8 @@ def completed(problem: Problem, told: Told, known: Known) -> Step:
     q, unknowns, shared = len(problem.own_known), np.empty(told.factor.shape[:2]), []
     own_covariance = known.roots @ np.swapaxes(known.roots, 1, 2)
     for part, own, covariance in zip(problem.parts, known.own, own_covariance, strict=True):
-        both, link = np.concatenate([own, known.parameters]), _links(part, told.process)
-        shared.append(put_back(told.factor[part.rests], link, both, covariance, unknowns[part.rests]))
+        both = np.concatenate([own, known.parameters])
+        shared.append(put_back(told.factor[part.rests], both, covariance, unknowns[part.rests]))
     return Step(
         parameters=known.parameters,
         own=known.own,
