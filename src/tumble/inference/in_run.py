@@ -110,13 +110,9 @@ def mean_along(told: Told) -> tuple[Array, Array, Array]:
     inverse, by_next, by, alone = given_others(told.factor)
     N, d, p = by.shape
     n = len(process.sigma)
-    share, carried = np.zeros((n, d)), np.zeros((n, d))
-    share[:, d - n :] = np.diag(process.sigma) / N
-    values, along, by_noise = np.zeros(n), np.zeros((n, p)), np.empty((N, n, d))
-    for i in range(N):
-        carried = carried + share
-        values += carried @ alone[i]
-        along += carried @ by[i]
-        by_noise[i] = carried @ inverse[i]
-        carried = carried @ by_next[i]
-    return values, along, by_noise
+    carried = np.zeros((N, n, d))
+    carried[:, :, d - n :] = np.diag(process.sigma) / N
+    for i in range(1, N):
+        carried[i] += carried[i - 1] @ by_next[i - 1]
+    flat = np.swapaxes(carried, 0, 1).reshape(n, N * d)
+    return flat @ alone.ravel(), flat @ by.reshape(N * d, p), carried @ inverse

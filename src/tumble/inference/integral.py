@@ -32,7 +32,7 @@ from scipy import special
 
 from tumble.inference.in_run import mean_along
 from tumble.inference.maximum import Evaluated, Maximum
-from tumble.inference.uncertainty_budget import contributions
+from tumble.inference.uncertainty_budget import Roots, contributions, noise_roots
 from tumble.units import Array
 
 POINTS = 64
@@ -98,18 +98,16 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
             log_q += np.interp(x, axis.phi, axis.log_density) + 0.5 * own**2
     every = [conditional(fitted, own) for own in phi]
     weight, pareto = smoothed(np.array([each.value for each in every]) - log_q)
-    steps = np.array([each.step for each in every])
-    mean = weight @ steps
-    sources = dict[str, Array]()
+    steps, within = np.array([each.step for each in every]), np.array([each.covariance for each in every])
+    process, own = (np.array([getattr(each, f"process_{name}") for each in every]) for name in ("step", "covariance"))
+    deviations = np.sqrt(np.diagonal(within, axis1=1, axis2=2))
+    mean, process_mean = weight @ steps, weight @ process
+    sources, roots = dict[str, Array](), noise_roots(fitted.free, fitted.at)
     for each, w in zip(every, weight.tolist(), strict=True):
-        for name, covariance in each.covariances.items():
-            sources[name] = sources.get(name, 0.0) + w * covariance
+        for name, by_source in each.covariances(roots).items():
+            sources[name] = sources.get(name, 0.0) + w * by_source
     sources["hyperparameters"] = ((steps - mean).T * weight) @ (steps - mean)
     covariance = np.sum(list(sources.values()), axis=0)
-    process = np.array([each.process_step for each in every])
-    of_process = weight @ process
-    own = np.einsum("k,kab->ab", weight, np.array([each.process_covariance for each in every]))
-    deviations = np.sqrt([each.covariance.diagonal() for each in every])
     factor = _coverage_factors(steps - mean, deviations, weight, np.sqrt(np.diag(covariance)))
     shorter = np.where(factor > 0.0, np.minimum(0.5 * factor, 1.0), 1.0)
     return Posterior(
@@ -117,8 +115,9 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
         covariance=covariance * np.outer(shorter, shorter),
         sources={name: each * np.outer(shorter, shorter) for name, each in sources.items()},
         degrees=_degrees(factor[1:]),
-        process_step=of_process,
-        process_covariance=own + ((process - of_process).T * weight) @ (process - of_process),
+        process_step=process_mean,
+        process_covariance=np.tensordot(weight, own, axes=1)
+        + ((process - process_mean).T * weight) @ (process - process_mean),
         points=points,
         effective=float(1.0 / (weight**2).sum()),
         pareto=pareto,
@@ -141,31 +140,33 @@ def _axes(fitted: Maximum) -> tuple[list[_Axis], Array]:
     """ℓ along every element of φ that matters, and the correlations (k, k) of these by its curvature."""
     best, bounded = fitted.best, np.array([h.bounded for h in fitted.entries])
     linear = slice(1, 1 + fitted.free.instrument.linear_count)
-    mean, u = best.step.parameters[linear], np.sqrt(best.step.covariance.diagonal()[linear])
+    q, mean, u = (
+        len(fitted.free.own_known),
+        best.known.parameters[linear],
+        np.sqrt(best.step.covariance.diagonal()[linear]),
+    )
     axes, bends = list[_Axis](), list[Array]()
     for i, h in enumerate(fitted.entries):
         at_bound = bool(bounded[i] and best.phi[i] <= 0.0)
         bend = best.information[i, i] if at_bound else fitted.curvature[i, i]
         size = 1.0 / np.sqrt(max(bend, h.prior(float(best.phi[i]))[2]))
-        knots, matters, scores = [(0.0, 0.0, best.gradient[i])], False, list[Array]()
-        for away in KNOTS:
-            if at_bound and away < 0.0:
-                continue
+        told = best.told if h.place in ("group", "own group") else None  # what the rows tell does not know of sizes
+        there, matters = {0.0: best}, False
+        for away in (away for away in KNOTS if away > 0.0 or not at_bound):
             phi = best.phi.copy()
             phi[i] += away * size
-            there = Evaluated.of(fitted.free, fitted.entries, fitted.at, phi)
-            knots.append((away * size, there.value - best.value, there.gradient[i]))
+            here = there[away] = Evaluated.of(fitted.free, fitted.entries, fitted.at, phi, told)
             if abs(away) == 1.0:
-                scores.append(there.gradient)
-                moved = np.abs(there.step.parameters[linear] - mean) / u
-                wider = np.abs(np.sqrt(there.step.covariance.diagonal()[linear]) / u - 1.0)
+                moved = np.abs(here.known.parameters[linear] - mean) / u
+                wider = np.abs(np.sqrt((here.known.roots[0, q:][linear] ** 2).sum(axis=1)) / u - 1.0)
                 matters |= bool(max(moved.max(), wider.max()) > NOTICED)
-                matters &= not at_bound or there.information[i, i] - h.within**-2 > SHOWN
+                matters = matters and not (at_bound and here.slope(i)[1] - h.within**-2 <= SHOWN)
             if away == 1.0 and not matters:
                 break
         if matters:
-            axes.append(_axis(i, best.phi[i], sorted(knots), size, h.within if at_bound else 0.0))
-            bends.append(np.zeros(len(best.phi)) if at_bound else (scores[0] - scores[1]) / (2.0 * size))
+            knots = [(away * size, each.value - best.value, each.slope(i)[0]) for away, each in sorted(there.items())]
+            axes.append(_axis(i, best.phi[i], knots, size, h.within if at_bound else 0.0))
+            bends.append(0.0 * best.phi if at_bound else (there[-1.0].gradient - there[1.0].gradient) / (2.0 * size))
     elements = [axis.element for axis in axes]
     curvature = np.array(bends).reshape(len(axes), len(best.phi))[:, elements]
     curvature = 0.5 * (curvature + curvature.T)
@@ -201,36 +202,48 @@ def _axis(element: int, centre: float, knots: list[tuple[float, float, float]], 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Conditional:
-    """ℓ at φ, and there the step of gravity and the parameters (1 + m,) and its covariance by source, both with the
-    biases of the session, and the step and the covariance of the biases of the processes."""
+    """ℓ at φ, and there the step of gravity and the parameters (1 + m,) and its covariance, both with the biases of the
+    session, which are by the `mean` of the processes along it where there are some, and the step and the covariance of
+    the biases of the processes."""
 
-    value: float
+    here: Evaluated
+    mean: tuple[Array, Array, Array] | None
     step: Array
-    covariances: Mapping[str, Array]
+    covariance: Array
     process_step: Array
     process_covariance: Array
 
     @property
-    def covariance(self) -> Array:
-        """The whole covariance (1 + m, 1 + m) of the step."""
-        return np.asarray(np.sum(list(self.covariances.values()), axis=0))
+    def value(self) -> float:
+        """ℓ."""
+        return self.here.value
+
+    def covariances(self, roots: tuple[Roots, Roots]) -> dict[str, Array]:
+        """The covariance of the step by source, with the roots of the noise of the rows."""
+        return contributions(self.here.problem, self.here.at, self.here.told, self.here.known, self.mean, roots)
 
 
 def conditional(fitted: Maximum, phi: Array) -> Conditional:
     """The posterior at φ."""
     here = Evaluated.of(fitted.free, fitted.entries, fitted.at, phi)
-    problem, told, known = here.problem, here.told, here.known
-    step, biases, mean = known.parameters.copy(), 1 + fitted.free.biases, None
-    root = known.roots[0][len(problem.own_known) :][biases]
-    if told.process is not None and len(problem.parts) == 1:
-        mean = mean_along(told)
+    known, biases, mean = here.known, 1 + fitted.free.biases, None
+    step, root = known.parameters.copy(), known.roots[0][len(here.problem.own_known) :].copy()
+    process = root[biases]
+    if here.told.process is not None and len(here.problem.parts) == 1:
+        mean = mean_along(here.told)
         step[biases] += mean[0] + mean[1] @ np.concatenate([known.own[0], known.parameters])
+        root[biases] += mean[1] @ known.roots[0]
+    covariance = root @ root.T
+    if mean is not None:
+        along = np.swapaxes(mean[2], 0, 1).reshape(len(biases), -1)
+        covariance[np.ix_(biases, biases)] += along @ along.T
     return Conditional(
-        value=here.value,
+        here=here,
+        mean=mean,
         step=step,
-        covariances=contributions(problem, fitted.at, told, known, mean),
+        covariance=covariance,
         process_step=known.parameters[biases],
-        process_covariance=root @ root.T,
+        process_covariance=process @ process.T,
     )
 
 

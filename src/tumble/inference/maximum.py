@@ -166,24 +166,35 @@ class Evaluated:
         return self.score[1]
 
     @cached_property
+    def of_groups(self) -> dict[str, tuple[Array, Array]]:
+        """∂ℓ/∂ ln λ, and how much is learned, of every parameter of a group in common and of each session's (26)."""
+        problem, point, known = self.problem, self.at.point, self.known
+        expected, s = (each[1:] for each in problem.measured)
+        q, variance, out = len(problem.own_known), (known.roots**2).sum(axis=2), dict[str, tuple[Array, Array]]()
+        for place, c, v, size in (
+            ("group", (point.values + known.parameters[1:] - expected)[None], variance[:1, q + 1 :], s),
+            ("own group", point.own + known.own, variance[:, :q], problem.own_known),
+        ):
+            learned = 2.0 * np.clip(1.0 - v / size**2, 0.0, 1.0)
+            out[place] = ((c**2 + v) / size**2 - 1.0).sum(axis=0), learned.sum(axis=0)
+        return out
+
+    def slope(self, i: int) -> tuple[float, float]:
+        """The gradient and the information by one element of φ alone; of a group's size nothing is put back for it."""
+        h, phi = self.entries[i], float(self.phi[i])
+        if h.place not in self.of_groups:
+            return float(self.gradient[i]), float(self.information[i, i])
+        by, learned = (float(each[h.members].sum()) for each in self.of_groups[h.place])
+        _, slope, curvature = h.prior(phi)
+        return by + slope, learned + curvature
+
+    @cached_property
     def score(self) -> tuple[Array, Array]:
         """Gradient and information: (24) of scatter, (25) of in-run biases, (26) of groups, and those of the priors."""
-        step, problem, point, D = self.step, self.problem, self.at.point, len(self.entries)
+        step, problem, D = self.step, self.problem, len(self.entries)
         by_variance, of_variance, by_sensor = scatter_score(self.at.noise, step, self.left)
-        twice = 2.0 * self.told.weights.components.variances
-        by_size, by_time, learned = (
-            np.zeros((3, problem.sensors)) if (p := step.told.process) is None else p.scores(step)
-        )
-        expected, s = (each[1:] for each in problem.measured)
-        q, variance = len(problem.own_known), np.diagonal(step.own_covariance, axis1=1, axis2=2)
-        of_groups = dict[str, tuple[Array, Array]]()
-        for place, c, v, size in (
-            ("group", (point.values + step.parameters[1:] - expected)[None], variance[:1, q + 1 :], s),
-            ("own group", point.own + step.own, variance[:, :q], problem.own_known),
-        ):
-            told = 2.0 * np.clip(1.0 - v / size**2, 0.0, 1.0)
-            of_groups[place] = ((c**2 + v) / size**2 - 1.0).sum(axis=0), told.sum(axis=0)
-
+        twice, process = 2.0 * self.told.weights.components.variances, self.told.process
+        by_size, by_time, learned = np.zeros((3, problem.sensors)) if process is None else process.scores(step)
         gradient, information, scatter = np.zeros(D), np.zeros((D, D)), list[int]()
         accelerometers = problem.instrument.accel.size
         for i, (h, phi) in enumerate(zip(self.entries, self.phi.tolist(), strict=True)):
@@ -200,8 +211,8 @@ class Evaluated:
                 gradient[i] = by_size[h.members].sum() + own.sum()
                 information[i, i] = 2.0 * learned[h.members].sum() + len(problem.link) * SENSED
             else:
-                by, of = of_groups[h.place]
-                gradient[i], information[i, i] = by[h.members].sum(), of[h.members].sum()
+                gradient[i], information[i, i] = self.slope(i)
+                continue
             _, slope, curvature = h.prior(phi)
             gradient[i] += slope
             information[i, i] += curvature

@@ -30,34 +30,89 @@ Source: JCGM 100:2008 (GUM), 5.1; EA-4/02 M:2022, section 4.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from tumble.inference.elimination import given_others
-from tumble.inference.hyperparameters import SCATTER, Components, Noise
+from tumble.inference.hyperparameters import SCATTER
 from tumble.inference.likelihood import Problem, unseen_rate
 from tumble.inference.linearisation import root_of_inverse
 from tumble.inference.maximum import At
 from tumble.inference.step import Known, Told
 from tumble.rotation import skew
-from tumble.units import Array, IntArray
+from tumble.units import Array
+
+Roots = tuple[list[str], Array]
+"""Names (Q,) of sources, and roots F (N, r, Q) of their covariances of rows, S = F Fᵀ over the columns of a name."""
+
+
+def noise_roots(problem: Problem, at: At) -> tuple[Roots, Roots]:
+    """The sources of the noise of the rows of rests and of turns; where the Earth's rate is not known, it turns what
+    the velocities go with, too. Of scatter the directions, which σ is yet to multiply."""
+    turns, noise, instrument = problem.observations.turns, at.noise, problem.instrument
+    n, sensors, earth = instrument.accel.size, problem.sensors, unseen_rate(problem)
+    kinds = {"accel.noise": slice(n), "gyro.noise": slice(n, sensors), "attitude": slice(sensors, noise.rest.shape[1])}
+    rests = {name: np.zeros_like(noise.rest) for name in kinds}
+    for name, own in kinds.items():
+        rests[name][:, own, own] = noise.rest[:, own, own]
+    if earth > 0.0 and sensors > n:
+        axes, own = instrument.blocks[1].axes, kinds["gyro.noise"]
+        rests["earth"] = np.zeros_like(noise.rest)
+        rests["earth"][:, own, own] = earth * axes @ axes.T
+        rests["gyro.noise"] = rests["gyro.noise"] - rests["earth"]
+    in_turns = dict[str, Array]()
+    if turns is not None and instrument.in_velocities:
+        in_turns["turn.accel.noise"] = np.zeros_like(noise.turn)
+        in_turns["turn.accel.noise"][:, 3:6, 3:6] = turns.velocity_covariance
+    if turns is not None and earth > 0.0:
+        along = np.zeros((*noise.turn.shape[:2], 3))
+        along[:, :3] = turns.duration[:, None, None] * np.eye(3)
+        if instrument.in_velocities:
+            along[:, 3:6] = skew(-0.5 * at.rows.gained) @ along[:, :3]
+        in_turns["earth"] = earth * along @ np.swapaxes(along, 1, 2)
+    in_turns["turn.gyro.noise"] = noise.turn - sum(in_turns.values())
+
+    def roots(sources: dict[str, Array], directions: tuple[Array, Array]) -> Roots:
+        names, columns = list[str](), list[Array]()
+        for name, S in sources.items():
+            size = np.sqrt(np.maximum(np.diagonal(S, axis1=1, axis2=2), 0.0))
+            unit = np.where(size > 0.0, size, 1.0)
+            value, vectors = np.linalg.eigh(S / unit[:, :, None] / unit[:, None, :])
+            F = size[:, :, None] * vectors * np.sqrt(np.maximum(value, 0.0))[:, None]
+            columns.append(F[:, :, F.any(axis=(0, 1))])
+            names += [name] * columns[-1].shape[2]
+        names += [f"{SCATTER[place]}.scatter" for place in directions[1].tolist()]
+        return names, np.concatenate([*columns, directions[0]], axis=2)
+
+    return roots(rests, noise.rest_directions), roots(in_turns, noise.turn_directions)
 
 
 def contributions(
-    problem: Problem, at: At, told: Told, known: Known, mean: tuple[Array, Array, Array] | None
+    problem: Problem,
+    at: At,
+    told: Told,
+    known: Known,
+    mean: tuple[Array, Array, Array] | None,
+    roots: tuple[Roots, Roots],
 ) -> dict[str, Array]:
     """The covariance of gravity and the parameters (1 + m, 1 + m) by source, at the hyperparameters that the rows are
     weighed with; the biases are those of the session where their `mean` is given (`mean_along`)."""
-    noise, d, q, size = at.noise, told.factor.shape[1], len(problem.own_known), len(known.parameters)
-    components, (rest, turn) = told.weights.components, told.whitened
-    apart = told.weights.rest / noise.kept[0][:, None], told.weights.turn / noise.kept[1][:, None]
+    d, q, size = told.factor.shape[1], len(problem.own_known), len(known.parameters)
+    components, (rest, turn), kept = told.weights.components, told.whitened, at.noise.kept
+    (rest_names, of_rest), (turn_names, of_turn) = roots
+    sigma = {f"{name}.scatter": getattr(components, name) for name in SCATTER}
+    of_rest = of_rest * np.array([sigma.get(name, 1.0) for name in rest_names])
+    of_rest[:, :, len(rest_names) - problem.sensors :] *= components.unlike if len(components.unlike) else 1.0
+    of_turn = of_turn * np.array([sigma.get(name, 1.0) for name in turn_names])
+    of_rest = (told.weights.rest / kept[0][:, None]) @ of_rest
+    of_turn = (told.weights.turn / kept[1][:, None]) @ of_turn
     _, by_next, by, _ = given = given_others(told.factor)
     out = dict[str, Array]()
 
-    def add(name: str, covariance: Array) -> None:
-        if covariance.any():
-            out[name] = out[name] + covariance if name in out else covariance
+    def add(name: str, K: Array) -> None:
+        """Add Σ Kᵀ K over rows (..., y)."""
+        flat = K.reshape(-1, size)
+        if len(flat):
+            out[name] = out.get(name, 0.0) + flat.T @ flat
 
     for s, part in enumerate(problem.parts):
         # Z (39), along the chain from its last rest to the first
@@ -72,96 +127,36 @@ def contributions(
             Z[i] += by_next[part.rests.start + i] @ Z[i + 1]
 
         # covariances by source (38)
+        first, rows = part.first, turn[part.turns]
         K = rest[part.rests, :, :d] @ Z[:-1] + rest[part.rests, :, d:-1] @ Z_x
-        H = np.swapaxes(apart[0][part.rests], 1, 2) @ K
-        for name, S in _of_rests(problem, noise):
-            add(name, _through(S[part.rests], H))
-        directions, of = noise.at_rest(components)
-        for name, covariance in _of_scatter(components, directions[part.rests], of, H):
-            add(name, covariance)
-        rows, first = turn[part.turns], part.first
-        K = rows[:, :, :d] @ Z[first] + rows[:, :, d : 2 * d] @ Z[first + 1] + rows[:, :, 2 * d : -1] @ Z_x
-        H = np.swapaxes(apart[1][part.turns], 1, 2) @ K
-        for name, S in _of_turns(problem, at):
-            add(name, _through(S[part.turns], H))
-        directions, of = noise.turn_directions
-        for name, covariance in _of_scatter(components, directions[part.turns], of, H):
-            add(name, covariance)
+        K_turn = rows[:, :, :d] @ Z[first] + rows[:, :, d : 2 * d] @ Z[first + 1] + rows[:, :, 2 * d : -1] @ Z_x
+        for names, F, moved in (
+            (rest_names, of_rest[part.rests], K),
+            (turn_names, of_turn[part.turns], K_turn),
+        ):
+            H = np.swapaxes(F, 1, 2) @ moved
+            for name in dict.fromkeys(names):
+                if sigma.get(name, 1.0) > 0.0:
+                    add(name, H[:, [other == name for other in names]])
         if (process := told.process) is not None:
             states, follows = Z[:, d - len(process.sigma) :], process.follows[part.rests]
             steps = states[1:] - process.rho[part.rests][:, :, None] * states[:-1]
             K = np.concatenate([states[:1], (steps / process.deviation[part.rests][:, :, None])[follows]])
             accelerometers = problem.instrument.accel.size
-            add("accel.in_run", _squares(K[:, :accelerometers]))
-            add("gyro.in_run", _squares(K[:, accelerometers:]))
+            add("accel.in_run", K[:, :accelerometers])
+            add("gyro.in_run", K[:, accelerometers:])
         for name, own in problem.own_members.items():
-            add(f"prior.{name}", _squares(Z_x[own] / problem.own_known[own, None]))
+            add(f"prior.{name}", Z_x[own] / problem.own_known[own, None])
 
     common, u, instrument = Z_x[q:], problem.measured[1], problem.instrument
     if problem.prior.covariance is not None:
-        add("prior", _squares(root_of_inverse(problem.prior.covariance) @ common))
+        add("prior", root_of_inverse(problem.prior.covariance) @ common)
     else:
         K = common / np.where(u > 0.0, u, np.inf)[:, None]
-        add("gravity", _squares(K[:1]))
-        add("prior.linear", _squares(K[1 : 1 + instrument.linear_count]))
+        add("gravity", K[:1])
+        add("prior.linear", K[1 : 1 + instrument.linear_count])
         for group in instrument.further:
-            add(f"prior.{group.name}", _squares(K[1:][instrument.members[group.name]]))
+            add(f"prior.{group.name}", K[1:][instrument.members[group.name]])
     for array in () if at.about is None else at.about.arrays:
-        add("arrays", _squares(array.rows(instrument, at.point.values)[:, :-1] @ common[1:]))
-    return out
-
-
-def _squares(K: Array) -> Array:
-    """Σ Kᵀ K over rows (..., y)."""
-    flat = K.reshape(-1, K.shape[-1])
-    return np.asarray(flat.T @ flat)
-
-
-def _through(S: Array, H: Array) -> Array:
-    """Σ Hᵀ S H over the blocks of S (N, r, r) and H (N, r, y)."""
-    flat = H.reshape(-1, H.shape[2])
-    return np.asarray(flat.T @ (S @ H).reshape(flat.shape))
-
-
-def _of_scatter(components: Components, Z: Array, of: IntArray, H: Array) -> Iterator[tuple[str, Array]]:
-    """What each component of scatter has along its directions Z."""
-    for place, (name, variance) in enumerate(zip(SCATTER, components.variances.tolist(), strict=True)):
-        if variance > 0.0:
-            yield f"{name}.scatter", variance * _squares(np.swapaxes(Z[:, :, of == place], 1, 2) @ H)
-
-
-def _of_rests(problem: Problem, noise: Noise) -> Iterator[tuple[str, Array]]:
-    """The covariances (N, r, r) whose sum is that of the rows of rests without scatter."""
-    accelerometers, sensors, earth = problem.instrument.accel.size, problem.sensors, unseen_rate(problem)
-    kinds = {"accel.noise": slice(accelerometers), "gyro.noise": slice(accelerometers, sensors)}
-    for name, own in (kinds | {"attitude": slice(sensors, noise.rest.shape[1])}).items():
-        S = np.zeros_like(noise.rest)
-        S[:, own, own] = noise.rest[:, own, own]
-        if name == "gyro.noise" and earth > 0.0 and sensors > accelerometers:
-            of_earth, axes = np.zeros_like(S), problem.instrument.blocks[1].axes
-            of_earth[:, own, own] = earth * axes @ axes.T
-            S -= of_earth
-            yield "earth", of_earth
-        yield name, S
-
-
-def _of_turns(problem: Problem, at: At) -> Iterator[tuple[str, Array]]:
-    """The covariances (K, t, t) whose sum is that of the rows of turns without scatter: the rate of the Earth, where it
-    is not known, turns what the velocities go with, too."""
-    turns, of_gyros, earth = problem.observations.turns, at.noise.turn.copy(), unseen_rate(problem)
-    if turns is None:
-        return
-    if problem.instrument.in_velocities:
-        S = np.zeros_like(of_gyros)
-        S[:, 3:6, 3:6] = turns.velocity_covariance
-        of_gyros -= S
-        yield "turn.accel.noise", S
-    if earth > 0.0:
-        along = np.zeros((*of_gyros.shape[:2], 3))
-        along[:, :3] = turns.duration[:, None, None] * np.eye(3)
-        if problem.instrument.in_velocities:
-            along[:, 3:6] = skew(-0.5 * at.rows.gained) @ along[:, :3]
-        S = earth * along @ np.swapaxes(along, 1, 2)
-        of_gyros -= S
-        yield "earth", S
-    yield "turn.gyro.noise", of_gyros
+        add("arrays", array.rows(instrument, at.point.values)[:, :-1] @ common[1:])
+    return {name: covariance for name, covariance in out.items() if covariance.any()}
