@@ -71,11 +71,10 @@ def eliminate(
     columns, most = 2 * d + p + 1, d + r + t
     buffer = BUFFER if p < MANY else len(rest) * most
     work, carried, kept = np.zeros((most, columns)), begins.copy(), np.zeros((buffer + most, p + 1))
-    length, product, some = np.zeros(2 * d), np.zeros(columns), np.empty(len(kept), dtype=np.int64)
-    least = ROUNDING * ROUNDING
-    count = _eliminate(rest, turn, link, factor, triangle, least, work, carried, kept, length, product, some)
+    length, product = np.zeros(2 * d), np.zeros(columns)
+    count = _eliminate(rest, turn, link, factor, triangle, ROUNDING * ROUNDING, work, carried, kept, length, product)
     if p < MANY:
-        _fold(kept, product, some, count, triangle)
+        _fold(kept, product, count, triangle)
     else:
         fold(kept[:count], triangle)
 
@@ -137,7 +136,7 @@ def fold(rows: Array, triangle: Array) -> None:
         _fold_many(rows[np.any(rows, axis=1)], triangle)
         return
     whole = np.ascontiguousarray(triangle)
-    _fold(rows.copy(), np.zeros(len(whole)), np.empty(len(rows), dtype=np.int64), len(rows), whole)
+    _fold(rows.copy(), np.zeros(len(whole)), len(rows), whole)
     if whole is not triangle:
         triangle[:] = whole
 
@@ -153,7 +152,7 @@ def _fold_many(rows: Array, triangle: Array) -> None:
 
 # C: cdef Py_ssize_t _eliminate(const double[:, :, :] rest, const double[:, :, :] turn, const int64_t[:] link,
 # C:     double[:, :, :] factor, double[:, ::1] triangle, double rounding, double[:, ::1] work, double[:, ::1] carried,
-# C:     double[:, ::1] kept, double[::1] length, double[::1] product, int64_t[::1] some)
+# C:     double[:, ::1] kept, double[::1] length, double[::1] product)
 def _eliminate(
     rest: Array,
     turn: Array,
@@ -166,7 +165,6 @@ def _eliminate(
     kept: Array,
     length: Array,
     product: Array,
-    some: IntArray,
 ) -> int:
     """One rest after the other; how many rows on the parameters are left to be folded, in `kept`. `length`: squares of
     the columns before anything was taken off them."""
@@ -181,13 +179,13 @@ def _eliminate(
                     length[c] += work[row, c] * work[row, c]
             top = 0
             for c in range(d):
-                seen = _reflect(work, product, some, top, c, rows, rounding * length[c])
+                seen = _reflect(work, product, top, c, rows, rounding * length[c])
                 for column in range(columns):
                     factor[i, c, column] = work[top, column] if seen else 0.0
                 top += seen
             carried[:, :] = 0.0
             for c in range(d, 2 * d):
-                if _reflect(work, product, some, top, c, rows, rounding * length[c]):
+                if _reflect(work, product, top, c, rows, rounding * length[c]):
                     for column in range(d, columns):
                         carried[c - d, column - d if column < 2 * d else column] = work[top, column]
                     top += 1
@@ -196,7 +194,7 @@ def _eliminate(
                     kept[count + row - top, column] = work[row, 2 * d + column]
             count += rows - top
             if count > buffer:
-                _fold(kept, product, some, count, triangle)
+                _fold(kept, product, count, triangle)
                 count = 0
     return count
 
@@ -225,9 +223,9 @@ def _gather(work: Array, carried: Array, rest: Array, i: int, turn: Array, k: in
 
 
 # C: @cython.locals(square=double)
-# C: cdef bint _reflect(double[:, ::1] work, double[::1] product, int64_t[::1] some, Py_ssize_t top, Py_ssize_t column,
-# C:     Py_ssize_t rows, double least ) noexcept nogil
-def _reflect(work: Array, product: Array, some: IntArray, top: int, column: int, rows: int, least: float) -> bool:
+# C: cdef bint _reflect(double[:, ::1] work, double[::1] product, Py_ssize_t top, Py_ssize_t column, Py_ssize_t rows,
+# C:     double least ) noexcept nogil
+def _reflect(work: Array, product: Array, top: int, column: int, rows: int, least: float) -> bool:
     """Reflect rows top … rows − 1 so that below row `top` the column is zero. False, and the column cleared, where it
     has nothing in it."""
     columns, square = work.shape[1], 0.0
@@ -243,86 +241,28 @@ def _reflect(work: Array, product: Array, some: IntArray, top: int, column: int,
     scale = 1.0 / (diagonal * (diagonal - head))
     for other in range(column + 1, columns):
         product[other] = 0.0
-    count = _nonzero(work, column, top, rows, some)
-    _add(work, some, count, column, product)
+    for row in range(top, rows):
+        part = work[row, column]
+        if part != 0.0:
+            for other in range(column + 1, columns):
+                product[other] += part * work[row, other]
     for other in range(column + 1, columns):
         product[other] *= scale
-    _take(work, some, count, column, product)
+    for row in range(top, rows):
+        part = work[row, column]
+        if part != 0.0:
+            for other in range(column + 1, columns):
+                work[row, other] -= product[other] * part
     work[top, column] = diagonal
     for row in range(top + 1, rows):
         work[row, column] = 0.0
     return True
 
 
-# C: cdef Py_ssize_t _nonzero(double[:, ::1] work, Py_ssize_t column, Py_ssize_t top, Py_ssize_t rows, int64_t[::1] some
-# C:     ) noexcept nogil
-def _nonzero(work: Array, column: int, top: int, rows: int, some: IntArray) -> int:
-    """Which rows from top on are not 0 in a column, and how many."""
-    count = 0
-    for row in range(top, rows):
-        if work[row, column] != 0.0:
-            some[count] = row
-            count += 1
-    return count
-
-
-# C: @cython.locals(i=Py_ssize_t, row=Py_ssize_t, other=Py_ssize_t, columns=Py_ssize_t, a=double, b=double, c=double,
-# C:     d=double)
-# C: cdef void _add(double[:, ::1] work, int64_t[::1] some, Py_ssize_t count, Py_ssize_t column, double[::1] product
-# C:     ) noexcept nogil
-def _add(work: Array, some: IntArray, count: int, column: int, product: Array) -> None:
-    """Add to a product, from the next column on, some rows times what they have in a column: four at a time, so that
-    the product is fetched and put back a quarter as often."""
-    columns, i = work.shape[1], 0
-    while i + 4 <= count:
-        v = work[some[i]]
-        w = work[some[i + 1]]
-        x = work[some[i + 2]]
-        y = work[some[i + 3]]
-        a, b, c, d = v[column], w[column], x[column], y[column]
-        for other in range(column + 1, columns):
-            product[other] = product[other] + a * v[other] + b * w[other] + c * x[other] + d * y[other]
-        i += 4
-    while i < count:
-        row = some[i]
-        a = work[row, column]
-        for other in range(column + 1, columns):
-            product[other] += a * work[row, other]
-        i += 1
-
-
-# C: @cython.locals(i=Py_ssize_t, row=Py_ssize_t, other=Py_ssize_t, columns=Py_ssize_t, a=double, b=double, c=double,
-# C:     d=double, by=double)
-# C: cdef void _take(double[:, ::1] work, int64_t[::1] some, Py_ssize_t count, Py_ssize_t column, double[::1] product
-# C:     ) noexcept nogil
-def _take(work: Array, some: IntArray, count: int, column: int, product: Array) -> None:
-    """Take the product times what they have in a column off some rows, likewise."""
-    columns, i = work.shape[1], 0
-    while i + 4 <= count:
-        v = work[some[i]]
-        w = work[some[i + 1]]
-        x = work[some[i + 2]]
-        y = work[some[i + 3]]
-        a, b, c, d = v[column], w[column], x[column], y[column]
-        for other in range(column + 1, columns):
-            by = product[other]
-            v[other] -= by * a
-            w[other] -= by * b
-            x[other] -= by * c
-            y[other] -= by * d
-        i += 4
-    while i < count:
-        row = some[i]
-        a = work[row, column]
-        for other in range(column + 1, columns):
-            work[row, other] -= product[other] * a
-        i += 1
-
-
 # C: @cython.locals(square=double)
-# C: cdef void _fold(double[:, ::1] kept, double[::1] product, int64_t[::1] some, Py_ssize_t count,
-# C:     double[:, ::1] triangle ) noexcept nogil
-def _fold(kept: Array, product: Array, some: IntArray, count: int, triangle: Array) -> None:
+# C: cdef void _fold(double[:, ::1] kept, double[::1] product, Py_ssize_t count, double[:, ::1] triangle
+# C:     ) noexcept nogil
+def _fold(kept: Array, product: Array, count: int, triangle: Array) -> None:
     """Fold rows (count, p + 1), which are overwritten, into an upper triangle (p + 1, p + 1): Householder reflections
     of the rows together with one row of the triangle at a time. Rows that are 0 in a column have no part in that of its
     row, so that those of a triangle cost a third."""
@@ -341,12 +281,19 @@ def _fold(kept: Array, product: Array, some: IntArray, count: int, triangle: Arr
         triangle[c, c] = diagonal
         for other in range(c + 1, size):
             product[other] = top * triangle[c, other]
-        seen = _nonzero(kept, c, 0, count, some)
-        _add(kept, some, seen, c, product)
+        for row in range(count):
+            part = kept[row, c]
+            if part != 0.0:
+                for other in range(c + 1, size):
+                    product[other] += part * kept[row, other]
         for other in range(c + 1, size):
             product[other] *= scale
             triangle[c, other] -= product[other] * top
-        _take(kept, some, seen, c, product)
+        for row in range(count):
+            part = kept[row, c]
+            if part != 0.0:
+                for other in range(c + 1, size):
+                    kept[row, other] -= product[other] * part
 
 
 def given_others(factor: Array) -> tuple[Array, Array, Array, Array]:

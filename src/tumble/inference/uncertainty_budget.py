@@ -39,7 +39,7 @@ from tumble.inference.linearisation import root_of_inverse
 from tumble.inference.maximum import At
 from tumble.inference.step import Known, Told
 from tumble.rotation import skew
-from tumble.units import Array
+from tumble.units import Array, IntArray
 
 Roots = tuple[list[str], Array]
 """Names (Q,) of sources, and roots F (N, r, Q) of their covariances of rows, S = F Fᵀ over the columns of a name."""
@@ -71,7 +71,7 @@ def noise_roots(problem: Problem, at: At) -> tuple[Roots, Roots]:
         in_turns["earth"] = earth * along @ np.swapaxes(along, 1, 2)
     in_turns["turn.gyro.noise"] = noise.turn - sum(in_turns.values())
 
-    def roots(sources: dict[str, Array], directions: tuple[Array, Array]) -> Roots:
+    def roots(sources: dict[str, Array], directions: tuple[Array, IntArray]) -> Roots:
         names, columns = list[str](), list[Array]()
         for name, S in sources.items():
             size = np.sqrt(np.maximum(np.diagonal(S, axis1=1, axis2=2), 0.0))
