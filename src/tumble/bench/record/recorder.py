@@ -24,6 +24,8 @@ REFUSED_BYTES = 1 << 22
 """What is kept of what was no row, at most."""
 _WRITE_BYTES = 1 << 20
 _LINE_BYTES = 1 << 16
+_LOCKED = 1 << 40
+"""The byte that a lock is on where locks are of bytes: one that no log has."""
 
 
 class Recorder:
@@ -40,13 +42,13 @@ class Recorder:
         self._lost = 0
         self._pending = bytearray()
         self._synced = time.monotonic()
-        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o666)
         try:
             _lock(self._descriptor, path)
             if not self._whole_lines(keep_rest=True):
                 self.append([header])
                 return
-            first = os.pread(self._descriptor, _LINE_BYTES, 0).split(b"\n", 1)[0]
+            first = self._at(_LINE_BYTES, 0).split(b"\n", 1)[0]
             found = first.decode("utf-8", errors="replace").strip()
             if found != header:
                 raise InputError(f"{path}: expected the columns {header}, found {found}; record into another folder")
@@ -54,16 +56,21 @@ class Recorder:
             os.close(self._descriptor)
             raise
 
+    def _at(self, count: int, start: int) -> bytes:
+        """So many bytes of the file from a place on; what is appended is at its end all the same."""
+        os.lseek(self._descriptor, start, os.SEEK_SET)
+        return os.read(self._descriptor, count)
+
     def _whole_lines(self, *, keep_rest: bool) -> int:
         """Cut a line that was not finished off the file; how many bytes are left of it."""
         size = stop = os.fstat(self._descriptor).st_size
         whole = 0
         while stop > 0 and not whole:
             start = max(0, stop - _WRITE_BYTES)
-            whole = os.pread(self._descriptor, stop - start, start).rfind(b"\n") + 1
+            whole = self._at(stop - start, start).rfind(b"\n") + 1
             whole, stop = whole and start + whole, start
         if whole < size and keep_rest:
-            self.refuse(os.pread(self._descriptor, min(size - whole, _WRITE_BYTES), whole))
+            self.refuse(self._at(min(size - whole, _WRITE_BYTES), whole))
         os.ftruncate(self._descriptor, whole)
         return whole
 
@@ -116,7 +123,7 @@ class Recorder:
     def last_line(self) -> str:
         """The last row of the log, empty where there is only a header."""
         size = os.fstat(self._descriptor).st_size
-        tail = os.pread(self._descriptor, _LINE_BYTES, max(0, size - _LINE_BYTES))
+        tail = self._at(_LINE_BYTES, max(0, size - _LINE_BYTES))
         lines = tail.decode("utf-8", errors="replace").rstrip("\n").split("\n")
         return lines[-1] if len(lines) > 1 or size > _LINE_BYTES else ""
 
@@ -158,11 +165,16 @@ def _text(lines: Iterable[str]) -> str:
 
 
 def _lock(descriptor: int, path: Path) -> None:
-    if sys.platform == "win32":
-        return
-    import fcntl
-
+    """Keep other processes from recording the same log, as long as it is open."""
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if sys.platform == "win32":
+            import msvcrt
+
+            os.lseek(descriptor, _LOCKED, os.SEEK_SET)
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         raise InputError(f"{path}: expected a log that nobody records, found one that another process does") from None

@@ -12,9 +12,11 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import queue
 import select
 import socket
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -83,12 +85,21 @@ class StandardInput(LineSource):
         if descriptor is None and sys.stdin is None:
             raise InputError("--listen stdin: expected standard input, found it closed")
         self._descriptor = sys.stdin.fileno() if descriptor is None else descriptor
+        self._read: queue.Queue[bytes] = queue.Queue(maxsize=8)
+        threading.Thread(target=self._run, daemon=True).start()  # on Windows nothing else waits for a console
+
+    def _run(self) -> None:
+        while data := os.read(self._descriptor, _READ_BYTES):
+            self._read.put(data)
+        self._read.put(b"")
 
     def read(self, timeout: float) -> bytes:
-        if not select.select([self._descriptor], [], [], timeout)[0]:
+        try:
+            data = self._read.get(timeout=timeout)
+        except queue.Empty:
             return b""
-        data = os.read(self._descriptor, _READ_BYTES)
         if not data:
+            self._read.put(b"")
             raise Ended
         return data
 
@@ -195,12 +206,10 @@ class Serial(LineSource):
                 return b""
             self.trouble = None
         try:
-            if not select.select([self._port.fileno()], [], [], timeout)[0]:
-                return b""
-            data: bytes = self._port.read(_READ_BYTES)
-            if not data:
-                raise OSError("the line is closed")
-        except OSError as error:
+            self._port.timeout = timeout
+            data: bytes = self._port.read(1)
+            data += self._port.read(min(self._port.in_waiting, _READ_BYTES)) if data else b""
+        except OSError as error:  # of a line that is closed, too
             self.trouble = f"the serial line is gone: {_said(error)}; it is waited for"
             with contextlib.suppress(OSError):
                 self._port.close()
