@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
-from scipy.optimize import brentq
 
 from tumble.inference.estimate import DETERMINED, SEEN, Fit, chance_of
 from tumble.units import Array, BoolArray
@@ -155,6 +154,8 @@ def scatter_of(excess: Callable[[float], float], start: float) -> float:
     first guess of its size. Zero where there is none."""
     if excess(0.0) <= 0.0:
         return 0.0
+    from scipy.optimize import brentq  # which takes a fifth of a second to import
+
     high = start
     while excess(high) > 0.0:
         high *= 4.0

@@ -149,19 +149,26 @@ def bad_samples_of_turns(
 def _bad_in(values: Array, dt: Array, beside: int, least: Array, tuning: Tuning) -> Iterator[tuple[int, Array]]:
     """The places of bad samples among rates and forces (m, 6) at intervals (m,), and what to have there; a band is
     that of so many samples `beside` them."""
-    from scipy.ndimage import maximum_filter1d
-
     reach = tuning.longest_run + 2
     if len(values) < 2 * (tuning.band_samples + reach) + 1:
         return
     off = _off_cubic(values)
-    of_side = maximum_filter1d(off, beside - reach, axis=0, mode="constant")
+    of_side = _largest_about(off, beside - reach)
     sides, gap = np.zeros_like(off), reach + (beside - reach) // 2
     sides[gap:] = of_side[:-gap]
     sides[:-gap] = np.maximum(sides[:-gap], of_side[gap:])
     suspect = np.flatnonzero((off > np.maximum(tuning.band_beyond * sides, least)).any(axis=1))
     for group in np.split(suspect, np.flatnonzero(np.diff(suspect) > reach) + 1) if len(suspect) else ():
         yield from _bad_run(values, dt, (int(group[0]), int(group[-1]) + 1), beside, least, tuning)
+
+
+def _largest_about(values: Array, width: int) -> Array:
+    """The largest of `width` values ≥ 0 about each (m, n), by windows of 1, 2, 4, … of them."""
+    largest, wide = np.pad(values, ((width // 2, (width - 1) // 2), (0, 0))), 1
+    while wide < width:
+        step = min(wide, width - wide)
+        largest, wide = np.maximum(largest[:-step], largest[step:]), wide + step
+    return largest
 
 
 def _off_cubic(values: Array) -> Array:
