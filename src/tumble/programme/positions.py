@@ -83,7 +83,16 @@ def attitude(code: str) -> Array:
     if code.startswith(CORNER):
         code = _corners().get(code, code)  # to the last digit the same as its turns
     letters, *turns = code.split(" ")
-    matrix = _on_corner(code, turns.pop(0) if turns else "") if letters == CORNER else _pointing(code, letters)
+    if letters == CORNER:
+        signs = turns.pop(0) if turns else ""
+        if _SIGNS.fullmatch(signs) is None:
+            raise ProgrammeError(
+                f'attitude "{code}": expected the axes above (+) and below (-) the horizon, such as corner +X-Y+Z, '
+                f'found "{signs}"'
+            )
+        matrix = attitude(_codes(np.array([float(f"{sign}1") for sign in signs[::2]]), _ON_CORNER)[0])
+    else:
+        matrix = _pointing(code, letters)
     for turn in turns:
         axis, angle = _turn(code, turn)
         matrix = rotation_matrix(angle * axis) @ matrix
@@ -110,17 +119,6 @@ def _pointing(code: str, letters: str) -> Array:
             f'with this X and Y it is "{mirrored}"'
         )
     return matrix
-
-
-def _on_corner(code: str, signs: str) -> Array:
-    """Body → geographic of a block that stands on a corner, its axes above and below the horizon as `signs` says."""
-    if _SIGNS.fullmatch(signs) is None:
-        raise ProgrammeError(
-            f'attitude "{code}": expected the axes above (+) and below (-) the horizon, such as corner +X-Y+Z, found '
-            f'"{signs}"'
-        )
-    up = np.array([float(f"{sign}1") for sign in signs[::2]])
-    return attitude(_codes(up, _ON_CORNER)[0])
 
 
 def _turn(code: str, turn: str) -> tuple[Array, float]:
@@ -167,9 +165,13 @@ def timetable(programme: Programme, *, rest: float, rate: float, move: float) ->
     `rate` rad/s, and `move` s for each other move.
 
     Raises ProgrammeError unless rest and rate are positive and move is not negative."""
-    _expect("rest", rest, "a positive number of seconds", 0.0 < rest < math.inf)
-    _expect("rate", rate / DEGREE, "a positive number of deg/s", 0.0 < rate < math.inf)
-    _expect("move", move, "a number of seconds, not negative", 0.0 <= move < math.inf)
+    for what, found, expected, good in (
+        ("rest", rest, "a positive number of seconds", 0.0 < rest < math.inf),
+        ("rate", rate / DEGREE, "a positive number of deg/s", 0.0 < rate < math.inf),
+        ("move", move, "a number of seconds, not negative", 0.0 <= move < math.inf),
+    ):
+        if not good:
+            raise ProgrammeError(f"{what}: expected {expected}, found {found:g}")
     moved = [move if m.angle is None else abs(m.angle) / rate for m in programme.moves]
     starts = np.concatenate([[0.0], np.cumsum(np.array(moved) + rest)])
     return np.column_stack([starts, starts + rest])
@@ -180,36 +182,24 @@ def duration(programme: Programme, *, rest: float, rate: float, move: float) -> 
     return float(timetable(programme, rest=rest, rate=rate, move=move)[-1, 1])
 
 
-def _expect(what: str, found: float, expected: str, good: bool) -> None:
-    if not good:
-        raise ProgrammeError(f"{what}: expected {expected}, found {found:g}")
-
-
 def _listed(name: str, codes: Sequence[str], *, ordered: bool = True) -> Programme:
-    return Programme(
-        name=name,
-        positions=tuple(_position(code) for code in codes),
-        moves=(ANY_MOVE,) * (len(codes) - 1),
-        ordered=ordered,
-    )
+    moves = (ANY_MOVE,) * (len(codes) - 1)
+    return Programme(name=name, positions=tuple(map(_position, codes)), moves=moves, ordered=ordered)
 
 
 def _position(code: str) -> Position:
-    matrix = attitude(code)
-    return Position(attitude=code, matrix=matrix, label=_label(matrix))
-
-
-def _label(matrix: Array) -> str:
-    """Which body axes are above and below the horizon, by how much: "X up", "X 45° up, Y 45° down"."""
-    said = []
+    """An attitude with its label, which body axes are above and below the horizon, by how much: "X up", "X 45° up, Y
+    45° down"."""
+    matrix, label = attitude(code), list[str]()
     for name, sine in zip("XYZ", matrix[1], strict=True):
         elevation = round(math.degrees(math.asin(max(-1.0, min(1.0, sine)))))
         side = "up" if elevation > 0 else "down"
         if abs(elevation) == 90:
-            return f"{name} {side}"
+            label = [f"{name} {side}"]
+            break
         if elevation != 0:
-            said.append(f"{name} {abs(elevation)}° {side}")
-    return ", ".join(said)
+            label.append(f"{name} {abs(elevation)}° {side}")
+    return Position(attitude=code, matrix=matrix, label=", ".join(label))
 
 
 _OBLIQUE = ("UEN N+45", "UNW N-45", "NUE N+45")
@@ -228,13 +218,8 @@ def _rough_table(name: str, *turns: str) -> Programme:
             moves.append(Move(axis=axis, angle=angle))
         moves.append(ANY_MOVE)
     moves += [ANY_MOVE] * (len(_OBLIQUE) - 1)
-    positions = tuple(_position(code) for code in (*codes, *_OBLIQUE))
+    positions = tuple(map(_position, (*codes, *_OBLIQUE)))
     return Programme(name=name, positions=positions, moves=tuple(moves), ordered=True)
-
-
-def _nine() -> Programme:
-    """Every body axis up and down, then the three oblique positions."""
-    return _listed("nine", ("UEN", "DWN", "NUE", "NDW", "ENU", "WND", *_OBLIQUE))
 
 
 def _cube(name: str, *kinds: int) -> Programme:
@@ -251,8 +236,7 @@ def _standing(signs: Array, choice: int) -> str:
     """A code with the vertical along `signs`, body components 1, 0 or −1: from a right-handed triple, +45°
     about N lifts the axes that pointed U and W, and atan(1/√2) about E lifts the one that pointed N. The two to
     four triples that do so differ in azimuth; `choice` goes round them."""
-    lifts = {1: "", 2: _ON_EDGE, 3: _ON_CORNER}
-    codes = _codes(signs, lifts[int(np.count_nonzero(signs))])
+    codes = _codes(signs, ("", _ON_EDGE, _ON_CORNER)[np.count_nonzero(signs) - 1])
     code = codes[choice % len(codes)]
     return _corner_name(signs, attitude(code) @ attitude(codes[0]).T) if np.all(signs) else code
 
@@ -301,7 +285,8 @@ BUILT_IN: Mapping[str, Callable[[], Programme]] = MappingProxyType(
     {
         "rough-table": lambda: _rough_table("rough-table", "N+180", "U+180", "N-180"),
         "rough-table-18": lambda: _rough_table("rough-table-18", "N+180", "U+180", "N-180", "N+180"),
-        "nine": _nine,
+        # every body axis up and down, then the three oblique positions
+        "nine": lambda: _listed("nine", ("UEN", "DWN", "NUE", "NDW", "ENU", "WND", *_OBLIQUE)),
         "cube-14": lambda: _cube("cube-14", 1, 3),
         "cube-26": lambda: _cube("cube-26", 1, 2, 3),
         "cube-12": lambda: _cube("cube-12", 2),

@@ -21,11 +21,6 @@ from tumble.programme.sheet_pictures import (
 from tumble.programme.sheet_words import RATE, REST, SheetRow, notes_of, pace_of, sheet_rows
 from tumble.usual_setup import MOVE
 
-# -------------------- the table --------------------
-
-
-# -------------------- the drawing and the page --------------------
-
 _LEGEND = "N north, U up, E east"
 _COLUMNS, _CELL_WIDTH, _CELL_HEIGHT, _TOP = 4, 230.0, 250.0, 34.0
 
@@ -98,21 +93,24 @@ def sheet_page(
     for times and notes, and at the end to sign on. It needs nothing else: no script, no other file. Without a serial
     number of the device, or number and revision of the sheet, a line is left for it."""
     rows = sheet_rows(programme, rest=rest, rate=rate, move=move)
-    head = element("head", element("meta", charset="utf-8"), text_element("title", programme.name), _style())
+    title = text_element("title", programme.name)
+    head = element("head", element("meta", charset="utf-8"), title, element("style", _STYLE))
+    colours = [text_element("b", name, style=f"color: {colour}") for name, colour in BODY_COLOURS.items()]
+    key = element("p", "Pictures: ", ", ".join(colours), f" body axes; {_LEGEND}, as drawn here.")
+    notes = element("ul", *(text_element("li", note) for note in notes_of(programme)))
+    columns = (("", "9mm"), ("position", "32mm"), ("how to get there", "70mm"), ("times and notes", "auto"))
+    widths = element("colgroup", *(element("col", style=f"width: {width}") for _, width in columns))
+    heads = element("thead", element("tr", *(text_element("th", heading) for heading, _ in columns)))
     body = element(
         "body",
         text_element("h1", programme.name),
         text_element("p", pace_of(programme, rows, rate, move)),
         *(_form(asked) for asked in form_of(serial, number, revision)),
-        _head(programme),
-        _positions(rows),
+        element("div", legend(), element("div", key, notes), class_="head"),
+        element("table", widths, heads, element("tbody", *map(_position, rows))),
         _form(SIGNATURES),
     )
     return "<!DOCTYPE html>\n" + element("html", head, body, lang="en") + "\n"
-
-
-def _style() -> str:
-    return element("style", _STYLE)
 
 
 SIGNATURES = ("Recorded: name, date, signature", "Checked: name, date, signature")
@@ -130,20 +128,6 @@ def form_of(serial: str, number: str, revision: str) -> tuple[tuple[str, ...], t
 
 def _form(asked: Sequence[str]) -> str:
     return element("div", *(text_element("span", text) for text in asked), class_="form")
-
-
-def _head(programme: Programme) -> str:
-    colours = [text_element("b", name, style=f"color: {colour}") for name, colour in BODY_COLOURS.items()]
-    key = element("p", "Pictures: ", ", ".join(colours), f" body axes; {_LEGEND}, as drawn here.")
-    notes = element("ul", *(text_element("li", note) for note in notes_of(programme)))
-    return element("div", legend(), element("div", key, notes), class_="head")
-
-
-def _positions(rows: Sequence[SheetRow]) -> str:
-    columns = (("", "9mm"), ("position", "32mm"), ("how to get there", "70mm"), ("times and notes", "auto"))
-    widths = element("colgroup", *(element("col", style=f"width: {width}") for _, width in columns))
-    heads = element("thead", element("tr", *(text_element("th", heading) for heading, _ in columns)))
-    return element("table", widths, heads, element("tbody", *map(_position, rows)))
 
 
 def _position(row: SheetRow) -> str:

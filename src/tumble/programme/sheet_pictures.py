@@ -63,13 +63,8 @@ def _label(at: Array, text: str, colour: str) -> str:
 
 def svg_picture(left: float, top: float, width: float, height: float, *content: str) -> str:
     """An SVG image of this content."""
-    return element(
-        "svg",
-        *content,
-        xmlns="http://www.w3.org/2000/svg",
-        viewBox=f"{left:g} {top:g} {width:g} {height:g}",
-        font_family="Helvetica, Arial, sans-serif",
-    )
+    box, font = f"{left:g} {top:g} {width:g} {height:g}", "Helvetica, Arial, sans-serif"
+    return element("svg", *content, xmlns="http://www.w3.org/2000/svg", viewBox=box, font_family=font)
 
 
 # -------------------- pictures --------------------
@@ -109,8 +104,13 @@ _MOST_OF_A_RING = 300.0 * DEGREE
 def picture(position: Position, move: Move = ANY_MOVE) -> str:
     """SVG of a position: a cube with the body axes as arrows, and the turn that leads to it as an arrow about its
     axis."""
-    said = text_element("title", _described(position, move))
-    return svg_picture(-HALF, -HALF, 2 * HALF, 2 * HALF, said, scene_of(position, move))
+    x, y, z = points_of(position)
+    title = f"{short_code(position.attitude)}: X → {x}, Y → {y}, Z → {z}; {move_text(move)}"
+    return _whole(title, scene_of(position, move))
+
+
+def _whole(title: str, scene: str) -> str:
+    return svg_picture(-HALF, -HALF, 2 * HALF, 2 * HALF, text_element("title", title), scene)
 
 
 def ghost(attitude: Array) -> dict[str, list[list[float]]]:
@@ -124,11 +124,6 @@ def ghost(attitude: Array) -> dict[str, list[list[float]]]:
         name: [[round(SCALE * v, 1) for v in (a[0], -a[1], b[0], -b[1])] for a, b in each]
         for name, each in lines.items()
     }
-
-
-def _described(position: Position, move: Move) -> str:
-    x, y, z = points_of(position)
-    return f"{short_code(position.attitude)}: X → {x}, Y → {y}, Z → {z}; {move_text(move)}"
 
 
 def scene_of(position: Position, move: Move) -> str:
@@ -148,31 +143,21 @@ def _arrow(name: str, tip: Array, colour: str, *, start: float) -> str:
     along = tip / length
     base = tip - _HEAD * along
     shaft = _line(start * tip, base, stroke=colour, stroke_width=3.5)
-    head = [_cone(tip, base, along, colour), _disc(base, along, colour if along[2] > 0.0 else _mix(colour, 0.0, 0.65))]
-    order = [shaft, *head[::-1]] if along[2] > 0.0 else [*head, shaft]
-    flat = tip[:2] / max(float(np.hypot(*tip[:2])), 1e-9)
-    return element("g", *order, _label(tip[:2] + 0.2 * flat, name, colour), class_=f"axis-{name}")
-
-
-def _cone(tip: Array, base: Array, along: Array, colour: str) -> str:
-    """Silhouette of a cone less its base; the first corner is the tip."""
-    across = np.array([-along[1], along[0]]) / max(float(np.hypot(along[0], along[1])), 1e-9)
-    corners = np.array([tip[:2], base[:2] + _HEAD_RADIUS * across, base[:2] - _HEAD_RADIUS * across])
-    return _polyline("polygon", corners, fill=colour)
-
-
-def _disc(centre: Array, along: Array, colour: str) -> str:
-    """A circle across `along`, which in the picture is an ellipse."""
+    # the silhouette of a cone less its base, the first corner the tip, and the base, a circle seen as an ellipse
+    across = _HEAD_RADIUS * np.array([-along[1], along[0]]) / max(float(np.hypot(along[0], along[1])), 1e-9)
+    cone = _polyline("polygon", np.array([tip[:2], base[:2] + across, base[:2] - across]), fill=colour)
     turned = -math.atan2(float(along[1]), float(along[0])) / DEGREE + 90.0
-    x, y = _xy(centre)
-    radius = SCALE * _HEAD_RADIUS
-    return element(
+    x, y = _xy(base)
+    base_of_it = element(
         "ellipse",
-        rx=_number(radius),
-        ry=_number(radius * abs(float(along[2]))),
-        fill=colour,
+        rx=_number(SCALE * _HEAD_RADIUS),
+        ry=_number(SCALE * _HEAD_RADIUS * abs(float(along[2]))),
+        fill=colour if along[2] > 0.0 else _mix(colour, 0.0, 0.65),
         transform=f"translate({x} {y}) rotate({_number(turned)})",
     )
+    order = [shaft, base_of_it, cone] if along[2] > 0.0 else [cone, base_of_it, shaft]
+    flat = tip[:2] / max(float(np.hypot(*tip[:2])), 1e-9)
+    return element("g", *order, _label(tip[:2] + 0.2 * flat, name, colour), class_=f"axis-{name}")
 
 
 def _cube(axes: Array) -> str:
@@ -182,16 +167,11 @@ def _cube(axes: Array) -> str:
         for sign in (1.0, -1.0):
             normal = sign * axes[:, i]
             if normal[2] > 0.0:
-                shade = 0.78 + 0.22 * max(0.0, float(normal @ _LIGHT))
-                fill = _mix(BODY_COLOURS[name], 0.7, shade)
-                faces.append(_polyline("polygon", _face(axes, i, sign), fill=fill, stroke=GREY, stroke_width=0.8))
+                fill = _mix(BODY_COLOURS[name], 0.7, 0.78 + 0.22 * max(0.0, float(normal @ _LIGHT)))
+                first, second = axes[:, (i + 1) % 3], axes[:, (i + 2) % 3]
+                corners = [normal + a * first + b * second for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
+                faces.append(_polyline("polygon", CUBE * np.array(corners), fill=fill, stroke=GREY, stroke_width=0.8))
     return element("g", *faces, class_="cube", stroke_linejoin="round")
-
-
-def _face(axes: Array, i: int, sign: float) -> Array:
-    """Corners (4, 3) of the face of the cube across body axis i."""
-    normal, first, second = sign * axes[:, i], axes[:, (i + 1) % 3], axes[:, (i + 2) % 3]
-    return CUBE * np.array([normal + a * first + b * second for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))])
 
 
 def _mix(colour: str, white: float, shade: float) -> str:
@@ -248,9 +228,7 @@ def _turn_label(move: Move) -> str:
 
 def legend() -> str:
     """SVG of north, up and east as the pictures have them."""
-    return svg_picture(
-        -HALF, -HALF, 2 * HALF, 2 * HALF, text_element("title", "Directions in the pictures"), scene_of_directions()
-    )
+    return _whole("Directions in the pictures", scene_of_directions())
 
 
 def scene_of_directions() -> str:

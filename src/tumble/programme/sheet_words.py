@@ -16,6 +16,7 @@ from tumble.usual_setup import MOVE, ON_TABLE
 REST, RATE = ON_TABLE.rest, ON_TABLE.rate_deg_s * DEGREE
 """Duration of a rest, s, and rate of programmed turns, rad/s, where nothing else is asked for."""
 
+_OFF_THE_HORIZON = 0.1
 _COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 
 
@@ -43,34 +44,21 @@ def sheet_rows(
 ) -> tuple[SheetRow, ...]:
     """Every position of a programme in words, with its time: rests of `rest` s, turns at `rate` rad/s, and `move` s
     for each other move. Raises ProgrammeError as `programme.timetable`."""
-    times = timetable(programme, rest=rest, rate=rate, move=move)
-    moves = (ANY_MOVE, *programme.moves)
-    return tuple(
-        SheetRow(
-            number=number,
-            position=position,
-            move=reached,
-            how=_how(programme, position, reached, number),
-            attitude=short_code(position.attitude),
-            points=points_of(position),
-            start=float(start),
-            stop=float(stop),
-        )
-        for number, (position, reached, (start, stop)) in enumerate(
-            zip(programme.positions, moves, times, strict=True), 1
-        )
-    )
-
-
-def _how(programme: Programme, position: Position, move: Move, number: int) -> str:
-    """How a position is reached; in a programme in any order, what the block is stood on: "on a corner"."""
-    if not programme.ordered:
-        upright = np.count_nonzero(np.abs(position.vertical_b) > _OFF_THE_HORIZON)
-        return ("on a face", "on an edge", "on a corner")[upright - 1]
-    return "start" if number == 1 else move_text(move)
-
-
-_OFF_THE_HORIZON = 0.1
+    times = timetable(programme, rest=rest, rate=rate, move=move).tolist()
+    rows = list[SheetRow]()
+    for position, reached, (start, stop) in zip(programme.positions, (ANY_MOVE, *programme.moves), times, strict=True):
+        how = move_text(reached) if rows else "start"
+        if not programme.ordered:  # what the block is stood on: so many axes are off the horizon
+            upright = np.count_nonzero(np.abs(position.vertical_b) > _OFF_THE_HORIZON)
+            how = ("on a face", "on an edge", "on a corner")[upright - 1]
+        points, code = points_of(position), short_code(position.attitude)
+        rows.append(
+            SheetRow(
+                number=len(rows) + 1, position=position, move=reached, how=how, attitude=code, points=points,
+                start=start, stop=stop,
+            )
+        )  # fmt: skip
+    return tuple(rows)
 
 
 def move_text(move: Move) -> str:
@@ -127,15 +115,11 @@ def pace_of(programme: Programme, rows: Sequence[SheetRow], rate: float, move: f
     return f"{count}, {clock(rows[-1].stop)} in all: {', '.join(parts)}"
 
 
-def _order(programme: Programme) -> str:
-    if programme.ordered:
-        return "In this order. Any move may be made between positions except where a turn is given."
-    return (
-        "In any order, and each turned about the vertical in any way: only what is up and down counts. The order and "
-        "the directions given make the turns between the positions varied, which is good for gyros."
-    )
-
-
+_IN_ORDER = "In this order. Any move may be made between positions except where a turn is given."
+_ANY_ORDER = (
+    "In any order, and each turned about the vertical in any way: only what is up and down counts. The order and "
+    "the directions given make the turns between the positions varied, which is good for gyros."
+)
 _CODES = (
     "X, Y, Z point to north N, south S, east E, west W, up U or down D; 45° up to E is 45° above the horizon over "
     "east; 120° is a bearing, clockwise from north."
@@ -152,4 +136,5 @@ _CARE = (
 
 def notes_of(programme: Programme) -> list[str]:
     """What the operator must know, in sentences."""
-    return [_order(programme), *([_TURNS] if any(m.angle is not None for m in programme.moves) else []), _CODES, _CARE]
+    turns = [_TURNS] if any(m.angle is not None for m in programme.moves) else []
+    return [_IN_ORDER if programme.ordered else _ANY_ORDER, *turns, _CODES, _CARE]

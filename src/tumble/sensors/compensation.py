@@ -88,11 +88,10 @@ class Compensator:
         further[: instrument.linear_count] = 0.0
         coefficients = []
         for block, model in zip(blocks, models, strict=True):
-            if block is None or model is None:
-                coefficients.append(np.zeros((0, FUNCTIONS)))
-                continue
-            K = instrument.coefficients(block, further).copy()
-            K[:, measured_by(block)], K[:, CONSTANT] = model.matrix, K[:, CONSTANT] + model.bias
+            K = np.zeros((0, FUNCTIONS))
+            if block is not None and model is not None:
+                K = instrument.coefficients(block, further).copy()
+                K[:, measured_by(block)], K[:, CONSTANT] = model.matrix, K[:, CONSTANT] + model.bias
             coefficients.append(K)
         return Compensator(
             accel=accel,
@@ -151,12 +150,9 @@ class Compensator:
         if temperature is None or block.kind not in self.references or not self.warm:
             return None
         warmer = temperature - self.references[block.kind]
+        powers = (warmer, self.slopes), (warmer**2, self.curvatures)
         bias, scale = (
-            sum(
-                (by.get(f"{block.kind}.{what}", 0.0) * warmer**power)
-                for power, by in ((1, self.slopes), (2, self.curvatures))
-            )
-            for what in ("bias", "scale")
+            sum(by.get(f"{block.kind}.{what}", 0.0) * power for power, by in powers) for what in ("bias", "scale")
         )
         return np.asarray(bias), 1.0 + np.asarray(scale) / np.linalg.norm(K[:, measured_by(block)], axis=1)
 
@@ -165,11 +161,8 @@ def _changes(blocks: tuple[Block, Block | None], values: Mapping[str, float], en
     """Changes (n,) by channel of biases and scale factors, per K for `t1` and per K² for `t2`, where the values have
     some."""
     out = {}
-    for block in blocks:
+    for block in filter(None, blocks):
         for what in ("bias", "scale"):
-            if block is None:
-                continue
-            out[f"{block.kind}.{what}"] = np.zeros(block.size)
-            by_sensor = [values.get(f"{block.kind}.{what}.{sensor}.{ending}", 0.0) for sensor in block.sensors]
-            out[f"{block.kind}.{what}"][block.channels] = by_sensor
+            out[f"{block.kind}.{what}"] = change = np.zeros(block.size)
+            change[block.channels] = [values.get(f"{block.kind}.{what}.{s}.{ending}", 0.0) for s in block.sensors]
     return out if any(np.any(change) for change in out.values()) else {}

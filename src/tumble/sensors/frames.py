@@ -45,14 +45,14 @@ FRAMES: tuple[Frame, ...] = get_args(Frame)
 
 _UPPER = ((0, 1), (0, 2), (1, 2))
 _UPPER_PAIRS = ("xy", "xz", "yz")
+_EACH = np.arange(3)
 
 
 def frame_of(name: str) -> Frame:
     """The frame of this name, as a calibration file has it. Raises InputError for any other."""
-    for frame in FRAMES:
-        if name == frame:
-            return frame
-    raise InputError(f"frame: expected one of {', '.join(FRAMES)}, found {name!r}")
+    if name not in FRAMES:
+        raise InputError(f"frame: expected one of {', '.join(FRAMES)}, found {name!r}")
+    return name
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -111,9 +111,8 @@ class Convention:
             return self.block.parameters(model)
         if self.frame == "paper":
             rows = self._rows(model)
-            diagonal = np.diag(rows)
-            angles = [rows[p, q] / diagonal[p] for p, q in _UPPER]
-            return np.concatenate([self._free.parameters(model)[:3], diagonal - 1.0, angles])
+            angles = [rows[p, q] / rows[p, p] for p, q in _UPPER]
+            return np.concatenate([self._free.parameters(model)[:3], np.diag(rows) - 1.0, angles])
         return np.asarray(self._free.parameters(model)[self._chosen])
 
     def model(self, values: Array) -> SensorModel:
@@ -122,7 +121,16 @@ class Convention:
             return self.block.model(values)
         if self.frame == "case":
             return self._free.model(values)
-        rows = _upper_rows(values[3:]) if self.frame == "paper" else _symmetric_rows(values[3:])
+        k, angles = 1.0 + values[3:6], values[6:]
+        if self.frame == "paper":
+            rows = np.eye(3)
+            rows[tuple(zip(*_UPPER, strict=True))] = angles
+            rows *= k[:, None]
+        else:  # the symmetric matrix whose rows have the lengths 1 + k and the angles xy, xz, yz of Eq. (1)
+            (xy, xz, yz), rows = angles, np.zeros((3, 3))
+            rows[0, 1], rows[0, 2], rows[1, 2] = k[0] * np.sin(xy), k[0] * np.cos(xy) * np.sin(xz), k[1] * np.sin(yz)
+            rows += rows.T
+            rows += np.diag(np.sqrt(k**2 - (rows**2).sum(axis=1)))
         bias = self.block.axes @ values[:3] * self.block.axes.sum(axis=1)
         return SensorModel(matrix=self.block.axes @ rows, bias=bias)
 
@@ -144,7 +152,11 @@ class Convention:
         inverse = np.linalg.inv(free.reshape(4 * self.block.size, -1))
         if self.frame != "paper" or self.block.kind == "gyro":
             return np.asarray(inverse[self._chosen])
-        return np.concatenate([inverse[:3], _upper_derivative(self._rows(model)) @ self._to_rows()])
+        rows, by_rows = self._rows(model), np.zeros((6, 3, 3))  # of k and angles, with the entries of the rows
+        by_rows[_EACH, _EACH, _EACH] = 1.0
+        for i, (p, q) in enumerate(_UPPER, start=3):
+            by_rows[i, p, q], by_rows[i, p, p] = 1.0 / rows[p, p], -rows[p, q] / rows[p, p] ** 2
+        return np.concatenate([inverse[:3], by_rows.reshape(6, 9) @ self._to_rows()])
 
     def conditions(self, model: SensorModel) -> Array:
         """The conditions (3, 4n) on a change of matrix and bias under which an accelerometer model stays in this
@@ -204,34 +216,6 @@ class Convention:
         return out.reshape(9, 12).T
 
 
-def _upper_rows(values: Array) -> Array:
-    """The matrix (3, 3) of the paper's k and angles xy, xz, yz."""
-    unit = np.eye(3)
-    for (p, q), angle in zip(_UPPER, values[3:], strict=True):
-        unit[p, q] = angle
-    return np.asarray((1.0 + values[:3])[:, None] * unit)
-
-
-def _upper_derivative(rows: Array) -> Array:
-    """Derivative (6, 9) of the paper's k and angles with respect to the entries of its matrix."""
-    out = np.zeros((6, 3, 3))
-    for p in range(3):
-        out[p, p, p] = 1.0
-    for i, (p, q) in enumerate(_UPPER, start=3):
-        out[i, p, q] = 1.0 / rows[p, p]
-        out[i, p, p] = -rows[p, q] / rows[p, p] ** 2
-    return out.reshape(6, 9)
-
-
-def _symmetric_rows(values: Array) -> Array:
-    """The symmetric matrix (3, 3) whose rows have the lengths 1 + k and the angles xy, xz, yz of Eq. (1)."""
-    (kx, ky, kz), (xy, xz, yz) = 1.0 + values[:3], values[3:]
-    off = np.zeros((3, 3))
-    off[0, 1], off[0, 2], off[1, 2] = kx * np.sin(xy), kx * np.cos(xy) * np.sin(xz), ky * np.sin(yz)
-    off += off.T
-    return np.asarray(off + np.diag(np.sqrt(np.array([kx, ky, kz]) ** 2 - (off**2).sum(axis=1))))
-
-
 def rotation_to(frame: Frame, block: Block, accel: SensorModel) -> Array:
     """Q (3, 3) of M′ = M Q that takes accelerometers from any frame to the one their own axes fix: `accelerometer`,
     `paper` or `symmetric`. Raises InputError for the case, and for accelerometers of the other handedness."""
@@ -276,7 +260,10 @@ def convert(
     count = len(old.names)
     before = old.model(values[:count])
     gyro_before = None if gyro is None else gyro.model(values[count:])
-    Q = _rotation(new, before, source, alignment)
+    if target == source:
+        Q = np.eye(3)
+    else:
+        Q = alignment.mat_cb.T if target == "case" and alignment is not None else rotation_to(target, accel, before)
     after = _turned(before, Q)
     gyro_after = None if gyro_before is None else _turned(gyro_before, Q)
     phi = np.zeros((3, len(values)))  # of δQ = Q [φ×], with the parameters
@@ -290,9 +277,12 @@ def convert(
     if gyro is not None and gyro_after is not None:
         own = Convention(frame=target, block=gyro)
         blocks.append((own, gyro_after, slice(count, None), _carried(gyro.jacobian(values[count:]), Q)))
-    direct = [_derivative(convention, model, part, change, phi) for convention, model, part, change in blocks]
-    turned = [convention.derivative(model) @ _turning(model) for convention, model, _, _ in blocks]
-    jacobian, by_turning = np.concatenate(direct), np.concatenate(turned)
+    by_turning = np.concatenate([convention.derivative(model) @ _turning(model) for convention, model, _, _ in blocks])
+    jacobian = by_turning @ phi  # the change of the frame, and that of each block itself
+    rows = 0
+    for convention, model, part, change in blocks:
+        own_rows = slice(rows, rows := rows + len(convention.names))
+        jacobian[own_rows, part] += convention.derivative(model) @ change
     if covariance is not None:
         covariance = jacobian @ covariance @ jacobian.T
         if alignment is not None and target == "case" and source != "case":
@@ -323,14 +313,6 @@ def carried_further(instrument: Instrument, Q: Array) -> Array:
     return out
 
 
-def _rotation(new: Convention, accel: SensorModel, source: Frame, alignment: Alignment | None) -> Array:
-    if new.frame == source:
-        return np.eye(3)
-    if new.frame == "case" and alignment is not None:
-        return np.asarray(alignment.mat_cb.T)
-    return rotation_to(new.frame, new.block, accel)
-
-
 def _turned(model: SensorModel, Q: Array) -> SensorModel:
     return SensorModel(matrix=model.matrix @ Q, bias=model.bias)
 
@@ -349,21 +331,12 @@ def _turning(model: SensorModel) -> Array:
     return out.reshape(-1, 3)
 
 
-def _derivative(convention: Convention, model: SensorModel, part: slice, change: Array, phi: Array) -> Array:
-    """Derivative of a block's new parameters with respect to all old ones: its own change, and that of the frame."""
-    total = _turning(model) @ phi
-    total[:, part] += change
-    return np.asarray(convention.derivative(model) @ total)
-
-
 def triad_axes(matrix: Array) -> Array:
     """The nominal axes (3, 3) of a triad whose matrix this is: the signed body axis nearest to each sensor.
 
     Raises InputError where the sensors are not three, one along each axis."""
-    axes = np.zeros(matrix.shape)
-    rows = np.arange(len(matrix))
-    nearest = np.argmax(np.abs(matrix), axis=1)
-    axes[rows, nearest] = np.sign(matrix[rows, nearest])
+    axes, nearest = np.zeros(matrix.shape), np.argmax(np.abs(matrix), axis=1)
+    axes[np.arange(len(matrix)), nearest] = np.sign(matrix[np.arange(len(matrix)), nearest])
     if not Block(kind="accel", axes=axes).triad:
         raise InputError(
             f"expected three sensors, one along each body axis, found a matrix of {len(matrix)} rows that is not of "

@@ -35,13 +35,9 @@ class NoiseModel:
 
     def scaled(self, factor: float) -> NoiseModel:
         """The same with every noise so many times as large."""
-        return replace(
-            self,
-            accel_white=factor * self.accel_white,
-            gyro_white=factor * self.gyro_white,
-            accel_instability=factor * self.accel_instability,
-            gyro_instability=factor * self.gyro_instability,
-        )
+        white = {"accel_white": factor * self.accel_white, "gyro_white": factor * self.gyro_white}
+        in_run = factor * self.accel_instability, factor * self.gyro_instability
+        return replace(self, **white, accel_instability=in_run[0], gyro_instability=in_run[1])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -88,24 +84,15 @@ def spread_of(instruments: _OfInstruments, parameter: str) -> float:
     return float(getattr(of_kind, within_kind(group_name(parameter))))
 
 
-def _usual(kind: str, grade: str) -> Spread:
-    """The spreads of the linear model in the table of parameters."""
-    sizes = {within_kind(group.name): group.usual[grade] for group in LINEAR if group.kind == kind}
-    return Spread(**sizes)
-
-
 def _noise(grade: str, accel: float, gyro: float, accel_instability: float, gyro_instability: float) -> Grade:
-    """A grade with these densities, m/s²/√Hz and rad/s/√Hz, and instabilities, m/s² and °/h."""
-    return Grade(
-        accel=_usual("accel", grade),
-        gyro=_usual("gyro", grade),
-        noise=NoiseModel(
-            accel_white=accel,
-            gyro_white=gyro,
-            accel_instability=accel_instability,
-            gyro_instability=gyro_instability * DEGREE_PER_HOUR,
-        ),
+    """A grade with these densities, m/s²/√Hz and rad/s/√Hz, instabilities, m/s² and °/h, and the spreads of the linear
+    model in the table of parameters."""
+    of_accel, of_gyro = (
+        Spread(**{within_kind(group.name): group.usual[grade] for group in LINEAR if group.kind == kind})
+        for kind in ("accel", "gyro")
     )
+    in_run = {"accel_instability": accel_instability, "gyro_instability": gyro_instability * DEGREE_PER_HOUR}
+    return Grade(accel=of_accel, gyro=of_gyro, noise=NoiseModel(accel_white=accel, gyro_white=gyro, **in_run))
 
 
 GRADES: Mapping[str, Grade] = MappingProxyType(

@@ -65,8 +65,8 @@ class Instrument:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of all parameters."""
-        further = tuple(name for group in self.further for name in group.names(self.block(group)))
-        return self.accel.names + (self.gyro.names if self.gyro is not None else ()) + further
+        linear = (name for block in self.blocks for name in block.names)
+        return (*linear, *(name for group in self.further for name in group.names(self.block(group))))
 
     @cached_property
     def units(self) -> tuple[str, ...]:
@@ -84,14 +84,14 @@ class Instrument:
 
     def block(self, group: ParameterGroup) -> Block:
         """The sensors that have a group."""
-        found = self.accel if group.kind == "accel" else self.gyro
-        assert found is not None
-        return found
+        block = self.accel if group.kind == "accel" else self.gyro
+        assert block is not None
+        return block
 
     @cached_property
     def linear_count(self) -> int:
         """How many parameters belong to the linear model."""
-        return len(self.accel.names) + (len(self.gyro.names) if self.gyro is not None else 0)
+        return sum(len(block.names) for block in self.blocks)
 
     @cached_property
     def members(self) -> dict[str, slice]:

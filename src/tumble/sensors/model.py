@@ -216,13 +216,11 @@ class Block:
         if self.triad:
             six = axes_angles(self._signs[:, None] * directions)
             return np.array([six[_ANGLE_PAIRS.index(pair)] for pair in self.angles])
-        t, out = _perpendiculars(np.asarray(self.axes, dtype=float).tobytes()), []
-        for p, j in self._free:
-            sine = np.cross(self.axes[p], directions[p])
-            angle = np.arctan2(np.linalg.norm(sine), self.axes[p] @ directions[p])
-            ratio = 1.0 if angle == 0.0 else angle / np.sin(angle)
-            out.append(ratio * (sine @ t[p, j]))
-        return np.array(out)
+        sine = np.cross(self.axes, directions)
+        angle = np.arctan2(np.linalg.norm(sine, axis=1), (self.axes * directions).sum(axis=1))
+        ratio = np.where(angle == 0.0, 1.0, angle / np.where(angle == 0.0, 1.0, np.sin(angle)))
+        both = ratio[:, None] * np.einsum("pk,pjk->pj", sine, _perpendiculars(self.axes.astype(float).tobytes()))
+        return np.array([both[p, j] for p, j in self._free])
 
     @property
     def _signs(self) -> Array:
@@ -275,9 +273,7 @@ def to_accelerometer_frame(
     nominal = _frame_of(signs[:, None] * block.axes[order])
     rotation = found.T @ nominal
     moved = SensorModel(matrix=accel.matrix @ rotation, bias=accel.bias)
-    if gyro is None:
-        return moved, None
-    return moved, SensorModel(matrix=gyro.matrix @ rotation, bias=gyro.bias)
+    return moved, None if gyro is None else SensorModel(matrix=gyro.matrix @ rotation, bias=gyro.bias)
 
 
 def _frame_of(axes: Array) -> Array:

@@ -21,6 +21,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from operator import attrgetter
 from typing import Literal
 
 import numpy as np
@@ -103,12 +104,11 @@ _ENDINGS = {variable: ending for variable, (ending, _, _) in _CHANGES.items()}
 # What parameters are called within their group
 
 
-def _every_sensor(block: Block) -> tuple[str, ...]:
-    return block.sensors
+_every_sensor, _angles = attrgetter("sensors"), attrgetter("angles")
 
 
-def _angles(block: Block) -> tuple[str, ...]:
-    return block.angles
+def _others(block: Block) -> tuple[str, ...]:
+    return block.sensors[:-1]
 
 
 def _by_force(block: Block) -> tuple[str, ...]:
@@ -117,11 +117,7 @@ def _by_force(block: Block) -> tuple[str, ...]:
 
 
 def _levers(block: Block) -> tuple[str, ...]:
-    return tuple(f"{sensor}.{axis}" for sensor in block.sensors[:-1] for axis in "xyz")
-
-
-def _others(block: Block) -> tuple[str, ...]:
-    return block.sensors[:-1]
+    return tuple(f"{sensor}.{axis}" for sensor in _others(block) for axis in "xyz")
 
 
 def _once(_: Block) -> tuple[str, ...]:
@@ -179,8 +175,10 @@ def _per(units: Units, by: str, size: float = 1.0) -> Units:
 
 
 def _grades(navigation: float, tactical: float, mems: float, consumer: float, unit: float = 1.0) -> dict[str, float]:
-    sizes = {"navigation": navigation, "tactical": tactical, "mems": mems, "consumer": consumer}
-    return {grade: unit * size for grade, size in sizes.items()}
+    sizes = navigation, tactical, mems, consumer
+    return {
+        grade: unit * size for grade, size in zip(("navigation", "tactical", "mems", "consumer"), sizes, strict=True)
+    }
 
 
 def _group(
@@ -373,8 +371,7 @@ def within_group(parameter: str) -> str:
 
 def variable_of(parameter: str) -> Variable | None:
     """What the change goes with that a parameter or group is; None where it is none."""
-    group = named_group(group_name(parameter))
-    return None if group is None else group.variable
+    return getattr(named_group(group_name(parameter)), "variable", None)
 
 
 def group_of(parameter: str) -> ParameterGroup:
@@ -479,8 +476,8 @@ def prior_of(key: str, text: str) -> tuple[str, float]:
     kind, _, what = stem.partition("_")
     ending = {"temperature": "t1", "curvature": "t2"}.get(what, what)
     name = f"{kind}.{of}.{ending}" if of else f"{kind}.{what}"
-    group = next((group for group in groups() if group.name == name and not group.linear), None)
-    if group is None:
+    group = named_group(name)
+    if group is None or group.linear:
         known = ", ".join(g.name.replace(".", "_") for g in FURTHER if g.variable is None)
         raise ValueError(
             f"{key}: expected one of {known}, or accel_temperature, gyro_temperature, accel_curvature, gyro_curvature, "
