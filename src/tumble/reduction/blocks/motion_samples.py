@@ -48,7 +48,8 @@ class MotionSamples:
             self._file = tempfile.TemporaryFile()  # noqa: SIM115
             weakref.finalize(self, self._file.close)
         self._file.seek(0, os.SEEK_END)
-        for column in zip(*map(_columns_of, self._chunks), strict=True):
+        columns = ([column for values in chunk for column in values.T] for chunk in self._chunks)
+        for column in zip(*columns, strict=True):
             for values in column:
                 self._file.write(np.ascontiguousarray(values).data)
         self._chunks, self._starts = [], []
@@ -62,23 +63,16 @@ class MotionSamples:
         """The same, and what is spare (m, ·)."""
         rows = np.empty((self._columns, stop - start)).T
         with self._lock:
-            if self._file is not None:
-                self._read_from(self._file, start, stop, rows)
+            for first, end in pairwise(self._parts):
+                a, b = max(start, first), min(stop, end)
+                if self._file is None or a >= b:
+                    continue
+                for j in range(self._columns):
+                    self._file.seek(8 * (self._columns * first + j * (end - first) + a - first))
+                    self._file.readinto(rows[a - start : b - start, j].data)
             for place in range(max(bisect_right(self._starts, start) - 1, 0), bisect_left(self._starts, stop)):
                 first, chunk = self._starts[place], self._chunks[place]
                 a, b = max(start, first), min(stop, first + len(chunk[0]))
                 own = [values[a - first : b - first] for values in chunk]
                 np.concatenate(own, axis=1, out=rows[a - start : b - start])
         return rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7:]
-
-    def _read_from(self, file: BufferedRandom, start: int, stop: int, rows: Array) -> None:
-        """Those of samples start … stop − 1 that are in the file, into `rows` (stop − start, columns)."""
-        for first, end in pairwise(self._parts):
-            a, b = max(start, first), min(stop, end)
-            for j in range(self._columns if a < b else 0):
-                file.seek(8 * (self._columns * first + j * (end - first) + a - first))
-                file.readinto(rows[a - start : b - start, j].data)
-
-
-def _columns_of(chunk: Sequence[Array]) -> list[Array]:
-    return [column for values in chunk for column in values.T]

@@ -44,13 +44,17 @@ class Thermometers:
 
     files: Mapping[int, tuple[float, Array]]
 
+    _directions: dict[int, Array] = field(default_factory=dict, repr=False)
+    """The directions (K, T) at every step, by file, once they were asked for."""
+
     @staticmethod
     def of(records: Mapping[int, tuple[Array, Array]]) -> Thermometers:
         """The records of times (K,), s, and temperatures (K, T), K, by file."""
-        return Thermometers(files={file: _every_step(*record) for file, record in records.items()})
-
-    _directions: dict[int, Array] = field(default_factory=dict, repr=False)
-    """The directions (K, T) at every step, by file, once they were asked for."""
+        files = {}
+        for file, (time, kelvin) in records.items():
+            steps = time[0] + STEP * np.arange(max(int(np.ceil((time[-1] - time[0]) / STEP)), 1) + 1)
+            files[file] = float(time[0]), np.column_stack([np.interp(steps, time, record) for record in kelvin.T])
+        return Thermometers(files=files)
 
     @property
     def count(self) -> int:
@@ -136,9 +140,3 @@ def followed(kelvin: Array, step: float, lag: float, first: float | None = None)
     driven[1:] = kelvin[1:] - a * kelvin[:-1] - np.diff(kelvin) / step * lag * (1.0 - a)
     _kernels.follow(driven, a)
     return driven
-
-
-def _every_step(time: Array, kelvin: Array) -> tuple[float, Array]:
-    count = max(int(np.ceil((time[-1] - time[0]) / STEP)), 1) + 1
-    steps = time[0] + STEP * np.arange(count)
-    return float(time[0]), np.column_stack([np.interp(steps, time, record) for record in kelvin.T])

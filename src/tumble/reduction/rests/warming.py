@@ -25,11 +25,8 @@ WARMED = 0.1
 OVER_TEMPERATURE = 10.0
 """K: where the rests span less, a lag and a hysteresis are not sought."""
 LAGS = np.array([-200.0, -100.0, -50.0, -25.0, 0.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0])
-"""s: among which the best is sought, and then"""
-CLOSER = 4
-"""times between those beside it, each time"""
-BETWEEN = 7
-"""of them."""
+CLOSER, BETWEEN = 4, 7
+"""s: among LAGS the best is sought, and then CLOSER times between those beside it, each time BETWEEN of them."""
 
 KelvinAtLag = Callable[[float], Array]
 """From a lag, s, to the temperatures (K, T), K, that what follows each thermometer has at the blocks of all rests."""
@@ -46,24 +43,22 @@ def without_warming(series: Sequence[Array], kelvin: KelvinAtLag | None, thermom
     with_one = {t: _Rests.of([each[:, thermometer == t] for each in series]) for t in np.unique(thermometer).tolist()}
 
     def explained(lag: float) -> float:
+        """By how much the sum of squares falls, the sensors being so late."""
         warm = kelvin(lag)
         return sum(rests.explained(warm[:, t]) for t, rests in with_one.items())
 
     sought = np.ptp([each.mean(axis=0) for each in read], axis=0).max() >= OVER_TEMPERATURE
-    warm = kelvin(_best(explained, LAGS) if sought else 0.0)
+    lags, best = (LAGS, 0) if sought else (np.zeros(1), 0)
+    for closer in range(1 + CLOSER if sought else 0):
+        if closer:
+            lags = np.linspace(lags[max(best - 1, 0)], lags[min(best + 1, len(lags) - 1)], BETWEEN)
+        best = int(np.argmax([explained(lag) for lag in lags.tolist()]))
+    warm = kelvin(float(lags[best]))
     out = [np.empty_like(each) for each in series]
     for t, rests in with_one.items():
         for whole, quiet in zip(out, rests.without(warm[:, t]), strict=True):
             whole[:, thermometer == t] = quiet
     return out
-
-
-def _best(explained: Callable[[float], float], lags: Array) -> float:
-    """The lag, s, that explains most."""
-    for _ in range(CLOSER):
-        found = int(np.argmax([explained(lag) for lag in lags.tolist()]))
-        lags = np.linspace(lags[max(found - 1, 0)], lags[min(found + 1, len(lags) - 1)], BETWEEN)
-    return float(lags[np.argmax([explained(lag) for lag in lags.tolist()])])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -58,20 +59,9 @@ class ArrayMoments:
 
 def columns_of(sensors: int) -> dict[str, slice]:
     """Where the parts of x stand for so many accelerometers."""
-    out, first = {}, 0
-    widths = {
-        "one": 1,
-        "readings": sensors,
-        "products": 6,
-        "change": 6,
-        "bend": 6,
-        "turning": 3,
-        "forces": 6,
-        "jerk": 3,
-    }
-    for name, width in widths.items():
-        out[name] = slice(first, first := first + width)
-    return out
+    names = ("one", "readings", "products", "change", "bend", "turning", "forces", "jerk")
+    edges = np.cumsum([0, 1, sensors, 6, 6, 6, 3, 6, 3]).tolist()
+    return {name: slice(*edge) for name, edge in zip(names, pairwise(edges), strict=True)}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -188,8 +188,7 @@ def integrate(
     own: OwnAxes = NO_OWN_AXES,
 ) -> Moments:
     """Moments of turns by the step about the middle attitude (docs/explanation/mathematics.md (6)), with one
-    compensation or one for each; every batch
-    holds at most one piece of a turn, in order of time.
+    compensation or one for each; every batch holds at most one piece of a turn, in order of time.
 
     Errors of arithmetic are below 1e-12 while a sample turns by less than 0.5 rad."""
     count, n, m, linear = turns, len(own.gyro), len(own.accel), _kernels.LINEAR
@@ -198,11 +197,8 @@ def integrate(
     one, of_gyros, forces_2, rates_2, of_accels = (slice(a, b) for a, b in pairwise(firsts.tolist()))
     rows, moved_rows = (-(-width // _kernels.BLOCK) * _kernels.BLOCK for width in firsts[[-1, 2]].tolist())
     attitude, V, jumps = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros((count, 3)), np.zeros(count)
-    products, moved, sweep = (
-        np.zeros((count, 10, rows)),
-        np.zeros((count, 9, moved_rows)),
-        np.zeros((count, 9, _kernels.BLOCK)),
-    )
+    products, moved = np.zeros((count, 10, rows)), np.zeros((count, 9, moved_rows))
+    sweep = np.zeros((count, 9, _kernels.BLOCK))
     sums = attitude, V, products, moved, sweep, jumps
     axes = np.ascontiguousarray(own.gyro, dtype=float), np.ascontiguousarray(own.accel, dtype=float)
     for pieces in batches:
@@ -218,11 +214,12 @@ def integrate(
             where = turn[part], start[part], stop[part]
             _kernels.integrate_pieces((rates, forces, intervals), where, by._kernel_model(), axes, sums)
         del pieces, rates, forces, intervals  # before the next are read
+    cross = _skews(attitude[:, 1:])  # of unit quaternions, scalar first
     Phi, body = products[:, :9].reshape(count, 3, 3, rows), products[:, 9]
     with np.errstate(over="ignore", invalid="ignore"):  # of turns of damaged samples, which are judged later
         Psi = _crossed(Phi[..., :moved_rows], V) - moved.reshape(count, 3, 3, moved_rows)
         return Moments(
-            C=_matrices(attitude),
+            C=np.eye(3) + 2.0 * (attitude[:, 0, None, None] * cross + cross @ cross),
             V=V,
             Phi=np.concatenate([Phi[..., one], Phi[..., forces_2]], axis=-1),
             Psi=Psi[..., one],
@@ -237,13 +234,6 @@ def integrate(
             body_accel=body[:, of_accels].reshape(count, 2, m),
             jumps=jumps,
         )
-
-
-def _matrices(attitude: Array) -> Array:
-    """The matrices (K, 3, 3) of unit quaternions (K, 4), scalar first."""
-    scalar, vector = attitude[:, 0, None, None], attitude[:, 1:]
-    cross = _skews(vector)
-    return np.asarray(np.eye(3) + 2.0 * (scalar * cross + cross @ cross))
 
 
 def _crossed(matrices: Array, V: Array) -> Array:
@@ -343,5 +333,5 @@ def single_delay_columns(moments: Moments, left_inverse: Array, axes: Array, end
 
 def _contracted(moments: Array, weights: Array) -> Array:
     """Σ M_ij… w_j…m (K, 3, m) of moments (K, 3, 3, …) and weights (3, …, m)."""
-    many = math.prod(weights.shape[:-1])
-    return np.asarray(moments.reshape(len(moments), 3, many) @ weights.reshape(many, weights.shape[-1]))
+    flat = weights.reshape(-1, weights.shape[-1])
+    return np.asarray(moments.reshape(len(moments), 3, len(flat)) @ flat)
