@@ -88,8 +88,6 @@ def quantity_table(
     after: Callable[[Q, float], dict[str, str]] = lambda _, __: {},
     *,
     headings: tuple[str, str, str] = ("parameter", "value", "u (k=1)"),
-    caption: str = "",
-    dense: bool = False,
 ) -> Table:
     """Quantities by name with their standard uncertainties, a row each, and further cells, by their headings, `before`
     and `after` the unit, of a quantity that is shown in a unit of some size."""
@@ -99,7 +97,7 @@ def quantity_table(
         row = dict(zip(headings, (quantity.name, *cells(quantity.value, quantity.u, size)), strict=True))
         rows.append(row | before(quantity, size) | {"unit": unit} | after(quantity, size))
     words = (headings[0], "unit", "what it is")
-    return table(rows, words=words, columns=() if rows else (*headings, "unit"), caption=caption, dense=dense)
+    return table(rows, words=words, columns=() if rows else (*headings, "unit"))
 
 
 def in_engineering(unit: str, value: float, digits: int = 3, none: str = "–") -> str:

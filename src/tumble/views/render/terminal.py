@@ -79,20 +79,17 @@ class _Column:
 
     def broken(self, room: int) -> _Column:
         """With its lines broken anywhere after so many characters."""
-        return _Column.of(["\n".join(_pieces(cell, room)) for cell in self.cells], words=True)
+        lines = (cell.split("\n") for cell in self.cells)
+        pieces = ([line[i : i + room] for line in cell for i in range(0, max(len(line), 1), room)] for cell in lines)
+        return _Column.of(["\n".join(cell) for cell in pieces], words=True)
 
     def set(self, cell: str, width: int) -> list[str]:
         """The lines of one of its cells, all of this width."""
-        lines = [part for line in cell.split("\n") for part in (_wrapped(line, width) if self.words else [line])]
-        return [set_cell_size(line, width) if self.words else " " * (width - cell_len(line)) + line for line in lines]
-
-
-def _pieces(cell: str, room: int) -> list[str]:
-    return [line[i : i + room] for line in cell.split("\n") for i in range(0, max(len(line), 1), room)]
-
-
-def _wrapped(line: str, width: int) -> list[str]:
-    return [line] if cell_len(line) <= width else wrap(line, width, break_on_hyphens=False)
+        lines = cell.split("\n")
+        if not self.words:
+            return [" " * (width - cell_len(line)) + line for line in lines]
+        fitting = ([line] if cell_len(line) <= width else wrap(line, width, break_on_hyphens=False) for line in lines)
+        return [set_cell_size(part, width) for parts in fitting for part in parts]
 
 
 def _table_lines(table: Table, width: int) -> Iterator[str]:
