@@ -34,8 +34,8 @@ ABSENT = {"accel": "gyros are absent, they were not accepted", "gyro": "accelero
 
 def half(made: Calibration, kind: str) -> Calibration:
     """A calibration of which one kind of sensors is accepted."""
-    others = {"of_gyro": (WHY,)} if kind == "accel" else {"of_accel": (WHY,)}
-    return replace(made, outcome=Outcome(reasons=(WHY,), **others))
+    other = "gyro" if kind == "accel" else "accel"
+    return replace(made, outcome=Outcome(reasons=(WHY,), concerns={WHY: (other,)}))
 
 
 @pytest.mark.parametrize("kind", ["accel", "gyro"])
@@ -58,7 +58,7 @@ def test_a_half_is_exported_by_every_format_that_can_hold_it_and_the_other_is_na
 
 @pytest.mark.parametrize("to", ["csv", "mat"])
 def test_accelerometers_are_exported_where_gyro_parameters_are_not_determined(to: str) -> None:
-    made = replace(larger()[0], gyro=None, outcome=Outcome(reasons=(WHY,), of_gyro=(WHY,)))
+    made = replace(larger()[0], gyro=None, outcome=Outcome(reasons=(WHY,), concerns={WHY: ("gyro",)}))
     assert export_calibration(made, to).losses[0].startswith(ABSENT["accel"])
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -15,6 +15,7 @@ import tumble
 from tumble.errors import InputError
 from tumble.recording.arrays import session_of_arrays
 from tumble.recording.session import Exclusion, Session
+from tumble.result.accepted import accepted_groups
 from tumble.result.calibration import Calibration
 from tumble.run.launches import calibrate_launches, same_recording
 from tumble.simulation.session import read_truth
@@ -39,10 +40,10 @@ class Recorded:
         given = SITE | {"accel": self.accel if accel is None else accel, "time": self.time} | more
         return session_of_arrays(**(given | {"gyro": self.gyro if gyro is None else gyro}))  # type: ignore[arg-type]
 
-    def errors(self, made: Calibration) -> Array:
-        """Errors in u of the linear parameters of the accelerometers."""
-        names = [p.name for p in made.parameters if p.name.startswith("accel.") and p.name.count(".") == 2]
-        linear = [name for name in names if name.split(".")[1] in ("bias", "scale", "axis")]
+    def errors(self, made: Calibration, kind: str = "accel", what: Sequence[str] = ("bias", "scale", "axis")) -> Array:
+        """Errors in u of linear parameters."""
+        names = [p.name for p in made.parameters if p.name.startswith(f"{kind}.") and p.name.count(".") == 2]
+        linear = [name for name in names if name.split(".")[1] in what]
         return np.array([(made[n].value - self.truth[n]) / (made[n].u or np.nan) for n in linear])
 
 
@@ -68,13 +69,32 @@ def jumped(hand: Recorded, size: float, after: int) -> Array:
 
 
 @pytest.mark.parametrize("size", [0.3, 1.0, 3.0])
-def test_a_jump_of_the_gyros_is_named_and_the_accelerometers_are_calibrated(hand: Recorded, size: float) -> None:
+def test_a_jump_of_the_gyros_is_named_and_spoils_their_biases_alone(hand: Recorded, size: float) -> None:
     made = tumble.calibrate(hand.session(gyro=jumped(hand, size, 9)))
     assert (made.outcome.accel.accepted, made.outcome.gyro.accepted) == (True, False)
+    assert accepted_groups(made) == ("gyro.scale", "gyro.axis")
     (said,) = [reason for reason in made.outcome.gyro.reasons if "jump" in reason]
     assert "after rest 9 " in said or "between rest 9 (" in said
     assert "[[exclude]]" in said
     assert len(made.rests) == len(hand.rests)
+    assert np.abs(hand.errors(made)).max() < 4.0
+    assert np.abs(hand.errors(made, "gyro", ("scale", "axis"))).max() < 4.0
+
+
+def test_methods_without_a_process_of_biases_refuse_gyros_that_jump(hand: Recorded) -> None:
+    made = tumble.calibrate(hand.session(gyro=jumped(hand, 1.0, 9)), method="staged")
+    assert (made.outcome.accel.accepted, made.outcome.gyro.accepted) == (True, False)
+    assert accepted_groups(made) == ()
+    assert made.gyro is None
+
+
+def test_accelerometers_that_gyros_would_spoil_are_estimated_alone(hand: Recorded) -> None:
+    bent = hand.gyro * (1.0 + 0.01 * (hand.gyro / (100.0 * DEGREE)) ** 2)
+    made = tumble.calibrate(hand.session(gyro=bent))
+    assert (made.outcome.accel.accepted, made.outcome.gyro.accepted) == (True, False)
+    (why,) = made.outcome.gyro.reasons
+    assert why.startswith("scale factors of the gyros that depend on the rate")
+    assert why.endswith("the accelerometers are estimated alone")
     assert np.abs(hand.errors(made)).max() < 4.0
 
 

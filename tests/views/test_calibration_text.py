@@ -20,7 +20,7 @@ from tumble.inference.estimate import GroupFinding, HyperparameterEstimate, Inte
 from tumble.inference.prediction import Prediction
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
-from tumble.result.calibration import Calibration
+from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.further import decided_by_priors, group_lines, predicted, verdicts
 from tumble.result.parts import Parameter
 from tumble.run.calibrate import calibrate
@@ -37,6 +37,7 @@ from tumble.views.calibration import (
 )
 from tumble.views.numbers import quantity_table, shown_units
 from tumble.views.render.terminal import print_blocks, text_of
+from tumble.views.report.write import write_report
 
 REQUEST = Setup.of(rest=10.0, sample_rate=50.0)
 
@@ -278,12 +279,26 @@ def test_a_prior_that_decides_u_is_named_with_the_rests_that_would_settle_it(ful
 
 def test_verdicts_of_accelerometers_and_gyros_stand_apart_where_they_differ(full: Calibration) -> None:
     remark = "gyro turns: the residuals are 4 times the noise; hysteresis fits best"
-    scattered = replace(full, outcome=Outcome(remarks=(remark,), of_gyro=(remark,)))
+    scattered = replace(full, outcome=Outcome(remarks=(remark,), concerns={remark: ("gyro",)}))
     assert verdicts(full) == ("accepted",)
     assert verdicts(replace(full, outcome=Outcome(reasons=("too few rests",)))) == ("not accepted",)
     lines = lines_of(calibration_blocks(scattered))
     verdict = ["accelerometers: accepted", "gyros: accepted with scatter", "accepted with scatter"]
     assert lines[1:5] == [*verdict, f"remark: {remark}"]
+
+
+def test_groups_of_refused_sensors_that_are_accepted_are_named_in_the_terminal_the_report_and_the_file(
+    full: Calibration, tmp_path: Path
+) -> None:
+    why = "biases of the gyros jump"
+    made = replace(full, outcome=Outcome(reasons=(why,), concerns={why: ("gyro.bias",)}))
+    lines = lines_of(calibration_blocks(made))
+    verdict = ["accelerometers: accepted", "gyros: not accepted", "not accepted"]
+    assert lines[1:5] == [*verdict, "accepted all the same: gyro.scale, gyro.axis"]
+    made.write(tmp_path / "calibration.json")
+    assert read_calibration(tmp_path / "calibration.json").outcome == made.outcome
+    write_report([tmp_path / "calibration.json"], tmp_path / "r.html")
+    assert "The accelerometers, gyro.scale and gyro.axis alone: values of others" in (tmp_path / "r.html").read_text()
 
 
 def test_a_calibration_shows_priors_and_what_was_learned(full: Calibration) -> None:

@@ -304,7 +304,7 @@ def test_a_customer_reads_no_opinions_and_no_advice_and_signs_beside_the_result(
     text = CERTIFICATE.replace("[customer]", f"remarks = [{many}]\n[customer]", 1)
     path = files(tmp_path, certificate=text)
     made = read_calibration(path)
-    outcome = Outcome(remarks=REMARKS, of_gyro=REMARKS)
+    outcome = Outcome(remarks=REMARKS, concerns=dict.fromkeys(REMARKS, ("gyro",)))
     notes = ("all turns have about 50 °/s: scale factors hold at this rate; state gyro_cubic in [device.prior]",)
     replace(made, outcome=outcome, notes=notes).write(path, force=True)
     for ending in ("html", "pdf"):

@@ -57,7 +57,7 @@ def inspect(session: Path, picture: Path | None, as_json: bool) -> None:
         plot(observed, picture)
         tell.say(f"written to {picture}")
     tell.show(as_json, lambda: inspection_data(observed), lambda: inspection_blocks(observed))
-    for fault in (*observed.faults, *observed.gyro_faults):
+    for fault in (*observed.faults, *observed.gyro_faults, *observed.gyro_bias_faults):
         tell.warn(f"fault: {fault}")
     sys.exit(1 if observed.faults else 0)
 

@@ -21,33 +21,33 @@ def accelerometer_faults(reduction: Reduction, session: Session) -> list[str]:
     accel, gyros = block_means(reduction)
     force = accel @ onto_body(channels.axes).T
     magnitude = float(np.median(np.linalg.norm(force, axis=1)))
-    if abs(magnitude / g - 1.0) < UNIT_TOLERANCE:
+    if _near(magnitude, g):
         return []
-    if gyro is not None and _exchanged(magnitude, _as_logged_by(gyros, gyro, channels), channels, g, rate):
-        return [
-            f"accelerometer and gyro columns are exchanged: the accelerometers read {magnitude:.3g} m/s^2 and the "
-            f"gyro columns have the magnitude of gravity; exchange [log.accel] columns and [log.gyro] columns"
-        ]
-    return [_unit_fault(force, magnitude, channels, g, rate)]
-
-
-def _exchanged(magnitude: float, meant: Array, channels: Channels, g: float, rate: float) -> bool:
-    """Whether it is the columns of the gyros, `meant` (K, 3) as accelerometers, that read gravity."""
-    exchanged = float(np.median(np.linalg.norm(meant, axis=1)))
-    fits = abs(exchanged / g - 1.0) < UNIT_TOLERANCE and _like_gravity(meant)
-    return fits or (magnitude < 0.5 * g and bool(_fitting_units(exchanged, channels, g, rate, ("rate",))))
-
-
-def _unit_fault(force: Array, magnitude: float, channels: Channels, g: float, rate: float) -> str:
-    found = f"the accelerometers read {magnitude:.4g} m/s^2 at the median, expected {g:.4g} m/s^2"
+    if gyro is not None:  # what the columns of the gyros would read as accelerometers, as vectors in SI
+        n = min(gyros.shape[1], len(channels.columns))
+        logged = gyros[:, :n] / gyro.unit.factor * gyro.scale[:n] + gyro.offset[:n]
+        meant = (logged - channels.offset[:n]) / channels.scale[:n] * channels.unit.factor
+        meant = meant @ onto_body(channels.axes[:n]).T
+        of_gyros = float(np.median(np.linalg.norm(meant, axis=1)))
+        in_a_unit = magnitude < 0.5 * g and _fitting_units(of_gyros, channels, g, rate, ("rate",))
+        if (_near(of_gyros, g) and _like_gravity(meant)) or in_a_unit:
+            return [
+                f"accelerometer and gyro columns are exchanged: the accelerometers read {magnitude:.3g} m/s^2 and the "
+                f"gyro columns have the magnitude of gravity; exchange [log.accel] columns and [log.gyro] columns"
+            ]
+    read = f"the accelerometers read {magnitude:.4g} m/s^2 at the median, expected {g:.4g} m/s^2"
     if channels.raw:
-        return f"{found}: {_scale_or_offset(force, magnitude, channels, g)}"
+        return [f"{read}: {_scale_or_offset(force, magnitude, channels, g)}"]
     units = _fitting_units(magnitude, channels, g, rate, ("rate", "increment") if _like_gravity(force) else ("rate",))
     if units:
-        return f'{found}: the unit of [log.accel] is not "{channels.unit_name}"; {" or ".join(units)} would fit'
+        return [f'{read}: the unit of [log.accel] is not "{channels.unit_name}"; {" or ".join(units)} would fit']
     if magnitude < UNIT_TOLERANCE * g:
-        return f"{found}: gravity has been removed from the log; record the raw specific force"
-    return f'{found}: the unit "{channels.unit_name}" of [log.accel] is not right, and no other known unit fits'
+        return [f"{read}: gravity has been removed from the log; record the raw specific force"]
+    return [f'{read}: the unit "{channels.unit_name}" of [log.accel] is not right, and no other known unit fits']
+
+
+def _near(magnitude: float, g: float) -> bool:
+    return abs(magnitude / g - 1.0) < UNIT_TOLERANCE
 
 
 def _scale_or_offset(force: Array, magnitude: float, channels: Channels, g: float) -> str:
@@ -59,7 +59,7 @@ def _scale_or_offset(force: Array, magnitude: float, channels: Channels, g: floa
         raw = channels.offset + channels.scale * (channels.axes @ middle) / channels.unit.factor
         return f"the offset of [log.accel] is wrong; about {', '.join(f'{v:.4g}' for v in raw)} would fit"
     for name in ("m/s^2", "g"):
-        if abs(magnitude / channels.unit.factor * ACCEL_UNITS[name].factor / g - 1.0) < UNIT_TOLERANCE:
+        if _near(magnitude / channels.unit.factor * ACCEL_UNITS[name].factor, g):
             return f'the scale of [log.accel] would fit with scale_per = "{name}"'
     return f"the nominal scale of [log.accel] is about {times_wrong(magnitude / g)}, or its offset is wrong"
 
@@ -71,13 +71,11 @@ def times_wrong(ratio: float) -> str:
 
 def _fitting_units(magnitude: float, channels: Channels, g: float, rate: float, kinds: tuple[str, ...]) -> list[str]:
     """Units of accelerometers of these kinds in which a magnitude logged in the stated unit would be g."""
-    if channels.raw:
-        return []
+    stated = channels.unit.per_second(rate)
     return [
         f'"{name}"'
         for name, unit in ACCEL_UNITS.items()
-        if unit.kind in kinds
-        and abs(magnitude * unit.per_second(rate) / channels.unit.per_second(rate) / g - 1.0) < UNIT_TOLERANCE
+        if not channels.raw and unit.kind in kinds and _near(magnitude * unit.per_second(rate) / stated, g)
     ]
 
 
@@ -87,11 +85,3 @@ def _like_gravity(force: Array) -> bool:
     low, median, high = np.quantile(length, [0.25, 0.5, 0.75])
     about = float(np.median(np.linalg.norm(force - np.median(force, axis=0), axis=1)))
     return bool(high - low < UNIT_TOLERANCE * median and about > UNIT_TOLERANCE * median)
-
-
-def _as_logged_by(readings: Array, written: Channels, meant: Channels) -> Array:
-    """Readings (SI) of one kind of channels, taken as if the columns had been those of another kind, as vectors."""
-    n = min(readings.shape[1], len(meant.columns))
-    logged = readings[:, :n] / written.unit.factor * written.scale[:n] + written.offset[:n]
-    meant_si = (logged - meant.offset[:n]) / meant.scale[:n] * meant.unit.factor
-    return np.asarray(meant_si @ onto_body(meant.axes[:n]).T)

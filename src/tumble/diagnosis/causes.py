@@ -10,8 +10,8 @@ groups that go with time, whose sizes are estimated (`tumble.diagnosis.misfit`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -33,7 +33,7 @@ from tumble.inference.step import Step
 from tumble.inference.turns_about import TurnsAbout
 from tumble.sensors.instrument import functions
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import PAIRS, PRODUCTS, RATE
+from tumble.sensors.parameters import PAIRS, PRODUCTS, RATE, positions_by_group
 from tumble.units import DEGREE, G_STANDARD, Array
 
 MEMORIES = (10.0, 60.0, 300.0)
@@ -54,14 +54,24 @@ COARSE = 0.5
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cause:
     """A candidate cause as a session sees it: its `name`, which sensors it `concerns`, the `probability` that chance
-    alone shows as much, by how much the parameters of the linear model err without it at most, in their u, and a
-    `sentence` with size and remedy."""
+    alone shows as much, by how much the parameters of each group of the linear model err without it at most, in their
+    u, and a `sentence` with size and remedy."""
 
     name: str
     concerns: Concerns
     probability: float = 0.0
-    damage: float = 0.0
+    by_group: Mapping[str, float] = field(default_factory=dict)
     sentence: str
+
+    @property
+    def damage(self) -> float:
+        """By how much any parameter errs, in its u."""
+        return max(self.by_group.values(), default=0.0)
+
+    @property
+    def concerned(self) -> tuple[str, ...]:
+        """The kind of sensor it concerns, none where both."""
+        return () if self.concerns == "both" else (self.concerns,)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -79,7 +89,9 @@ class Candidate:
     tried: int = 1
     """Of how many places it is the most likely."""
 
-    def tested(self, s: int, some: slice, alone: Projection, whole: Projection, linear: int) -> Cause | None:
+    def tested(
+        self, s: int, some: slice, alone: Projection, whole: Projection, groups: Mapping[str, list[int]]
+    ) -> Cause | None:
         """The candidate in session s, its columns being `some` of those in the projections with the noise alone and
         with the components of variance of the estimate: it is no more likely than by either. None where the session
         does not see it."""
@@ -88,11 +100,12 @@ class Candidate:
             return None
         by_noise = alone.explained(some)
         probability = 1.0 if by_noise is None else alone.chance(by_noise.fall, by_noise.q)
+        damage = np.abs(explained.moved) / whole.u
         return Cause(
             name=self.name,
             concerns=self.concerns,
             probability=max(probability, whole.chance(explained.fall, explained.q)),
-            damage=float(np.max(np.abs(explained.moved[:linear]) / whole.u[:linear])),
+            by_group={group: float(damage[members].max()) for group, members in groups.items()},
             sentence=self.sentences[min(s, len(self.sentences) - 1)].format(
                 size=sized(float(np.abs(explained.values).max()), self.unit)
             ),
@@ -104,7 +117,8 @@ def tested(linearised: Linearised, candidates: Sequence[Candidate]) -> tuple[lis
     as that of one of many; and u of the parameters (m,)."""
     rest, turn = (np.concatenate([c.columns[rows] for c in candidates], axis=2) for rows in (0, 1))
     ends = np.cumsum([c.columns[0].shape[2] for c in candidates]).tolist()
-    linear = linearised.problem.instrument.linear_count
+    instrument = linearised.problem.instrument
+    groups = positions_by_group(instrument.names[: instrument.linear_count])
     whole = list(projections(linearised, linearised.components, rest, turn))
     alone = projections(linearised, Components(), rest, turn) if whole[0].scatters else whole
     tried = dict[tuple[str, Concerns], int]()
@@ -116,7 +130,7 @@ def tested(linearised: Linearised, candidates: Sequence[Candidate]) -> tuple[lis
         best = dict[tuple[str, Concerns], Cause]()
         for candidate, end in zip(candidates, ends, strict=True):
             key = candidate.name, candidate.concerns
-            cause = candidate.tested(s, slice(end - candidate.columns[0].shape[2], end), *seen_by, linear)
+            cause = candidate.tested(s, slice(end - candidate.columns[0].shape[2], end), *seen_by, groups)
             if cause is not None and (key not in best or cause.probability < best[key].probability):
                 best[key] = cause
         by_session.append([replace(c, probability=min(1.0, tried[key] * c.probability)) for key, c in best.items()])

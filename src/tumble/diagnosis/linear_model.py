@@ -67,7 +67,7 @@ def judged(estimate: Estimate, observations: Observations, whole: Observations) 
     if lost is None:
         return estimate
     if lost.damage > DAMAGE:
-        return replace(estimate, reasons=(*estimate.reasons, damaging(lost)))
+        return replace(estimate, reasons=(*estimate.reasons, damaging(lost)[1]))
     return replace(estimate, remarks=(*estimate.remarks, f"probable cause: {lost.sentence}"))
 
 

@@ -181,7 +181,7 @@ def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Remaining, u: 
         name="lost samples",
         concerns="gyro",
         probability=along.chance_beside(across),
-        damage=damage,
+        by_group={"gyro.scale": damage},
         sentence="turns that err about their own axis, with their angle: samples are missing or held in the log; "
         + stamps_remedy(observed),
     )

@@ -4,7 +4,7 @@ An estimate is accepted with scatter where a group of residuals is larger than t
 a cause stands out (`tumble.diagnosis.causes`), or where biases or scale factors wander or drift beyond what is usual:
 by all tests together in less than one of a hundred clean sessions. It is not accepted where its uncertainty cannot be
 trusted: where a cause that stands out, being left out, moves a parameter of the linear model by more than DAMAGE of its
-u, for then the error is not random.
+u, for then the error is not random. Groups of parameters that it moves by less than SPARED are accepted all the same.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from tumble.diagnosis.causes import Cause, candidates_of, quantisation, tested
 from tumble.diagnosis.chances import SumOfSquares, standing_out
-from tumble.diagnosis.linearised_session import UNITS, WORDS, Concerns, Kind, LinearisedSession, sized
+from tumble.diagnosis.linearised_session import UNITS, WORDS, Kind, LinearisedSession, sized
 from tumble.diagnosis.lost_samples import (
     jittering,
     lost_in_all_turns,
@@ -46,28 +46,26 @@ BEYOND_USUAL = 3.0
 middle 68 %, is said; and so is the in-run bias of a sensor, beside those of its kind."""
 TURNS_MORE = 10.0
 """Times: turns that scatter by more than gyros at rest, in parts of their noise, do so for a cause of their own."""
-DAMAGE = 3.0
-"""Times u: a parameter that errs by more because a cause was left out."""
+DAMAGE, SPARED = 3.0, 0.5
+"""Times u: a parameter that errs by more because a cause was left out; and by what those of a group err at most that is
+accepted beside it, whose errors are of √(1 + SPARED²) u then, 1.12 u."""
 CONTAINED = "; u contains it"
 AT_RANDOM = f"{CONTAINED} as far as it is random"
 
-Said = tuple[Concerns, str]
+Said = tuple[tuple[str, ...], str]
+"""A sentence with the kinds of sensors or groups of parameters that it concerns, all where none is named."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Group:
-    """A group of residuals: its components of scatter, of which the first gives its size, which sensors it concerns,
+    """A group of residuals: the component of scatter that gives its size, those `beside` it, which sensors it concerns,
     words, and (SI, name) of a unit."""
 
-    components: tuple[str, ...]
+    name: str
+    beside: tuple[str, ...] = ()
     concerns: Kind
     words: str
     unit: tuple[float, str]
-
-    @property
-    def name(self) -> str:
-        """That of its first component."""
-        return self.components[0]
 
     def scatter(self, components: Components) -> float:
         """Its scatter, with that of the in-run bias."""
@@ -91,57 +89,71 @@ class Group:
         Z, of = noise.rest_directions if rests else noise.turn_directions
         W, (residual, covariance) = (weights.rest, after.rest) if rests else (weights.turn, after.turn)
         some = part.rests if rests else part.turns
-        along = Z[:, :, np.isin(of, [SCATTER.index(name) for name in self.components])]
+        along = Z[:, :, np.isin(of, [SCATTER.index(name) for name in (self.name, *self.beside)])]
         return SumOfSquares.along(W[some] @ along[some], residual[some], covariance[some]).chance
 
 
 GROUPS = (
-    Group(components=("accel",), concerns="accel", words="readings of the accelerometers at rest", unit=UNITS["accel"]),
-    Group(components=("gyro",), concerns="gyro", words="readings of the gyros at rest", unit=UNITS["gyro"]),
-    Group(components=("turn", "apart"), concerns="gyro", words="rotations of the turns", unit=(DEGREE, "°")),
-    Group(components=("velocity",), concerns="accel", words="velocities of the turns", unit=(1e-3, "mm/s")),
+    Group(name="accel", concerns="accel", words="readings of the accelerometers at rest", unit=UNITS["accel"]),
+    Group(name="gyro", concerns="gyro", words="readings of the gyros at rest", unit=UNITS["gyro"]),
+    Group(name="turn", beside=("apart",), concerns="gyro", words="rotations of the turns", unit=(DEGREE, "°")),
+    Group(name="velocity", concerns="accel", words="velocities of the turns", unit=(1e-3, "mm/s")),
 )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Misfit:
-    """Reasons and remarks with what they concern, and the names of the causes that stand out, the most likely first."""
+    """Reasons and remarks, and the names of the causes that stand out, the most likely first."""
 
     reasons: tuple[Said, ...] = ()
     remarks: tuple[Said, ...] = ()
     causes: tuple[str, ...] = ()
 
+    def each(self, before: str, without: tuple[str, ...] = ()) -> Misfit:
+        """The same with something said before each sentence, and nothing of `without` in it."""
+
+        def said(sentences: tuple[Said, ...]) -> Iterator[Said]:
+            for concerns, sentence in sentences:
+                for part in without:
+                    sentence = sentence.replace(part, "")
+                yield concerns, f"{before}{sentence}"
+
+        return replace(self, reasons=tuple(said(self.reasons)), remarks=tuple(said(self.remarks)))
+
 
 def misfit(estimate: Estimate) -> Misfit | None:
     """What the residuals of an estimate say, of several sessions each for itself; None where nothing keeps a likelihood
-    of it."""
+    of it. Of a method whose u has a scatter of its own the residuals are those about the joint estimate."""
     linearised = estimate.linearised
     if linearised is None:
         return None
     alone, whole = Remaining.of(linearised, Components()), Remaining.of(linearised, linearised.components)
-    session, parts = LinearisedSession(linearised), linearised.problem.parts
-    chances = [{group: group.chance(linearised, alone, part) for group in GROUPS} for part in parts]
+    session, together = LinearisedSession(linearised), linearised.problem.observations.together
+    chances = [{group: group.chance(linearised, alone, part) for group in GROUPS} for part in linearised.problem.parts]
     causes = _causes(session, alone, whole)
     limit = standing_out([p for by in chances for p in by.values()] + [c.probability for by in causes for c in by])
     wandering = list(_wandering(estimate, linearised))
     usual = {h.name.removesuffix("_in_run"): h.usual for h in estimate.hyperparameters}
-    known = {concerns for concerns, cause, _ in wandering if cause != "scale-factor drift"}
+    known = {group.partition(".")[0] for (group,), cause, _ in wandering if cause != "scale-factor drift"}
     every = [
         _of_session(linearised, *of_session, limit, usual, known)
         for of_session in zip(session.observed, chances, causes, strict=True)
     ]
-    together = linearised.problem.observations.together
-    of_all = every[0]
     if together is not None:
-        of_all = _of_all(
-            [(n, each) for n, each in zip(together.names, every, strict=True) if each.remarks or each.reasons]
-        )
+        named = zip(together.names, every, strict=True)
+        every = [found.each(f"{name}: ") for name, found in named if found.reasons or found.remarks]
+    remarks: list[Said] = [(concerns, remark) for concerns, _, remark in wandering]
+    remarks += (said for found in every[:MOST_SESSIONS] for said in found.remarks)
+    if len(every) > MOST_SESSIONS:
+        more = len(every) - MOST_SESSIONS
+        remarks.append(((), f"{more} more sessions scatter: calibrate them one by one to see by what"))
+    behind = [*(cause for found in every for cause in found.causes), *(cause for _, cause, _ in wandering)]
     joined = Misfit(
-        reasons=of_all.reasons,
-        remarks=tuple((concerns, remark) for concerns, _, remark in wandering) + of_all.remarks,
-        causes=tuple(dict.fromkeys((*of_all.causes, *(cause for _, cause, _ in wandering)))),
+        reasons=tuple(said for found in every for said in found.reasons),
+        remarks=tuple(remarks),
+        causes=tuple(dict.fromkeys(behind)),
     )
-    return joined if estimate.method == "joint" else _about_joint(joined)
+    return joined if estimate.method == "joint" else joined.each("by the method joint, ", (AT_RANDOM, CONTAINED))
 
 
 def _causes(session: LinearisedSession, alone: Remaining, whole: Remaining) -> list[list[Cause]]:
@@ -161,29 +173,6 @@ def _causes(session: LinearisedSession, alone: Remaining, whole: Remaining) -> l
     return by_session
 
 
-def _about_joint(found: Misfit) -> Misfit:
-    """What residuals about the joint estimate say of one by another method, whose u has a scatter of its own."""
-    bare = ((concerns, remark.replace(AT_RANDOM, "").replace(CONTAINED, "")) for concerns, remark in found.remarks)
-    return replace(
-        found,
-        reasons=tuple((concerns, f"by the method joint, {reason}") for concerns, reason in found.reasons),
-        remarks=tuple((concerns, f"by the method joint, {remark}") for concerns, remark in bare),
-    )
-
-
-def _of_all(sessions: list[tuple[str, Misfit]]) -> Misfit:
-    """What residuals of sessions say, each with its name: the first few, and how many more."""
-    more = len(sessions) - MOST_SESSIONS
-    remarks = [(concerns, f"{name}: {said}") for name, of in sessions[:MOST_SESSIONS] for concerns, said in of.remarks]
-    if more > 0:
-        remarks.append(("both", f"{more} more sessions scatter: calibrate them one by one to see by what"))
-    return Misfit(
-        reasons=tuple((concerns, f"{name}: {said}") for name, of in sessions for concerns, said in of.reasons),
-        remarks=tuple(remarks),
-        causes=tuple(dict.fromkeys(cause for _, of in sessions for cause in of.causes)),
-    )
-
-
 def _of_session(
     linearised: Linearised,
     observations: Observations,
@@ -191,50 +180,54 @@ def _of_session(
     causes: list[Cause],
     limit: float,
     usual: Mapping[str, float],
-    known: set[Concerns],
+    known: set[str],
 ) -> Misfit:
     """What the residuals of a session say, by the probabilities of its groups and of its causes, of which those up to a
     limit stand out. A scatter within what is `usual` of in-run biases is nothing to speak of, and that of the readings
     of some sensors is `known` by their in-run biases already."""
     components = linearised.components
-    larger = [g for g, p in chances.items() if p <= limit and g.scatter(components) > usual.get(g.name, 0.0)]
-    lost = [cause for cause in causes if cause.name == "lost samples" and cause.probability < NAMED_PROBABILITY]
-    first = lost if any(group.name == "turn" for group in larger) else []  # what they do looks like others
+    larger = {
+        group: group.scatter(components) / group.noise(observations)
+        for group, p in chances.items()
+        if p <= limit and group.scatter(components) > usual.get(group.name, 0.0)
+    }
+    ratios = {group.name: ratio for group, ratio in larger.items()}
+    lost = [cause for cause in causes if cause.name == "lost samples"]
+    first = [cause for cause in lost if cause.probability < NAMED_PROBABILITY and "turn" in ratios]  # looks like others
     named = first + [cause for cause in causes if cause.probability <= limit and cause not in first]
-    ratios = {group.name: group.scatter(components) / group.noise(observations) for group in larger}
-    if larger:
-        others = [cause for cause in causes if cause not in named]
-        named += _likely(others, ratios, {group.concerns for group in larger}, observations)
+    if larger:  # others that may be behind a scatter that is there
+        concerned = {"both", *(group.concerns for group in larger)}
+        likely = [cause for cause in causes if cause not in named and cause.concerns in concerned]
+        if ratios.get("turn", 0.0) > TURNS_MORE * ratios.get("gyro", 0.0):
+            # what makes turns scatter, and gyros at rest much less, is random itself: nothing systematic need fit it
+            sentence = "a device that moved after it was put down, or before it was taken up: wait until it lies still"
+            named.append(Cause(name="movement", concerns="gyro", probability=1.0, sentence=sentence))
+            untold = "or samples that are missing or held in the log, which these turns do not tell from movement: "
+            untold += stamps_remedy(observations)
+            named += (replace(cause, sentence=untold) for cause in likely if cause.name == "lost samples")
+        named += (cause for cause in likely if cause.probability < NAMED_PROBABILITY)
     named = named[:MOST_NAMED]
     harmful = [c for c in named if c.damage > DAMAGE and (c.probability <= limit or c in first)]
-    remarks: list[Said] = [(g.concerns, _larger(g, ratios[g.name], linearised)) for g in larger if g.name not in known]
-    remarks += [(cause.concerns, f"probable cause: {cause.sentence}") for cause in named if cause not in harmful]
+    remarks: list[Said] = [
+        ((group.concerns,), _larger(group, ratio, linearised))
+        for group, ratio in larger.items()
+        if group.name not in known
+    ]
+    remarks += [(cause.concerned, f"probable cause: {cause.sentence}") for cause in named if cause not in harmful]
     return Misfit(
-        reasons=tuple((cause.concerns, damaging(cause)) for cause in harmful),
+        reasons=tuple(damaging(cause) for cause in harmful),
         remarks=tuple(remarks),
         causes=tuple(cause.name for cause in named),
     )
 
 
-def _likely(
-    causes: list[Cause], ratios: Mapping[str, float], concerned: set[Kind], observations: Observations
-) -> list[Cause]:
-    """Causes, of those that do not stand out, for a scatter that is there, which is `ratios` times the noise. What
-    makes turns scatter and not, or much less, the gyros at rest is random itself, so that nothing systematic need fit
-    well: it comes first."""
-    likely = [c for c in causes if c.concerns in {*concerned, "both"}]
-    standing = [c for c in likely if c.probability < NAMED_PROBABILITY]
-    if ratios.get("turn", 0.0) <= TURNS_MORE * ratios.get("gyro", 0.0):
-        return standing
-    moved = Cause(
-        name="movement",
-        concerns="gyro",
-        probability=1.0,
-        sentence="a device that moved after it was put down, or before it was taken up: wait until it lies still",
-    )
-    untold = "or samples that are missing or held in the log, which these turns do not tell from movement: "
-    untold += stamps_remedy(observations)
-    return [moved, *(replace(c, sentence=untold) for c in likely if c.name == "lost samples"), *standing]
+def damaging(cause: Cause) -> Said:
+    """A cause that does harm, as a reason, with the groups of parameters that it does not spare, those of the sensors
+    at fault first."""
+    err = [group for group, damage in cause.by_group.items() if damage > SPARED]
+    err.sort(key=lambda group: not group.startswith(cause.concerned))
+    harm = f"without it parameters of {', '.join(err)} err by up to {cause.damage:.2g} times their u"
+    return tuple(err), f"{cause.sentence}; {harm}"
 
 
 def _larger(group: Group, ratio: float, linearised: Linearised) -> str:
@@ -259,15 +252,14 @@ def _larger(group: Group, ratio: float, linearised: Linearised) -> str:
     return f"{said}{AT_RANDOM}"
 
 
-def _wandering(estimate: Estimate, linearised: Linearised) -> Iterator[tuple[Concerns, str, str]]:
+def _wandering(estimate: Estimate, linearised: Linearised) -> Iterator[tuple[tuple[str], str, str]]:
     """What changes within the session far beyond what is usual, by the sizes that were estimated: drifts of biases and
-    of scale factors, in-run biases of kinds of sensors, and of single ones. What each concerns, the name of the cause,
-    and a remark."""
+    of scale factors, in-run biases of kinds of sensors, and of single ones. The group that each concerns, the name of
+    the cause, and a remark."""
     by_name, rests = {h.name: h for h in estimate.hyperparameters}, linearised.problem.observations.rests
     longest = max(float(rests.stop[p.rests].max() - rests.start[p.rests].min()) for p in linearised.problem.parts)
     for block in linearised.problem.instrument.blocks:
-        kind: Kind = "accel" if block.kind == "accel" else "gyro"
-        words, drifts = WORDS[kind], dict[str, bool]()
+        kind, words, drifts = block.kind, WORDS[block.kind], dict[str, bool]()
         for what, cause, drifting, unit in (
             ("bias", "drift", f"biases of the {words}", UNITS[kind]),
             ("scale", "scale-factor drift", f"scale factors of the {words}", (1e-6, "ppm")),
@@ -275,32 +267,32 @@ def _wandering(estimate: Estimate, linearised: Linearised) -> Iterator[tuple[Con
             name = f"{kind}.{what}.drift"
             drifts[what] = name in by_name and _beyond(by_name[name])
             if drifts[what]:
+                changed = sized(longest * _slope(name, linearised), unit)
                 yield (
-                    kind,
+                    (f"{kind}.{what}",),
                     cause,
-                    f"{drifting} drift by {sized(longest * _slope(name, linearised), unit)} over the session, those "
-                    f"given are of its middle{CONTAINED}; let the device warm up, or make the session shorter",
+                    f"{drifting} drift by {changed} over the session, those given are of its middle{CONTAINED}; let "
+                    "the device warm up, or make the session shorter",
                 )
-        size, lasting = by_name.get(f"{kind}_in_run"), by_name.get(f"{kind}_time")
+        size, lasting, bias = by_name.get(f"{kind}_in_run"), by_name.get(f"{kind}_time"), (f"{kind}.bias",)
         if size is None or lasting is None:
             continue
         of_kind = sized(size.value, UNITS[kind])
         if _beyond(size) and not drifts["bias"]:
             lasts = lasting.value > longest
-            yield (
-                kind,
-                "drift" if lasts else "in-run bias",
+            remark = (
                 f"biases of the {words} wander by {of_kind} in the session, where {sized(size.usual, UNITS[kind])} is "
                 "usual"
-                + (", and last longer than it: a drift, or warm-up after power-on; switch on earlier" if lasts else "")
-                + CONTAINED,
             )
+            if lasts:
+                remark += ", and last longer than it: a drift, or warm-up after power-on; switch on earlier"
+            yield bias, "drift" if lasts else "in-run bias", f"{remark}{CONTAINED}"
         for sensor in block.sensors:
             unlike = by_name.get(f"{kind}.in_run.{sensor}")
             if unlike is not None and _beyond(unlike):
                 alone = sized(unlike.value * size.value, UNITS[kind])
                 remark = f"{kind}.bias.{sensor} wanders by {alone}, those of the other {words} by {of_kind}{CONTAINED}"
-                yield kind, "wandering sensor", remark
+                yield bias, "wandering sensor", remark
 
 
 def _beyond(size: HyperparameterEstimate) -> bool:
@@ -316,8 +308,3 @@ def _slope(name: str, linearised: Linearised) -> float:
     assert problem.own is not None
     members, first = problem.own.members[name], problem.own.linear_count
     return float(np.abs(point.own[:, members.start - first : members.stop - first]).max())
-
-
-def damaging(cause: Cause) -> str:
-    """A cause that does harm, as a reason."""
-    return f"{cause.sentence}; without it parameters err by up to {cause.damage:.2g} times their u"

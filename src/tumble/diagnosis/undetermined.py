@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tumble.diagnosis.linearised_session import Concerns
 from tumble.diagnosis.observability import faces_and_edges, most_telling, standing
 from tumble.inference.estimate import SEEN, Estimate
 from tumble.inference.sources import common_covariances
@@ -38,23 +37,24 @@ def linear_names(names: Sequence[str]) -> tuple[str, ...]:
 
 def undetermined(
     estimate: Estimate, observations: Observations, missing: tuple[str, ...]
-) -> list[tuple[Concerns, str]]:
+) -> list[tuple[tuple[str, ...], str]]:
     """What the data do not determine, the parameters that are `missing`, and what they determine poorly of kinds of
-    sensors of which none is, and what would; with the sensors it concerns."""
-    said = list[tuple[Concerns, str]]()
+    sensors of which none is, and what would; with the groups of parameters it concerns."""
+    said = list[tuple[tuple[str, ...], str]]()
     if missing:
         helpful = _most_helpful(estimate, observations, estimate.null)
         unseen = f"not observable in this session: {listed(missing)}"
-        said.append((_concerned(missing), _and(one_attitude(observations), unseen, helpful)))
+        said.append((groups_of(missing), _and(one_attitude(observations), unseen, helpful)))
     combinations, known = _weak(estimate, observations, {sensor_kind(name) for name in missing})
     if len(known):
-        weak = "; ".join(
-            f"{_combination_said(each, estimate.names)} (known to {100.0 * u:.2g} % of its usual size)"
-            for each, u in zip(combinations, known, strict=True)
-        )
+        largest, weak = [_largest_of(combination) for combination in combinations], list[str]()
+        for combination, parts, u in zip(combinations, largest, known, strict=True):
+            sign = np.sign(combination[parts[0]])
+            terms = " ".join(f"{'+' if sign * combination[i] > 0 else '−'} {estimate.names[i]}" for i in parts)
+            weak.append(f"{terms.removeprefix('+ ')} (known to {100.0 * u:.2g} % of its usual size)")
         remedy = _most_helpful(estimate, observations, combinations)
-        concerned = _concerned([estimate.names[i] for each in combinations for i in _largest_of(each)])
-        said.append((concerned, _and(f"poorly observable in this session: {weak}", remedy)))
+        concerned = groups_of([estimate.names[i] for parts in largest for i in parts])
+        said.append((concerned, _and(f"poorly observable in this session: {'; '.join(weak)}", remedy)))
     return said
 
 
@@ -94,10 +94,9 @@ def _and(*parts: str) -> str:
     return "; ".join(part for part in parts if part)
 
 
-def _concerned(parameters: Sequence[str]) -> Concerns:
-    """The kind of sensor that all parameters are of, else both."""
-    kinds = {sensor_kind(name) for name in parameters}
-    return "accel" if kinds == {"accel"} else "gyro" if kinds == {"gyro"} else "both"
+def groups_of(parameters: Sequence[str]) -> tuple[str, ...]:
+    """The groups of parameters, each once."""
+    return tuple(dict.fromkeys(map(group_name, parameters)))
 
 
 def listed(names: Sequence[str]) -> str:
@@ -109,13 +108,17 @@ def listed(names: Sequence[str]) -> str:
 
 
 def _weak(estimate: Estimate, observations: Observations, without: set[str]) -> tuple[Array, Array]:
-    """Combinations (q, m) of the parameters of the linear model, in units of `_spreads`, that the data determine poorly
-    or not at all, the worst first, and how well they are known, in the same units; `without` those of some kinds of
-    sensors. Poorly is also where the square of the uncertainty of scale factors and angles is not small against what
-    the data resolve: u does not hold then, for effects of second order count."""
+    """Combinations (q, m) of the parameters of the linear model, in units of their spreads, that the data determine
+    poorly or not at all, the worst first, and how well they are known, in the same units; `without` those of some kinds
+    of sensors. Spreads are the limits of parameters, wider by √(n/3) for n sensors of a kind: a combination of unit
+    length of n sensors that err alike is then known as well as one of a triad whose three err by as much. Poorly is
+    also where the square of the uncertainty of scale factors and angles is not small against what the data resolve: u
+    does not hold then, for effects of second order count."""
     linear = linear_names(estimate.names)
     some = [i for i, name in enumerate(linear) if sensor_kind(name) not in without]
-    spread = _spreads(linear, observations)[some]
+    blocks = (observations.accel_block, observations.gyro_block)
+    wider: dict[str, float] = {block.kind: np.sqrt(block.size / 3.0) for block in blocks if block is not None}
+    spread = (limits_of(linear) * [wider[sensor_kind(name)] for name in linear])[some]
     # what is common to all rests no further rest would show
     relative = observations.site.gravity_u / observations.site.gravity  # by which scale factors are uncertain together
     common = [relative if group_name(name) == "accel.scale" else 0.0 for name in estimate.names]
@@ -129,14 +132,6 @@ def _weak(estimate: Estimate, observations: Observations, without: set[str]) -> 
     combinations = np.zeros((len(poor), len(linear)))
     combinations[:, some] = vectors[:, poor].T
     return combinations, np.sqrt(variance[poor])
-
-
-def _spreads(linear: Sequence[str], observations: Observations) -> Array:
-    """The limits of the parameters, wider by √(n/3) for n sensors of a kind: a combination of unit length of n sensors
-    that err alike is then known as well as one of a triad whose three err by as much."""
-    blocks = (observations.accel_block, observations.gyro_block)
-    wider: dict[str, float] = {block.kind: np.sqrt(block.size / 3.0) for block in blocks if block is not None}
-    return np.asarray(limits_of(linear) * [wider[sensor_kind(name)] for name in linear])
 
 
 def _resolution(estimate: Estimate, observations: Observations) -> float:
@@ -170,35 +165,24 @@ def _largest_of(combination: Array) -> list[int]:
     return [int(i) for i in order[:4] if abs(combination[i]) > 0.5 * abs(combination[order[0]])]
 
 
-def _combination_said(combination: Array, names: Sequence[str]) -> str:
-    """A combination (m,) of parameters in words, by its largest parts."""
-    largest = _largest_of(combination)
-    sign = np.sign(combination[largest[0]])
-    parts = [f"{'+' if sign * combination[i] > 0 else '−'} {names[i]}" for i in largest]
-    return " ".join(parts).removeprefix("+ ")
-
-
 def _most_helpful(estimate: Estimate, observations: Observations, unseen: Array) -> str:
     """The rests, or the turns, that together would say what the data do not determine, the most telling first; `unseen`
     (q, m) are combinations of parameters."""
     m = len(observations.accel_block.names)
-    null = unseen[:, :m]
-    if np.abs(null).max(initial=0.0) > SEEN:
+    if np.abs(unseen[:, :m]).max(initial=0.0) > SEEN:
         rests = {standing(u): _rest_rows(observations, u) for u in faces_and_edges()}
-        return _advice(estimate, "rests", *most_telling(null, rests))
-    turns = {
-        f"180° about {'XYZ'[axis]} from {'XYZ'[up]} up": _turn_rows(observations, axis, up)
-        for up in range(3)
-        for axis in range(3)
-    }
-    return _advice(estimate, "turns", *most_telling(unseen[:, m:], turns))
-
-
-def _advice(estimate: Estimate, what: str, names: list[str], left: int) -> str:
-    said = [f"{what} that would help, the most helpful first: {', '.join(names)}"] if names else []
-    if left:
-        said.append(f"the others no further {what} would show to the method {estimate.method}")
-    return "; ".join(said)
+        what, (helpful, others) = "rests", most_telling(unseen[:, :m], rests)
+    else:
+        turns = {
+            f"180° about {'XYZ'[axis]} from {'XYZ'[up]} up": _turn_rows(observations, axis, up)
+            for up in range(3)
+            for axis in range(3)
+        }
+        what, (helpful, others) = "turns", most_telling(unseen[:, m:], turns)
+    return _and(
+        f"{what} that would help, the most helpful first: {', '.join(helpful)}" if helpful else "",
+        f"the others no further {what} would show to the method {estimate.method}" if others else "",
+    )
 
 
 def _rest_rows(observations: Observations, vertical: Array) -> Array:

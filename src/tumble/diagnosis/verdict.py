@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
-from tumble.diagnosis.linearised_session import Concerns
-from tumble.diagnosis.misfit import Misfit, misfit
+from tumble.diagnosis.misfit import Misfit, Said, misfit
 from tumble.diagnosis.site_gravity import gravity_refused
 from tumble.diagnosis.undetermined import (
     as_six_faces_give,
@@ -21,7 +18,7 @@ from tumble.inference.integral import POOR
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.segmentation import Segmentation
 from tumble.sensors.parameters import sensor_kind
-from tumble.units import DEGREE, G_STANDARD, BoolArray
+from tumble.units import DEGREE, G_STANDARD
 
 SCATTER_LIMIT, TURN_SCATTER_LIMIT = 1e-3 * G_STANDARD, 1.0 * DEGREE
 """Of readings at rest by the methods that have one scatter and leave nothing out, and of turns by all."""
@@ -31,63 +28,58 @@ FEWEST_POINTS = 10.0
 """Effective points of the integral over the hyperparameters, below which u is as good as a few points say, where their
 weights are poor, too."""
 
-_Said = tuple[Concerns, str]
-_ORDER: tuple[Concerns, ...] = ("both", "accel", "gyro")
-
 
 def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed: bool = False) -> Outcome:
-    """Whether an estimate may be used, and its accelerometers and gyros each for itself."""
+    """Whether an estimate may be used, its accelerometers and gyros each for itself, and which groups of parameters
+    where these are not judged alike."""
     missing = linear_names(estimate.unobservable)
     faces = faces_alone(estimate, missing)
     first = [] if estimate.reasons or faces else undetermined(estimate, observations, missing)
-    judged = _judged(estimate, missing)
-    reasons: list[tuple[Concerns, str]] = [("both", reason) for reason in estimate.reasons]
+    reasons: list[Said] = [((), reason) for reason in estimate.reasons]
     if (faces or not missing) and not estimate.converged:
         said = "the estimate did not converge: the data contradict the model; look at the rests with `tumble inspect`"
-        reasons.append(("both", said))
+        reasons.append(((), said))
     if not gravity_confirmed:
-        reasons += (("accel", said) for said in gravity_refused(observations.site))
-    reasons += _scattering(estimate, observations)
+        reasons += ((("accel.scale",), said) for said in gravity_refused(observations.site))
+    rests, turns = estimate.fits.get("accelerometers"), estimate.fits.get("gyro turns")
+    if rests is not None and rests.scatter > SCATTER_LIMIT and estimate.left_out is None:
+        said = (
+            f"the rests scatter by {rests.scatter / G_STANDARD * 1e3:.2g} mg, more than 1 mg: the device moved at "
+            "rest, or the accelerometers do not follow the model"
+        )
+        reasons.append((("accel",), said))
+    if turns is not None and turns.scatter > TURN_SCATTER_LIMIT:
+        worst = observations.turn_named(int(np.argmax(estimate.turn_sigmas)))
+        said = (
+            f"the turns scatter by {turns.scatter / DEGREE:.2g}°, more than {TURN_SCATTER_LIMIT / DEGREE:.0f}°: look "
+            f"for damaged or lost samples of the gyros, first in {worst}"
+        )
+        reasons.append((("gyro",), said))
     spoilt, apart = _not_fitting(estimate, observations)
-    reasons += spoilt
-    reasons += judged.reasons
-    reasons = first + sorted(reasons, key=lambda reason: _ORDER.index(reason[0]))
-    remarks: list[tuple[Concerns, str]] = [("accel", said) for said in gravity_wanted(observations.site)]
+    judged = _judged(estimate, missing)
+    of_kinds = ((), ("accel",), ("gyro",))
+    in_order = sorted([*reasons, *spoilt, *judged.reasons], key=lambda reason: of_kinds.index(kinds_of(reason[0])))
+    reasons = [*first, *in_order]
+    remarks: list[Said] = [(("accel.scale",), said) for said in gravity_wanted(observations.site)]
     if faces:
-        remarks.append(("accel", as_six_faces_give(estimate, observations, missing)))
-    remarks += [*apart, *(("both", remark) for remark in estimate.remarks), *judged.remarks]
+        remarks.append((("accel",), as_six_faces_give(estimate, observations, missing)))
+    remarks += [*apart, *(((), remark) for remark in estimate.remarks), *judged.remarks]
     integral = estimate.integral
     if integral is not None and integral.pareto > POOR and integral.effective < FEWEST_POINTS:
         said = "u rests on a few points of the integral over what the model does not know of itself: it is a rough one"
-        remarks.append(("both", said))
-    of_accel, of_gyro = (
-        tuple(said for concerns, said in (*reasons, *remarks) if concerns == kind) for kind in ("accel", "gyro")
-    )
+        remarks.append(((), said))
     return Outcome(
         reasons=tuple(said for _, said in reasons),
         remarks=tuple(said for _, said in remarks),
         unobservable=missing,
-        of_accel=of_accel,
-        of_gyro=of_gyro,
+        concerns={said: concerns for concerns, said in (*reasons, *remarks) if concerns},
     )
 
 
-def _scattering(estimate: Estimate, observations: Observations) -> Iterator[_Said]:
-    """Accelerometers at rest and turns that scatter beyond anything a sensor does."""
-    rests, turns = estimate.fits.get("accelerometers"), estimate.fits.get("gyro turns")
-    if rests is not None and rests.scatter > SCATTER_LIMIT and estimate.left_out is None:
-        yield (
-            "accel",
-            f"the rests scatter by {rests.scatter / G_STANDARD * 1e3:.2g} mg, more than 1 mg: the device moved at "
-            "rest, or the accelerometers do not follow the model",
-        )
-    if turns is not None and turns.scatter > TURN_SCATTER_LIMIT:
-        worst = observations.turn_named(int(np.argmax(estimate.turn_sigmas)))
-        yield (
-            "gyro",
-            f"the turns scatter by {turns.scatter / DEGREE:.2g}°, more than {TURN_SCATTER_LIMIT / DEGREE:.0f}°: look "
-            f"for damaged or lost samples of the gyros, first in {worst}",
-        )
+def kinds_of(concerns: tuple[str, ...]) -> tuple[str, ...]:
+    """The kind of sensors that a sentence concerns, none where it concerns both."""
+    kinds = {sensor_kind(part) for part in concerns}
+    return tuple(kinds) if len(kinds) == 1 else ()
 
 
 def _judged(estimate: Estimate, missing: tuple[str, ...]) -> Misfit:
@@ -96,14 +88,16 @@ def _judged(estimate: Estimate, missing: tuple[str, ...]) -> Misfit:
     if not estimate.converged or (without and (estimate.gyro is None or len(without) > 1)):
         return Misfit()
     found = misfit(estimate) or Misfit()
+    if not without:
+        return found
     reasons, remarks = (
-        tuple(each for each in said if not without or each[0] not in ("both", *without))
-        for said in (found.reasons, found.remarks)
+        tuple(said for said in sentences if kinds_of(said[0]) and not without & {*kinds_of(said[0])})
+        for sentences in (found.reasons, found.remarks)
     )
     return Misfit(reasons=reasons, remarks=remarks, causes=found.causes)
 
 
-def _not_fitting(estimate: Estimate, observations: Observations) -> tuple[list[_Said], list[_Said]]:
+def _not_fitting(estimate: Estimate, observations: Observations) -> tuple[list[Said], list[Said]]:
     """What is said of rests and turns that do not fit, or that were left out because they do not: reasons, and
     remarks. A method that leaves out has them in no parameter, or fits them within its scatter; for one that does not
     they are reasons, and so they are where they are many."""
@@ -113,32 +107,33 @@ def _not_fitting(estimate: Estimate, observations: Observations) -> tuple[list[_
     if len(estimate.gyro_rest_sigmas):
         by_gyros = estimate.gyro_rest_sigmas == estimate.rest_sigmas
     accel, gyro, turn = (none, none, np.zeros(K, dtype=bool)) if out is None else (out.accel, out.gyro, out.turn)
-    reasons, remarks = list[_Said](), list[_Said]()
-    several: tuple[tuple[Concerns, str, BoolArray], ...]
-    several = ("accel", "rests", accel), ("gyro", "rests by their gyros", gyro), ("gyro", "turns", turn)
-    for kind, what, omitted in several:
+    many, said = list[Said](), list[Said]()
+    for kind, what, omitted in (
+        ("accel", "rests", accel),
+        ("gyro", "rests by their gyros", gyro),
+        ("gyro", "turns", turn),
+    ):
         if omitted.sum() > MOST_LEFT_OUT * len(omitted):
-            said = f"{omitted.sum()} of {len(omitted)} {what} do not fit, more than a third"
-            reasons.append((kind, f"{said}: the data contradict the model; look at the rests with `tumble inspect`"))
+            part = f"{omitted.sum()} of {len(omitted)} {what} do not fit, more than a third"
+            many.append(((kind,), f"{part}: the data contradict the model; look at the rests with `tumble inspect`"))
     for i in np.flatnonzero((estimate.rest_sigmas > FIT_SIGMAS) | accel | gyro):
         left = accel[i] or gyro[i]
         gyros = bool(gyro[i] and not accel[i]) if left else bool(by_gyros[i])
-        said = f"{observations.rest_named(int(i))} ({rests.start[i]:z.1f}–{rests.stop[i]:z.1f} s)"
-        said += " was left out" if left else " does not fit"
-        said += (" by its gyros" if gyros else "") + f": {_far(estimate.rest_sigmas[i], bool(left))}"
-        said += "" if gyros else f", residual {estimate.rest_residual[i]:.2g} m/s^2"
-        (reasons if out is None else remarks).append(("gyro" if gyros else "both", said))
-    judged = np.flatnonzero((estimate.turn_sigmas > FIT_SIGMAS) | turn) if len(estimate.turn_sigmas) else ()
-    for k in judged:
-        said = f"{observations.turn_named(int(k))} {'was left out' if turn[k] else 'does not fit'}: "
-        said += _far(estimate.turn_sigmas[k], bool(turn[k]))
-        (reasons if out is None else remarks).append(("gyro" if out is not None else "both", said))
-    return reasons, remarks
+        rest = f"{observations.rest_named(int(i))} ({rests.start[i]:z.1f}–{rests.stop[i]:z.1f} s)"
+        how = _misfit_said(estimate.rest_sigmas[i], bool(left), " by its gyros" if gyros else "")
+        how += "" if gyros else f", residual {estimate.rest_residual[i]:.2g} m/s^2"
+        said.append((("gyro",) if gyros else (), rest + how))
+    for k in np.flatnonzero((estimate.turn_sigmas > FIT_SIGMAS) | turn) if len(estimate.turn_sigmas) else ():
+        how = _misfit_said(estimate.turn_sigmas[k], bool(turn[k]))
+        said.append(((("gyro",) if out is not None else ()), observations.turn_named(int(k)) + how))
+    return (many + said, []) if out is None else (many, said)
 
 
-def _far(sigmas: float, left_out: bool) -> str:
-    """How far a rest or turn is from the fit."""
-    return f"{sigmas:.1f} sigma from what the others say" if left_out else f"{sigmas:.1f} sigma"
+def _misfit_said(sigmas: float, left_out: bool, by: str = "") -> str:
+    """That a rest or turn does not fit, or was left out, and how far it is from the fit."""
+    if left_out:
+        return f" was left out{by}: {sigmas:.1f} sigma from what the others say"
+    return f" does not fit{by}: {sigmas:.1f} sigma"
 
 
 def no_rests(segmentation: Segmentation) -> Outcome:

@@ -18,6 +18,7 @@ from tumble.inference.prediction import Prediction
 from tumble.inference.sources import UncertaintyBudget
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import SensorModel
+from tumble.sensors.parameters import LINEAR
 from tumble.units import Array, BoolArray
 
 if TYPE_CHECKING:
@@ -68,29 +69,39 @@ class Judgement:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Outcome(Judgement):
-    """Whether an estimate can be used, and if not, why. `reasons` and `remarks` are all there are; `of_accel` and
-    `of_gyro` those among them that concern the accelerometers or the gyros alone: good accelerometers are not lost to
-    bad gyros."""
+    """Whether an estimate can be used, and if not, why. `reasons` and `remarks` are all there are; those that do not
+    concern everything have in `concerns` the kinds of sensors ("gyro") or groups of parameters ("gyro.bias") that they
+    do: good accelerometers are not lost to bad gyros, and good scale factors not to bad biases. Of a verdict those at
+    fault come first."""
 
     unobservable: tuple[str, ...] = ()
-    of_accel: tuple[str, ...] = ()
-    of_gyro: tuple[str, ...] = ()
+    concerns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def accel(self) -> Judgement:
         """Whether the accelerometers can be used."""
-        return self._without(self.of_gyro)
+        return self.of("accel")
 
     @property
     def gyro(self) -> Judgement:
         """Whether the gyros can be used."""
-        return self._without(self.of_accel)
+        return self.of("gyro")
 
-    def _without(self, others: tuple[str, ...]) -> Judgement:
-        return Judgement(
-            reasons=tuple(reason for reason in self.reasons if reason not in others),
-            remarks=tuple(remark for remark in self.remarks if remark not in others),
-        )
+    def of(self, part: str) -> Judgement:
+        """Whether a kind of sensors or a group of their parameters can be used: a group is what its kind is where a
+        sentence concerns the kind, and a kind where one concerns a group of it."""
+
+        def concerned(sentence: str) -> bool:
+            parts = self.concerns.get(sentence, (part,))
+            return any(f"{part}.".startswith(f"{each}.") or each.startswith(f"{part}.") for each in parts)
+
+        return Judgement(reasons=tuple(filter(concerned, self.reasons)), remarks=tuple(filter(concerned, self.remarks)))
+
+    @property
+    def groups(self) -> dict[str, Judgement]:
+        """The groups of the linear model that are judged otherwise than their kind of sensors."""
+        judged = ((group.name, self.of(group.kind), self.of(group.name)) for group in LINEAR)
+        return {name: of_group for name, of_kind, of_group in judged if of_group != of_kind}
 
     def content(self) -> dict[str, Any]:
         """As the calibration file has it."""
@@ -102,20 +113,29 @@ class Outcome(Judgement):
             "unobservable": list(self.unobservable),
             "accel": self.accel.content(),
             "gyro": self.gyro.content(),
+            "groups": {name: judgement.content() for name, judgement in self.groups.items()},
         }
 
     @staticmethod
     def from_content(content: Mapping[str, Any]) -> Outcome:
         """The outcome of what `content` gave."""
-        accel, gyro = ({*content[kind]["reasons"], *content[kind]["remarks"]} for kind in ("accel", "gyro"))
-        remarks = tuple(content.get("remarks", ()))
-        said = (*content["reasons"], *remarks)
+        reasons, remarks, judged = content["reasons"], content.get("remarks", ()), content.get("groups", {})
+        concerns = dict[str, tuple[str, ...]]()
+        for sentence in (*reasons, *remarks):
+            by_kind = dict[str, list[str]]()
+            for group in LINEAR:
+                of_group = judged.get(group.name, content[group.kind])
+                if sentence in (*of_group["reasons"], *of_group["remarks"]):
+                    by_kind.setdefault(group.kind, []).append(group.name)
+            whole = {kind for kind, names in by_kind.items() if len(names) == len(LINEAR) / 2}
+            if whole != {"accel", "gyro"}:
+                parts = ([kind] if kind in whole else names for kind, names in by_kind.items())
+                concerns[sentence] = tuple(part for each in parts for part in each)
         return Outcome(
-            reasons=tuple(content["reasons"]),
-            remarks=remarks,
+            reasons=tuple(reasons),
+            remarks=tuple(remarks),
             unobservable=tuple(content.get("unobservable", ())),
-            of_accel=tuple(each for each in said if each not in gyro),
-            of_gyro=tuple(each for each in said if each not in accel),
+            concerns=concerns,
         )
 
 

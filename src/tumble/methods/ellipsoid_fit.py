@@ -34,7 +34,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from scipy.special import fdtri, ndtri, stdtr
@@ -67,6 +66,9 @@ MOST_BAD = 0.2
 RIVAL_CHANCE = 1e-3
 """Leaving out another position instead is as good an explanation where the variance of the others is then not larger by
 more than chance makes it in this part of all cases."""
+
+SHOWN = 1e-6
+"""Of the variance of a residual: one of which the fit leaves no more shows nothing."""
 
 _LEFT_OUT_EACH = 50
 """Up to so many positions, each is left out in turn to find a bad one."""
@@ -157,68 +159,45 @@ def fit_ellipsoid(
     task = _Task(
         readings=readings,
         modulus=modulus,
+        modulus_u=modulus_u,
         covariance=np.broadcast_to(noise + (FLOOR * modulus) ** 2 * np.eye(3), (len(readings), 3, 3)),
+        noisy=covariance is not None,
         block=block,
+        blocks=blocks,
     )
-    found = _fitted(task, np.ones(len(readings), dtype=bool))
-    worst = _worst_position(task, found) if blocks is None else None
-    while worst is not None and worst.sigmas > bad_sigmas and not worst.rivals:
-        if (~found.used).sum() + 1 > max(1, int(MOST_BAD * len(readings))):
-            break
-        used = found.used.copy()
-        used[worst.position] = False
+    used = np.ones(len(readings), dtype=bool)
+    while True:
         found = _fitted(task, used)
-        worst = _worst_position(task, found)
-    solution = found.solution
-    if solution is None:
+        worst = _worst_position(task, found, used) if blocks is None else None
+        bad = worst is not None and worst.sigmas > bad_sigmas
+        most = max(1, int(MOST_BAD * len(readings)))
+        if worst is None or not bad or worst.rivals or (~used).sum() + 1 > most:
+            break
+        used = used & (np.arange(len(readings)) != worst.position)
+    if found is None:
         reason = (
             f"the {len(readings)} readings do not lie on an ellipsoid, with whichever of them left out: look for "
             "exchanged channels, clipped readings or a vector whose length changed"
         )
         return Refusal(reason=reason, null=np.empty((0, 9)))
-    doubtful = (worst.position, *worst.rivals) if worst is not None and worst.sigmas > bad_sigmas else ()
-    out = found.sigmas
+    sigmas = found.sigmas
+    doubtful = (worst.position, *worst.rivals) if worst is not None and bad else ()
     if worst is not None:
-        out[list(doubtful)] = np.maximum(out[list(doubtful)], worst.sigmas)
-    noise_covariance, noise_degrees = solution.covariance, float(found.degrees) if found.scatter > 0.0 else np.inf
-    if blocks is not None:
-        noise_covariance, noise_degrees = _jackknife(found, blocks, task.spread), float(blocks.max())
-        modulus_u = float(np.hypot(modulus_u, found.scatter**2 / modulus))
-    by_modulus = -modulus_u * (solution.gain / found.sigma[found.used]).sum(axis=1)
-    return EllipsoidFit(
-        values=found.values,
-        covariance=None
-        if covariance is None and found.degrees == 0
-        else noise_covariance + np.outer(by_modulus, by_modulus),
-        by_modulus=by_modulus,
-        noise_degrees=noise_degrees,
-        model=block.model(found.values),
-        residual=found.residual,
-        leverage=np.where(found.used, found.leverage, 0.0),
-        leave_one_out=found.leave_one_out,
-        leave_one_out_u=found.leave_one_out_u,
-        sigmas=out,
-        used=found.used,
-        doubtful=doubtful,
-        chi_square=found.chi_square(found.scatter),
-        degrees=found.degrees,
-        scatter=found.scatter,
-        worst=worst,
-        increments=found.increments,
-        converged=solution.negligible(FLOOR * task.spread),
-    )
+        sigmas[list(doubtful)] = np.maximum(sigmas[list(doubtful)], worst.sigmas)
+    return replace(found, worst=worst, doubtful=doubtful)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Task:
+    """What is fitted, see `fit_ellipsoid`; `noisy` where the noise is known."""
+
     readings: Array
     modulus: float
+    modulus_u: float
     covariance: Array
+    noisy: bool
     block: Block
-
-    @property
-    def spread(self) -> Array:
-        return np.asarray(SPREAD * np.repeat([self.modulus, 1.0, 1.0], 3))
+    blocks: IntArray | None
 
     def start(self, used: BoolArray) -> Array | None:
         """Parameter values of the algebraic fit; None where there is none."""
@@ -227,128 +206,91 @@ class _Task:
             return None
         some = found.models(self.modulus)
         handed = np.diag([1.0, 1.0, np.sign(np.linalg.det(self.block.axes))])
-        own, _ = to_accelerometer_frame(
-            self.block, SensorModel(matrix=some.matrix[0] @ handed, bias=some.bias[0]), None
-        )
-        return np.asarray(self.block.parameters(own))
+        own = SensorModel(matrix=some.matrix[0] @ handed, bias=some.bias[0])
+        return np.asarray(self.block.parameters(to_accelerometer_frame(self.block, own, None)[0]))
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Fitted:
-    """Residuals |t| − m (N,) at `values`, minus their derivatives (N, 9), their variance from noise and what a unit
-    variance of scatter adds; the step that the `used` determine, None where they do not."""
-
-    values: Array
-    used: BoolArray
-    residual: Array
-    jacobian: Array
-    noise: Array
-    by_scatter: Array
-    scatter: float = 0.0
-    increments: tuple[Array, ...] = ()
-    solution: Solution | None = None
-
-    @staticmethod
-    def at(task: _Task, values: Array, used: BoolArray) -> _Fitted:
-        """Linearised about values."""
-        model = task.block.model(values)
-        true = model.apply(task.readings)
+    def linearised(self, values: Array) -> tuple[Array, Array, Array, Array]:
+        """Residuals |t| − m (N,) at parameter values, minus their derivatives (N, 9), their variance from noise and
+        what a unit variance of scatter adds to it."""
+        model = self.block.model(values)
+        true = model.apply(self.readings)
         length = np.linalg.norm(true, axis=1)
         normal = (true / length[:, None]) @ model.inverse()
         homogeneous = np.concatenate([true, np.ones((len(true), 1))], axis=1)
-        return _Fitted(
-            values=values,
-            used=used,
-            residual=length - task.modulus,
-            jacobian=np.einsum("ip,pqm,iq->im", normal, task.block.jacobian(values), homogeneous),
-            noise=np.einsum("ip,ipq,iq->i", normal, task.covariance, normal),
-            by_scatter=np.einsum("ip,ip->i", normal, normal),
-        )
-
-    def step(self, scatter: float, spread: Array) -> Solution:
-        sigma = np.sqrt(self.noise + scatter**2 * self.by_scatter)[self.used]
-        return least_squares(self.jacobian[self.used] / sigma[:, None], self.residual[self.used] / sigma, spread)
-
-    def chi_square(self, scatter: float) -> float:
-        variance = self.noise + scatter**2 * self.by_scatter
-        return float(np.sum(self.residual[self.used] ** 2 / variance[self.used]))
-
-    @property
-    def degrees(self) -> int:
-        return int(self.used.sum()) - 9
-
-    @cached_property
-    def sigma(self) -> Array:
-        """Standard deviations (N,) of the residuals, scatter included."""
-        return np.sqrt(self.noise + self.scatter**2 * self.by_scatter)
-
-    @cached_property
-    def leverage(self) -> Array:
-        """Variances (N,) of what the fit predicts, in parts of those of the residuals."""
-        assert self.solution is not None
-        whitened = self.jacobian / self.sigma[:, None]
-        return np.asarray(np.einsum("im,mn,in->i", whitened, self.solution.covariance, whitened))
-
-    @cached_property
-    def free(self) -> Array:
-        """The variance of a residual over that against the fit through all others; NaN of one that these do not
-        determine, which shows nothing."""
-        free = np.where(self.used, np.maximum(1.0 - self.leverage, 0.0), 1.0 / (1.0 + self.leverage))
-        return np.where(free > 1e-6, free, np.nan)
-
-    @property
-    def leave_one_out(self) -> Array:
-        """Residuals (N,) against the fit through all others."""
-        return np.where(self.used & np.isfinite(self.free), self.residual / self.free, self.residual)
-
-    @property
-    def leave_one_out_u(self) -> Array:
-        return np.asarray(self.sigma / np.sqrt(np.nan_to_num(self.free, nan=1.0)))
-
-    @property
-    def normalised(self) -> Array:
-        """How far each position (N,) is from the fit through all others, in standard uncertainties."""
-        return np.where(np.isnan(self.free), 0.0, np.abs(self.leave_one_out) / self.leave_one_out_u)
-
-    @property
-    def sigmas(self) -> Array:
-        """The same in Gaussian sigmas of equal probability."""
-        z, scaled = self.normalised, self.scatter > 0.0
-        out = np.where(self.used, sigmas(z, self.degrees, scaled), z)
-        if scaled:
-            out[~self.used] = -ndtri(np.maximum(stdtr(self.degrees, -z[~self.used]), 1e-300))
-        return out
+        jacobian = np.einsum("ip,pqm,iq->im", normal, self.block.jacobian(values), homogeneous)
+        noise = np.einsum("ip,ipq,iq->i", normal, self.covariance, normal)
+        return length - self.modulus, jacobian, noise, np.einsum("ip,ip->i", normal, normal)
 
 
-def _fitted(task: _Task, used: BoolArray) -> _Fitted:
-    """The geometric fit through the used readings with the scatter that explains its residuals; without a solution
-    where the algebraic fit finds no ellipsoid to start from, or where what it finds is not determined."""
-    start = task.start(used)
+def _fitted(task: _Task, used: BoolArray) -> EllipsoidFit | None:
+    """The geometric fit through the used readings with the scatter that explains its residuals; None where the
+    algebraic fit finds no ellipsoid to start from, or where what it finds is not determined."""
+    start, spread, degrees = task.start(used), SPREAD * np.repeat([task.modulus, 1.0, 1.0], 3), int(used.sum()) - 9
     if start is None:
-        return _Fitted.at(task, np.zeros(9), used)
+        return None
+
+    def step(values: Array, scatter: float) -> Solution:
+        residual, jacobian, noise, by_scatter = task.linearised(values)
+        sigma = np.sqrt(noise + scatter**2 * by_scatter)[used]
+        return least_squares(jacobian[used] / sigma[:, None], residual[used] / sigma, spread)
 
     def agreement_at(values: Array) -> tuple[Callable[[float], float], float, float]:
-        at = _Fitted.at(task, values, used)
-        return at.chi_square, at.degrees, float(np.sqrt(np.mean(at.residual[used] ** 2 / at.by_scatter[used])))
+        residual, _, noise, by_scatter = (each[used] for each in task.linearised(values))
+        size = float(np.sqrt(np.mean(residual**2 / by_scatter)))
+        return lambda scatter: float(np.sum(residual**2 / (noise + scatter**2 * by_scatter))), degrees, size
 
-    values, scatter, steps = with_scatter(
-        lambda at, scatter: _Fitted.at(task, at, used).step(scatter, task.spread),
-        agreement_at,
-        start,
-        task.spread,
-        FLOOR * task.spread,
+    values, scatter, steps = with_scatter(step, agreement_at, start, spread, FLOOR * spread)
+    solution, (residual, jacobian, noise, by_scatter) = step(values, scatter), task.linearised(values)
+    if len(solution.null):
+        return None
+    sigma = np.sqrt(noise + scatter**2 * by_scatter)
+    whitened = jacobian / sigma[:, None]
+    leverage = np.einsum("im,mn,in->i", whitened, solution.covariance, whitened)  # variance that the fit predicts
+    # the variance of a residual over that against the fit through all others; one that these do not determine shows
+    # nothing
+    free = np.where(used, np.maximum(1.0 - leverage, 0.0), 1.0 / (1.0 + leverage))
+    shown = free > SHOWN
+    free = np.where(shown, free, 1.0)
+    alone, alone_u = np.where(used, residual / free, residual), sigma / np.sqrt(free)
+    z = np.where(shown, np.abs(alone) / alone_u, 0.0)
+    out = np.where(used, sigmas(z, degrees, scatter > 0.0), z)
+    if scatter > 0.0:
+        out[~used] = -ndtri(np.maximum(stdtr(degrees, -z[~used]), 1e-300))
+    by_noise, noise_degrees, modulus_u = (
+        solution.covariance,
+        float(degrees) if scatter > 0.0 else np.inf,
+        task.modulus_u,
     )
-    found = _Fitted.at(task, values, used)
-    solution = found.step(scatter, task.spread)
-    determined = not len(solution.null)
-    return replace(found, scatter=scatter, increments=(start, *steps), solution=solution if determined else None)
+    if task.blocks is not None:
+        by_noise, noise_degrees = _jackknife(whitened, residual / sigma, task.blocks, spread), float(task.blocks.max())
+        modulus_u = float(np.hypot(modulus_u, scatter**2 / task.modulus))
+    by_modulus = -modulus_u * (solution.gain / sigma[used]).sum(axis=1)
+    return EllipsoidFit(
+        values=values,
+        covariance=by_noise + np.outer(by_modulus, by_modulus) if task.noisy or degrees else None,
+        by_modulus=by_modulus,
+        noise_degrees=noise_degrees,
+        model=task.block.model(values),
+        residual=residual,
+        leverage=np.where(used, leverage, 0.0),
+        leave_one_out=alone,
+        leave_one_out_u=alone_u,
+        sigmas=out,
+        used=used,
+        doubtful=(),
+        chi_square=agreement_at(values)[0](scatter),
+        degrees=degrees,
+        scatter=scatter,
+        worst=None,
+        increments=(start, *steps),
+        converged=solution.negligible(FLOOR * spread),
+    )
 
 
-def _jackknife(found: _Fitted, blocks: IntArray, spread: Array) -> Array:
+def _jackknife(whitened: Array, residual: Array, blocks: IntArray, spread: Array) -> Array:
     """Covariance (9, 9) of the module docstring, of samples judged by blocks."""
-    scaled, residual = found.jacobian / found.sigma[:, None] * spread, found.residual / found.sigma
-    normal, B = scaled.T @ scaled, int(blocks.max()) + 1
-    change = np.empty((B, scaled.shape[1]))
+    scaled, B = whitened * spread, int(blocks.max()) + 1
+    normal, change = scaled.T @ scaled, np.empty((B, scaled.shape[1]))
     for b in range(B):
         J = scaled[blocks == b]
         change[b] = -spread * np.linalg.solve(normal - J.T @ J, J.T @ residual[blocks == b])
@@ -356,28 +298,28 @@ def _jackknife(found: _Fitted, blocks: IntArray, spread: Array) -> Array:
     return np.asarray((B - 1.0) / B * away.T @ away)
 
 
-def _worst_position(task: _Task, found: _Fitted) -> WorstPosition | None:
+def _worst_position(task: _Task, found: EllipsoidFit | None, used: BoolArray) -> WorstPosition | None:
     """The worst of the used positions: that with the largest residual for its leverage, or, since a gross error bends
     the fit towards itself, that without which the algebraic fit through the others is best. None where nothing would
     check the fit through the others."""
-    used = found.used
     if used.sum() < 11:
         return None
     without, suspects = np.full(len(used), np.inf), set()
-    if found.solution is not None:
-        suspects.add(int(np.argmax(np.where(used, found.normalised, -1.0))))
-    if found.solution is None or used.sum() <= _LEFT_OUT_EACH:
+    if found is not None:
+        far = np.where(1.0 - found.leverage > SHOWN, np.abs(found.leave_one_out) / found.leave_one_out_u, 0.0)
+        suspects.add(int(np.argmax(np.where(used, far, -1.0))))
+    if found is None or used.sum() <= _LEFT_OUT_EACH:
         without[used] = _rms_without_each(task.readings[used])
         suspects |= {int(np.argmin(without))} if np.isfinite(without).any() else set()
     judged = []
     for i in suspects:
         others = used & (np.arange(len(used)) != i)
-        left = _fitted(task, others)
-        if left.solution is not None:
-            ratio = fdtri(left.degrees, left.degrees, 1.0 - RIVAL_CHANCE)
+        fit = _fitted(task, others)
+        if fit is not None:
+            ratio = fdtri(fit.degrees, fit.degrees, 1.0 - RIVAL_CHANCE)
             alike = np.isfinite(without) & others & (without**2 < ratio * without[i] ** 2)
             rivals = tuple(np.flatnonzero(alike).tolist())
-            judged.append(WorstPosition(position=i, sigmas=float(left.sigmas[i]), scatter=left.scatter, rivals=rivals))
+            judged.append(WorstPosition(position=i, sigmas=float(fit.sigmas[i]), scatter=fit.scatter, rivals=rivals))
     return max(judged, key=lambda each: each.sigmas, default=None)
 
 

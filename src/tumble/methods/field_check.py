@@ -115,12 +115,18 @@ class CheckResult:
 
 def field_check(observations: Observations, known: KnownBefore) -> CheckResult:
     """What a session says of a calibration, see the module's docstring."""
-    instrument, limits = known.instrument, limits_of(known.instrument.names)
+    instrument, limits, turns = known.instrument, limits_of(known.instrument.names), observations.turns
     free, others = list[int](), list[dict[int, float]]()  # the changed parameters, and what is as likely instead
-    problem, point, about = _started(observations, known)
+    start = dict(zip(instrument.names, known.values.tolist(), strict=True))
+    problem = Problem.of(replace(observations, start=start), Prior(covariance=known.covariance), instrument=instrument)
+    about = None if turns is None or not len(turns) else TurnsAbout.of(observations, instrument, known.values)
+    vertical = unit_vector(specific_force(instrument, known.values, observations.rests.accel))
+    attitudes = headings(problem, vertical, known.values, about)
+    point = Point(values=known.values, gravity=observations.site.gravity, attitudes=attitudes)
     first = None
     while True:
-        covariance = _freed(known.covariance, free, limits)
+        covariance, which = known.covariance.copy(), np.array(free, dtype=int)
+        covariance[1 + which, 1 + which] += limits[which] ** 2  # those set free, within their limits
         problem = replace(problem, prior=Prior(covariance=covariance))
         point, about, left = _iterated(problem, point, about, known.components)
         tests = _Tests.of(left, covariance, known.doubt)
@@ -132,7 +138,9 @@ def field_check(observations: Observations, known: KnownBefore) -> CheckResult:
         if not len(candidates) or abs(tests.t[worst]) <= limit or len(free) == MOST_CHANGES:
             break
         free.append(worst)
-        others.append(tests.as_likely(worst, candidates, limit))
+        least = np.sqrt(max(tests.t[worst] ** 2 - AS_LIKELY, limit**2))
+        near = [int(j) for j in candidates if j != worst and abs(tests.t[j]) > least]
+        others.append({j: float(tests.t[j] * tests.u[j]) for j in near})
     unfreed = _Tests.of(left, known.covariance, known.doubt)
     Q, R = np.linalg.qr(unfreed.G[:, free])  # the changes together, their u, and how much of |z|² they explain
     along, inverse = Q.T @ unfreed.z, np.linalg.inv(R)
@@ -163,28 +171,6 @@ def field_check(observations: Observations, known: KnownBefore) -> CheckResult:
         values=known.values + (PR @ np.linalg.solve(S, left.d))[1:],
         covariance=(covariance - PR @ np.linalg.solve(S, PR.T))[1:, 1:],
     )
-
-
-def _freed(covariance: Array, free: list[int], limits: Array) -> Array:
-    """The covariance with parameters set free within their limits."""
-    out, which = covariance.copy(), np.array(free, dtype=int)
-    out[1 + which, 1 + which] += limits[which] ** 2
-    return out
-
-
-# The likelihood about the solution
-
-
-def _started(observations: Observations, known: KnownBefore) -> tuple[Problem, Point, TurnsAbout | None]:
-    """The calibrated parameters, and attitudes by them."""
-    instrument, values = known.instrument, known.values
-    start = dict(zip(instrument.names, values.tolist(), strict=True))
-    problem = Problem.of(replace(observations, start=start), Prior(covariance=known.covariance), instrument=instrument)
-    vertical = unit_vector(specific_force(instrument, values, observations.rests.accel))
-    turns = observations.turns
-    about = None if turns is None or not len(turns) else TurnsAbout.of(observations, instrument, values)
-    attitudes = headings(problem, vertical, values, about)
-    return problem, Point(values=values, gravity=observations.site.gravity, attitudes=attitudes), about
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -224,9 +210,6 @@ def _iterated(
     return point, about, left
 
 
-# Tests
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Tests:
     """z (p,) and G (p, m) of Eq. (1), without the column of gravity; 1/ν (m,) of Eq. (3), and the tests t (m,) of
@@ -256,12 +239,6 @@ class _Tests:
         drawn = _normal(len(lower) + 1)
         wider = _student(drawn[:, -1:], self.inverse_degrees[candidates])
         return float(np.quantile((np.abs(drawn[:, :-1] @ lower) * wider).max(axis=1), 1.0 - CHANCE))
-
-    def as_likely(self, chosen: int, candidates: IntArray, limit: float) -> dict[int, float]:
-        """Changes of other parameters that explain nearly as much."""
-        least = np.sqrt(max(self.t[chosen] ** 2 - AS_LIKELY, limit**2))
-        near = [int(j) for j in candidates if j != chosen and abs(self.t[j]) > least]
-        return {j: float(self.t[j] * self.u[j]) for j in near}
 
 
 def _student(normal: Array, inverse_degrees: Array) -> Array:

@@ -56,19 +56,16 @@ def magnetometer(observations: Observations, unit: str) -> MagnetometerEstimate:
     if isinstance(found, Refusal):
         reason = f"magnetometer: {found.reason}; or leave [log.magnetometer] out"
         return MagnetometerEstimate(values=None, covariance=None, model=None, fits={}, reasons=(reason,), notes=())
-    reasons: tuple[str, ...] = ()
-    if found.scatter > SCATTER_LIMIT * field:
-        reasons = (
-            f"magnetometer: the rests scatter by {found.scatter:.3g} {unit}, more than {100 * SCATTER_LIMIT:g} % of "
-            "the field: the field is not the same in all of them; record away from steel, or leave "
-            "[log.magnetometer] out",
-        )
+    scattering = (
+        f"magnetometer: the rests scatter by {found.scatter:.3g} {unit}, more than {100 * SCATTER_LIMIT:g} % of "
+        "the field: the field is not the same in all of them; record away from steel, or leave [log.magnetometer] out"
+    )
     return MagnetometerEstimate(
         values=found.values,
         covariance=found.covariance,
         model=found.model,
         fits={"magnetometer": found.fit(unit)},
-        reasons=reasons,
+        reasons=(scattering,) if found.scatter > SCATTER_LIMIT * field else (),
         notes=_notes(found, observations, field, unit),
     )
 

@@ -15,7 +15,7 @@ Source: Li & Griffiths, Least squares ellipsoid specific fitting (GMP 2004), as 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -62,12 +62,8 @@ def fit_many(readings: Array) -> Ellipsoids:
     """The algebraic fit of U units at once, from their readings (U, N, 3) in N ≥ 9 positions, in any unit and with
     channels of any ranges."""
     parts = [_fit_some(readings[i : i + _UNITS_AT_ONCE]) for i in range(0, len(readings), _UNITS_AT_ONCE)]
-    return Ellipsoids(
-        centre=np.concatenate([p.centre for p in parts]),
-        shape=np.concatenate([p.shape for p in parts]),
-        found=np.concatenate([p.found for p in parts]),
-        determined=np.concatenate([p.determined for p in parts]),
-    )
+    joined = {each.name: np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Ellipsoids)}
+    return Ellipsoids(**joined)
 
 
 def _fit_some(readings: Array) -> Ellipsoids:

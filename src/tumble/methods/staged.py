@@ -24,7 +24,7 @@ have in common. Scatter between rests and of turns is estimated where the residu
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,7 +43,7 @@ from tumble.methods.least_squares import (
 from tumble.reduction.observations import Observations
 from tumble.reduction.turns.turns import Turns
 from tumble.rotation import onto_body, rotation_matrix, skew, tangent_basis, unit_vector
-from tumble.sensors.model import SensorModel, beyond_body
+from tumble.sensors.model import Block, SensorModel, beyond_body
 from tumble.sensors.parameters import limits_of, units_of
 from tumble.units import Array
 
@@ -69,28 +69,7 @@ def staged(observations: Observations) -> Estimate:
         fits={"accelerometers": accel.fit},
         converged=accel.solution.negligible(),
     )
-    if gyro_block is None:
-        return estimate
-    gyro, m, n = estimate_gyros(observations, accel), len(accel.values), len(gyro_block.names)
-    null = np.vstack([np.pad(estimate.null, ((0, 0), (0, n))), np.pad(gyro.solution.null, ((0, 0), (m, 0)))])
-    increments = [np.append(step, np.zeros(n)) for step in accel.increments]
-    increments += [np.append(np.zeros(m), step) for step in gyro.increments]
-    return replace(
-        estimate,
-        names=block.names + gyro_block.names,
-        units=units_of(block.names + gyro_block.names),
-        values=np.concatenate([accel.values, gyro.values]),
-        covariance=np.block([[accel.covariance, gyro.by_accel.T], [gyro.by_accel, gyro.solution.covariance]]),
-        observable=np.concatenate([estimate.observable, gyro.solution.observable]),
-        null=null,
-        gyro=gyro_block.model(gyro.values),
-        rest_sigmas=np.maximum(accel.sigmas, gyro.rest_sigmas),
-        turn_sigmas=gyro.turn_sigmas,
-        gyro_rest_sigmas=gyro.rest_sigmas,
-        increments=tuple(increments),
-        fits={"accelerometers": accel.fit, **gyro.fits},
-        converged=estimate.converged and gyro.solution.negligible(),
-    )
+    return estimate if gyro_block is None else _with_gyros(estimate, accel, observations, gyro_block)
 
 
 # ---- stage 1
@@ -202,16 +181,11 @@ def estimate_accelerometers(observations: Observations) -> Accelerometers:
 # ---- stage 2
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class GyroScatter:
-    """Scatter between rests (rad/s) and of turns (rad) on top of the noise within rests."""
-
-    rest: float = 0.0
-    turn: float = 0.0
-
-
-_GROUPS = {"rests": ("rest", "rad/s", 3), "turns": ("turn", "rad", 2)}
-"""Groups of rows: the scatter they judge, its unit, and how many rows a rest or a turn has."""
+GROUPS = {"rests": ("rad/s", 3), "turns": ("rad", 2)}
+"""Groups of rows: the unit of the scatter they judge, on top of the noise within rests, and how many rows a rest or a
+turn has."""
+Scatter = Mapping[str, float]
+"""That of each group."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -228,11 +202,11 @@ class GyroRows:
     with_accel: Array
     ends: tuple[int, int]
 
-    def covariance(self, scatter: GyroScatter) -> Array:
+    def covariance(self, scatter: Scatter) -> Array:
         """Covariance (r, r) at a scatter."""
-        return self.noise + scatter.rest**2 * self.by_rest_scatter + scatter.turn**2 * self.by_turn_scatter
+        return self.noise + scatter["rests"] ** 2 * self.by_rest_scatter + scatter["turns"] ** 2 * self.by_turn_scatter
 
-    def solved(self, scatter: GyroScatter, spread: Array) -> tuple[Solution, Array]:
+    def solved(self, scatter: Scatter, spread: Array) -> tuple[Solution, Array]:
         """The step, and the covariance (r, r) of the residuals left after it."""
         lower = np.linalg.cholesky(self.covariance(scatter))
         whitened = np.asarray(np.linalg.solve(lower, np.column_stack([self.jacobian, self.residual])), dtype=float)
@@ -240,7 +214,7 @@ class GyroRows:
         left = lower @ (np.eye(len(lower)) - whitened[:, :-1] @ solution.gain)
         return solution, left @ left.T
 
-    def residuals(self, name: str, scatter: GyroScatter, spread: Array) -> Residuals:
+    def residuals(self, name: str, scatter: Scatter, spread: Array) -> Residuals:
         """What a step leaves of the rows of a group at a scatter."""
         solution, left = self.solved(scatter, spread)
         group = slice(0, self.ends[0]) if name == "rests" else slice(*self.ends)
@@ -248,75 +222,65 @@ class GyroRows:
         return Residuals(residual=residual[group], variance=variance[group], left=left[group, group])
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Gyros:
-    """Stage 2: values and their solution, their covariance (m_gyro, m_accel) with the accelerometers', and what the
-    residuals say of rests and turns."""
-
-    values: Array
-    solution: Solution
-    by_accel: Array
-    fits: dict[str, Fit]
-    rest_sigmas: Array
-    turn_sigmas: Array
-    increments: tuple[Array, ...]
-
-
-def estimate_gyros(observations: Observations, accel: Accelerometers) -> Gyros:
-    """The gyros from rests and turns, with scatter of both where the residuals need it."""
-    block, turns = observations.gyro_block, observations.turns
-    assert block is not None
-    values, scatter, spread = observations.start_values(block), GyroScatter(), limits_of(block.names)
+def _with_gyros(estimate: Estimate, accel: Accelerometers, observations: Observations, block: Block) -> Estimate:
+    """Stage 2: the gyros from rests and turns, with scatter of both where the residuals need it, beside the estimate of
+    the accelerometers."""
+    turns, values, spread = observations.turns, observations.start_values(block), limits_of(block.names)
     values[: block.size] = np.median(observations.rests.gyro, axis=0)
-    increments: tuple[Array, ...] = (values,)
-    noises = {
-        "rests": observations.rests.gyro_covariance,
-        "turns": np.zeros((0, 3, 3)) if turns is None else turns.covariance,
-    }
+    scatter, increments = dict.fromkeys(GROUPS, 0.0), [values]
+    no_turns = np.zeros((0, 3, 3))
+    noises = observations.rests.gyro_covariance, no_turns if turns is None else turns.covariance
 
-    def rows_at(at: Array, scatter: GyroScatter) -> GyroRows:
+    def rows_at(at: Array, scatter: Scatter) -> GyroRows:
         return gyro_rows(observations, accel, observations.turns_about(block.model(at)), at, scatter)
+
+    def solution_at(at: Array) -> Solution:
+        return rows_at(at, scatter).solved(scatter, spread)[0]
 
     for again in range(3):
         if again:  # the scatter that explains the residuals of the rests, then that of the turns
             rows = rows_at(values, scatter)
-            for name, noise in noises.items():
-                of = _GROUPS[name][0]
+            for name, noise in zip(GROUPS, noises, strict=True):
 
-                def residuals_at(
-                    trial: float, rows: GyroRows = rows, name: str = name, of: str = of, others: GyroScatter = scatter
-                ) -> Residuals:
-                    return rows.residuals(name, replace(others, **{of: trial}), spread)
+                def residuals_at(trial: float, rows: GyroRows = rows, name: str = name) -> Residuals:
+                    return rows.residuals(name, {**scatter, name: trial}, spread)
 
                 size = float(np.sqrt(np.trace(noise, axis1=1, axis2=2).mean())) if len(noise) else 0.0
-                needed = getattr(scatter, of) > 0.0
-                scatter = replace(scatter, **{of: explaining(residuals_at, size, needed=needed)})
-
-        def solution_at(at: Array, scatter: GyroScatter = scatter) -> Solution:
-            return rows_at(at, scatter).solved(scatter, spread)[0]
-
+                scatter[name] = explaining(residuals_at, size, needed=scatter[name] > 0.0)
         values, steps = gauss_newton(solution_at, values, spread)
         increments += steps
     rows = rows_at(values, scatter)
     solution, _ = rows.solved(scatter, spread)
-    fits, outliers = {}, {}
-    for name, (of, unit, size) in _GROUPS.items():
-        residuals, found = rows.residuals(name, scatter, spread), getattr(scatter, of)
-        fits[f"gyro {name}"] = residuals.fit(found, unit)
-        outliers[name] = residuals.sigmas(size, scaled=found > 0.0)
-    return Gyros(
-        values=values,
-        solution=solution,
-        by_accel=solution.gain @ np.linalg.solve(np.linalg.cholesky(rows.covariance(scatter)), rows.with_accel),
-        fits=fits,
-        rest_sigmas=outliers["rests"],
-        turn_sigmas=outliers["turns"],
-        increments=increments,
+    by_accel = solution.gain @ np.linalg.solve(np.linalg.cholesky(rows.covariance(scatter)), rows.with_accel)
+    left = {name: rows.residuals(name, scatter, spread) for name in GROUPS}
+    rests, in_turns = (left[name].sigmas(size, scaled=scatter[name] > 0.0) for name, (_, size) in GROUPS.items())
+    m, n, names = len(accel.values), len(values), estimate.names + block.names
+    return replace(
+        estimate,
+        names=names,
+        units=units_of(names),
+        values=np.concatenate([accel.values, values]),
+        covariance=np.block([[accel.covariance, by_accel.T], [by_accel, solution.covariance]]),
+        observable=np.concatenate([estimate.observable, solution.observable]),
+        null=np.vstack([np.pad(estimate.null, ((0, 0), (0, n))), np.pad(solution.null, ((0, 0), (m, 0)))]),
+        gyro=block.model(values),
+        rest_sigmas=np.maximum(accel.sigmas, rests),
+        turn_sigmas=in_turns,
+        gyro_rest_sigmas=rests,
+        increments=(
+            *(np.append(step, np.zeros(n)) for step in accel.increments),
+            *(np.append(np.zeros(m), step) for step in increments),
+        ),
+        fits={
+            "accelerometers": accel.fit,
+            **{f"gyro {name}": left[name].fit(scatter[name], unit) for name, (unit, _) in GROUPS.items()},
+        },
+        converged=estimate.converged and solution.negligible(),
     )
 
 
 def gyro_rows(
-    observations: Observations, accel: Accelerometers, turns: Turns, values: Array, scatter: GyroScatter
+    observations: Observations, accel: Accelerometers, turns: Turns, values: Array, scatter: Scatter
 ) -> GyroRows:
     """Residuals with their first-order dependence on everything uncertain; `turns` integrated about `values`."""
     block, rests, site, u = observations.gyro_block, observations.rests, observations.site, accel.vertical
@@ -341,7 +305,7 @@ def gyro_rows(
     else:
         up_rate, variance = EARTH_RATE * np.sin(site.latitude), 0.5 * (EARTH_RATE * np.cos(site.latitude)) ** 2
         unseen = variance * horizontal
-    measured = 0.5 * np.einsum("iab,ibc,ica->i", horizontal, rate_covariance, horizontal) + scatter.rest**2
+    measured = 0.5 * np.einsum("iab,ibc,ica->i", horizontal, rate_covariance, horizontal) + scatter["rests"] ** 2
     known = (variance / (variance + measured))[:, None, None]
 
     # rests: Ω sin B û − ω along û, the dot-product invariant, and two horizontal axes

@@ -135,7 +135,8 @@ class _SensorOutcomeTable(_Table):
 
 
 class OutcomeTable(_Table):
-    """Whether the values can be used, and if not, why; of the accelerometers and the gyros too."""
+    """Whether the values can be used, and if not, why; of the accelerometers and the gyros too, and of the groups of
+    their parameters that are judged otherwise than they."""
 
     accepted: Any = None
     verdict: str | None = None
@@ -144,6 +145,7 @@ class OutcomeTable(_Table):
     unobservable: tuple[str, ...] = ()
     accel: _SensorOutcomeTable | None = None
     gyro: _SensorOutcomeTable | None = None
+    groups: dict[str, _SensorOutcomeTable] = {}
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -41,7 +41,6 @@ from tumble.run.observed import Progress, inspected, observations_for_calibratio
 from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.grades import guessed_grade
-from tumble.sensors.model import SensorKind
 from tumble.sensors.parameters import usual_sizes
 
 _LOG = logging.getLogger(__name__)
@@ -150,25 +149,13 @@ def calibrate(
     except InputError as error:  # a rest too many for the programme, such as a knocked one
         whole = Outcome(reasons=(str(error),))
     of_whole = f"with what was left out: {whole.verdict}" + (f": {'; '.join(whole.reasons)}" if whole.reasons else "")
-    chosen = [kind for kind in accepted_kinds(made) if not (whole.accel if kind == "accel" else whole.gyro).accepted]
+    outcome = made.outcome
+    chosen = tuple(kind for kind in accepted_kinds(made) if not whole.of(kind))
     if not chosen:
         return replace(made, notes=(*made.notes, of_whole))
     remark = f"accepted without what was left out only, a choice of which u contains nothing; {of_whole}"
-    return replace(made, outcome=_beside(made.outcome, remarks=(remark,), of=chosen))
-
-
-def _beside(
-    outcome: Outcome, *, reasons: tuple[str, ...] = (), remarks: tuple[str, ...] = (), of: Sequence[SensorKind]
-) -> Outcome:
-    """An outcome with further reasons and remarks, which concern these kinds of sensors."""
-    further = (*reasons, *remarks)
-    return replace(
-        outcome,
-        reasons=(*outcome.reasons, *reasons),
-        remarks=(*outcome.remarks, *remarks),
-        of_accel=outcome.of_accel if "gyro" in of else (*outcome.of_accel, *further),
-        of_gyro=outcome.of_gyro if "accel" in of else (*outcome.of_gyro, *further),
-    )
+    concerns = {**outcome.concerns, remark: chosen}
+    return replace(made, outcome=replace(outcome, remarks=(*outcome.remarks, remark), concerns=concerns))
 
 
 def _calibrated(
@@ -178,18 +165,34 @@ def _calibrated(
     systematic = systematic_of(session)
     with ThreadPoolExecutor(max_workers=1) as beside:
         observed = inspected(session, progress, beside)
-        taken = observations_for_calibration(observed)
+        taken = observations_for_calibration(observed, biases_jump=method == "joint")
         estimate = taken if isinstance(taken, Outcome) else estimated(session, taken, estimator, systematic, terms)
     provenance, bridged = provenance_of(observed.sha256), (*bridged_in(observed.gaps), *observed.segmentation.unused())
     if isinstance(estimate, Outcome):
         made = without_result(session, method, estimate, provenance, bridged)
     else:
         made = result_of(session, *estimate, systematic, frame, provenance, bridged)
+        faults = (*observed.gyro_faults, *observed.gyro_bias_faults)
+        at_fault = [made.outcome.concerns.get(reason, ("",))[0] for reason in made.outcome.accel.reasons]
+        by_gyros = bool(at_fault) and all(part.startswith("gyro") for part in at_fault)
+        if by_gyros and method == "joint" and not isinstance(taken, Outcome):  # the accelerometers are better off alone
+            alone = estimated(session, taken.of_accelerometers(), estimator, systematic, terms)
+            if not isinstance(alone, Outcome):
+                because = (f"{why}; the accelerometers are estimated alone" for why in made.outcome.gyro.reasons)
+                estimate, faults = alone, (*because, *faults)
+                made = result_of(session, *estimate, systematic, frame, provenance, bridged)
         made = replace(with_magnetometer(made, session, estimate[1]), sample_rate=observed.rate)
-        if observed.gyro_faults:  # the accelerometers were calibrated alone
-            outcome = _beside(made.outcome, reasons=observed.gyro_faults, of=("gyro",))
-            names = () if session.gyro_block is None else session.gyro_block.names
-            made = replace(made, outcome=replace(outcome, unobservable=(*outcome.unobservable, *names)))
+        if faults:
+            without = session.gyro_block is not None and estimate[0].gyro is None
+            concerns = {**made.outcome.concerns, **dict.fromkeys(faults, ("gyro",) if without else ("gyro.bias",))}
+            names = session.gyro_block.names if without and session.gyro_block is not None else ()
+            outcome = replace(
+                made.outcome,
+                reasons=(*made.outcome.reasons, *faults),
+                concerns=concerns,
+                unobservable=(*made.outcome.unobservable, *names),
+            )
+            made = replace(made, outcome=outcome)
     for sentence in (*made.notes, *made.outcome.remarks, *made.outcome.reasons):
         _LOG.info("%s: %s", session.name, sentence)
     return replace(made, circumstances=observed.circumstances)

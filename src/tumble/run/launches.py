@@ -266,12 +266,13 @@ def _mean_where_known(values: Sequence[float | None]) -> float | None:
 
 def _outcome(runs: Sequence[Run]) -> Outcome:
     """What is said of the sessions, each sentence with the name of its own."""
-    sentences: dict[str, tuple[str, ...]] = {
-        what: tuple(f"{run.name}: {each}" for run in runs for each in getattr(run.calibration.outcome, what))
-        for what in ("reasons", "remarks", "of_accel", "of_gyro")
-    }
-    unobservable = dict.fromkeys(name for run in runs for name in run.calibration.outcome.unobservable)
-    return Outcome(unobservable=tuple(unobservable), **sentences)
+    outcomes = [(run.name, run.calibration.outcome) for run in runs]
+    return Outcome(
+        reasons=tuple(f"{name}: {reason}" for name, outcome in outcomes for reason in outcome.reasons),
+        remarks=tuple(f"{name}: {remark}" for name, outcome in outcomes for remark in outcome.remarks),
+        unobservable=tuple(dict.fromkeys(missing for _, outcome in outcomes for missing in outcome.unobservable)),
+        concerns={f"{name}: {said}": on for name, outcome in outcomes for said, on in outcome.concerns.items()},
+    )
 
 
 def _groups(launches: Sequence[Calibration], parameters: Sequence[Parameter]) -> tuple[GroupFinding, ...]:

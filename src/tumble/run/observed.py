@@ -29,7 +29,14 @@ from tumble.reduction.blocks.reducer import Reduction, reduce_log
 from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.rests.blemishes import without_blemishes
-from tumble.reduction.rests.matching import Match, match_rests, without_rests, without_times, without_turns
+from tumble.reduction.rests.matching import (
+    Match,
+    match_rests,
+    without_jump,
+    without_rests,
+    without_times,
+    without_turns,
+)
 from tumble.reduction.rests.segmentation import RestSpan, Segmentation, find_rests
 from tumble.reduction.together import held, in_parts
 from tumble.reduction.turns.turns import torn_turns, without_unknown_turns
@@ -44,7 +51,8 @@ Progress = Callable[[Log], Iterable[Chunk]]
 class Observed(Brief):
     """What a session's log shows: the `digest` of its content, perhaps still on its way, the gaps that were bridged,
     the rests and turns that were found and rejected, and the observations of all of them (None where nothing rests);
-    `faults`, in sentences, are what is wrong with the recording, `gyro_faults` what spoils the gyros alone.
+    `faults`, in sentences, are what is wrong with the recording, `gyro_faults` what spoils the gyros alone, and
+    `gyro_bias_faults` what spoils nothing but their biases.
 
     `trial` are the observations, or, where no rest was found with the gyros, those of the rests that the accelerometers
     alone show: in a wrong unit every turn is too slow to be one."""
@@ -58,6 +66,7 @@ class Observed(Brief):
     trial: Observations | None
     faults: tuple[str, ...]
     gyro_faults: tuple[str, ...] = ()
+    gyro_bias_faults: tuple[str, ...] = ()
     recorded: str | None = None
     """When, ISO 8601, by the log's own times."""
 
@@ -123,9 +132,9 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
             trial = _observed(session, reduction, find_rests(reduction, session.accel_block, None).rests)
     if trial is not None and not faults:
         faults = sense_faults(trial, session, reduction.rate)
-    of_gyros = [] if faults else list(segmentation.jumped())
+    of_gyros = list[str]()
     if session.log.gyro is not None and not faults:
-        of_gyros += dead_zones(reduction, segmentation.rests, session.log.gyro)
+        of_gyros = dead_zones(reduction, segmentation.rests, session.log.gyro)
     return Observed(
         session=session,
         digest=digest,
@@ -136,6 +145,7 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
         trial=trial,
         faults=tuple(faults),
         gyro_faults=tuple(of_gyros),
+        gyro_bias_faults=() if faults else segmentation.jumped(),
         recorded=log.recorded,
     )
 
@@ -149,18 +159,21 @@ def _observed(session: Session, reduction: Reduction, rests: tuple[RestSpan, ...
     return observe(reduction, match, session.accel_block, session.gyro_block, session.site)
 
 
-def observations_for_calibration(observed: Observed) -> Observations | Outcome:
+def observations_for_calibration(observed: Observed, *, biases_jump: bool = False) -> Observations | Outcome:
     """The observations of the positions of a session's programme, or of all rests where it has none, without the gyros
-    where these are spoiled; or why there is nothing to calibrate with. Raises ProgrammeError for a recording that does
-    not go through the programme."""
+    where these are spoiled, as they are where their biases jump unless what is made of them can do with that; or why
+    there is nothing to calibrate with. Raises ProgrammeError for a recording that does not go through the programme."""
     matched, every = _matched(observed), observed.observations
     if isinstance(matched, Outcome):
         return matched
     reduction, match, torn = matched
+    if biases_jump and observed.gyro_bias_faults:
+        reduction = without_jump(reduction, match, observed.segmentation.jump, observed.session.gyro_block)
     if every is None or match.rests != observed.segmentation.rests or reduction is not observed.reduction:
         every = _observed_again(observed, reduction, match)
     every = replace(every, programme=match.programme, position=match.position, notes=(*every.notes, *torn))
-    return every.of_accelerometers() if observed.gyro_faults else every
+    spoiled = observed.gyro_faults or (observed.gyro_bias_faults and not biases_jump)
+    return every.of_accelerometers() if spoiled else every
 
 
 def observations_in_parts(observed: Observed) -> tuple[Observations, IntArray] | Outcome:
@@ -176,7 +189,8 @@ def observations_in_parts(observed: Observed) -> tuple[Observations, IntArray] |
 
 def _observed_again(observed: Observed, reduction: Reduction, match: Match) -> Observations:
     """The observations of other rests and turns."""
-    session, arrays = observed.session, None if observed.observations is None else observed.observations.arrays
+    session, before = observed.session, observed.observations
+    arrays = None if before is None or observed.gyro_bias_faults else before.arrays
     return observe(reduction, match, session.accel_block, session.gyro_block, session.site, arrays)
 
 

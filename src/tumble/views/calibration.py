@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tumble.diagnosis.site_gravity import gravity_said
+from tumble.result.accepted import accepted_groups
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import without_expanded
 from tumble.result.further import (
@@ -73,10 +74,11 @@ def calibration_blocks(
     all parameters, and tables of these; with `budget`, what every u is made of."""
     parameters = calibration.parameters if every else linear_parameters(calibration.parameters)
     several, passport = bool(calibration.launches), any(p.deviation is not None for p in parameters)
-    device = device_name(calibration.serial, calibration.model)
+    device, spared = device_name(calibration.serial, calibration.model), accepted_groups(calibration)
     blocks: list[Block] = [
         Text(text=f"device {device} · method {calibration.method} · frame {calibration.frame}"),
         *(Text(text=verdict) for verdict in verdicts(calibration)),
+        *([Text(text=f"accepted all the same: {', '.join(spared)}")] if spared else []),
         *(Text(text=f"remark: {remark}") for remark in calibration.outcome.remarks),
     ]
     if parameters:

@@ -119,5 +119,5 @@ def inspection_data(observed: Observed) -> Content:
             columns = turns.first, turns.last, turns.duration, turns.C
             shown["turns"] = rows("first last duration rotation", *columns)
         shown["notes"] = observations.notes
-    faults = [*observed.faults, *observed.gyro_faults]
+    faults = [*observed.faults, *observed.gyro_faults, *observed.gyro_bias_faults]
     return {"rate": observed.rate, **fields(segmentation, "scatter_limit rate_limit"), **shown, "faults": faults}

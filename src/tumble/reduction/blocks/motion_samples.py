@@ -8,6 +8,7 @@ import threading
 import weakref
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
+from copy import copy
 from io import BufferedRandom
 from itertools import pairwise
 
@@ -31,7 +32,15 @@ class MotionSamples:
         self._file: BufferedRandom | None = None
         self._parts: list[int] = [0]  # the first sample of each part of the file, and the first behind them
         self._lock = threading.Lock()
+        self._less: tuple[MotionSamples, int, Array] | None = None
         self.count = 0
+
+    def less(self, first: int, rate: Array) -> MotionSamples:
+        """The same samples, those from `first` on with so much (3,), rad/s, taken off their rates. Nothing is to be
+        added to them."""
+        out = copy(self)
+        out._less = self, first, rate
+        return out
 
     def append(self, rates: Array, forces: Array, dt: Array, spare: Array | None = None) -> None:
         """Add samples: mean rates (m, 3) and mean forces (m, 3) over intervals dt (m,), and what is `spare` (m, ·)."""
@@ -61,6 +70,11 @@ class MotionSamples:
 
     def read_with_spare(self, start: int, stop: int) -> tuple[Array, Array, Array, Array]:
         """The same, and what is spare (m, ·)."""
+        if self._less is not None:
+            whole, beyond, off = self._less
+            rates, *others = whole.read_with_spare(start, stop)
+            rates[max(beyond - start, 0) :] -= off
+            return rates, others[0], others[1], others[2]
         rows = np.empty((self._columns, stop - start)).T
         with self._lock:
             for first, end in pairwise(self._parts):

@@ -21,9 +21,10 @@ import numpy as np
 from tumble.errors import ProgrammeError, SessionError
 from tumble.programme.positions import Programme, from_attitudes, programme
 from tumble.recording.session import Exclusion, ProgrammeSpec, Session
-from tumble.reduction.blocks.reducer import BLOCK_SECONDS, Reduction
-from tumble.reduction.rests.segmentation import RestSpan, Segmentation, unrecorded
+from tumble.reduction.blocks.reducer import BLOCK_SECONDS, FileBlocks, Reduction
+from tumble.reduction.rests.segmentation import LevelJump, RestSpan, Segmentation, unrecorded
 from tumble.rotation import onto_body
+from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array, IntArray
 
 POSITION_LIMIT = 7.0 * DEGREE
@@ -291,6 +292,30 @@ def without_turns(reduction: Reduction, match: Match, excluded: tuple[Exclusion,
     ends = [match.rests[turn - 1 : turn + 1] for turn in turns]
     gaps = [unrecorded(before, after, 1, "left out", why="") for before, after in ends]  # `left_out` tells it
     return replace(reduction, gaps=(*reduction.gaps, *gaps)) if gaps else reduction
+
+
+def without_jump(reduction: Reduction, match: Match, jump: LevelJump | None, gyro: Block | None) -> Reduction:
+    """A reduction without the jump of the biases of the gyros: it is taken off all that follows, and the turn on whose
+    way they jump was not recorded."""
+    rests = match.rests
+    before = 0 if jump is None else sum((rest.file, rest.start) < (jump.file, jump.time) for rest in rests)
+    if jump is None or gyro is None or not 0 < before < len(rests):
+        return reduction
+    last, first = rests[before - 1 : before + 1]
+    step, files = gyro.axes @ jump.step, list[FileBlocks]()
+    for file in reduction.files:
+        own, since = file.gyro, first.first if file.file == first.file else 0
+        if file.file >= first.file:
+            later = np.arange(len(file))[:, None] >= since
+            tail = own.tail_total - own.tail_weight * step
+            own = replace(own, means=own.means - later * step, ends=own.ends - later * step, tail_total=tail)
+        files.append(replace(file, gyro=own))
+    samples, gaps = reduction.samples, reduction.gaps
+    if samples is not None:
+        samples = samples.less(reduction.by_file[first.file].sample_at(first.first), jump.step)
+    if last.file == first.file:
+        gaps = (*gaps, unrecorded(last, first, 1, "left out", why=""))
+    return replace(reduction, files=tuple(files), samples=samples, gaps=gaps)
 
 
 def without_rests(match: Match, excluded: tuple[Exclusion, ...]) -> Match:

@@ -97,14 +97,14 @@ class Rejected:
         return Rejected(file=f.file, start=start, stop=stop, fails=fails, reason=reason)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LevelJump:
-    """Where the first rest begins that has another level of the gyros, by a `size` in rad/s, than those before: its
-    file and the time, s."""
+    """Where the first rest begins that has another level of the gyros, by a `step` (3,) in rad/s, than those before:
+    its file and the time, s."""
 
     file: int
     time: float
-    size: float
+    step: Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -128,8 +128,9 @@ class Segmentation:
         before = 0 if jump is None else sum((r.file, r.start) < (jump.file, jump.time) for r in self.rests)
         if jump is None or not 0 < before < len(self.rests):
             return ()
+        size = float(np.linalg.norm(jump.step))
         return (
-            f"the level of the gyros at rest jumps by {jump.size / DEGREE:.2g} °/s between rest {before} (to "
+            f"the level of the gyros at rest jumps by {size / DEGREE:.2g} °/s between rest {before} (to "
             f"{self.rests[before - 1].stop:z.1f} s) and rest {before + 1} (from {self.rests[before].start:z.1f} s) and "
             "stays there: a driver that measured the bias anew, or another device; calibrate the "
             f"{before} rests before it and the {len(self.rests) - before} after it as launches of their own, each with "
@@ -251,8 +252,7 @@ class _Search:
             return whole
         time = dict(zip((f.file for f in self.files), goes_with[1], strict=True))
         after = next(r for r in whole.rests if float(time[r.file][(r.first + r.last) // 2]) > level.step_at)
-        jump = LevelJump(file=after.file, time=after.start, size=float(np.linalg.norm(level.step)))
-        return replace(whole, jump=jump)
+        return replace(whole, jump=LevelJump(file=after.file, time=after.start, step=level.step))
 
     def _still(
         self, rates: list[Array], calm: list[BoolArray], quiet: list[BoolArray]

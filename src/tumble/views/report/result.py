@@ -11,7 +11,7 @@ import numpy as np
 from tumble.acceptance.conformity import RESULTS, RULE, LimitJudgement, Verdict
 from tumble.acceptance.limits import Limits
 from tumble.errors import CalibrationError
-from tumble.result.accepted import WORDS, accepted_kinds
+from tumble.result.accepted import WORDS, accepted_groups, accepted_kinds
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import expanded
 from tumble.result.further import (
@@ -87,9 +87,10 @@ def result(
     the values as found before an adjustment, what the `scope` says of each parameter, and no causes of a scatter."""
     outcome = calibration.outcome
     tone: Tone
-    if not outcome.accepted and (usable := accepted_kinds(calibration)):
-        tone = "doubt"
-        verdict = f"The {' and '.join(WORDS[kind] for kind in usable)} alone: values of others must not be used."
+    usable = [*(WORDS[kind] for kind in accepted_kinds(calibration)), *accepted_groups(calibration)]
+    if not outcome.accepted and usable:
+        these = " and ".join(filter(None, (", ".join(usable[:-1]), usable[-1])))
+        tone, verdict = "doubt", f"The {these} alone: values of others must not be used."
     elif not outcome.accepted:
         tone, verdict = "bad", "Not accepted: these values must not be used."
     elif outcome.remarks:
