@@ -48,7 +48,10 @@ def departed(
     def tried(seed: int) -> Tried:
         observations, truth = session(setting, off, seed)
         observations = change(observations)
-        estimate = joint(observations)
+        try:
+            estimate = joint(observations)
+        except np.linalg.LinAlgError as error:
+            return Outcome(reasons=(str(error),)), {}
         seen = [i for i, name in enumerate(estimate.names) if name in truth and estimate.observable[i]]
         errors = {
             estimate.names[i]: (estimate.values[i] - truth[estimate.names[i]]) / float(estimate.u[i]) for i in seen
