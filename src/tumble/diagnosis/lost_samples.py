@@ -162,7 +162,8 @@ def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Remaining, u: 
     """Rotations of turns of session s that err about their own axis, with the angle, more than across it, where turns
     are to blame: samples that are missing or held. Both are scatter, so that what is compared is one with the other. A
     share p of samples that is lost by chance makes the variance p ω² Δt² a sample of what turns have lost, and scale
-    factors of the gyros that are less by p: the latter is no scatter, and is the damage."""
+    factors of the gyros that are less by p: the latter is no scatter, and is the damage; it goes into their axes too,
+    which the same turns tell."""
     about, observed, part = session.linearised.about, session.observed[s], session.problem.parts[s].turns
     assert about is not None
     axis = _turned_about(about, part)
@@ -181,7 +182,7 @@ def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Remaining, u: 
         name="lost samples",
         concerns="gyro",
         probability=along.chance_beside(across),
-        by_group={"gyro.scale": damage},
+        by_group={"gyro.scale": damage, "gyro.axis": damage},
         sentence="turns that err about their own axis, with their angle: samples are missing or held in the log; "
         + stamps_remedy(observed),
     )
