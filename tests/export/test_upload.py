@@ -162,7 +162,7 @@ def test_it_is_refused_before_anything_is_written(
     there = {name: value for name, value in given.items() if value is not None}
     with Peer(PX4, there, armed=armed) as peer:
         with pytest.raises(InputError, match=re.escape(words)):
-            upload(made, f"udp:{peer.port}", backup=tmp_path / "b.params", patience=PATIENCE / 10)
+            upload(made, f"udp:{peer.port}", backup=tmp_path / "b.params", patience=PATIENCE / 2)
         assert peer.values == there
     assert not (tmp_path / "b.params").exists()
 
@@ -186,7 +186,7 @@ def test_a_refused_write_is_taken_back_whole(tmp_path: Path) -> None:
         with pytest.raises(
             InputError, match=r"expected INS_GYROFFS_Y to become .*; all values are as they were before"
         ):
-            upload(made, f"udp:{peer.port}", backup=tmp_path / "b.parm", patience=PATIENCE / 10)
+            upload(made, f"udp:{peer.port}", backup=tmp_path / "b.parm", patience=PATIENCE / 2)
         assert peer.values == there
 
 
@@ -223,7 +223,7 @@ def test_an_interruption_leaves_nothing_half_written_unsaid(moment: int, tmp_pat
             if heard == after and how:
                 peer.alive = False
                 if how == 2:
-                    threading.Timer(16 * PATIENCE / 10, lambda: setattr(peer, "alive", True)).start()
+                    threading.Timer(14 * PATIENCE / 2, lambda: setattr(peer, "alive", True)).start()
             return value
 
         def stopped(_: Change) -> None:
@@ -233,7 +233,7 @@ def test_an_interruption_leaves_nothing_half_written_unsaid(moment: int, tmp_pat
         peer.hears = counted
         backup = tmp_path / "b.params"
         with pytest.raises(InputError) as error:
-            upload(made, f"udp:{peer.port}", backup=backup, progress=stopped, patience=PATIENCE / 10)
+            upload(made, f"udp:{peer.port}", backup=backup, progress=stopped, patience=PATIENCE / 2)
         assert backup.exists()
         changed = {name for name in there if peer.values[name] != there[name]}
         if "all values are as they were before" in str(error.value):

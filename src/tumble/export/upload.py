@@ -146,6 +146,7 @@ def _write(pilot: _Link, changes: Sequence[Change], backup: Path, progress: Call
                 pilot.write(change.name, change.before, even_if_armed=True)
             except (InputError, OSError):
                 new.append(change.name)
+                pilot.tries = 1  # the link is bad, or gone: the others are asked for once
         reason = str(error) or type(error).__name__
         if not isinstance(error, (InputError, OSError, KeyboardInterrupt)):
             raise
@@ -162,7 +163,7 @@ class _Link:
     def __init__(self, where: str, patience: float) -> None:
         with needs_extra("MAVLink", "bench", "pymavlink"):
             from pymavlink import mavutil
-        self.name, self.patience = where, patience
+        self.name, self.patience, self.tries = where, patience, TRIES
         kind, _, rest = where.partition(":")
         options: dict[str, int] = {}
         try:
@@ -213,9 +214,9 @@ class _Link:
         return message
 
     def _asked(self, name: str, ask: Callable[[], None], answers: Callable[[float], bool]) -> float | None:
-        """The value that the autopilot says of a parameter, asked until it is an answer, at most TRIES times."""
+        """The value that the autopilot says of a parameter, asked until it is an answer, at most `tries` times."""
         said = None
-        for _ in range(TRIES):
+        for _ in range(self.tries):
             ask()
             deadline = time.monotonic() + self.patience
             while (left := deadline - time.monotonic()) > 0.0:
