@@ -96,6 +96,15 @@ def upload(
     InputError
         Before anything is written: no autopilot answers, it is armed, lacks a parameter, or has other sensors; and
         after a set that could not be finished, saying which values it has.
+
+    Examples
+    --------
+    >>> import tumble
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
+    >>> made = tumble.calibrate(folder)
+    >>> tumble.upload(made, "udp:14999", backup="before.params", patience=0.01)
+    Traceback (most recent call last):
+    tumble.errors.InputError: udp:14999: expected the heartbeat of PX4 or ArduPilot, found none; is it connected?
     """
     calibration, path = calibration_from(calibration), Path(backup)
     if path.exists():
