@@ -46,12 +46,15 @@ from tumble.recording.session_file import write_session as write_session
 from tumble.reduction.noise.allan_deviation import allan_deviation as allan_deviation
 from tumble.reduction.observations import Observations as Observations
 from tumble.registry.adding import add_calibration as add_calibration
+from tumble.registry.datasheet import Datasheet as Datasheet
+from tumble.registry.datasheet import datasheet as datasheet
 from tumble.registry.due import Due as Due
 from tumble.registry.due import due as due
 from tumble.registry.monitor import Monitored as Monitored
 from tumble.registry.monitor import monitored as monitored
 from tumble.registry.records import records as records
 from tumble.registry.series import device_launches as device_launches
+from tumble.registry.series import device_type as device_type
 from tumble.registry.series import type_spread as type_spread
 from tumble.registry.store.connect import Registry as Registry
 from tumble.registry.store.connect import open_registry as open_registry
@@ -64,6 +67,7 @@ from tumble.result.parts import Parameter as Parameter
 from tumble.result.parts import RestResult as RestResult
 from tumble.result.parts import TurnResult as TurnResult
 from tumble.run.calibrate import calibrate as calibrate
+from tumble.run.device_type import DeviceType as DeviceType
 from tumble.run.from_readings import ReadingsCalibration as ReadingsCalibration
 from tumble.run.from_readings import calibrate_table as calibrate_table
 from tumble.run.launches import Run as Run

@@ -27,6 +27,7 @@ ANSWERS = {
     "damaged_inputs.py": "Does a damaged input end otherwise than it should? No.",
     "departures.py": "accepted without a word? Only what no turn of the session shows.",
     "faults.py": "Does a fault of the machine end otherwise than it should? No.",
+    "device_types.py": "Is a type of three units or more an honest prior? Yes",
     "field_check.py": "Does a check find these changes in 90 %, and in 1 % one that is none? Yes",
     "formulas_against_simulation.py": "Do the formulas predict the simulation? yes",
     "joint_bound.py": "Does the joint estimate reach the bound? yes",

@@ -16,6 +16,7 @@ from tumble.errors import InputError
 if TYPE_CHECKING:
     from tumble.drafting.new_session import Given
     from tumble.run.calibrate import Method, Terms
+    from tumble.run.device_type import DeviceType
     from tumble.run.type_spread import TypeSpread
     from tumble.sensors.frames import Frame
 
@@ -44,6 +45,11 @@ if TYPE_CHECKING:
 @ask.LATITUDE
 @ask.LOG
 @ask.known_launches("Several launches: their instability together with that of all devices of the type in a registry.")
+@ask.option(
+    "--registry/type_registry",
+    "A prior by other units of the device's type in this registry, instead of what is usual of its grade.",
+    metavar="FILE|URL",
+)
 @click.option("--budget", is_flag=True, help="Show what every u is made of, by source.")
 @ask.JSON
 @ask.EVERY
@@ -59,6 +65,7 @@ def calibrate(
     force: bool,
     truth: Path | None,
     known_launches: str | None,
+    type_registry: str | None,
     budget: bool,
     as_json: bool,
     every: bool,
@@ -90,6 +97,11 @@ def calibrate(
             "--known-launches: expected several launches, whose instability it is about, found another kind of "
             "calibration"
         )
+    if type_registry is not None and (len(sessions) > 1 or together or methods != ("joint",) or terms != "full"):
+        raise InputError(
+            "--registry: expected one session and the method joint with all terms, whose prior the type is, found "
+            "another kind of calibration"
+        )
     if without is not None and len(sessions) > 1:
         raise InputError("--without: expected one session, whose rests are numbered, found several; use [[exclude]]")
     if together and (list(methods) != ask.METHOD_NAMES[:1] or iterations is not None or terms != "full"):
@@ -107,7 +119,9 @@ def calibrate(
             results = [calibrate_together(described, frame=frame, progress=tell.with_progress)]
         else:
             alike = None if known_launches is None else _of_type(known_launches, described[0].device.model, frame)
+            of_type = None if type_registry is None else _type_of(type_registry, described[0].device.model)
             words: dict[str, Any] = {"iterations": iterations, "frame": frame, "terms": terms, "alike": alike}
+            words |= {"device_type": of_type}
             results = [
                 calibrate_launches(described, method=each, progress=tell.with_progress, **words) for each in methods
             ]
@@ -147,6 +161,20 @@ def _of_type(place: str, model: str | None, frame: Frame) -> TypeSpread:
 
         with open_registry(place) as opened:
             return type_spread(opened, model, frame)
+
+
+def _type_of(place: str, model: str | None) -> DeviceType:
+    """A type by its units in a registry."""
+    from tumble.registry.store.connect import extra_named
+
+    if model is None:
+        raise InputError("--registry: expected the type of the device, `model` under [device], found none")
+    with extra_named():
+        from tumble.registry.series import device_type
+        from tumble.registry.store.connect import open_registry
+
+        with open_registry(place) as opened:
+            return device_type(opened, model)
 
 
 @contextmanager

@@ -252,6 +252,25 @@ def due(day: datetime | None, as_json: bool, opened: Registry) -> None:
     tell.end([f"overdue: {', '.join(overdue)}"] if overdue else [])
 
 
+@_command("datasheet")
+@click.argument("model")
+@ask.out("File to write: .md, .html or .pdf; default: the terminal.")
+@ask.JSON
+def datasheet(model: str, out: Path | None, as_json: bool, opened: Registry) -> None:
+    """What the units of the type MODEL are like: min, typical, max and tolerance intervals of every parameter."""
+    from datetime import UTC, datetime
+
+    from tumble.registry.datasheet import datasheet as datasheet_of
+    from tumble.views.datasheet import datasheet_blocks, datasheet_data, write_datasheet
+
+    sheet = datasheet_of(opened, model)
+    if out is None:
+        tell.show(as_json, lambda: datasheet_data(sheet), lambda: datasheet_blocks(sheet))
+        return
+    write_datasheet(sheet, out, datetime.now(UTC).isoformat(timespec="seconds"))
+    tell.say(f"written to {out}")
+
+
 @_command("export")
 @ask.out("File to write; default: standard output.")
 def export(out: Path | None, opened: Registry) -> None:

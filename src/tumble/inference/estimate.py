@@ -277,6 +277,8 @@ class Estimate(Brief):
     """Of several sessions, what each has of its own."""
     hyperparameters: tuple[HyperparameterEstimate, ...] = ()
     """What the model did not know about itself."""
+    of_type: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviation, SI, of what other units of the type of the device say of parameters, by name."""
     integral: Integral | None = None
     """How that was integrated over."""
     process_bias: tuple[ProcessBias, ...] = ()

@@ -61,6 +61,7 @@ WORDS: Mapping[str, tuple[str, Evaluation]] = {
     "rounding": ("rounding of readings to steps", "B"),
     "clock": ("time base of the log", "B"),
     "lag": ("lag of the thermometer", "A"),
+    "type": ("what other units of the type are like", "B"),
     "case": ("placements on the faces of the case", "A"),
 }
 """Of every source: in words, and how its uncertainty is evaluated. Those of groups of parameters are `prior.GROUP`."""

@@ -24,6 +24,7 @@ from tumble.registry.types import Record, State
 from tumble.result.calibration import Calibration, calibration_of
 from tumble.result.coverage import by_gravity
 from tumble.result.shared_errors import by_priors, of_time_base
+from tumble.run.device_type import DeviceType, known_calibration
 from tumble.run.type_spread import KnownLaunches, TypeSpread, known_launches
 from tumble.use.compare import Comparison, compare_calibrations
 
@@ -162,6 +163,23 @@ def type_spread(registry: Registry, model: str, frame: str = "accelerometer") ->
     if not found:
         raise InputError(f"type {model!r}: expected calibrations of several launches in the registry, found none")
     return TypeSpread(model=model, frame=frame, known=found)
+
+
+def device_type(registry: Registry, model: str) -> DeviceType:
+    """What all calibrations of devices of a type that are in force say of their units; those in the frame of a case,
+    and those of which a type was a prior, are left out. For `tumble.calibrate`.
+
+    >>> import tumble
+    >>> with tumble.open_registry("registry.sqlite", create=True) as registry:
+    ...     tumble.device_type(registry, "BCHE-501").units
+    0
+    """
+    known = []
+    for record in records(registry):
+        if record.model == model and record.superseded_by is None:
+            with suppress(InputError):  # another frame
+                known.append(known_calibration(calibration_in(registry, record, "accelerometer")))
+    return DeviceType(model=model, known=tuple(each for each in known if each is not None))
 
 
 def device_launches(registry: Registry, serial: str, frame: str = "accelerometer") -> tuple[KnownLaunches, ...]:

@@ -35,7 +35,8 @@ from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.coverage import by_gravity
 from tumble.result.parts import Parameter
-from tumble.run.from_estimate import bridged_in, result_of, without_result
+from tumble.run.device_type import DeviceType, with_in_run, with_type
+from tumble.run.from_estimate import bridged_in, reference_of, result_of, without_result
 from tumble.run.magnetometer import with_magnetometer
 from tumble.run.observed import Progress, inspected, observations_for_calibration
 from tumble.sensors.frames import Convention, Frame
@@ -65,6 +66,7 @@ def calibrate(
     frame: Frame = ...,
     terms: Terms = ...,
     without: Iterable[int] = ...,
+    device_type: DeviceType | None = ...,
     progress: Progress = ...,
 ) -> Calibration: ...
 
@@ -102,14 +104,16 @@ def calibrate(
     frame: Frame = "accelerometer",
     terms: Terms = "full",
     without: Iterable[int] = (),
+    device_type: DeviceType | None = None,
     progress: Progress = Log.chunks,
     **readings: Any,
 ) -> Calibration:
     """Calibrate the device of a session: a `Session`, the path of its folder, or readings in SI as
     `session_of_arrays` takes them. `iterations` is for the methods that iterate as the paper does (default 2), `terms`
     for the methods joint and ellipsoid: `linear` leaves out what is not bias, scale factor or axis angle. The rests
-    `without`, by their numbers from 1 in the result with all, are left out beside those of [[exclude]]. The result is
-    given in `frame` (see `frames`). A recording that cannot be calibrated comes back with the reasons in its outcome;
+    `without`, by their numbers from 1 in the result with all, are left out beside those of [[exclude]]. With
+    `device_type`, as `tumble.device_type` has it of a registry, what other units of the type are like takes the place
+    of what is usual of the grade, for the method joint with all terms. The result is given in `frame` (see `frames`). A recording that cannot be calibrated comes back with the reasons in its outcome;
     unusable input raises an `InputError`.
 
     >>> import tumble
@@ -137,15 +141,18 @@ def calibrate(
             f"{iterations}; only {' and '.join(ITERATED_METHODS)} take a number"
         )
     estimator: Estimator = known[method] if iterations is None else partial(known[method], iterations=iterations)
+    if device_type is not None and (method != "joint" or terms != "full"):
+        raise InputError("device_type: expected the method joint with all terms, whose prior a type is, found another")
     Convention(frame=frame, block=given.accel_block)
     terms = terms if method in WITH_ALL_TERMS else "linear"
-    made = _calibrated(given, method, estimator, frame, terms, progress)
+    made = _calibrated(given, method, estimator, frame, terms, progress, device_type)
     if not given.excluded:
         return made
 
     # what is accepted without some rests only is a choice, and no u contains it: the outcome of all counts too
     try:
-        whole = _calibrated(replace(given, excluded=()), method, estimator, frame, terms, progress).outcome
+        every = replace(given, excluded=())
+        whole = _calibrated(every, method, estimator, frame, terms, progress, device_type).outcome
     except InputError as error:  # a rest too many for the programme, such as a knocked one
         whole = Outcome(reasons=(str(error),))
     of_whole = f"with what was left out: {whole.verdict}" + (f": {'; '.join(whole.reasons)}" if whole.reasons else "")
@@ -159,14 +166,22 @@ def calibrate(
 
 
 def _calibrated(
-    session: Session, method: str, estimator: Estimator, frame: Frame, terms: Terms, progress: Progress
+    session: Session,
+    method: str,
+    estimator: Estimator,
+    frame: Frame,
+    terms: Terms,
+    progress: Progress,
+    device_type: DeviceType | None,
 ) -> Calibration:
     """The calibration from what a session does not leave out."""
     systematic = systematic_of(session)
     with ThreadPoolExecutor(max_workers=1) as beside:
         observed = inspected(session, progress, beside)
         taken = observations_for_calibration(observed, biases_jump=method == "joint")
-        estimate = taken if isinstance(taken, Outcome) else estimated(session, taken, estimator, systematic, terms)
+        others = None if device_type is None else device_type.without(session.device.serial, {observed.sha256})
+        known = (estimator, systematic, terms, others)
+        estimate = taken if isinstance(taken, Outcome) else estimated(session, taken, *known)
     provenance, bridged = provenance_of(observed.sha256), (*bridged_in(observed.gaps), *observed.segmentation.unused())
     if isinstance(estimate, Outcome):
         made = without_result(session, method, estimate, provenance, bridged)
@@ -176,12 +191,14 @@ def _calibrated(
         at_fault = [made.outcome.concerns.get(reason, ("",))[0] for reason in made.outcome.accel.reasons]
         by_gyros = bool(at_fault) and all(part.startswith("gyro") for part in at_fault)
         if by_gyros and method == "joint" and not isinstance(taken, Outcome):  # the accelerometers are better off alone
-            alone = estimated(session, taken.of_accelerometers(), estimator, systematic, terms)
+            alone = estimated(session, taken.of_accelerometers(), *known)
             if not isinstance(alone, Outcome):
                 because = (f"{why}; the accelerometers are estimated alone" for why in made.outcome.gyro.reasons)
                 estimate, faults = alone, (*because, *faults)
                 made = result_of(session, *estimate, systematic, frame, provenance, bridged)
         made = replace(with_magnetometer(made, session, estimate[1]), sample_rate=observed.rate)
+        if others is not None and estimate[0].of_type:
+            made = replace(made, provenance={**made.provenance, "type": others.model})
         if faults:
             without = session.gyro_block is not None and estimate[0].gyro is None
             concerns = {**made.outcome.concerns, **dict.fromkeys(faults, ("gyro",) if without else ("gyro.bias",))}
@@ -243,11 +260,19 @@ def grade_of(session: Session, observations: Observations) -> tuple[str, str]:
 
 
 def estimated(
-    session: Session, observations: Observations, method: Estimator, start: Mapping[str, float], terms: Terms
+    session: Session,
+    observations: Observations,
+    method: Estimator,
+    start: Mapping[str, float],
+    terms: Terms,
+    device_type: DeviceType | None = None,
 ) -> tuple[Estimate, Observations] | Outcome:
-    """The estimate and what it was made from, or why there is none."""
+    """The estimate and what it was made from, or why there is none; with what the type of the device says, of which the
+    device itself is no part."""
     by_clock = clocked(session.log.time_base_u, session.log.increments)
     observations = with_grade(session, observations, terms)
+    if device_type is not None:
+        observations = with_in_run(observations, device_type)
     notes = observations.notes
     if session.log.clock_u is None and by_clock:
         notes += (
@@ -276,6 +301,9 @@ def estimated(
         elif estimate.method != "joint":
             estimate = judged(estimate, observations, observations)
             notes += taken_as_nothing(estimate)
+        elif device_type is not None:
+            estimate, said = with_type(estimate, observations, device_type, reference_of(observations))
+            notes += said
     except np.linalg.LinAlgError as error:
         broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
         return Outcome(reasons=(one_attitude(observations) or broken,))

@@ -139,14 +139,20 @@ def parameters_of(
 
 
 def learned_in(estimate: Estimate) -> dict[str, dict[str, float]]:
-    """Prior, as widened, and learned fraction of the parameters of groups beyond the linear model, by name."""
+    """Prior, as widened, and learned fraction of the parameters of groups beyond the linear model, by name, and of all
+    of which the type of the device says anything."""
+    u = dict(zip(estimate.names, estimate.u.tolist(), strict=True))
+    of_type = {
+        name: {"prior": s, "learned": min(max(1.0 - (u[name] / s) ** 2, 0.0), 1.0)}
+        for name, s in estimate.of_type.items()
+    }
     if estimate.instrument is None:
-        return {}
+        return of_type
     return {
         name: {"prior": group.prior * group.prior_widened, "learned": learned}
         for group in estimate.groups
         for name, learned in zip(estimate.names[estimate.instrument.members[group.name]], group.learned, strict=True)
-    }
+    } | of_type
 
 
 def reference_of(observations: Observations) -> float | None:

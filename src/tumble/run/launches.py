@@ -33,6 +33,7 @@ from tumble.result.parts import Launch, Parameter, learned_fraction
 from tumble.result.shared_errors import by_priors
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.calibrate import DEFAULT_METHOD, Method, Terms, calibrate, provenance_of
+from tumble.run.device_type import DeviceType
 from tumble.run.observed import Progress
 from tumble.run.type_spread import TypeSpread, pooled
 from tumble.sensors.frames import Convention, Frame, frame_of
@@ -65,9 +66,11 @@ def calibrate_launches(
     frame: Frame = "accelerometer",
     terms: Terms = "full",
     alike: TypeSpread | None = None,
+    device_type: DeviceType | None = None,
     progress: Progress = Log.chunks,
 ) -> Calibration:
-    """Calibrate a device from one session or several, its launches: see `calibrate` and `mean_of_launches`.
+    """Calibrate a device from one session or several, its launches: see `calibrate` and `mean_of_launches`. A
+    `device_type` is a prior of one session alone: in the mean of several it would count as often.
 
     >>> import tumble
     >>> request = tumble.Setup.of(grade="mems", positions=12)
@@ -77,9 +80,12 @@ def calibrate_launches(
     """
     if not sessions:
         raise InputError("sessions: expected at least one, found none")
+    if device_type is not None and len(sessions) > 1:
+        raise InputError(f"device_type: expected one session, of which it is a prior, found {len(sessions)}")
     runs = []
+    words: dict[str, Any] = {"iterations": iterations, "frame": frame, "terms": terms, "device_type": device_type}
     for session in map(session_from, sessions):
-        made = calibrate(session, method=method, iterations=iterations, frame=frame, terms=terms, progress=progress)
+        made = calibrate(session, method=method, progress=progress, **words)
         runs.append(Run(session=session, calibration=made))
     return mean_of_launches(runs, alike=alike) if len(runs) > 1 else runs[0].calibration
 
