@@ -113,7 +113,8 @@ def calibrate(
     for the methods joint and ellipsoid: `linear` leaves out what is not bias, scale factor or axis angle. The rests
     `without`, by their numbers from 1 in the result with all, are left out beside those of [[exclude]]. With
     `device_type`, as `tumble.device_type` has it of a registry, what other units of the type are like takes the place
-    of what is usual of the grade, for the method joint with all terms. The result is given in `frame` (see `frames`). A recording that cannot be calibrated comes back with the reasons in its outcome;
+    of what is usual of the grade, for the method joint with all terms. The result is given in `frame` (see `frames`).
+    A recording that cannot be calibrated comes back with the reasons in its outcome;
     unusable input raises an `InputError`.
 
     >>> import tumble
