@@ -65,7 +65,7 @@ def _cells(row: DatasheetRow, largest: float) -> dict[str, str]:
     size, unit = shown_in(row.name.replace(".in_run", ".bias.x"), row.unit, largest)
 
     def cell(value: float | None, digits: int = 3) -> str:
-        return "" if value is None else f"{value / size:.{digits}g}"
+        return "" if value is None else f"{float(f'{value / size:.{digits}g}'):.10g}"
 
     return {
         "parameter": row.name,
