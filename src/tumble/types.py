@@ -41,8 +41,8 @@ from tumble.recording.session import Site as Site
 from tumble.reduction.blocks.reducer import Reduction as Reduction
 from tumble.reduction.blocks.tuning import Tuning as Tuning
 from tumble.reduction.noise.allan_deviation import AllanDeviation as AllanDeviation
-from tumble.reduction.noise.allan_deviation import Panel as Panel
 from tumble.reduction.noise.rounding import Rounding as Rounding
+from tumble.reduction.noise.wavelet_moments import Panel as Panel
 from tumble.reduction.observations import Together as Together
 from tumble.reduction.rests.rests import Rests as Rests
 from tumble.reduction.rests.segmentation import Segmentation as Segmentation

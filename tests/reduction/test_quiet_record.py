@@ -14,7 +14,7 @@ from tumble.cli import main
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
-from tumble.reduction.noise.allan_deviation import Panel
+from tumble.reduction.noise.wavelet_moments import Panel
 from tumble.run.quiet_samples import longest_rest, noise_panels, whole_log
 from tumble.sensors.grades import GRADES
 from tumble.simulation.session import simulate_session
@@ -38,7 +38,7 @@ def test_the_longest_rest_is_the_first_of_a_hand_held_session(session: Path) -> 
 def test_the_noise_of_a_simulated_session_is_what_was_put_in(session: Path) -> None:
     white = GRADES["mems"].noise
     for panel, expected in zip(
-        noise_panels(longest_rest(read_session(session))), (white.accel_white, white.gyro_white), strict=True
+        noise_panels([longest_rest(read_session(session))]), (white.accel_white, white.gyro_white), strict=True
     ):
         for parameters in panel.parameters:
             found = parameters.white_noise
@@ -97,6 +97,6 @@ def test_a_log_without_gyros_has_one_panel(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     pl.DataFrame({name: rng.normal(size=4000) for name in "abc"}).write_parquet(tmp_path / "still.parquet")
     record = whole_log(tmp_path / "still.parquet", {"rate_hz": 50.0, "accel": {"columns": list("abc"), "unit": "g"}})
-    panels = noise_panels(record)
+    panels = noise_panels([record])
     assert [type(p) for p in panels] == [Panel]
     assert panels[0].title == "accelerometers"

@@ -64,17 +64,21 @@ def inspect(session: Path, picture: Path | None, as_json: bool) -> None:
 
 @click.command(
     epilog=ask.examples(
-        "tumble noise imu-7", "tumble noise still.csv --accel ax,ay,az --gyro gx,gy,gz --sample-rate 100"
+        "tumble noise imu-7",
+        "tumble noise still.csv --accel ax,ay,az --gyro gx,gy,gz --sample-rate 100",
+        "tumble noise monday tuesday wednesday --filters",
     )
 )
-@click.argument("recording", metavar="SESSION|LOG", type=ask.PATH)
+@click.argument("recordings", metavar="SESSION|LOG...", type=ask.PATH, nargs=-1, required=True)
+@click.option("--filters", is_flag=True, help="Values for Kalibr, VINS, robot_localization, ArduPilot and PX4, too.")
 @ask.option("--plot/picture", "Draw the Allan deviations into this .svg, .png or .pdf.", type=ask.FILE)
 @ask.LOG
 @ask.option("--accel-unit", "Of a LOG: unit of the accelerometers, as in session.toml.")
 @ask.option("--gyro-unit", "Of a LOG: unit of the gyros.")
 @ask.JSON
 def noise(
-    recording: Path,
+    recordings: tuple[Path, ...],
+    filters: bool,
     picture: Path | None,
     accel_unit: str | None,
     gyro_unit: str | None,
@@ -84,7 +88,7 @@ def noise(
     """Allan deviation: the noise of every sensor, from the longest rest of SESSION or from all of a LOG at rest.
 
     LOG is a log in any dialect: its columns, units and times are found as `tumble new` finds them, where no option says
-    them.
+    them. Several of one device, all sessions or all logs alike, are taken together.
     """
     from tempfile import TemporaryDirectory
 
@@ -92,24 +96,24 @@ def noise(
     from tumble.run.quiet_samples import is_session, noise
     from tumble.views.noise import noise_blocks, noise_data, plot
 
-    if is_session(recording):
-        found = noise(recording)
+    if all(map(is_session, recordings)):
+        found = noise(*recordings)
     else:
         with TemporaryDirectory() as folder:
             given = ask.given_of(options)
-            draft, _ = new_session(Path(folder) / "session", recording, given, progress=tell.with_progress)
+            draft, _ = new_session(Path(folder) / "session", recordings[0], given, progress=tell.with_progress)
             if draft.rate_guessed:
                 raise InputError(
-                    f"{recording}: expected a time column (--time) or the rate (--sample-rate), found neither"
+                    f"{recordings[0]}: expected a time column (--time) or the rate (--sample-rate), found neither"
                 )
             layout = dict(draft.content["log"])
             for kind, unit in (("accel", accel_unit), ("gyro", gyro_unit)):
                 if unit is not None:
                     layout[kind] = {"columns": layout.get(kind, {"columns": []})["columns"], "unit": unit}
-            found = noise(recording, layout)
+            found = noise(*recordings, layout=layout)
         for sentence in draft.said:
             tell.say(sentence)
     if picture is not None:
         plot(found.panels, picture)
         tell.say(f"written to {picture}")
-    tell.show(as_json, lambda: noise_data(found), lambda: noise_blocks(found.source, found.panels))
+    tell.show(as_json, lambda: noise_data(found), lambda: noise_blocks(found, filters=filters))

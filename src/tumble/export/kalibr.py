@@ -17,7 +17,7 @@ R_IMUtoACC = 1, which is the frame `accelerometer`: with M = L Q, L lower triang
 rotation, Ta = L of the accelerometers, and of the gyros seen in the frame Q of the accelerometers Tw = L, R_IMUtoGYRO =
 Q. Nothing of either matrix is lost. Kalibr calls them M and C_gyro_i.
 
-The noise densities are continuous-time, as `noise` has them: N, and K for the random walk of the bias.
+The noise densities are continuous-time, those that stand for the processes of `noise`: `filter_values`.
 
 Source: OpenVINS, documentation and VioManagerOptions; Kalibr, wiki "IMU noise model" and "Multi IMU and IMU intrinsic
 calibration"; Rehder et al., Extending Kalibr, ICRA 2016.
@@ -45,6 +45,7 @@ from tumble.export.exported import (
 )
 from tumble.export.larger_model import g_sensitivity, not_held, still
 from tumble.recording.session import Session
+from tumble.reduction.noise.filter_values import Densities, densities
 from tumble.result.accepted import WORDS
 from tumble.result.calibration import Calibration
 from tumble.result.parts import SensorsAtRest
@@ -69,16 +70,6 @@ def ros_imu_calib(calibration: Calibration) -> Exported:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Densities:
-    """White noise, SI/√Hz, and random walk of the bias, SI/s/√Hz, of one kind, the largest of its channels; what the
-    record did not show and was bounded by, in sentences."""
-
-    white: float
-    walk: float
-    bounds: tuple[str, ...]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class NoiseDensities:
     """Noise of both kinds of sensors, the sample rate, Hz, None where it is not known, and where it was seen."""
 
@@ -89,28 +80,14 @@ class NoiseDensities:
 
 
 def noise_densities(session: Session) -> NoiseDensities:
-    """The noise that the longest rest of a session shows, as `tumble noise` does: the largest of all channels; of one
-    that shows none, the largest that its Allan deviation allows, σ² ≥ N²/τ and σ² ≥ K² τ/3 everywhere. Raises
-    InputError without a rest or without gyros."""
+    """The noise that the longest rest of a session shows, as `tumble noise` does. Raises InputError without a rest or
+    without gyros."""
     record = longest_rest(session)
-    panels, densities = noise_panels(record), []
+    panels = noise_panels([record])
     if len(panels) != 2:
         raise InputError(f"{session.name}: expected accelerometers and gyros to take the noise from, found no gyros")
-    for panel, kind in zip(panels, WORDS.values(), strict=True):
-        tau, high = panel.deviation.tau[:, None], panel.deviation.high
-        largest, bounds = [], []
-        for term, coefficients, most in (
-            ("white noise", [p.white_noise for p in panel.parameters], (high * np.sqrt(tau)).min(axis=0)),
-            ("random walk", [p.rate_random_walk for p in panel.parameters], (high * np.sqrt(3.0 / tau)).min(axis=0)),
-        ):
-            largest.append(max(float(m) if c is None else c.value for c, m in zip(coefficients, most, strict=True)))
-            if None in coefficients:
-                bounds.append(
-                    f"{term} of the {kind}: not seen in every channel, so the largest that the record allows is "
-                    "written; record longer"
-                )
-        densities.append(Densities(white=largest[0], walk=largest[1], bounds=tuple(bounds)))
-    return NoiseDensities(accel=densities[0], gyro=densities[1], rate=record.rate, source=record.source)
+    accel, gyro = (densities(panel, record.rate) for panel in panels)
+    return NoiseDensities(accel=accel, gyro=gyro, rate=record.rate, source=record.source)
 
 
 DRIFT_OF_WALK = 1.2
@@ -120,7 +97,7 @@ DRIFT_OF_WALK = 1.2
 def noise_of_rests(calibration: Calibration) -> NoiseDensities:
     """The noise within the rests of a calibration: the median density, and the random walk that their drifts allow.
     Raises InputError for a calibration without rests or gyros."""
-    densities = []
+    found = []
     seconds = np.array([rest.stop - rest.start for rest in calibration.rests])
     for kind, words in WORDS.items():
         rests: list[SensorsAtRest | None] = [getattr(rest, kind) for rest in calibration.rests]
@@ -137,9 +114,9 @@ def noise_of_rests(calibration: Calibration) -> NoiseDensities:
             "hour at rest and give it with --noise"
         )
         walk = float(np.sqrt(walks.mean(axis=0).max()))
-        densities.append(Densities(white=float(white), walk=walk, bounds=(bound,)))
+        found.append(Densities(white=float(white), walk=walk, bounds=(bound,)))
     source = f"{len(calibration.rests)} rests of the calibration"
-    return NoiseDensities(accel=densities[0], gyro=densities[1], rate=calibration.sample_rate, source=source)
+    return NoiseDensities(accel=found[0], gyro=found[1], rate=calibration.sample_rate, source=source)
 
 
 def kalibr(calibration: Calibration, noise: NoiseDensities | None = None) -> Exported:

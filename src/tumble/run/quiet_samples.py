@@ -5,7 +5,7 @@ A log is read once: its samples are kept while it is reduced, in memory while th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
@@ -19,7 +19,8 @@ from tumble.files import FilePath
 from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.session import Session
 from tumble.recording.session_file import SESSION_FILE, session_from, session_of
-from tumble.reduction.noise.allan_deviation import Panel, allan_deviation, identify
+from tumble.reduction.noise.allan_deviation import allan_deviation, pooled
+from tumble.reduction.noise.wavelet_moments import Panel, identify
 from tumble.run.observed import Progress, inspect_session
 from tumble.units import Array
 
@@ -50,11 +51,12 @@ class RecordedNoise(Brief):
     source: str
 
 
-def noise(recording: Session | FilePath, layout: Mapping[str, Any] | None = None) -> RecordedNoise:
+def noise(*recordings: Session | FilePath, layout: Mapping[str, Any] | None = None) -> RecordedNoise:
     """The noise of every sensor from the longest rest of a session, a `Session` or the path of its folder; with
-    `layout`, the table [log] of session.toml less the file, from all of a log at rest.
+    `layout`, the table [log] of session.toml less the file, from all of a log at rest. Several recordings of one device
+    are taken together.
 
-    Raises InputError where nothing rests, and for a recording that cannot be read.
+    Raises InputError where nothing rests, for a recording that cannot be read, and for several of other sensors.
 
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=4), seed=3)
@@ -62,26 +64,34 @@ def noise(recording: Session | FilePath, layout: Mapping[str, Any] | None = None
     >>> found.source, [panel.title for panel in found.panels]
     ('the longest rest, 0.0–39.0 s', ['accelerometers', 'gyros'])
     """
+    records = [_record_of(recording, layout) for recording in recordings]
+    if not records:
+        raise InputError("noise: expected a recording, found none")
+    source = (
+        records[0].source if len(records) == 1 else f"{len(records)} records: " + "; ".join(r.source for r in records)
+    )
+    return RecordedNoise(panels=noise_panels(records), rate=records[0].rate, source=source)
+
+
+def _record_of(recording: Session | FilePath, layout: Mapping[str, Any] | None) -> QuietRecord:
     if isinstance(recording, Session) or is_session(Path(recording)):
-        record = longest_rest(session_from(recording))
-    elif layout is None:
+        return longest_rest(session_from(recording))
+    if layout is None:
         raise InputError(f"{recording}: expected a session, or `layout`, the table [log], with a log; found neither")
-    else:
-        record = whole_log(Path(recording), layout)
-    return RecordedNoise(panels=noise_panels(record), rate=record.rate, source=record.source)
+    return whole_log(Path(recording), layout)
 
 
-def noise_panels(record: QuietRecord) -> tuple[Panel, ...]:
-    """Allan deviation and noise coefficients of the accelerometers and of the gyros."""
+def noise_panels(records: Sequence[QuietRecord]) -> tuple[Panel, ...]:
+    """Allan deviation and noise processes of the accelerometers and of the gyros, by all records together."""
     panels = []
-    for title, unit, columns, samples in (
-        ("accelerometers", "m/s^2", record.accel_columns, record.accel),
-        ("gyros", "rad/s", record.gyro_columns, record.gyro),
-    ):
-        if samples.shape[1]:
-            deviation = allan_deviation(samples, record.rate)
-            parameters = tuple(identify(deviation))
-            panels.append(Panel(title=title, unit=unit, channels=columns, deviation=deviation, parameters=parameters))
+    for title, unit, kind in (("accelerometers", "m/s^2", "accel"), ("gyros", "rad/s", "gyro")):
+        samples = [getattr(record, kind) for record in records]
+        if samples[0].shape[1]:
+            every = [allan_deviation(s, record.rate) for s, record in zip(samples, records, strict=True)]
+            deviation, columns = pooled(every), getattr(records[0], f"{kind}_columns")
+            panels.append(
+                Panel(title=title, unit=unit, channels=columns, deviation=deviation, parameters=identify(deviation))
+            )
     return tuple(panels)
 
 

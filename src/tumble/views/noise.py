@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tumble.reduction.noise.allan_deviation import Panel, shown
-from tumble.units import engineering
-from tumble.views.blocks import Block, Text, table
+from tumble.reduction.noise.filter_values import filter_values
+from tumble.reduction.noise.wavelet_moments import LINEAR, MISFIT, Coefficient, NoiseParameters, Panel
+from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD, engineering, rounded
+from tumble.views.blocks import Block, Text, table, texts
 from tumble.views.render.data import Content, fields
 from tumble.views.render.pictures import write_picture
 
@@ -20,28 +22,104 @@ if TYPE_CHECKING:
 
     from tumble.run.quiet_samples import RecordedNoise
 
+CLOSE = 4.0
+"""A runner-up is named that is worse by less, in units of −2 ln of a likelihood."""
 _COLUMNS = ("sensor", "noise", "symbol", "value", "u (k=1)", "unit")
+_MICRO_G = 1e-6 * G_STANDARD
+_SHOWN = {
+    # symbol, then for "rad/s" and for "m/s^2" one of the shown unit in SI, and its name
+    "quantisation": ("Q", (ARCSEC, '"'), (1e-3, "mm/s")),
+    "white_noise": ("N", (DEGREE / 60.0, "°/√h"), (_MICRO_G, "µg/√Hz")),
+    "bias_instability": ("B", (DEGREE_PER_HOUR, "°/h"), (_MICRO_G, "µg")),
+    "rate_random_walk": ("K", (DEGREE_PER_HOUR / 60.0, "°/h/√h"), (_MICRO_G / 60.0, "µg/√h")),
+    "ramp": ("R", (DEGREE_PER_HOUR / 3600.0, "°/h/h"), (_MICRO_G / 3600.0, "µg/h")),
+    "Gauss–Markov noise": ("σ", (DEGREE_PER_HOUR, "°/h"), (_MICRO_G, "µg")),
+    "correlation time": ("T", (1.0, "s"), (1.0, "s")),
+}
 
 
-def noise_blocks(source: str, panels: Sequence[Panel]) -> list[Block]:
-    """Noise coefficients of every channel."""
-    rows = []
-    for panel in panels:
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Shown:
+    """A noise coefficient as it is shown: "N", "white noise", "0.0030", "0.0002", "°/√h"."""
+
+    symbol: str
+    name: str
+    value: str
+    u: str
+    unit: str
+
+
+def shown(parameters: NoiseParameters, unit: str) -> tuple[Shown, ...]:
+    """The coefficients a channel shows, rounded by their uncertainties, in the units of data sheets; `unit` is that of
+    the samples, "rad/s" or "m/s^2"."""
+    found: list[tuple[str, Coefficient | None]] = [(name, getattr(parameters, name)) for name in LINEAR]
+    for process in parameters.gauss_markov:
+        found += [("Gauss–Markov noise", process.sigma), ("correlation time", process.time)]
+    out = []
+    for name, coefficient in found:
+        if coefficient is not None:
+            symbol, gyro, accel = _SHOWN[name]
+            size, unit_name = gyro if unit == "rad/s" else accel
+            value, u = rounded(coefficient.value / size, coefficient.u / size)
+            out.append(Shown(symbol=symbol, name=name.replace("_", " "), value=value, u=u, unit=unit_name))
+    return tuple(out)
+
+
+def noise_blocks(noise: RecordedNoise, *, filters: bool = False) -> list[Block]:
+    """Noise coefficients of every channel and how sure its processes are; with `filters` the values that filters ask
+    for."""
+    rows: list[dict[str, str]] = []
+    for panel in noise.panels:
         for channel, parameters in zip(panel.channels, panel.parameters, strict=True):
             coefficients = [(c.name, c.symbol, c.value, c.u, c.unit) for c in shown(parameters, panel.unit)]
             for coefficient in coefficients or [("none that the record shows", "", "", "", "")]:
                 rows.append(dict(zip(_COLUMNS, (channel, *coefficient), strict=True)))
-    return [Text(text=source), table(rows, words=("sensor", "noise", "symbol", "unit"), columns=_COLUMNS)]
+    blocks: list[Block] = [
+        Text(text=noise.source),
+        table(rows, words=("sensor", "noise", "symbol", "unit"), columns=_COLUMNS),
+    ]
+    blocks += texts(_choices(noise))
+    if filters:
+        every = [
+            {
+                "filter": v.filter,
+                "parameter": v.parameter,
+                "at rest": f"{v.measured:.2g}",
+                "value": f"{v.value:.2g}",
+                "unit": v.unit,
+            }
+            for v in filter_values(noise.panels, noise.rate)
+        ]
+        blocks.append(table(every, words=("filter", "parameter", "unit")))
+        reasons: dict[str, list[str]] = {}
+        for v in filter_values(noise.panels, noise.rate):
+            reasons.setdefault(v.why, []).append(v.filter)
+        blocks += texts(f"{', '.join(dict.fromkeys(who))}: {why}." for why, who in reasons.items())
+    return blocks
+
+
+def _choices(noise: RecordedNoise) -> list[str]:
+    """Where another sum of processes is nearly as good, and where none fits."""
+    said = []
+    for panel in noise.panels:
+        for channel, p in zip(panel.channels, panel.parameters, strict=True):
+            if p.runner_up and p.margin < CLOSE:
+                said.append(f"{channel}: {p.runner_up} would do nearly as well; a longer record tells.")
+            if p.probability < MISFIT:
+                said.append(
+                    f"{channel}: no sum of processes fits (vibration, a filter?); u is enlarged by what is left."
+                )
+    return said
 
 
 def noise_data(noise: RecordedNoise) -> Content:
-    """Noise coefficients of every channel."""
+    """Noise coefficients of every channel, and the values for filters."""
     channels = [
         {"name": name, "unit": panel.unit, "noise": parameters}
         for panel in noise.panels
         for name, parameters in zip(panel.channels, panel.parameters, strict=True)
     ]
-    return fields(noise, "source rate") | {"channels": channels}
+    return fields(noise, "source rate") | {"channels": channels, "filters": filter_values(noise.panels, noise.rate)}
 
 
 def plot(panels: Sequence[Panel], path: Path) -> None:
