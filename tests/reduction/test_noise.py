@@ -187,7 +187,7 @@ def test_the_covariance_of_the_moments_is_that_of_simulated_records(kind: str) -
     and Gauss–Markov noise are sums of what happens between samples, so that their shortest clusters have 3 % more."""
     runs, n, rng, time = 3000, 1024, np.random.default_rng(14), 40.0
     white = rng.standard_normal((n, runs))
-    squares, times = np.zeros(5), ()
+    squares, times = np.zeros(5), tuple[float, ...]()
     if kind == "white":
         samples, squares[1] = white, 1.0
     elif kind == "walk":
