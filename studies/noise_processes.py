@@ -57,8 +57,8 @@ CASES = (
     case("N + σ, T 1 s + σ, T 60 s", (1.0, 1.0), (1.0, 60.0), N=0.3),
 )
 BEYOND = 2
-"""The last ones are beyond what such a record can tell: a random walk with u of 18 % beside a ramp, and a process of T in
-a record of 22 T."""
+"""The last ones are beyond what such a record can tell: a random walk with u of 18 % beside a ramp, and a process of T
+in a record of 22 T."""
 
 
 def records(of: Case, count: int, rng: np.random.Generator, samples: int = SAMPLES) -> Array:
