@@ -16,7 +16,7 @@ from tumble.use.trajectory import STEP
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Noise:
+class SensorNoise:
     """Of one kind of sensors the density (n,) of the white noise, unit/√Hz, and the standard deviation (n,) and the
     correlation time, s, of the in-run biases."""
 
@@ -25,7 +25,7 @@ class Noise:
     time: float
 
 
-def noise_of(given: Calibration, name: str | None) -> tuple[str, list[Noise], list[str]]:
+def noise_of(given: Calibration, name: str | None) -> tuple[str, list[SensorNoise], list[str]]:
     """The grade, that of this name or the nearest; the noise of accelerometers and gyros, as the rests and the process
     of the biases have it, or where the file has nothing of it as is usual; and remarks on what was taken so."""
     white, remarks = {}, []
@@ -55,7 +55,7 @@ def noise_of(given: Calibration, name: str | None) -> tuple[str, list[Noise], li
         if process:
             in_run[block.channels] = np.sqrt(np.maximum(process, 0.0))
         density = white.get(kind, np.full(block.size, densities[0]))
-        out.append(Noise(white=density, in_run=in_run, time=times.get(f"{kind}_time", usual.instability_time)))
+        out.append(SensorNoise(white=density, in_run=in_run, time=times.get(f"{kind}_time", usual.instability_time)))
     return name, out, remarks
 
 

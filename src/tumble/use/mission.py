@@ -44,7 +44,7 @@ from tumble.rotation import UP, left_inverse, rotation_matrix, rotation_vector, 
 from tumble.sensors.instrument import Instrument, functions, measured_by
 from tumble.sensors.parameters import THERMAL, group_name, group_of, within_kind
 from tumble.units import DEGREE, Array, IntArray
-from tumble.use.error_sources import Noise, calibrated, derivative, in_motion, noise_of
+from tumble.use.error_sources import SensorNoise, calibrated, derivative, in_motion, noise_of
 from tumble.use.trajectory import STEP, Trajectory, trajectory_of
 from tumble.usual_setup import HEIGHT, LATITUDE_DEG
 
@@ -227,7 +227,7 @@ def _propagated(
     instrument: Instrument,
     values: Array,
     D: Array,
-    noise: list[Noise],
+    noise: list[SensorNoise],
     levelled: bool,
     at: IntArray,
 ) -> tuple[Array, Array]:
