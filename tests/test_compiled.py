@@ -115,17 +115,44 @@ def test_sums_over_samples_are_those_of_python() -> None:
 @pytest.mark.parametrize("of_force", [True, False])
 def test_samples_are_solved_as_by_python_to_the_bit(of_force: bool) -> None:
     rng = np.random.default_rng(6)
-    readings, other = rng.standard_normal((150, 4)), rng.standard_normal((150, 3))
-    change = 0.1 * rng.standard_normal((150, 4)), 1.0 + 0.01 * rng.standard_normal((150, 4))
-    K, axes = 1e-2 * rng.standard_normal((4, 15)), rng.standard_normal((4, 3))
-    sensors = np.linalg.pinv(axes), axes, K
+    readings, other, celsius = (rng.standard_normal((150, columns)) for columns in (4, 3, 2))
+    sheet, own = 1e-2 * rng.standard_normal((4, fixed_point.WIDTH)), np.array([0, 1, 1, 0])
+    sheet[:, fixed_point.AXIS : fixed_point.AXIS + 3] = axes = rng.standard_normal((4, 3))
+    sheet[:, fixed_point.INVERSE : fixed_point.AXIS] = np.linalg.pinv(axes).T
     readings[5, 2] = np.nan
     found, expected = (
-        module.fixed_point(readings, change, other, sensors, 6, of_force=of_force)
+        module.fixed_point(readings, celsius, own, other, sheet, 6, of_force=of_force, feels=True)
         for module in (fixed_point, as_python("sensors/fixed_point"))
     )
     np.testing.assert_array_equal(found, expected)
     assert np.flatnonzero(np.isnan(found).any(axis=1)).tolist() == [5]
+
+
+def test_a_stream_is_corrected_as_by_python_to_the_bit() -> None:
+    """With lever arms, a lag, lost and late samples, in two blocks."""
+    rng = np.random.default_rng(7)
+    accel, gyro, celsius = rng.standard_normal((40, 3)), rng.standard_normal((40, 3)), rng.standard_normal((40, 2))
+    time, own = 0.01 * np.arange(40.0), np.array([0, 1, 1])
+    accel[5, 1], gyro[9, 2], celsius[3, 1], time[12], time[20:] = np.nan, np.nan, np.nan, 0.105, time[20:] + 0.5
+    sheets = [1e-2 * rng.standard_normal((3, fixed_point.WIDTH)) for _ in range(2)]
+    for sheet in sheets:
+        sheet[:, fixed_point.INVERSE : fixed_point.REFERENCE] += np.hstack([np.eye(3), np.eye(3)])
+    settings = np.array([0.01, 0.3, np.exp(-0.01 / 0.3), -1.0, 1.0, 1.0, 0.0, 0.035, 2.0, 3.0, np.nan])
+    found = []
+    for module in (fixed_point, as_python("sensors/fixed_point")):
+        rows, warmth = np.zeros((42, 2 + 9 + 2 + 9)), np.array([[0.0, np.nan]] * 2)
+        state = rows, warmth, np.array([-np.inf, 0.0, 0.0]), np.zeros((2, 3))
+        out, held, ready = (np.zeros((41, 2)), np.zeros((41, 3)), np.zeros((41, 3))), 0, 0
+        for some, last in ((slice(17), False), (slice(17, None), True)):
+            given, rest = (accel[some], gyro[some], time[some], celsius[some]), tuple(each[ready:] for each in out)
+            sensors = (*sheets, own, own, 6, 6, True)
+            more, held = module.advance(given, sensors, settings, state, held, rest, moved=True, last=last)
+            ready += more
+        found.append([*out, warmth, state[2], np.array([ready])])
+    for ours, theirs in zip(*found, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert found[0][-1] == 39
+    assert np.isfinite(found[0][2][:39]).all(axis=1).sum() == 37
 
 
 @pytest.mark.parametrize("loops", compiled.LOOPS)

@@ -13,7 +13,6 @@ from tests.support.calibrated import HEXAD, calibration, session_of
 from tumble.errors import InputError
 from tumble.inference.estimate import GroupFinding
 from tumble.result.calibration import Calibration
-from tumble.result.correction import angular_acceleration
 from tumble.result.parts import Parameter
 from tumble.sensors.instrument import Instrument, readings
 from tumble.sensors.model import Block
@@ -177,14 +176,6 @@ def test_lever_arms_are_undone_in_a_log_with_rates_whatever_its_pieces(tmp_path:
     assert np.abs(alone - force)[inside].max() > 0.05
     assert np.abs(found - force)[inside].max() < 1e-4
     assert "accelerometers are moved" in applied(made, folder)[0]
-
-
-def test_the_angular_acceleration_is_not_known_across_a_gap() -> None:
-    time = np.array([0.0, 0.01, 0.02, 0.07, 0.08, 0.09])
-    rate = np.outer(time, [1.0, 2.0, 3.0])
-    found = angular_acceleration(rate, time, 0.01)
-    np.testing.assert_allclose(found[[0, 1, 4, 5]], [[1.0, 2.0, 3.0]] * 4)
-    assert np.isnan(found[[2, 3]]).all()
 
 
 @pytest.mark.parametrize(("unit", "zero"), [("degC", 0.0), ("K", 273.15)])

@@ -205,8 +205,13 @@ def check_kinds(given: Mapping[str, npt.ArrayLike], kinds: Iterable[str]) -> Non
         )
 
 
+def check_kelvin(kelvin: Array) -> None:
+    """Raises InputError for temperatures that look like degrees Celsius."""
+    if kelvin.size and kelvin.min() < _COLDEST:
+        raise InputError(f"temperature: expected kelvin, found {kelvin.min():.4g}; add 273.15 to degrees Celsius")
+
+
 def celsius_of(kelvin: Array) -> Array:
     """Temperatures in °C of those in K. Raises InputError where they look like degrees Celsius."""
-    if kelvin.min() < _COLDEST:
-        raise InputError(f"temperature: expected kelvin, found {kelvin.min():.4g}; add 273.15 to degrees Celsius")
+    check_kelvin(kelvin)
     return kelvin - ZERO_CELSIUS

@@ -1,4 +1,4 @@
-"""True vectors of readings by the whole model: of samples, of increments, and of a stream in motion.
+"""True vectors of readings by the whole model: of samples and of increments.
 
 A linear model is solved at once; what is beyond it by `Compensator`. Increments are divided by their interval,
 corrected and multiplied again: the mean over an interval is taken for what the sensor felt in all of it.
@@ -14,12 +14,8 @@ import numpy.typing as npt
 from tumble.errors import InputError
 from tumble.recording.arrays import Temperatures, celsius_of, check_kinds, numbers_of
 from tumble.sensors.compensation import Compensator
-from tumble.sensors.fixed_point import central_differences
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array
-
-LONGEST_STEP = 3.5
-"""Of usual intervals: neighbours on either side that are further apart say nothing of the angular acceleration."""
 
 
 def corrected(model: SensorModel, readings: Array, dt: Array | None = None) -> Array:
@@ -61,12 +57,6 @@ def true_rate(
 
 def _column(dt: Array | None) -> Array:
     return np.ones(1) if dt is None else dt[:, None]
-
-
-def angular_acceleration(rate: Array, time: Array, interval: float) -> Array:
-    """ω̇ (N, 3), rad/s², by central differences of the rate (N, 3), one-sided at both ends; not a number where the
-    neighbours are too far apart."""
-    return central_differences(rate, time, LONGEST_STEP * interval)
 
 
 # -------------------- readings that a user gives --------------------

@@ -4,14 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from tumble.rotation import left_inverse
-from tumble.sensors.fixed_point import fixed_point, moved
+from tumble.sensors.fixed_point import (
+    ACROSS,
+    ALONG,
+    AXIS,
+    CHANGES,
+    INVERSE,
+    LEVER,
+    REFERENCE,
+    SENSITIVITY,
+    WIDTH,
+    fixed_point,
+)
 from tumble.sensors.instrument import Instrument, is_linear, measured_by
 from tumble.sensors.model import Block, SensorModel
-from tumble.sensors.parameters import CONSTANT, FORCE, FUNCTIONS, RATE, group_name
+from tumble.sensors.parameters import (
+    CONSTANT,
+    FORCE,
+    FUNCTIONS,
+    OWN_CUBE,
+    OWN_SIZE,
+    PRODUCTS,
+    RATE,
+    group_name,
+)
 from tumble.units import Array
 
 FIXED_POINT_STEPS = 5
@@ -20,48 +41,68 @@ FIXED_POINT_STEPS = 5
 
 def specific_force(instrument: Instrument, values: Array, readings: Array) -> Array:
     """Specific force (N, 3), m/s², in the body from readings (N, n) of the accelerometers, SI."""
-    K = instrument.coefficients(instrument.accel, values)
-    return _solved(instrument.accel, K, FORCE, readings, np.zeros(3))
+    return Solver.of(instrument.accel, instrument.coefficients(instrument.accel, values)).solved(readings)
 
 
 def angular_rate(instrument: Instrument, values: Array, readings: Array, force: Array) -> Array:
     """Angular rate (N, 3), rad/s, in the body from readings (N, n) of the gyros, SI, and the specific force (N, 3)."""
     assert instrument.gyro is not None
-    K = instrument.coefficients(instrument.gyro, values)
-    return _solved(instrument.gyro, K, RATE, readings, force)
-
-
-def _solved(
-    block: Block, K: Array, measured: slice, readings: Array, force: Array, change: tuple[Array, Array] | None = None
-) -> Array:
-    """The measured vector (N, 3), by fixed-point steps: x ← S⁻¹ ((ŷ − b − what is not linear in x) / s); where
-    parameters change with temperature, `change` is that of the bias, and s, both (N, n)."""
-    inverse = left_inverse(K[:, measured])
-    rest = K.copy()
-    rest[:, measured], rest[:, CONSTANT] = 0.0, 0.0
-    warmer, gain = change if change is not None else (np.zeros(1), np.ones(1))
-    offset = K[:, CONSTANT] + warmer
-    if not np.any(rest):
-        return np.asarray(((readings - offset) / gain) @ inverse.T)
-    if not np.any(rest[:, FORCE]):
-        force = np.zeros(3)  # what does not count may be lost
-    return fixed_point(
-        readings,
-        (np.broadcast_to(offset, readings.shape), np.broadcast_to(gain, readings.shape)),
-        np.broadcast_to(force, (len(readings), 3)),
-        (inverse, block.axes, rest),
-        1 + FIXED_POINT_STEPS,
-        of_force=measured == FORCE,
-    )
+    return Solver.of(instrument.gyro, instrument.coefficients(instrument.gyro, values)).solved(readings, force)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Solver:
+    """A block of sensors as the compiled loops solve it: the `sheet` (n, WIDTH) of its sensors, the number of
+    fixed-point `steps` x ← S⁻¹ ((ŷ − b − what is not linear in x) / s), one where nothing is, whether x is the specific
+    force, and whether the sensors feel the other vector, which may be lost where they do not."""
+
+    sheet: Array
+    steps: int
+    of_force: bool
+    feels: bool
+
+    @staticmethod
+    def of(block: Block, K: Array, thermal: Array | None = None, levers: Array | None = None) -> Solver:
+        """The solver of a block with coefficients K (n, 15). `thermal` (n, 5) are reference temperatures, °C, and the
+        changes of biases and of scale factors per K and per K², `levers` (n, 3) lever arms, m."""
+        of_force, measured = block.kind == "accel", measured_by(block)
+        sheet = np.zeros((block.size, WIDTH))
+        sheet[:, :FUNCTIONS] = K
+        sheet[:, measured] = 0.0
+        sheet[:, INVERSE:AXIS], sheet[:, AXIS:REFERENCE] = left_inverse(K[:, measured]).T, block.axes
+        if thermal is not None:
+            sheet[:, REFERENCE:LEVER] = thermal
+            sheet[:, CHANGES + 2 : LEVER] /= np.linalg.norm(K[:, measured], axis=1)[:, None]
+        if levers is not None:
+            sheet[:, LEVER:SENSITIVITY], sheet[:, SENSITIVITY:ACROSS] = levers, K[:, measured]
+            sheet[:, ACROSS:ALONG] = np.cross(levers, K[:, measured])
+            sheet[:, ALONG] = np.sum(levers * K[:, measured], axis=1)
+        own, products = bool(np.any(sheet[:, OWN_SIZE : OWN_CUBE + 1])), bool(np.any(sheet[:, PRODUCTS]))
+        feels = bool(np.any(sheet[:, RATE if of_force else FORCE])) or (products and not of_force)
+        linear = not own and not (products and of_force)
+        return Solver(sheet=sheet, steps=1 if linear else 1 + FIXED_POINT_STEPS, of_force=of_force, feels=feels)
+
+    def solved(self, readings: Array, other: Array | None = None, temperature: Array | None = None) -> Array:
+        """The measured vector (N, 3) of readings (N, n) with the other one, (N, 3) or (3,), at temperatures (N, n) or
+        (N, 1), °C, those of the reference where None."""
+        sheet, (count, n) = self.sheet, readings.shape
+        if temperature is None and self.steps == 1 and not self.feels:
+            return np.asarray((readings - sheet[:, CONSTANT]) @ sheet[:, INVERSE:AXIS])
+        celsius = sheet[:, REFERENCE] if temperature is None else temperature
+        celsius = np.broadcast_to(celsius, (count, n))
+        felt = np.broadcast_to(np.zeros(3) if other is None else other, (count, 3))
+        return fixed_point(
+            readings, celsius, np.arange(n), felt, sheet, self.steps, of_force=self.of_force, feels=self.feels
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Compensator:
     """An instrument as what corrects its readings: blocks of sensors and the coefficients K (n, 15) of each, and what
     biases and scale factors change by per K of temperature (n,), `slopes`, and per K², `curvatures`, about the
     `references` (n,), °C, by kind, where there are such; the sensors follow their thermometers with the time constant
-    `lag`, s. Lever arms (n, 3), m, need the motion: `at_one_point`. The `delays` (n,) of the accelerometers, s, are
-    not undone."""
+    `lag`, s. Lever arms (n, 3), m, need the motion: `tumble.use.corrector`. The `delays` (n,) of the accelerometers, s,
+    are not undone."""
 
     accel: Block
     gyro: Block | None
@@ -129,32 +170,40 @@ class Compensator:
         assert block is not None
         return SensorModel(matrix=K[:, measured_by(block)], bias=K[:, CONSTANT])
 
-    def at_one_point(self, readings: Array, rate: Array, acceleration: Array) -> Array:
-        """Readings (N, n), SI, as all accelerometers would have them where the last one is, in motion with a rate and
-        an angular acceleration (N, 3), rad/s and rad/s²; where these are not known, the readings as they are."""
-        return moved(readings, rate, acceleration, self.levers, self.accel_coefficients[:, FORCE])
+    @cached_property
+    def accelerometers(self) -> Solver:
+        """What solves the accelerometers for the specific force."""
+        return Solver.of(self.accel, self.accel_coefficients, self._thermal(self.accel), self.levers)
+
+    @cached_property
+    def gyros(self) -> Solver:
+        """What solves the gyros for the rate."""
+        assert self.gyro is not None
+        return Solver.of(self.gyro, self.gyro_coefficients, self._thermal(self.gyro))
 
     def force(self, readings: Array, temperature: Array | None = None) -> Array:
         """Specific force (N, 3), m/s², of readings (N, n), SI, at temperatures (N, n) or (N, 1), °C, of the sensors."""
-        change = self._change(self.accel, self.accel_coefficients, temperature)
-        return _solved(self.accel, self.accel_coefficients, FORCE, readings, np.zeros(3), change)
+        return self.accelerometers.solved(readings, None, self._known(self.accel, temperature))
 
     def rate(self, readings: Array, force: Array, temperature: Array | None = None) -> Array:
         """Angular rate (N, 3), rad/s, of readings (N, n), SI, in a specific force (N, 3), at temperatures likewise."""
         assert self.gyro is not None
-        change = self._change(self.gyro, self.gyro_coefficients, temperature)
-        return _solved(self.gyro, self.gyro_coefficients, RATE, readings, force, change)
+        return self.gyros.solved(readings, force, self._known(self.gyro, temperature))
 
-    def _change(self, block: Block, K: Array, temperature: Array | None) -> tuple[Array, Array] | None:
-        """Changes (N, n) of the biases from the reference temperature, and factors (N, n) of the sensitivities."""
-        if temperature is None or block.kind not in self.references or not self.warm:
+    def _known(self, block: Block, temperature: Array | None) -> Array | None:
+        """Temperatures, where they count: what does not may be lost."""
+        return temperature if self.warm and block.kind in self.references else None
+
+    def _thermal(self, block: Block) -> Array | None:
+        """Reference temperature, °C, and changes of biases and sensitivities per K and K² (n, 5)."""
+        if not self.warm or block.kind not in self.references:
             return None
-        warmer = temperature - self.references[block.kind]
-        powers = (warmer, self.slopes), (warmer**2, self.curvatures)
-        bias, scale = (
-            sum(by.get(f"{block.kind}.{what}", 0.0) * power for power, by in powers) for what in ("bias", "scale")
-        )
-        return np.asarray(bias), 1.0 + np.asarray(scale) / np.linalg.norm(K[:, measured_by(block)], axis=1)
+        changes = [
+            np.broadcast_to(by.get(f"{block.kind}.{what}", 0.0), block.size)
+            for what in ("bias", "scale")
+            for by in (self.slopes, self.curvatures)
+        ]
+        return np.column_stack([self.references[block.kind], *changes])
 
 
 def _changes(blocks: tuple[Block, Block | None], values: Mapping[str, float], ending: str) -> dict[str, Array]:

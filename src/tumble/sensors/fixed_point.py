@@ -1,5 +1,5 @@
-"""The compiled loops that correct readings sample by sample: that solves those of a block for what it measures, and
-those that move accelerometers to one point.
+"""The compiled loops that correct readings sample by sample: that solves those of a block for what it measures, those
+that move accelerometers to one point, and that takes a stream through all of them.
 
 They are Python and run as they stand; see `tumble.reduction.kernels`.
 """
@@ -8,138 +8,288 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.units import Array
+from tumble.units import Array, IntArray
 
 try:
     import cython
 except ImportError:
     from tumble import uncompiled as cython
 
+# C: from libc.stdint cimport int64_t
+
 # C: cpdef enum:
+# C:     _BIAS = 0
 # C:     _RATE = 1
 # C:     _FORCE = 4
 # C:     _PRODUCTS = 7
 # C:     _OWN_SIZE = 13
 # C:     _OWN_CUBE = 14
+# C:     INVERSE = 15
+# C:     AXIS = 18
+# C:     REFERENCE = 21
+# C:     CHANGES = 22
+# C:     LEVER = 26
+# C:     SENSITIVITY = 29
+# C:     ACROSS = 32
+# C:     ALONG = 35
+# C:     WIDTH = 36
+# C:     TOO_WARM = 1
+# C:     TOO_FAST = 2
+# C:     TOO_MUCH = 4
 
-if not cython.compiled:  # where it is, these are numbers of C: places of functions in K
-    _RATE, _FORCE, _PRODUCTS, _OWN_SIZE, _OWN_CUBE = 1, 4, 7, 13, 14
+if not cython.compiled:  # where it is, these are numbers of C: columns of a sheet, and flags
+    _BIAS, _RATE, _FORCE, _PRODUCTS, _OWN_SIZE, _OWN_CUBE = 0, 1, 4, 7, 13, 14
+    INVERSE, AXIS, REFERENCE, CHANGES, LEVER, SENSITIVITY, ACROSS, ALONG, WIDTH = 15, 18, 21, 22, 26, 29, 32, 35, 36
+    TOO_WARM, TOO_FAST, TOO_MUCH = 1, 2, 4
+
+# A sheet (n, WIDTH) has a row for each sensor of a block: of K what is not linear in the measured vector, with the bias
+# b at _BIAS; its column of S⁻¹; its axis; its reference temperature T₀, °C; what b changes by per K and K², and s
+# likewise; and of an accelerometer r, k, r × k and r · k, with lever arm r and sensitivity k.
 
 
 def fixed_point(
     readings: Array,
-    change: tuple[Array, Array],
+    celsius: Array,
+    thermometers: IntArray,
     other: Array,
-    sensors: tuple[Array, Array, Array],
+    sheet: Array,
     steps: int,
     *,
     of_force: bool,
+    feels: bool,
 ) -> Array:
-    """Measured vectors x (N, 3) by so many steps x ← S⁻¹ ((ŷ − b − K β(x)) / s) from zero, with readings ŷ (N, n), the
-    `change` of what they are at rest b (N, n) and in gain s (N, n), and the `other` vectors (N, 3) of β. Of the
-    `sensors`: S⁻¹ (3, n), axes (n, 3) and the coefficients K (n, 15) of what is not linear in x. `of_force`: whether x
-    is the specific force."""
-    inverse, axes, K = sensors
-    out, known = np.empty((len(readings), 3)), np.empty((2, len(K)))
-    _solve(readings, change[0], change[1], other, inverse, axes, K, steps, of_force, known, out)
+    """Measured vectors x (N, 3) by so many steps x ← S⁻¹ ((ŷ − b − K β(x)) / s) from zero, with readings ŷ (N, n) of
+    the sensors of a `sheet`, temperatures (N, T), °C, of thermometers of which each has that number (n,), and the
+    `other` vectors (N, 3) of β, where it `feels` them. `of_force`: whether x is the specific force."""
+    out, known = np.empty((len(readings), 3)), np.empty((2, len(sheet)))
+    _solve(readings, celsius, thermometers, other, sheet, steps, of_force, feels, known, out)
     return out
 
 
-# C: @cython.locals(p=Py_ssize_t, x=double, y=double, z=double, u=double, v=double, w=double, own=double, value=double)
-# C: cdef void _solve(const double[:, :] readings, const double[:, :] offset, const double[:, :] gain,
-# C:     const double[:, :] other, const double[:, :] inverse, const double[:, :] axes, const double[:, :] K,
-# C:     Py_ssize_t steps, bint of_force, double[:, ::1] known, double[:, ::1] out)
+# C: @cython.locals(p=Py_ssize_t, x=double, y=double, z=double, u=double, v=double, w=double, own=double, value=double,
+# C:     warmer=double)
+# C: cdef void _solve(const double[:, :] readings, const double[:, :] celsius, const int64_t[:] thermometers,
+# C:     const double[:, :] other, const double[:, :] sheet, Py_ssize_t steps, bint of_force, bint feels,
+# C:     double[:, :] known, double[:, :] out) noexcept nogil
 def _solve(
-    readings: Array, offset: Array, gain: Array, other: Array, inverse: Array, axes: Array, K: Array, steps: int,
-    of_force: bool, known: Array, out: Array,
+    readings: Array, celsius: Array, thermometers: IntArray, other: Array, sheet: Array, steps: int, of_force: bool,
+    feels: bool, known: Array, out: Array,
 ) -> None:  # fmt: skip
     """The same into `out`; `known` has of each sensor the reading less all that is known before the first step, and the
     inverse of its gain."""
     linear = _RATE if of_force else _FORCE
-    with cython.nogil:
-        for i in range(out.shape[0]):
+    for i in range(readings.shape[0]):
+        x, y, z = 0.0, 0.0, 0.0
+        if feels:
             x, y, z = other[i, 0], other[i, 1], other[i, 2]
-            for p in range(K.shape[0]):
-                value = readings[i, p] - offset[i, p] - K[p, linear] * x - K[p, linear + 1] * y - K[p, linear + 2] * z
-                known[0, p] = value if of_force else value - _products(K, p, x, y, z)
-                known[1, p] = 1.0 / gain[i, p]
-            x, y, z = 0.0, 0.0, 0.0
-            for _ in range(steps):
-                u, v, w = 0.0, 0.0, 0.0
-                for p in range(K.shape[0]):
-                    own = axes[p, 0] * x + axes[p, 1] * y + axes[p, 2] * z
-                    value = known[0, p] - own * (K[p, _OWN_CUBE] * own * own) - K[p, _OWN_SIZE] * abs(own)
-                    if of_force:
-                        value -= _products(K, p, x, y, z)
-                    value *= known[1, p]
-                    u, v, w = u + inverse[0, p] * value, v + inverse[1, p] * value, w + inverse[2, p] * value
-                x, y, z = u, v, w
-            out[i, 0], out[i, 1], out[i, 2] = x, y, z
+        for p in range(sheet.shape[0]):
+            warmer = celsius[i, thermometers[p]] - sheet[p, REFERENCE]
+            value = readings[i, p] - (
+                sheet[p, _BIAS] + (sheet[p, CHANGES] * warmer + sheet[p, CHANGES + 1] * warmer * warmer)
+            )
+            if feels:
+                value = value - sheet[p, linear] * x - sheet[p, linear + 1] * y - sheet[p, linear + 2] * z
+                if not of_force:
+                    value = value - _products(sheet, p, x, y, z)
+            known[0, p] = value
+            known[1, p] = 1.0 / (1.0 + (sheet[p, CHANGES + 2] * warmer + sheet[p, CHANGES + 3] * warmer * warmer))
+        x, y, z = 0.0, 0.0, 0.0
+        for _ in range(steps):
+            u, v, w = 0.0, 0.0, 0.0
+            for p in range(sheet.shape[0]):
+                own = sheet[p, AXIS] * x + sheet[p, AXIS + 1] * y + sheet[p, AXIS + 2] * z
+                value = known[0, p] - own * (sheet[p, _OWN_CUBE] * own * own) - sheet[p, _OWN_SIZE] * abs(own)
+                if of_force:
+                    value -= _products(sheet, p, x, y, z)
+                value *= known[1, p]
+                u, v = u + sheet[p, INVERSE] * value, v + sheet[p, INVERSE + 1] * value
+                w = w + sheet[p, INVERSE + 2] * value
+            x, y, z = u, v, w
+        out[i, 0], out[i, 1], out[i, 2] = x, y, z
 
 
-# C: cdef double _products(const double[:, :] K, Py_ssize_t p, double x, double y, double z) noexcept nogil
-def _products(K: Array, p: int, x: float, y: float, z: float) -> float:
+# C: cdef double _products(const double[:, :] sheet, Py_ssize_t p, double x, double y, double z) noexcept nogil
+def _products(sheet: Array, p: int, x: float, y: float, z: float) -> float:
     """What a sensor reads of the products of the components of the force."""
-    by_x = K[p, _PRODUCTS] * x + K[p, _PRODUCTS + 1] * y + K[p, _PRODUCTS + 2] * z
-    by_y = K[p, _PRODUCTS + 3] * y + K[p, _PRODUCTS + 4] * z
-    return x * by_x + y * by_y + K[p, _PRODUCTS + 5] * z * z  # type: ignore[no-any-return]
+    by_x = sheet[p, _PRODUCTS] * x + sheet[p, _PRODUCTS + 1] * y + sheet[p, _PRODUCTS + 2] * z
+    by_y = sheet[p, _PRODUCTS + 3] * y + sheet[p, _PRODUCTS + 4] * z
+    return x * by_x + y * by_y + sheet[p, _PRODUCTS + 5] * z * z  # type: ignore[no-any-return]
 
 
-# Accelerometers at one point ---------------------------------------------------------------------------------
+# A stream ----------------------------------------------------------------------------------------------------
 
 
-def central_differences(values: Array, time: Array, longest: float) -> Array:
-    """Changes (N, 3) of values (N, 3) a second from the sample before to the one after, at both ends from the sample
-    itself; not a number where these are not more than 0 and at most `longest` s apart."""
-    out = np.empty((len(values), 3))
-    _differ(values, time, longest, np.nan, out)
-    return out
-
-
-# C: @cython.locals(step=double, before=Py_ssize_t, after=Py_ssize_t)
-# C: cdef void _differ(const double[:, :] values, const double[:] time, double longest, double unknown,
-# C:     double[:, ::1] out)
-def _differ(values: Array, time: Array, longest: float, unknown: float, out: Array) -> None:
-    """The same into `out`."""
-    samples = values.shape[0]
-    with cython.nogil:
-        for j in range(samples):
-            before, after = max(j - 1, 0), min(j + 1, samples - 1)
-            step = time[after] - time[before]
-            if not 0.0 < step <= longest:
-                step = unknown
-            for k in range(3):
-                out[j, k] = (values[after, k] - values[before, k]) / step
-
-
-def moved(readings: Array, rate: Array, acceleration: Array, levers: Array, sensitivity: Array) -> Array:
-    """Readings (N, n) of accelerometers with lever arms r and a sensitivity k, both (n, 3), as without such arms, at a
-    rate ω and an angular acceleration ω̇ (N, 3): less what f_p − f = ω̇ × r + ω × (ω × r) adds. Where that is not
-    finite they stay as they are."""
-    out = np.empty((len(readings), readings.shape[1]))
-    across, along = np.cross(levers, sensitivity), np.sum(levers * sensitivity, axis=1)
-    _move(readings, rate, acceleration, levers, sensitivity, across, along, out)
-    return out
+# C: @cython.locals(step=double, before=Py_ssize_t, after=Py_ssize_t, j=Py_ssize_t)
+# C: cdef void _differ(const double[:, :] values, const double[:] time, Py_ssize_t first, Py_ssize_t stop,
+# C:     double longest, double unknown, double[:, :] out) noexcept nogil
+def _differ(values: Array, time: Array, first: int, stop: int, longest: float, unknown: float, out: Array) -> None:
+    """Changes of values (N, 3) a second, of samples from `first` to `stop`, from the sample before to the one after, at
+    both ends from the sample itself; `unknown` where these are not more than 0 and at most `longest` s apart."""
+    for j in range(first, stop):
+        before, after = max(j - 1, 0), min(j + 1, values.shape[0] - 1)
+        step = time[after] - time[before]
+        if not 0.0 < step <= longest:
+            step = unknown
+        for k in range(3):
+            out[j, k] = (values[after, k] - values[before, k]) / step
 
 
 # C: @cython.locals(rx=double, ry=double, rz=double, size=double, kx=double, ky=double, kz=double, cx=double,
-# C:     cy=double, cz=double, x=double, y=double, z=double, turning=double, spinning=double, there=double)
+# C:     cy=double, cz=double, x=double, y=double, z=double, turning=double, spinning=double, there=double,
+# C:     p=Py_ssize_t, j=Py_ssize_t)
 # C: cdef void _move(const double[:, :] readings, const double[:, :] rate, const double[:, :] acceleration,
-# C:     const double[:, :] levers, const double[:, :] sensitivity, const double[:, :] across, const double[:] along,
-# C:     double[:, ::1] out)
+# C:     const double[:, :] sheet, Py_ssize_t first, Py_ssize_t stop, double[:, :] out) noexcept nogil
 def _move(
-    readings: Array, rate: Array, acceleration: Array, levers: Array, sensitivity: Array, across: Array,
-    along: Array, out: Array,
+    readings: Array, rate: Array, acceleration: Array, sheet: Array, first: int, stop: int, out: Array
 ) -> None:  # fmt: skip
-    """The same into `out`: k · (ω̇ × r + ω × (ω × r)) = ω̇ · (r × k) + (ω · r) (ω · k) − ω² (r · k)."""
+    """Readings (N, n) of accelerometers as without lever arms, at a rate ω and an angular acceleration ω̇ (N, 3): less
+    k · (ω̇ × r + ω × (ω × r)) = ω̇ · (r × k) + (ω · r) (ω · k) − ω² (r · k). Where that is not finite they stay as they
+    are."""
+    for p in range(sheet.shape[0]):
+        rx, ry, rz, size = sheet[p, LEVER], sheet[p, LEVER + 1], sheet[p, LEVER + 2], sheet[p, ALONG]
+        kx, ky, kz = sheet[p, SENSITIVITY], sheet[p, SENSITIVITY + 1], sheet[p, SENSITIVITY + 2]
+        cx, cy, cz = sheet[p, ACROSS], sheet[p, ACROSS + 1], sheet[p, ACROSS + 2]
+        for j in range(first, stop):
+            x, y, z = rate[j, 0], rate[j, 1], rate[j, 2]
+            turning = acceleration[j, 0] * cx + acceleration[j, 1] * cy + acceleration[j, 2] * cz
+            spinning = (x * rx + y * ry + z * rz) * (x * kx + y * ky + z * kz) - (x * x + y * y + z * z) * size
+            there = readings[j, p] - turning - spinning
+            out[j, p] = there if there - there == 0.0 else readings[j, p]
+
+
+# C: @cython.locals(now=double, before=double, behind=double, t=double, flag=double, interval=double, lag=double,
+# C:     kept=double, row=Py_ssize_t, p=Py_ssize_t, n=Py_ssize_t, m=Py_ssize_t)
+# C: cdef Py_ssize_t _take(const double[:, :] accel, const double[:, :] gyro, const double[:] time,
+# C:     const double[:, :] thermometer, const double[:] settings, double[:, :] rows, double[:, :] warmth,
+# C:     double[:] clock, Py_ssize_t row) noexcept nogil
+def _take(
+    accel: Array, gyro: Array, time: Array, thermometer: Array, settings: Array, rows: Array, warmth: Array,
+    clock: Array, row: int,
+) -> int:  # fmt: skip
+    """New samples into the rows from `row` on, less those that are late; returns the row after them. What follows a
+    thermometer with a lag is that of `tumble.reduction.rests.thermometer`."""
+    interval, lag, kept = settings[0], settings[1], settings[2]
+    n, m = accel.shape[1], gyro.shape[1]
+    for i in range(accel.shape[0]):
+        t = time[i] if time.shape[0] else interval * clock[1]
+        if clock[0] - settings[5] < t <= clock[0]:
+            clock[2] += 1.0
+            continue
+        clock[0], clock[1] = t if t == t else clock[0], clock[1] + 1.0
+        flag = 0.0
+        for p in range(thermometer.shape[1]):
+            now, before, behind = thermometer[i, p] - settings[6], warmth[p, 0], warmth[p, 1]
+            if now < settings[3] or now > settings[4]:
+                flag = TOO_WARM
+            if now != now:
+                now = before
+            if lag == 0.0 or behind != behind:
+                behind = now
+            else:
+                behind = now - kept * before - (now - before) / interval * abs(lag) * (1.0 - kept) + kept * behind
+            warmth[p, 0], warmth[p, 1] = now, behind
+            rows[row, 2 + n + m + p] = behind if lag >= 0.0 else 2.0 * now - behind
+        rows[row, 0], rows[row, 1] = t, flag
+        for p in range(n):
+            rows[row, 2 + p] = accel[i, p]
+        for p in range(m):
+            rows[row, 2 + n + p] = gyro[i, p]
+        row += 1
+    return row
+
+
+def advance(
+    given: tuple[Array, Array, Array, Array],
+    sensors: tuple[Array, Array, IntArray, IntArray, int, int, bool],
+    settings: Array,
+    state: tuple[Array, Array, Array, Array],
+    held: int,
+    out: tuple[Array, Array, Array],
+    *,
+    moved: bool,
+    last: bool,
+) -> tuple[int, int]:
+    """One block of a stream: returns how many of its samples are correct now, in `out`, and how many rows are held.
+
+    given : readings of accelerometers (N, n) and gyros (N, m), stamps (N,) or, of a regular clock, none, and
+        temperatures (N, T).
+    sensors : sheets of both kinds, their thermometers, their steps, and whether gyros feel the force.
+    settings : interval and lag, s; what is kept of a temperature in an interval; the lowest and the highest, °C; up to
+        how much a late sample is dropped, s; what 0 °C is; the longest step, s; squares of the largest rate and force;
+        and what is not a number.
+    state : rows (held + N, 2 + 2 n + m + T + 9), each of them stamp, flag, readings, temperatures, rate, its change,
+        force, and accelerometers at one point; temperatures (T, 2) of thermometers and of what follows them; the last
+        stamp, the samples, and those that were dropped; and room (2, n) for solving.
+    held : how many rows there are. Where readings are to be `moved`, the last of them is not corrected yet, and has to
+        wait for the next, unless this is the `last` block.
+    out : stamps and flags (M, 2), force and rate (M, 3)."""
+    (accel, gyro, time, thermometer), (rows, warmth, clock, known), (stamps, force, rate) = given, state, out
+    accel_sheet, gyro_sheet, of_accel, of_gyro, accel_steps, gyro_steps, feels = sensors
+    count = _advance(
+        accel, gyro, time, thermometer, accel_sheet, gyro_sheet, of_accel, of_gyro, accel_steps, gyro_steps, feels,
+        settings, rows, warmth, clock, known, held, stamps, force, rate, moved, last,
+    )  # fmt: skip
+    return count // 4, count % 4
+
+
+# C: @cython.locals(n=Py_ssize_t, m=Py_ssize_t, heat=Py_ssize_t, spin=Py_ssize_t, total=Py_ssize_t, first=Py_ssize_t,
+# C:     stop=Py_ssize_t, keep=Py_ssize_t, j=Py_ssize_t, p=Py_ssize_t, x=double, y=double, z=double,
+# C:     celsius=double[:, :], turning=double[:, :], change=double[:, :], rates=double[:, :], forces=double[:, :],
+# C:     there=double[:, :], plain=double[:, :])
+# C: cdef Py_ssize_t _advance(const double[:, :] accel, const double[:, :] gyro, const double[:] time,
+# C:     const double[:, :] thermometer, const double[:, :] accel_sheet, const double[:, :] gyro_sheet,
+# C:     const int64_t[:] of_accel, const int64_t[:] of_gyro, Py_ssize_t accel_steps, Py_ssize_t gyro_steps, bint feels,
+# C:     const double[:] settings, double[:, :] rows, double[:, :] warmth, double[:] clock, double[:, :] known,
+# C:     Py_ssize_t held, double[:, :] stamps, double[:, :] force, double[:, :] rate, bint moved, bint last)
+def _advance(
+    accel: Array, gyro: Array, time: Array, thermometer: Array, accel_sheet: Array, gyro_sheet: Array,
+    of_accel: IntArray, of_gyro: IntArray, accel_steps: int, gyro_steps: int, feels: bool, settings: Array,
+    rows: Array, warmth: Array, clock: Array, known: Array, held: int, stamps: Array, force: Array, rate: Array,
+    moved: bool, last: bool,
+) -> int:  # fmt: skip
+    """The same; four times the number of samples, and the rows that are held."""
+    n, m = accel.shape[1], gyro.shape[1]
+    heat = 2 + n + m
+    spin = heat + thermometer.shape[1]
     with cython.nogil:
-        for p in range(out.shape[1]):
-            rx, ry, rz, size = levers[p, 0], levers[p, 1], levers[p, 2], along[p]
-            kx, ky, kz = sensitivity[p, 0], sensitivity[p, 1], sensitivity[p, 2]
-            cx, cy, cz = across[p, 0], across[p, 1], across[p, 2]
-            for i in range(out.shape[0]):
-                x, y, z = rate[i, 0], rate[i, 1], rate[i, 2]
-                turning = acceleration[i, 0] * cx + acceleration[i, 1] * cy + acceleration[i, 2] * cz
-                spinning = (x * rx + y * ry + z * rz) * (x * kx + y * ky + z * kz) - (x * x + y * y + z * z) * size
-                there = readings[i, p] - turning - spinning
-                out[i, p] = there if there - there == 0.0 else readings[i, p]
+        total = _take(accel, gyro, time, thermometer, settings, rows, warmth, clock, held)
+        plain, turning, celsius = rows[:, 2 : 2 + n], rows[:, 2 + n : heat], rows[:, heat:spin]
+        rates, change, forces = rows[:, spin : spin + 3], rows[:, spin + 3 : spin + 6], rows[:, spin + 6 : spin + 9]
+        there = plain
+        first, stop, keep = 0, total, 0
+        if moved:
+            there = rows[:, spin + 9 : spin + 9 + n]
+            _solve(
+                plain[held:total], celsius[held:total], of_accel, forces, accel_sheet, accel_steps, True, False, known,
+                forces[held:total],
+            )  # fmt: skip
+            _solve(
+                turning[held:total], celsius[held:total], of_gyro, forces[held:total], gyro_sheet, gyro_steps, False,
+                feels, known, rates[held:total],
+            )  # fmt: skip
+            first, keep = max(held - 1, 0), min(total, 2)
+            stop = total if last else max(total - 1, first)
+            _differ(rates[:total], rows[:total, 0], first, stop, settings[7], settings[10], change)
+            _move(plain, rates, change, accel_sheet, first, stop, there)
+        _solve(
+            there[first:stop], celsius[first:stop], of_accel, forces, accel_sheet, accel_steps, True, False, known,
+            force[: stop - first],
+        )  # fmt: skip
+        if m:
+            _solve(
+                turning[first:stop], celsius[first:stop], of_gyro, force[: stop - first], gyro_sheet, gyro_steps, False,
+                feels, known, rate[: stop - first],
+            )  # fmt: skip
+        for j in range(stop - first):
+            stamps[j, 0], stamps[j, 1] = rows[first + j, 0], rows[first + j, 1]
+            x, y, z = force[j, 0], force[j, 1], force[j, 2]
+            if x * x + y * y + z * z > settings[9]:
+                stamps[j, 1] += TOO_MUCH
+            if m:
+                x, y, z = rate[j, 0], rate[j, 1], rate[j, 2]
+                if x * x + y * y + z * z > settings[8]:
+                    stamps[j, 1] += TOO_FAST
+        for j in range(keep):
+            for p in range(rows.shape[1]):
+                rows[j, p] = rows[total - keep + j, p]
+    return 4 * (stop - first) + keep

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain, pairwise
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -39,14 +39,14 @@ from tumble.recording.session_file import description_of, session_from
 from tumble.recording.text.dialect import DIALECT_KEYS
 from tumble.recording.text.text_log import times_of
 from tumble.recording.writer import write_tables
-from tumble.reduction.rests.thermometer import followed
 from tumble.result.accepted import accepted_accelerometers, accepted_part
 from tumble.result.calibration import Calibration, calibration_from
-from tumble.result.correction import angular_acceleration, corrected, true_force, true_rate
+from tumble.result.correction import corrected
 from tumble.sensors.compensation import Compensator
-from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import groups, positions_by_group
 from tumble.units import Array, Unit
+from tumble.use.corrector import Stream
 from tumble.use.same_device import check_device, rests_of
 
 _SLICE = 1 << 14
@@ -103,11 +103,6 @@ class _Correction:
         perfect = true if along_body else true @ self.channels.axes.T
         out = dict(zip(self.channels.columns, self.written.from_si(perfect).T, strict=True))
         return out | dict(zip(self.added, true.T, strict=False))
-
-
-_Rows = dict[str, Array]
-"""Rows of a log: readings (N, n), SI, under the kind of sensor, "time" (N,), s, from any start, and where something
-needs them the intervals "dt" (N,) of increments, s, and "temperature" (N, T), °C, of the thermometers."""
 
 
 def apply_to_session(
@@ -206,29 +201,54 @@ def _tables(
 ) -> Iterator[pl.DataFrame]:
     """The corrected rows of all files, in tables of a bounded size."""
     names: list[str] | None = None
-    moved, spec = _is_moved(session, compensator), session.log
+    spec = session.log
     numbers = [column for part in parts for column in part.channels.columns]  # the other columns are as they are
     if spec.dialect is not None and spec.dialect.decimal == ",":  # all that the session names
         numbers = [column for column in spec.columns if not (spec.clock and column == spec.time)]
+    rates, blocks = session.log.gyro is not None, (session.accel_block, session.gyro_block)
+    thermometers = tuple(np.zeros(0, dtype=np.int64) if block is None else block.thermometer for block in blocks)
+    heat = 1 if spec.temperature is None else len(spec.temperature.columns)
+    stream = Stream(compensator, interval, gyros=rates, thermometers=thermometers, heat=heat)  # type: ignore[arg-type]  # two
     for file in session.log.files:
         source = source_of(file, session.log.dialect)
-        reader = _Reader(path=source.path, session=session, parts=parts, compensator=compensator, interval=interval)
+        warm = compensator.warm and bool(compensator.references)
+        reader = _Reader(
+            path=source.path, session=session, parts=parts, interval=interval, moved=stream.moved, warm=warm
+        )
         for added in (column for part in parts for column in part.added if column in source.names):
             raise InputError(f"{source.path}: expected no column '{added}', the block's vector gets it; rename it")
         slices = chain.from_iterable(t.iter_slices(_SLICE) for t in one_ahead(source.whole(numbers)))
-        pieces = ((table, reader.read(table)) for table in slices)
-        alone = ((table, rows, slice(None)) for table, rows in pieces)
-        for table, rows, own in _with_neighbours(pieces) if moved else alone:
+        for table, true in _corrected(slices, reader, stream):
             names = table.columns if names is None else names
             if table.columns != names:
                 raise LogError(
                     f"{source.path}: expected the columns of the first file, {', '.join(names)}; write them alike"
                 )
-            true = _true(compensator, rows, parts, session, interval if moved else None)
-            new = {name: c for part in parts for name, c in part.columns(true[part.kind][own]).items()}
+            true |= {part.kind: corrected(part.model, part.readings(table)) for part in parts if part.kind == "mag"}
+            new = {name: c for part in parts for name, c in part.columns(true[part.kind]).items()}
             corrected_columns = {name: pl.Series(name, np.ascontiguousarray(column)) for name, column in new.items()}
             # `with_columns` of polars takes as long as correcting a few thousand rows
             yield pl.DataFrame(list(({each.name: each for each in table} | corrected_columns).values()))
+
+
+def _corrected(
+    tables: Iterable[pl.DataFrame], reader: _Reader, stream: Stream
+) -> Iterator[tuple[pl.DataFrame, dict[str, Array]]]:
+    """Tables of one file and the true vectors (N, 3) of their rows by kind of sensor, increments where the readings
+    are. They come by the delay of the stream later than the rows: the last one with the next table."""
+    table, dt, begun = None, dict[str, Array](), dict[str, Array]()
+    for following in chain((t for t in tables if t.height or not stream.delay), [None]):
+        if following is None:
+            intervals, now = dict[str, Array](), stream.finish()
+        else:
+            given, intervals = reader.read(following)
+            now = stream.add(*given)
+        true, late = {"accel": now.force} | ({} if now.rate is None else {"gyro": now.rate}), 0
+        if table is not None:
+            late = stream.delay
+            whole = {kind: np.concatenate([begun[kind], vectors[:late]]) for kind, vectors in true.items()}
+            yield table, {kind: vectors * dt.get(kind, 1.0) for kind, vectors in whole.items()}
+        table, dt, begun = following, intervals, {kind: vectors[late:].copy() for kind, vectors in true.items()}
 
 
 def _is_moved(session: Session, compensator: Compensator) -> bool:
@@ -236,95 +256,45 @@ def _is_moved(session: Session, compensator: Compensator) -> bool:
     return session.log.gyro is not None and compensator.gyro is not None and bool(np.any(compensator.levers))
 
 
-def _with_neighbours(pieces: Iterable[tuple[pl.DataFrame, _Rows]]) -> Iterator[tuple[pl.DataFrame, _Rows, slice]]:
-    """Tables, their rows with the one before and the one after them, where there is one, and where their own are."""
-    before: list[_Rows] = []
-    for (table, rows), following in pairwise(chain((p for p in pieces if p[0].height), [None])):  # type: ignore[misc]  # None comes last
-        after = [] if following is None else [{key: each[:1] for key, each in following[1].items()}]
-        around = [*before, rows, *after]
-        own = slice(len(before), len(before) + table.height)
-        yield table, {key: np.concatenate([each[key] for each in around]) for key in rows}, own
-        before = [{key: each[-1:] for key, each in rows.items()}]
-
-
-def _true(
-    compensator: Compensator, rows: _Rows, parts: tuple[_Correction, ...], session: Session, interval: float | None
-) -> dict[str, Array]:
-    """True vectors (N, 3) by kind of sensor, increments where the readings are; of accelerometers with lever arms, at
-    the last one, where the usual `interval`, s, is given."""
-    dt = {part.kind: rows["dt"] if part.increments else None for part in parts}
-    accel, warmth = rows["accel"], _by_sensor(rows.get("temperature"), session.accel_block)
-    true = {part.kind: corrected(part.model, rows["mag"]) for part in parts if part.kind == "mag"}
-    true["accel"] = true_force(compensator, accel, dt=dt["accel"], temperature=warmth)
-    if "gyro" not in dt:
-        return true
-    gyro, force = rows["gyro"], _a_second(true["accel"], dt["accel"])
-    of_gyros = _by_sensor(rows.get("temperature"), session.gyro_block)
-    true["gyro"] = true_rate(compensator, gyro, force, dt=dt["gyro"], temperature=of_gyros)
-    if interval is None:
-        return true
-    rate = _a_second(true["gyro"], dt["gyro"])
-    moved = compensator.at_one_point(
-        _a_second(accel, dt["accel"]), rate, angular_acceleration(rate, rows["time"], interval)
-    )
-    force = true_force(compensator, moved, temperature=warmth)
-    true["accel"] = force if dt["accel"] is None else force * dt["accel"][:, None]
-    true["gyro"] = true_rate(compensator, gyro, force, dt=dt["gyro"], temperature=of_gyros)
-    return true
-
-
-def _by_sensor(temperatures: Array | None, block: Block | None) -> Array | None:
-    """Temperatures (N, n) of the sensors of a block, of those of the thermometers (N, T)."""
-    return None if temperatures is None or block is None else temperatures[:, block.thermometer]
-
-
-def _a_second(values: Array, dt: Array | None) -> Array:
-    """Means over their intervals, of increments."""
-    return values if dt is None else np.asarray(values / dt[:, None], dtype=float)
-
-
 @dataclass(kw_only=True, slots=True, eq=False)
 class _Reader:
-    """Readings, times and temperatures of one file, table after table. `last`: time of the last row, s; `rows`: how
-    many there were; `warmth`: the last temperatures (T,) that were known, °C, and `behind` those of what follows
-    them."""
+    """Readings, times and temperatures of one file, table after table. `moved`: whether lever arms need the times;
+    `warm`: whether parameters change with temperature; `last`: time of the last row, s."""
 
     path: Path
     session: Session
     parts: tuple[_Correction, ...]
-    compensator: Compensator
     interval: float
+    moved: bool
+    warm: bool
     last: float | None = None
-    rows: int = 0
-    warmth: Array | None = None
-    behind: Array | None = None
 
-    def read(self, table: pl.DataFrame) -> _Rows:
-        """What the rows of a table hold."""
-        rows = {part.kind: part.readings(table) for part in self.parts}
-        increments = any(part.increments for part in self.parts)
-        if increments or _is_moved(self.session, self.compensator):
-            rows["time"] = self._times(table)
-        if increments:
-            rows["dt"] = self._intervals(rows["time"])
-        celsius = self._temperatures(table)
-        return rows if celsius is None else rows | {"temperature": celsius}
+    def read(
+        self, table: pl.DataFrame
+    ) -> tuple[tuple[Array, Array | None, Array | None, Array | None], dict[str, Array]]:
+        """What `Stream.add` takes of the rows of a table, and the intervals (N, 1), s, of increments by kind."""
+        rows = {part.kind: part.readings(table) for part in self.parts if part.kind != "mag"}
+        increments = [part.kind for part in self.parts if part.increments]
+        time = self._times(table)
+        dt = dict.fromkeys(increments, self._intervals(time, table.height)[:, None]) if increments else {}
+        means = {kind: readings / dt[kind] if kind in dt else readings for kind, readings in rows.items()}
+        return (means["accel"], means.get("gyro"), time, self._temperatures(table)), dt
 
     @property
     def _regular(self) -> bool:
         return self.session.log.time is None or self.session.log.regular
 
-    def _times(self, table: pl.DataFrame) -> Array:
-        self.rows += table.height
-        if self.session.log.time is None or self._regular:
-            return self.interval * np.arange(self.rows - table.height, self.rows, dtype=float)
+    def _times(self, table: pl.DataFrame) -> Array | None:
+        if self._regular or not (self.moved or any(part.increments for part in self.parts)):
+            return None
+        assert self.session.log.time is not None
         with rows_of_numbers(self.path):
             return times_of(table[self.session.log.time], self.session.log)
 
-    def _intervals(self, time: Array) -> Array:
+    def _intervals(self, time: Array | None, rows: int) -> Array:
         """What each increment is the integral over, s."""
-        if self._regular:
-            return np.full(len(time), self.interval)
+        if time is None:
+            return np.full(rows, self.interval)
         before = time[0] - self.interval if self.last is None else self.last
         self.last = float(time[-1])
         steps = np.diff(time, prepend=before)
@@ -336,35 +306,13 @@ class _Reader:
         return np.asarray(steps / np.maximum(np.floor(steps / self.interval + 0.5), 1.0))
 
     def _temperatures(self, table: pl.DataFrame) -> Array | None:
-        """Temperatures (N, T), °C, where parameters change with them, of the sensors, which follow the
-        thermometers; a lost one is the one before, or the reference."""
-        thermometers, references = self.session.log.temperature, self.compensator.references
-        if thermometers is None or not references or not self.compensator.warm:
+        """Temperatures (N, T), °C, of the thermometers, where parameters change with them."""
+        thermometers = self.session.log.temperature
+        if thermometers is None or not self.warm:
             return None
         with rows_of_numbers(self.path):
             numbers = table.select(pl.col(thermometers.columns).cast(pl.Float64)).to_numpy()
-        last = self.warmth
-        if last is None:
-            last = np.zeros(numbers.shape[1])
-            for block in (self.compensator.accel, self.compensator.gyro):
-                if block is not None:
-                    last[block.thermometer] = references[block.kind]
-        known = pl.DataFrame(thermometers.to_celsius(numbers), schema=list(thermometers.columns)).fill_nan(None)
-        known = known.fill_null(strategy="forward")
-        celsius = np.column_stack([known[:, k].fill_null(float(t)).to_numpy() for k, t in enumerate(last)]).astype(
-            float
-        )
-        if not len(celsius):
-            return celsius
-        before, self.warmth, lag = self.warmth, celsius[-1].copy(), self.compensator.lag
-        if lag == 0.0:
-            return celsius
-        whole = celsius if before is None else np.vstack([before, celsius])
-        first = whole[0] if self.behind is None else self.behind
-        every = [followed(each, self.interval, abs(lag), float(t)) for each, t in zip(whole.T, first, strict=True)]
-        behind = np.column_stack(every)[len(whole) - len(celsius) :]
-        self.behind = behind[-1].copy()
-        return behind if lag > 0.0 else np.asarray(2.0 * celsius - behind)
+        return np.asarray(thermometers.to_celsius(numbers), dtype=float)
 
 
 # -------------------- was it worth it --------------------

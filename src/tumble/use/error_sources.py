@@ -25,14 +25,20 @@ class SensorNoise:
     time: float
 
 
-def noise_of(given: Calibration, name: str | None) -> tuple[str, list[SensorNoise], list[str]]:
-    """The grade, that of this name or the nearest; the noise of accelerometers and gyros, as the rests and the process
-    of the biases have it, or where the file has nothing of it as is usual; and remarks on what was taken so."""
-    white, remarks = {}, []
+def white_noise(given: Calibration) -> dict[str, Array]:
+    """The density (n,) of the white noise of "accel" and "gyro", unit/√Hz, as the rests have it, where they do."""
+    white = {}
     for kind in ("accel", "gyro"):
         rests = [sensors.noise for rest in given.rests if (sensors := getattr(rest, kind)) is not None]
         if rests:
             white[kind] = np.sqrt(np.mean(np.square(rests), axis=0))
+    return white
+
+
+def noise_of(given: Calibration, name: str | None) -> tuple[str, list[SensorNoise], list[str]]:
+    """The grade, that of this name or the nearest; the noise of accelerometers and gyros, as the rests and the process
+    of the biases have it, or where the file has nothing of it as is usual; and remarks on what was taken so."""
+    white, remarks = white_noise(given), []
     if name is None:
         assert given.gyro is not None
         accel, gyro = (float(np.mean(white[kind])) if kind in white else None for kind in ("accel", "gyro"))
