@@ -90,6 +90,8 @@ from tumble.use.check import FieldCheck as FieldCheck
 from tumble.use.check import check_calibration as check_calibration
 from tumble.use.compare import Comparison as Comparison
 from tumble.use.compare import compare_calibrations as compare_calibrations
+from tumble.use.corrector import Corrected as Corrected
+from tumble.use.corrector import Corrector as Corrector
 from tumble.use.mission import Mission as Mission
 from tumble.use.mission import mission as mission
 from tumble.use.verify import Positions as Positions

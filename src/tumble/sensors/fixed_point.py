@@ -67,7 +67,7 @@ def fixed_point(
 
 
 # C: @cython.locals(p=Py_ssize_t, x=double, y=double, z=double, u=double, v=double, w=double, own=double, value=double,
-# C:     warmer=double)
+# C:     warmer=double, gain=double, b1=double, b2=double, s1=double, s2=double)
 # C: cdef void _solve(const double[:, :] readings, const double[:, :] celsius, const int64_t[:] thermometers,
 # C:     const double[:, :] other, const double[:, :] sheet, Py_ssize_t steps, bint of_force, bint feels,
 # C:     double[:, :] known, double[:, :] out) noexcept nogil
@@ -82,19 +82,24 @@ def _solve(
         x, y, z = 0.0, 0.0, 0.0
         if feels:
             x, y, z = other[i, 0], other[i, 1], other[i, 2]
+        u, v, w = 0.0, 0.0, 0.0
         for p in range(sheet.shape[0]):
-            warmer = celsius[i, thermometers[p]] - sheet[p, REFERENCE]
-            value = readings[i, p] - (
-                sheet[p, _BIAS] + (sheet[p, CHANGES] * warmer + sheet[p, CHANGES + 1] * warmer * warmer)
-            )
+            value, gain = readings[i, p] - sheet[p, _BIAS], 1.0
+            b1, b2, s1, s2 = sheet[p, CHANGES], sheet[p, CHANGES + 1], sheet[p, CHANGES + 2], sheet[p, CHANGES + 3]
+            if b1 != 0.0 or b2 != 0.0 or s1 != 0.0 or s2 != 0.0:
+                warmer = celsius[i, thermometers[p]] - sheet[p, REFERENCE]
+                value -= warmer * (b1 + b2 * warmer)
+                gain = 1.0 / (1.0 + warmer * (s1 + s2 * warmer))
             if feels:
                 value = value - sheet[p, linear] * x - sheet[p, linear + 1] * y - sheet[p, linear + 2] * z
                 if not of_force:
                     value = value - _products(sheet, p, x, y, z)
-            known[0, p] = value
-            known[1, p] = 1.0 / (1.0 + (sheet[p, CHANGES + 2] * warmer + sheet[p, CHANGES + 3] * warmer * warmer))
-        x, y, z = 0.0, 0.0, 0.0
-        for _ in range(steps):
+            known[0, p], known[1, p] = value, gain
+            value *= gain
+            u, v = u + sheet[p, INVERSE] * value, v + sheet[p, INVERSE + 1] * value
+            w = w + sheet[p, INVERSE + 2] * value
+        x, y, z = u, v, w
+        for _ in range(steps - 1):
             u, v, w = 0.0, 0.0, 0.0
             for p in range(sheet.shape[0]):
                 own = sheet[p, AXIS] * x + sheet[p, AXIS + 1] * y + sheet[p, AXIS + 2] * z
@@ -199,12 +204,12 @@ def _take(
 
 
 def advance(
-    given: tuple[Array, Array, Array, Array],
+    given: tuple[Array, ...],
     sensors: tuple[Array, Array, IntArray, IntArray, int, int, bool],
     settings: Array,
-    state: tuple[Array, Array, Array, Array],
+    state: tuple[Array, ...],
     held: int,
-    out: tuple[Array, Array, Array],
+    out: tuple[Array, ...],
     *,
     moved: bool,
     last: bool,

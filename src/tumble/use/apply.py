@@ -226,7 +226,7 @@ def _tables(
                 )
             true |= {part.kind: corrected(part.model, part.readings(table)) for part in parts if part.kind == "mag"}
             new = {name: c for part in parts for name, c in part.columns(true[part.kind]).items()}
-            corrected_columns = {name: pl.Series(name, np.ascontiguousarray(column)) for name, column in new.items()}
+            corrected_columns = {name: pl.Series(name, column.copy()) for name, column in new.items()}
             # `with_columns` of polars takes as long as correcting a few thousand rows
             yield pl.DataFrame(list(({each.name: each for each in table} | corrected_columns).values()))
 
@@ -236,19 +236,27 @@ def _corrected(
 ) -> Iterator[tuple[pl.DataFrame, dict[str, Array]]]:
     """Tables of one file and the true vectors (N, 3) of their rows by kind of sensor, increments where the readings
     are. They come by the delay of the stream later than the rows: the last one with the next table."""
-    table, dt, begun = None, dict[str, Array](), dict[str, Array]()
+    table, dt, whole, late = None, dict[str, Array](), dict[str, Array](), 0
     for following in chain((t for t in tables if t.height or not stream.delay), [None]):
-        if following is None:
-            intervals, now = dict[str, Array](), stream.finish()
-        else:
-            given, intervals = reader.read(following)
-            now = stream.add(*given)
-        true, late = {"accel": now.force} | ({} if now.rate is None else {"gyro": now.rate}), 0
+        given, intervals = (None, dict[str, Array]()) if following is None else reader.read(following)
+        now = stream.finish() if given is None else stream.add(*given)
+        true = {"accel": now.force} | ({} if now.rate is None else {"gyro": now.rate})
         if table is not None:
             late = stream.delay
-            whole = {kind: np.concatenate([begun[kind], vectors[:late]]) for kind, vectors in true.items()}
-            yield table, {kind: vectors * dt.get(kind, 1.0) for kind, vectors in whole.items()}
-        table, dt, begun = following, intervals, {kind: vectors[late:].copy() for kind, vectors in true.items()}
+            for kind, vectors in true.items():
+                whole[kind][-late:] = vectors[:late]
+            yield table, _increments(whole, dt)
+        if not stream.delay and following is not None:
+            yield following, _increments(true, intervals)
+        elif following is not None:
+            table, dt, whole = following, intervals, {kind: np.empty((following.height, 3)) for kind in true}
+            for kind, vectors in true.items():
+                whole[kind][: len(vectors) - late] = vectors[late:]
+
+
+def _increments(vectors: dict[str, Array], dt: dict[str, Array]) -> dict[str, Array]:
+    """Vectors (N, 3) by kind, those that have intervals as increments over them."""
+    return vectors | {kind: vectors[kind] * interval for kind, interval in dt.items()}
 
 
 def _is_moved(session: Session, compensator: Compensator) -> bool:

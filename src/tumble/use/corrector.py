@@ -115,10 +115,14 @@ class Stream:
         for block, own in zip((compensator.accel, compensator.gyro), thermometers, strict=True):
             if block is not None and block.kind in compensator.references and len(own) == block.size:
                 self._start[own] = compensator.references[block.kind]
-        self._width, self._known = 2 + 2 * n + m + heat + 9, np.zeros((2, max(n, m)))
-        self._rows, self._warmth, self._clock = np.zeros((2, self._width)), np.zeros((heat, 2)), np.zeros(3)
+        self._state: tuple[Array, ...] = (
+            np.zeros((2, 2 + 2 * n + m + heat + 9)),
+            np.zeros((heat, 2)),
+            np.zeros(3),
+            np.zeros((2, max(n, m))),
+        )
         self._nothing = np.zeros((0, n)), np.zeros((0, m)), np.zeros(0), np.zeros((0, heat))
-        self._lost = np.full((1, heat), nan)
+        self._lost = self._nothing[3]
         self._out = np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 3))
         self._view = self._views(0)
         self.reset()
@@ -126,13 +130,13 @@ class Stream:
     def reset(self) -> None:
         """Forget all samples; those that were dropped stay counted."""
         self._held = 0
-        self._warmth[:, 0], self._warmth[:, 1] = self._start, nan
-        self._clock[0], self._clock[1] = -inf, 0.0
+        _, warmth, clock, _ = self._state
+        warmth[:, 0], warmth[:, 1], clock[:2] = self._start, nan, (-inf, 0.0)
 
     @property
     def dropped(self) -> int:
         """How many late samples were dropped."""
-        return int(self._clock[2])
+        return int(self._state[2][2])
 
     def add(self, accel: Array, gyro: Array | None, time: Array | None, celsius: Array | None) -> Corrected:
         """The samples that are correct now, with new ones: readings (N, n) and (N, m), stamps (N,), those of a regular
@@ -140,47 +144,35 @@ class Stream:
         count = len(accel)
         if count + 1 > len(self._out[0]):
             self._out = np.zeros((count + 1, 2)), np.zeros((count + 1, 3)), np.zeros((count + 1, 3))
-            rows = np.zeros((min(count, _ROWS) + 2, self._width))
-            rows[:2] = self._rows[:2]
-            self._rows, self._view = rows, self._views(0)
-            self._lost = np.full((min(count, _ROWS), self._lost.shape[1]), nan)
-        if count <= _ROWS:
-            ready = self._advance(accel, gyro, time, celsius, self._out, last=False)
-        else:
-            ready = 0
-            for i in range(0, count, _ROWS):
-                some = slice(i, i + _ROWS)
-                pieces = (None if given is None else given[some] for given in (gyro, time, celsius))
-                out = self._out[0][ready:], self._out[1][ready:], self._out[2][ready:]
-                ready += self._advance(accel[some], *pieces, out, last=False)
+            kept, *others = self._state
+            rows = np.zeros((min(count, _ROWS) + 2, kept.shape[1]))
+            rows[:2] = kept[:2]
+            self._state, self._view = (rows, *others), self._views(0)
+            self._lost = np.full((min(count, _ROWS), len(self._start)), nan)
+        ready = 0
+        pieces: tuple[Array | None, ...] = (accel, gyro, time, celsius)
+        for i in range(0, count, _ROWS):
+            if count > _ROWS:
+                pieces = tuple(
+                    None if given is None else given[i : i + _ROWS] for given in (accel, gyro, time, celsius)
+                )
+            ready += self._advance(pieces, ready)
         return self._corrected(ready)
 
     def finish(self) -> Corrected:
         """The last sample, where one waits; the next one begins another stream."""
-        accel, gyro, time, celsius = self._nothing
-        ready = self._advance(accel, gyro, time, celsius, self._out, last=True)
+        ready = self._advance(self._nothing, 0, last=True)
         self.reset()
         return self._corrected(ready)
 
-    def _advance(
-        self,
-        accel: Array,
-        gyro: Array | None,
-        time: Array | None,
-        celsius: Array | None,
-        out: tuple[Array, Array, Array],
-        *,
-        last: bool,
-    ) -> int:
-        given = (
-            accel,
-            self._nothing[1] if gyro is None else gyro,
-            self._nothing[2] if time is None else time,
-            self._lost if celsius is None else celsius,
+    def _advance(self, given: tuple[Array | None, ...], begun: int, *, last: bool = False) -> int:
+        """How many samples more than those that were `begun` with are correct, with some more."""
+        absent = (*self._nothing[:3], self._lost)
+        rows = tuple(other if each is None else each for each, other in zip(given, absent, strict=True))
+        out = self._out if not begun else tuple(each[begun:] for each in self._out)
+        ready, self._held = advance(
+            rows, self._sensors, self._settings, self._state, self._held, out, moved=self.moved, last=last
         )
-        state = self._rows, self._warmth, self._clock, self._known
-        moved, settings = self.moved, self._settings
-        ready, self._held = advance(given, self._sensors, settings, state, self._held, out, moved=moved, last=last)
         return ready
 
     def _corrected(self, ready: int) -> Corrected:
