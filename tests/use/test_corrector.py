@@ -288,7 +288,7 @@ def test_the_noise_of_the_angular_acceleration_is_in_the_covariance() -> None:
 
 def test_gyros_alone_leave_the_specific_force_unknown() -> None:
     why = ("the accelerometers scatter",)
-    made = replace(calibration(), outcome=Outcome(reasons=why, of_accel=why), sample_rate=100.0)
+    made = replace(calibration(), outcome=Outcome(reasons=why, concerns={why[0]: ("accel",)}), sample_rate=100.0)
     found = Corrector(made).add([0.1, 0.2, 9.8], [0.1, 0.2, 0.3])
     assert np.isnan(found.force).all()
     _, rate = made.apply([0.1, 0.2, 9.8], [0.1, 0.2, 0.3])
