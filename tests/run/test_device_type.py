@@ -169,6 +169,27 @@ def test_an_outlier_of_five_standard_deviations_is_named_and_judged_by_itself(
     assert abs(made.values[i] - values[i]) < estimate.u[i]
 
 
+def test_only_differences_from_the_type_count_however_large_its_scale_factor_errors_are(
+    type_of_eight: tuple[DeviceType, list[tuple[Estimate, Observations, dict[str, float]]]],
+) -> None:
+    """With 2 % more of a scale factor, a hundred u, in all units of the type and in this one nothing else changes:
+    what the integral over hyperparameters leaves of the prior in C beyond its own parameters is no lever."""
+    known, units = type_of_eight
+    estimate, observations, _ = units[8]
+    i, values = estimate.names.index("accel.scale.y"), estimate.values.copy()
+    values[i] += 0.02
+    moved = []
+    for each in known.without("8").known:
+        more = np.array([0.02 * (name == "accel.scale.y") for name in each.names])
+        moved.append(replace(each, shift=each.shift + each.information @ more))
+    made, said = with_type(estimate, observations, known.without("8"))
+    after, said_after = with_type(replace(estimate, values=values), observations, replace(known, known=tuple(moved)))
+    change = after.values - made.values
+    change[i] -= 0.02
+    assert np.abs(change / made.u).max() < 0.05
+    assert [line.split(" is ")[0] for line in said] == [line.split(" is ")[0] for line in said_after]
+
+
 # Through the registry
 
 

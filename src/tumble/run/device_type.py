@@ -3,7 +3,11 @@
 A recording of a unit says of its parameters together, with the estimate x, C, and what was usual of a grade, the
 precisions P about zero, taken out, so that no evidence counts twice,
 
-    Λ = C⁻¹ − P,   h = C⁻¹ x                                                                                        (1)
+    Λ = C⁻¹ − P,   h = Λ x + P x                                                                                    (1)
+
+C is a mean over hyperparameters, so that Λ is known but for small parts of it. Of h = C⁻¹ x these would be multiplied
+by a whole scale factor error, thousands of times its u, and make a cubic term of it; as it stands, P x has but what the
+prior pulled: terms that are small.
 
 Units differ in their parameters by d ~ N(0, B), B = diag(τ²), about the means μ of the type, of which the usual sizes
 are all that is known before. Given B the means and their covariance are
@@ -125,16 +129,17 @@ class KnownCalibration:
         own, C = [parameters[i] for i in kept], covariance[np.ix_(kept, kept)]
         prior = np.array([0.0 if p.prior is None else p.prior**-2 for p in own])
         limits = limits_of(p.name for p in own) ** -2.0
-        inverse, root = _inverse(C), np.linalg.cholesky(C)
+        root, values = np.linalg.cholesky(C), np.array([p.value for p in own])
         share, axes = np.linalg.eigh(root.T @ (prior[:, None] * root))  # of the prior in C⁻¹, at most all
         alone = np.linalg.solve(root.T, axes)
         learned = 1.0 - np.diag(C) * prior
+        information = (alone * np.clip(1.0 - share, 0.0, None)) @ alone.T
         return KnownCalibration(
             serial=serial,
             logs=frozenset(logs),
             names=tuple(p.name for p in own),
-            information=(alone * np.clip(1.0 - share, 0.0, None)) @ alone.T,
-            shift=inverse @ np.array([p.value for p in own]),
+            information=information,
+            shift=information @ values + prior * values,
             usual=np.where(prior > 0.0, prior, limits),
             says=frozenset(p.name for p, part in zip(own, learned.tolist(), strict=True) if part > LEAST_LEARNED),
             in_run=in_run,
@@ -442,9 +447,11 @@ def with_type(
     C, budget, m = estimate.covariance, estimate.budget, len(names)
     replaced = {f"prior.{group_name(names[i])}" for i in places if group_name(names[i]) in further}
     own = np.array([each.name not in replaced for each in budget.sources])
-    precision, usual = _inverse(C), np.array([observations.start.get(name, 0.0) for name in names])
+    precision = _inverse(C)
     data = precision @ budget.covariances[own].sum(axis=0) @ precision
-    shift = precision @ (estimate.values - usual) + data @ usual
+    is_replaced = np.array([f"prior.{group_name(name)}" in replaced for name in names])
+    pulled = np.where(is_replaced, estimate.values - [observations.start.get(name, 0.0) for name in names], 0.0)
+    shift = data @ estimate.values + (precision - data) @ pulled
 
     # how it differs from the means of the type: their covariance is that of a common error
     at, of = list(places), list(places.values())

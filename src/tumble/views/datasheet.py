@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -123,9 +124,9 @@ def write_datasheet(sheet: Datasheet, out: Path, created: str) -> None:
             device=sheet.model,
             tone="good",
             verdict=f"{sheet.units} units",
-            facts=_facts(sheet)[1:],
+            facts=_facts(sheet),
             created=created,
-            parts=(Part(title="", sections=tuple(section(t.caption, t) for t in _tables(sheet))),),
+            parts=(Part(title="", sections=tuple(section(t.caption, replace(t, caption="")) for t in _tables(sheet))),),
             statements=(_EXPLAINED,),
             closing="End of the data sheet",
         )
