@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,9 @@ import tumble
 from tumble.cli import main
 from tumble.inference.estimate import Estimate
 from tumble.inference.joint import joint
-from tumble.planning.setup import Setup
+from tumble.planning.best_positions import plan
+from tumble.planning.bounds import stated
+from tumble.planning.setup import Setup, with_all_groups
 from tumble.reduction.observations import Observations
 from tumble.registry.adding import add_calibration
 from tumble.registry.datasheet import tolerance_factor
@@ -24,6 +27,7 @@ from tumble.registry.store.connect import open_registry
 from tumble.result.parts import Parameter
 from tumble.run.device_type import DeviceType, KnownCalibration, with_type
 from tumble.run.from_estimate import learned_in, parameters_of
+from tumble.sensors.parameters import positions_by_group
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import scenario_of
 
@@ -190,6 +194,59 @@ def test_only_differences_from_the_type_count_however_large_its_scale_factor_err
     assert [line.split(" is ")[0] for line in said] == [line.split(" is ")[0] for line in said_after]
 
 
+# As a plan has it
+
+
+class Told:
+    """What a type would say of two groups and a scale factor: standard deviations in parts of 1e-4, SI."""
+
+    def __init__(self, sizes: dict[str, float]) -> None:
+        self.sizes = sizes
+
+    def prior(self, names: Sequence[str]) -> tuple[list[int], np.ndarray]:
+        places = [i for i, name in enumerate(names) if name in self.sizes]
+        u = 1e-4 * np.array([self.sizes[names[i]] for i in places])
+        return places, np.outer(u, u) * (0.8 * np.eye(len(u)) + 0.2)
+
+
+def test_a_plan_has_the_type_in_the_place_of_what_is_usual() -> None:
+    """C⁻¹ less the precision of the type is what the recording says, whatever the type: nothing of the grade stays."""
+    setup = with_all_groups(replace(Setup.of(grade="mems"), clock_u=0.0))
+    setup = replace(setup, noise=replace(setup.noise, accel_instability=0.0, gyro_instability=0.0))
+    names, said = stated(setup).names, []
+    group = [name for name in names if name.startswith(("accel.quadratic.", "accel.cubic."))]
+    for factor in (1.0, 7.0):
+        told = Told(dict.fromkeys(("accel.scale.x", *group), factor))
+        places, covariance = told.prior(names)
+        C = stated(setup, device_type=told).covariance
+        size = np.sqrt(np.diag(C))
+        information = np.linalg.inv(C / np.outer(size, size)) / np.outer(size, size)
+        information[np.ix_(places, places)] -= np.linalg.inv(covariance)
+        said.append(information)
+    size = np.sqrt(np.diag(said[0]))
+    np.testing.assert_allclose(said[1] / np.outer(size, size), said[0] / np.outer(size, size), atol=1e-5)
+
+
+def test_a_plan_expects_the_u_that_calibrate_has_of_a_unit_of_the_type(
+    type_of_eight: tuple[DeviceType, list[tuple[Estimate, Observations, dict[str, float]]]],
+) -> None:
+    known, units = type_of_eight
+    setup, made = Setup.of(grade="mems", programme="cube-14", terms="full"), []
+    for number in (20, 21, 22):
+        truth = {**units[number - 20][2]}
+        observations = simulate_observations(
+            replace(scenario_of(setup, np.random.default_rng(number)), truth=truth), np.random.default_rng(number)
+        )
+        made.append(with_type(joint(observations), observations, known.without(str(number - 20)))[0])
+    planned = plan(setup, device_type=known).whole
+    usual = plan(setup).whole
+    for group, places in positions_by_group(made[0].names).items():
+        u = np.sqrt(np.mean([each.u[places] ** 2 for each in made]))
+        assert 0.7 < planned.rms(group) / u < 1.3, group
+    for group in ("accel.bias", "accel.quadratic", "accel.asymmetry", "accel.lever"):
+        assert planned.rms(group) < 0.75 * usual.rms(group)
+
+
 # Through the registry
 
 
@@ -222,6 +279,15 @@ def test_a_registry_is_a_prior_of_the_next_unit_and_what_it_made_is_no_evidence(
     with open_registry(place) as registry:
         add_calibration(registry, tumble.read_calibration(next_unit / "calibration.json"))
         assert device_type(registry, "M-1").units == 3
+        assert plan(Setup.of(), device_type=device_type(registry, "M-1")).whole.u.shape
+        with pytest.raises(tumble.InputError, match="type 'M-2': expected at least 3 units, found 0"):
+            plan(Setup.of(), device_type=device_type(registry, "M-2"))
+    planned = CliRunner().invoke(main, ["plan", "--grade", "mems", "--registry", place, "--model", "M-1"])
+    assert planned.exit_code == 0, planned.output
+    assert "3 units of the type 'M-1'" in planned.output
+    alone = CliRunner().invoke(main, ["plan", "--model", "M-1"])
+    assert alone.exit_code == 2
+    assert "--registry: expected with --model" in alone.stderr
     twice = ["calibrate", str(next_unit), str(next_unit), "--registry", place, "--out", str(tmp_path / "x.json")]
     refused = CliRunner().invoke(main, twice)
     assert refused.exit_code == 2

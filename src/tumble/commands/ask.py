@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from tumble.drafting.new_session import Given
     from tumble.planning.error_propagation import BudgetedMethod
     from tumble.planning.setup import Setup
+    from tumble.run.device_type import DeviceType
 
 _Command = Callable[..., None]
 _Option = Callable[[_Command], _Command]
@@ -191,3 +192,15 @@ CLUSTER = together(
     click.option("--in-process", "serial", is_flag=True, help="Compute in this process."),
 )
 """Where many tasks are computed, and into which folder."""
+
+
+def type_in(place: str, model: str) -> DeviceType:
+    """A type by its units in a registry."""
+    from tumble.registry.store.connect import extra_named
+
+    with extra_named():
+        from tumble.registry.series import device_type
+        from tumble.registry.store.connect import open_registry
+
+        with open_registry(place) as opened:
+            return device_type(opened, model)

@@ -16,7 +16,6 @@ from tumble.errors import InputError
 if TYPE_CHECKING:
     from tumble.drafting.new_session import Given
     from tumble.run.calibrate import Method, Terms
-    from tumble.run.device_type import DeviceType
     from tumble.run.type_spread import TypeSpread
     from tumble.sensors.frames import Frame
 
@@ -119,7 +118,11 @@ def calibrate(
             results = [calibrate_together(described, frame=frame, progress=tell.with_progress)]
         else:
             alike = None if known_launches is None else _of_type(known_launches, described[0].device.model, frame)
-            of_type = None if type_registry is None else _type_of(type_registry, described[0].device.model)
+            of_type = None
+            if type_registry is not None:
+                if described[0].device.model is None:
+                    raise InputError("--registry: expected the type of the device, `model` under [device], found none")
+                of_type = ask.type_in(type_registry, described[0].device.model)
             words: dict[str, Any] = {"iterations": iterations, "frame": frame, "terms": terms, "alike": alike}
             words |= {"device_type": of_type}
             results = [
@@ -161,20 +164,6 @@ def _of_type(place: str, model: str | None, frame: Frame) -> TypeSpread:
 
         with open_registry(place) as opened:
             return type_spread(opened, model, frame)
-
-
-def _type_of(place: str, model: str | None) -> DeviceType:
-    """A type by its units in a registry."""
-    from tumble.registry.store.connect import extra_named
-
-    if model is None:
-        raise InputError("--registry: expected the type of the device, `model` under [device], found none")
-    with extra_named():
-        from tumble.registry.series import device_type
-        from tumble.registry.store.connect import open_registry
-
-        with open_registry(place) as opened:
-            return device_type(opened, model)
 
 
 @contextmanager

@@ -60,6 +60,10 @@ def programme(
 @ask.option("--over-temperature/recordings", "In a chamber, °C: -20/4,20,60/4 or -20:60:-20/30.", metavar="RECORDINGS")
 @ask.option("--time-constant", "Of the unit in a chamber, s.", 600.0, type=float)
 @ask.option("--chamber-rate", "Of the chamber, K a minute.", 2.0, type=float)
+@ask.option(
+    "--registry/type_registry", "With --model: its other units here are a prior, not the grade.", metavar="FILE|URL"
+)
+@ask.option("--model", "Type of the device in the registry.", metavar="MODEL")
 def plan(
     attitudes: tuple[str, ...],
     accel_only: bool,
@@ -72,6 +76,8 @@ def plan(
     recordings: str | None,
     time_constant: float,
     chamber_rate: float,
+    type_registry: str | None,
+    model: str | None,
     **options: Any,
 ) -> None:
     """The least uncertainty a programme allows, the best next position, and better programmes; over temperature with
@@ -79,6 +85,11 @@ def plan(
     from tumble.programme.positions import from_attitudes
 
     setup = ask.setup_of(options)
+    if (type_registry is None) != (model is None):
+        raise click.UsageError("--registry: expected with --model and --model with it, found one of them")
+    if model is not None and recordings is not None:
+        raise click.UsageError("--model: expected none with --over-temperature, found one")
+    device_type = None if type_registry is None or model is None else ask.type_in(type_registry, model)
     if attitudes:
         setup = replace(setup, programme=from_attitudes(attitudes))
     if recordings is not None:
@@ -107,9 +118,12 @@ def plan(
 
     aim = Aim(letter=criterion, wanted=wanted_of(wanted, None, setup) if wanted else {}, gyros=not accel_only)
     with tell.working("planning") as progress:
-        found = plan(setup, positions=positions, aim=aim, table=TurnTable.of(axes, step), progress=progress)
+        turns = TurnTable.of(axes, step)
+        found = plan(setup, positions=positions, aim=aim, table=turns, progress=progress, device_type=device_type)
     reasons = short_of(found.bound, aim, found.setup)
     tell.show(as_json, lambda: plan_data(found, reasons), lambda: plan_blocks(found, aim))
+    if device_type is not None:
+        tell.say(f"note: with all groups, by {device_type.units} units of the type {model!r} as a prior")
     tell.end(reasons)
 
 

@@ -12,6 +12,9 @@ What `calibrate` will state (`stated`) is more: it does not know the noise nor h
 instrument (`tumble.planning.expected_sizes`), it has the time base of the log, and of this the ends of the rests belong
 to the turns.
 
+Other units of the device's type may say what is usual of a parameter instead (`TypePrior`): then `calibrate` has them
+beside the recording, and how large the groups are need not be found out.
+
 Groups of parameters beyond the linear model (`Setup.further`) have priors, the spreads of the set-up. What is said of
 combinations is said of the linear parameters, whatever the others are within their priors; of a group, what the
 programme finds out about it: the learned fraction 1 − u²/s² of each parameter, s being its prior.
@@ -23,8 +26,9 @@ combination of unit length that is determined worst. For accelerometers alone th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -132,18 +136,36 @@ def bound_of(course: Course, setup: Setup, *, gyros: bool = True) -> Bound:
     return _bound(view(course, setup, gyros=gyros), setup)
 
 
-def stated(setup: Setup, *, gyros: bool = True) -> Bound:
+class TypePrior(Protocol):
+    """What other units of a type say of the next one."""
+
+    def prior(self, names: Sequence[str]) -> tuple[list[int], Array]:
+        """Of these parameters the places (k,) of those of which they say anything, and the covariance (k, k) of what a
+        unit differs by from what they expect, SI. Raises InputError where the units are too few."""
+        ...
+
+
+def stated(setup: Setup, *, gyros: bool = True, device_type: TypePrior | None = None) -> Bound:
     """The same with what `calibrate` does not know of a recording by a set-up's programme: what it will state on the
-    average over instruments. Raises InputError."""
+    average over instruments, or with what others of its type say. Raises InputError."""
     course, margin = course_of(setup), USUAL.margin_of(setup.rest)
     still = np.full(len(course.first), 0.5 * setup.ramp + margin)
     seen = view(course, replace(setup, rest=setup.rest - 2.0 * margin), gyros=gyros, still=still)
     problem, components = expected(seen.problem, seen.rows, seen.components)
-    return _bound(replace(seen, problem=problem, components=components), setup, setup.clock_u)
+    by_type = np.zeros((0, len(problem.instrument.names)))
+    if device_type is not None:
+        places, covariance = device_type.prior(problem.instrument.names)
+        by_type = np.zeros((len(places), by_type.shape[1]))
+        by_type[:, places] = np.linalg.inv(np.linalg.cholesky(covariance))
+        size, usual = problem.measured[1].copy(), problem.usual[1].copy()
+        size[1 + np.array(places)] = usual[1 + np.array(places)] = np.sqrt(np.diag(covariance))
+        problem = replace(problem, measured=(problem.measured[0], size), usual=(problem.usual[0], usual))
+    return _bound(replace(seen, problem=problem, components=components), setup, setup.clock_u, by_type)
 
 
-def _bound(seen: View, setup: Setup, clock_u: float = 0.0) -> Bound:
-    """What the rows of a course say, with a time base of this relative standard uncertainty.
+def _bound(seen: View, setup: Setup, clock_u: float = 0.0, by_type: Array | None = None) -> Bound:
+    """What the rows of a course say, with a time base of this relative standard uncertainty, and with whitened rows
+    (k, m) of what the device's type says in the place of the usual sizes of those parameters.
 
     The covariance of the linear parameters, whatever gravity and the others are: with the columns of these first, the
     triangle of all is R = (F X; 0 L), and L that of the linear ones. Gravity that is exact has no column."""
@@ -153,8 +175,12 @@ def _bound(seen: View, setup: Setup, clock_u: float = 0.0) -> Bound:
     told = seen.told()
     before = problem.measured[1].copy()
     before[own] = 0.0
+    if by_type is not None:
+        before[1:][by_type.any(axis=0)] = 0.0
     triangle = np.diag(np.append(np.where(before > 0.0, 1.0 / np.where(before > 0.0, before, 1.0), 0.0), 0.0))
     fold(told.sessions[0], triangle)
+    if by_type is not None and len(by_type):
+        fold(np.pad(by_type, ((0, 0), (1, 1))), triangle)
     triangle = triangle[:-1, :-1]
     others = np.setdiff1d(np.flatnonzero(triangle.any(axis=0)), np.arange(1, 1 + linear))
     R, q = np.asarray(np.linalg.qr(np.hstack([triangle[:, others], triangle[:, own]]), mode="r")), len(others)

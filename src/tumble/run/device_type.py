@@ -53,6 +53,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc, ndtr
 
+from tumble.errors import InputError
 from tumble.inference.estimate import Estimate
 from tumble.inference.prediction import prediction
 from tumble.inference.sources import UncertaintyBudget, source
@@ -279,6 +280,18 @@ class DeviceType:
                 units.setdefault(each.serial, []).append(each.in_run[kind])
         return [float(np.median(own)) for own in units.values()]
 
+    def prior(self, names: Sequence[str]) -> tuple[list[int], Array]:
+        """Of these parameters the places (k,) of those of whose whole group the units say anything, and the covariance
+        (k, k) of the differences of another unit from the means of the type, SI: for a plan. Raises InputError for
+        fewer than FEWEST_UNITS."""
+        if self.units < FEWEST_UNITS:
+            raise InputError(f"type {self.model!r}: expected at least {FEWEST_UNITS} units, found {self.units}")
+        learned = self.learned()
+        places = _places(names, list(learned.parameters))
+        at, of = list(places), list(places.values())
+        own = [learned.parameters[names[i]].variance for i in at]
+        return at, learned.covariance[np.ix_(of, of)] + np.diag(own)
+
     def learned(self, reference: float | None = None) -> LearnedType:
         """What the units say of every parameter of which FEWEST_UNITS say anything, at a temperature, °C."""
         known = [each.at(reference) for each in self.known]
@@ -312,6 +325,12 @@ class DeviceType:
             if np.all(np.abs(mean - before) < STILL * np.sqrt(np.diag(M))):
                 break
         return LearnedType(parameters=parameters, mean=mean, covariance=M)
+
+
+def _places(names: Sequence[str], known: Sequence[str]) -> dict[int, int]:
+    """By place among the names that among the known, of the groups that are known as a whole."""
+    whole = {g: all(names[i] in known for i in members) for g, members in positions_by_group(names).items()}
+    return {i: known.index(name) for i, name in enumerate(names) if whole[group_name(name)]}
 
 
 def _means(
@@ -437,9 +456,7 @@ def with_type(
         few = f"the type {model!r} has {units} other units in the registry: no prior by fewer than {FEWEST_UNITS}"
         return estimate, (few,)
     learned, names = device_type.learned(reference), estimate.names
-    further, known = {group.name for group in estimate.groups}, list(learned.parameters)
-    whole = {g: all(names[i] in known for i in members) for g, members in positions_by_group(names).items()}
-    places = {i: known.index(name) for i, name in enumerate(names) if whole[group_name(name)] and name in known}
+    further, places = {group.name for group in estimate.groups}, _places(names, list(learned.parameters))
     if not places:
         return estimate, (f"the {units} other units of the type {model!r} say nothing of these parameters",)
 
