@@ -106,7 +106,7 @@ lengths = st.lists(
 ).filter(lambda values: sum(values) <= 3000)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(
     lengths=lengths,
     seed=st.integers(0, 2**32 - 1),

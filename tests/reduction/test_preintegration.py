@@ -59,7 +59,7 @@ lengths = st.lists(
 ).filter(lambda values: sum(values) <= 6000)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(lengths=lengths, seed=st.integers(0, 2**32 - 1), largest=st.sampled_from([1e-6, 0.02, 0.5]))
 def test_kernel_equals_the_plain_recursion(lengths: list[int], seed: int, largest: float) -> None:
     increment, dt, transform, offset = motion(np.random.default_rng(seed), sum(lengths), largest)
