@@ -112,3 +112,8 @@ def test_a_time_base_that_was_compared_corrects_the_scale_factors_of_the_gyros(t
         assert found["alone"][name].value - exact[name].value == pytest.approx(-200e-6, rel=0.03)
     assert any("+200.0 ppm" in note and "'gps'" in note for note in found["with"].notes)
     assert found["with"].clock_u < 1e-6
+    made = found["with"]
+    assert made.gyro is not None
+    block = tumble.read_session(folder).gyro_block
+    assert block is not None
+    np.testing.assert_allclose(made.gyro.matrix, block.model(np.array([made[n].value for n in block.names])).matrix)

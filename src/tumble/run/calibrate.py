@@ -281,9 +281,9 @@ def estimated(
             f"are in the u of {' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact",
         )
     if (reference := session.log.reference_clock) is not None:
-        slow = session.log.clock_rate - 1.0
+        slow = f"{1e6 * (session.log.clock_rate - 1.0):+.1f} ppm"
         notes += (
-            f"a second of the log's clock lasts {1e6 * slow:+.1f} ppm longer by '{reference.column}', to "
+            f"by '{reference.column}' a second of the log's clock is {slow} longer than one, to "
             f"{1e6 * session.log.time_base_u:.2g} ppm: {' and '.join(by_clock) or 'no parameter'} corrected for it",
         )
     unstamped = session.log.unstamped
@@ -291,8 +291,14 @@ def estimated(
     try:
         with np.errstate(over="ignore"):  # damaged samples, of which it breaks down
             estimate = method(observations)
-        of_clock = by_time_base(estimate.names, clocked(session.log.clock_rate - 1.0, session.log.increments))
-        estimate = replace(estimate, values=estimate.values + of_clock)
+        if (slow := session.log.clock_rate - 1.0) != 0.0:
+            change = by_time_base(estimate.names, clocked(slow, session.log.increments))
+            estimate = replace(estimate, values=estimate.values + change)
+            by_name = dict(zip(estimate.names, estimate.values, strict=True))
+            for block in (observations.accel_block, observations.gyro_block):
+                if block is not None and set(block.names) <= by_name.keys():
+                    model = block.model(np.array([by_name[name] for name in block.names]))
+                    estimate = replace(estimate, **{block.kind: model})
         if estimate.method != "joint":  # which counts the time base itself
             estimate = _with_time_base(estimate, observations)
         if terms == "linear":
