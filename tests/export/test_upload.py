@@ -22,7 +22,7 @@ from tests.support.calibrated import calibration, warmed
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import export_calibration
-from tumble.export.upload import Change, upload
+from tumble.export.upload import ParameterChange, upload
 from tumble.recording.session import AutopilotSensor
 from tumble.result.calibration import Calibration
 
@@ -195,7 +195,7 @@ def test_arming_on_the_way_ends_it_and_is_taken_back(tmp_path: Path) -> None:
     there = before(wanted(made, "px4"))
     with Peer(PX4, there) as peer:
 
-        def armed_after_three(change: Change) -> None:
+        def armed_after_three(change: ParameterChange) -> None:
             if change.name == "CAL_ACC0_ZOFF":
                 peer.armed = True
                 time.sleep(3 * 0.02)
@@ -226,7 +226,7 @@ def test_an_interruption_leaves_nothing_half_written_unsaid(moment: int, tmp_pat
                     threading.Timer(14 * PATIENCE / 2, lambda: setattr(peer, "alive", True)).start()
             return value
 
-        def stopped(_: Change) -> None:
+        def stopped(_: ParameterChange) -> None:
             if how == 0 and heard >= after:
                 raise KeyboardInterrupt
 

@@ -40,7 +40,7 @@ TRIES = 12
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Change:
+class ParameterChange:
     """A parameter with its value before and after, as the autopilot keeps them."""
 
     name: str
@@ -54,7 +54,7 @@ class Upload:
     autopilot has no place for."""
 
     autopilot: str
-    changes: tuple[Change, ...]
+    changes: tuple[ParameterChange, ...]
     backup: Path | None
     losses: tuple[str, ...]
 
@@ -67,7 +67,7 @@ def upload(
     thermal: bool = False,
     imu: int | None = None,
     dry_run: bool = False,
-    progress: Callable[[Change], None] = lambda _: None,
+    progress: Callable[[ParameterChange], None] = lambda _: None,
     patience: float = 0.5,
 ) -> Upload:
     """Write a calibration into an autopilot.
@@ -130,15 +130,15 @@ def upload(
         with path.open("xb") as file:
             file.write(_backup(exported, there))
         order = sorted(wanted, key=lambda name: name.endswith("ENABLE"))
-        changes = tuple(Change(name=name, before=there[name], after=wanted[name]) for name in order)
+        changes = tuple(ParameterChange(name=name, before=there[name], after=wanted[name]) for name in order)
         if not dry_run:
             _write(pilot, [c for c in changes if c.before != c.after], path, progress)
     return Upload(autopilot=target, changes=changes, backup=path, losses=exported.losses)
 
 
-def _write(pilot: _Link, changes: Sequence[Change], backup: Path, progress: Callable[[Change], None]) -> None:
+def _write(pilot: _Link, changes: Sequence[ParameterChange], backup: Path, progress: Callable[[ParameterChange], None]) -> None:
     """Set all of them, or none."""
-    begun: list[Change] = []
+    begun: list[ParameterChange] = []
     try:
         for change in changes:
             begun.append(change)

@@ -298,7 +298,9 @@ def estimated(
             for block in (observations.accel_block, observations.gyro_block):
                 if block is not None and set(block.names) <= by_name.keys():
                     model = block.model(np.array([by_name[name] for name in block.names]))
-                    estimate = replace(estimate, **{block.kind: model})
+                    estimate = (
+                        replace(estimate, accel=model) if block.kind == "accel" else replace(estimate, gyro=model)
+                    )
         if estimate.method != "joint":  # which counts the time base itself
             estimate = _with_time_base(estimate, observations)
         if terms == "linear":
