@@ -136,7 +136,9 @@ def upload(
     return Upload(autopilot=target, changes=changes, backup=path, losses=exported.losses)
 
 
-def _write(pilot: _Link, changes: Sequence[ParameterChange], backup: Path, progress: Callable[[ParameterChange], None]) -> None:
+def _write(
+    pilot: _Link, changes: Sequence[ParameterChange], backup: Path, progress: Callable[[ParameterChange], None]
+) -> None:
     """Set all of them, or none."""
     begun: list[ParameterChange] = []
     try:

@@ -83,7 +83,7 @@ class FilterValue:
 
 
 _MOTION = (
-    "10 times: vibration, scale factors, temperature and stamps are in no record at rest; the authors of Kalibr take "
+    "10 times: vibration, scale factors, temperature and stamps are in no record at rest; a maintainer of Kalibr names "
     "10 to 20 times"
 )
 _VIBRATION = "10 times; not below the default of the autopilot: a frame with propellers shakes"

@@ -176,16 +176,16 @@ class Segmentation:
 def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmentation:
     """The rests of a reduced log (module docstring)."""
     tuning = reduction.tuning
-    usual = _Search(reduction, accel, gyro, tuning).rests()
+    usual = _RestSearch(reduction, accel, gyro, tuning).rests()
     short = sum(r.fails == "duration" and r.stop - r.start >= tuning.short_rest for r in usual.rejected)
     if short <= 2 * len(usual.rests):
         return usual
-    again = _Search(reduction, accel, gyro, tuning.for_short_rests(reduction.rate)).rests()
+    again = _RestSearch(reduction, accel, gyro, tuning.for_short_rests(reduction.rate)).rests()
     # what is too short is said as in any other recording
     return replace(again, tuning=tuning) if len(again.rests) >= len(usual.rests) + tuning.fewest_short else usual
 
 
-class _Search:
+class _RestSearch:
     """The search of a log with windows of so many blocks: by file the block means of the specific force, m/s², and of
     the rate, rad/s (none without gyros), in the body, and what coarse channels may do to these without anything
     moving."""
