@@ -281,9 +281,9 @@ def estimated(
             f"are in the u of {' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact",
         )
     if (reference := session.log.reference_clock) is not None:
-        slow = f"{1e6 * (session.log.clock_rate - 1.0):+.1f} ppm"
+        longer = f"{1e6 * (session.log.clock_rate - 1.0):+.1f} ppm"
         notes += (
-            f"by '{reference.column}' a second of the log's clock is {slow} longer than one, to "
+            f"by '{reference.column}' a second of the log's clock is {longer} longer than one, to "
             f"{1e6 * session.log.time_base_u:.2g} ppm: {' and '.join(by_clock) or 'no parameter'} corrected for it",
         )
     unstamped = session.log.unstamped
