@@ -232,16 +232,22 @@ def test_an_interruption_leaves_nothing_half_written_unsaid(moment: int, tmp_pat
 
         peer.hears = counted
         backup = tmp_path / "b.params"
-        with pytest.raises(InputError) as error:
+        said = ""
+        try:
             upload(made, f"udp:{peer.port}", backup=backup, progress=stopped, patience=PATIENCE / 2)
+        except InputError as error:
+            said = str(error)
         assert backup.exists()
         changed = {name for name in there if peer.values[name] != there[name]}
-        if "all values are as they were before" in str(error.value):
+        if not said:  # the link was there again before the upload gave it up
+            assert how == 2
+            assert peer.values == values
+        elif "all values are as they were before" in said:
             assert not changed
         else:
-            named = str(error.value).partition("may have new values: ")[2].partition(";")[0].split(", ")
+            named = said.partition("may have new values: ")[2].partition(";")[0].split(", ")
             assert changed <= set(named)
-            assert str(backup) in str(error.value)
+            assert str(backup) in said
 
 
 def test_the_command_shows_each_parameter_and_keeps_the_values_before(tmp_path: Path) -> None:
