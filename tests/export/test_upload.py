@@ -143,7 +143,8 @@ def test_a_dry_run_writes_nothing(tmp_path: Path) -> None:
         done = upload(made, f"udp:{peer.port}", backup=tmp_path / "b.params", dry_run=True, patience=PATIENCE)
         assert peer.values == there
     assert any(c.before != c.after for c in done.changes)
-    assert (tmp_path / "b.params").exists()
+    assert done.backup is None
+    assert not (tmp_path / "b.params").exists()
 
 
 @pytest.mark.parametrize(

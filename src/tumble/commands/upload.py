@@ -15,7 +15,7 @@ from tumble.commands import ask, tell
 @ask.option("--backup", "File for the values before.  [default: CALIBRATION.before.params]", type=ask.FILE)
 @click.option("--thermal", is_flag=True, help="Curves over temperature too.")
 @ask.option("--imu", "Of the N-th IMU, from 1, where the calibration does not say which.", metavar="N", type=int)
-@click.option("--dry-run", is_flag=True, help="Compare, and write nothing but the backup.")
+@click.option("--dry-run", is_flag=True, help="Compare, and write nothing.")
 def upload(calibration: Path, mavlink: str, backup: Path | None, thermal: bool, imu: int | None, dry_run: bool) -> None:
     """Write CALIBRATION, a calibration file, into PX4 or ArduPilot over MAVLink.
 
@@ -37,5 +37,5 @@ def upload(calibration: Path, mavlink: str, backup: Path | None, thermal: bool, 
     for change in done.changes:
         click.echo(f"{change.name}\t{change.before:.9g}\t{change.after:.9g}")
     changed = sum(change.before != change.after for change in done.changes)
-    what = "would change" if dry_run else "changed and read back"
-    tell.say(f"{done.autopilot}: {changed} of {len(done.changes)} parameters {what}; values before: {done.backup}")
+    what = "would change" if dry_run else f"changed and read back; values before: {done.backup}"
+    tell.say(f"{done.autopilot}: {changed} of {len(done.changes)} parameters {what}")

@@ -50,8 +50,8 @@ class ParameterChange:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Upload:
-    """What an upload did, or would do: the autopilot by its format, the changes, the backup, and in sentences what the
-    autopilot has no place for."""
+    """What an upload did, or would do: the autopilot by its format, the changes, the backup, None of a dry run, and in
+    sentences what the autopilot has no place for."""
 
     autopilot: str
     changes: tuple[ParameterChange, ...]
@@ -85,7 +85,7 @@ def upload(
     imu
         The number of the IMU, from 1, where the calibration does not know it.
     dry_run
-        Compare, and write nothing but the backup.
+        Compare, and write nothing.
     progress
         Called with every change that was made.
     patience
@@ -127,13 +127,13 @@ def upload(
                     f"{link}: expected the sensors that were calibrated, {name} {value:.0f}, found {there[name]:.0f}; "
                     "connect that device, or calibrate this one"
                 )
-        with path.open("xb") as file:
-            file.write(_backup(exported, there))
         order = sorted(wanted, key=lambda name: name.endswith("ENABLE"))
         changes = tuple(ParameterChange(name=name, before=there[name], after=wanted[name]) for name in order)
         if not dry_run:
+            with path.open("xb") as file:
+                file.write(_backup(exported, there))
             _write(pilot, [c for c in changes if c.before != c.after], path, progress)
-    return Upload(autopilot=target, changes=changes, backup=path, losses=exported.losses)
+    return Upload(autopilot=target, changes=changes, backup=None if dry_run else path, losses=exported.losses)
 
 
 def _write(
