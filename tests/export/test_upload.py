@@ -9,6 +9,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -206,8 +207,7 @@ def test_arming_on_the_way_ends_it_and_is_taken_back(tmp_path: Path) -> None:
         assert peer.values == there
 
 
-@pytest.mark.parametrize("moment", range(50))
-def test_an_interruption_leaves_nothing_half_written_unsaid(moment: int, tmp_path: Path) -> None:
+def interrupted(moment: int, folder: Path) -> None:
     """By Ctrl-C, or a link that ends for good or for a while, at some moment: either all values are as before, or those
     that may be new are named; and the backup is there."""
     made = made_for(thermal=False)
@@ -232,7 +232,7 @@ def test_an_interruption_leaves_nothing_half_written_unsaid(moment: int, tmp_pat
                 raise KeyboardInterrupt
 
         peer.hears = counted
-        backup = tmp_path / "b.params"
+        backup = folder / f"{moment}.params"
         said = ""
         try:
             upload(made, f"udp:{peer.port}", backup=backup, progress=stopped, patience=PATIENCE / 2)
@@ -249,6 +249,13 @@ def test_an_interruption_leaves_nothing_half_written_unsaid(moment: int, tmp_pat
             named = said.partition("may have new values: ")[2].partition(";")[0].split(", ")
             assert changed <= set(named)
             assert str(backup) in said
+
+
+def test_an_interruption_leaves_nothing_half_written_unsaid(tmp_path: Path) -> None:
+    """At fifty moments, eight at a time: what they wait for is time-outs."""
+    with ThreadPoolExecutor(8) as pool:
+        for _ in pool.map(lambda moment: interrupted(moment, tmp_path), range(50)):
+            pass
 
 
 def test_the_command_shows_each_parameter_and_keeps_the_values_before(tmp_path: Path) -> None:
