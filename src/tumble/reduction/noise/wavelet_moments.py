@@ -40,7 +40,7 @@ plus PENALTY for every process. The runner-up and by how much it is worse are pa
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, combinations
 
@@ -312,11 +312,23 @@ def _chosen(variance: Array, moments: _Moments, error: float) -> tuple[_Sum, _Su
     def weights(of: _Sum) -> _Weights:
         model = _slopes(tau, of.times) @ of.squares
         C = moments.covariance(of.squares, of.times) + np.diag((error * model) ** 2)
-        return _Weights(root=np.asarray(np.linalg.cholesky(C)), freedom=2.0 * model**2 / np.diag(C), model=model)
+        least = 0.0
+        while True:  # of readings in motion, moments may be those of one movement: C is singular but for rounding
+            try:
+                known = C + least * np.diag(model**2)
+                return _Weights(
+                    root=np.asarray(np.linalg.cholesky(known)), freedom=2.0 * model**2 / np.diag(known), model=model
+                )
+            except np.linalg.LinAlgError:
+                if least > 1.0:
+                    raise
+                least = max(10.0 * least, 1e-12)
 
     def with_own(start: _Sum, weight: _Weights) -> tuple[_Sum, _Weights]:
         found, last = _fitted(variance, tau, start, weight), np.inf
         for _ in range(6):
+            if set(found.active.tolist()) <= {LINEAR.index("ramp")}:  # which is no noise
+                return replace(found, deviance=np.inf), weight
             weight = weights(found)
             found = _fitted(variance, tau, found, weight)
             if abs(found.deviance - last) < 0.02:
