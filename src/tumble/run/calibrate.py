@@ -193,20 +193,12 @@ def _calibrated(
         by_gyros = bool(at_fault) and all(part.startswith("gyro") for part in at_fault)
         if by_gyros and method == "joint" and not isinstance(taken, Outcome):  # the accelerometers are better off alone
             alone = estimated(session, taken.of_accelerometers(), *known)
-            made_alone = (
-                None
-                if isinstance(alone, Outcome)
-                else result_of(session, *alone, systematic, frame, provenance, bridged)
-            )
-            whole = made_alone is not None and not any(n.startswith("accel") for n in made_alone.outcome.unobservable)
-            if (
-                whole
-                and made_alone is not None
-                and not isinstance(alone, Outcome)
-                and made_alone.outcome.accel.accepted
-            ):
-                because = (f"{why}; the accelerometers are estimated alone" for why in made.outcome.gyro.reasons)
-                estimate, made, faults = alone, made_alone, (*because, *faults)
+            if not isinstance(alone, Outcome):
+                made_alone = result_of(session, *alone, systematic, frame, provenance, bridged)
+                lost = any(name.startswith("accel") for name in made_alone.outcome.unobservable)
+                if made_alone.outcome.accel.accepted and not lost:
+                    because = (f"{why}; the accelerometers are estimated alone" for why in made.outcome.gyro.reasons)
+                    estimate, made, faults = alone, made_alone, (*because, *faults)
         made = replace(with_magnetometer(made, session, estimate[1]), sample_rate=observed.rate)
         if others is not None and estimate[0].of_type:
             made = replace(made, provenance={**made.provenance, "type": others.model})
