@@ -1,19 +1,26 @@
 """Sums of noise processes: how often the data choose the right ones, and how often the intervals of their coefficients
 hold the truth.
 
-    python studies/noise_processes.py [RUNS [SUM ...]]
+    python studies/noise_processes.py --runs 200 --seed 29 --write studies/noise_processes.json
+    python studies/noise_processes.py --short
 
-Records of 2^17 samples at 100 Hz, 22 minutes, of known sums, 200 of each. Printed is, of each sum, in how many records
+Records of 2^17 samples at 100 Hz, 22 minutes, of known sums, 200 of each. Of each sum it is found in how many records
 `tumble noise` names exactly its processes, what else it names, and of each coefficient in those records how often its
-interval of 95 % holds the truth, and its median relative u.
+interval of 95 % holds the truth, and its median relative u. The penalties of `reduction.noise.wavelet_moments` were
+chosen with seed 29; other seeds are of records that have seen no choice. What is written is shown in
+docs/evidence/noise.md.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 import sys
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import date
+from pathlib import Path
 
 import numpy as np
 from scipy.signal import lfilter
@@ -91,56 +98,96 @@ def coefficients(of: Case, found: NoiseParameters) -> list[tuple[str, Coefficien
     return out
 
 
-def run(of: Case, runs: int, samples: int = SAMPLES) -> tuple[Counter[str], dict[str, Array]]:
-    """What was named how often, and of each coefficient rows (n, 2): whether the interval holds it, and relative u."""
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Result:
+    """Of `runs` records of a sum, how often what was named, in words, the sum itself as "right"; and by coefficient in
+    the records that were named right, in how many the interval of 95 % holds the truth, and the median u/value."""
+
+    name: str
+    told: bool
+    runs: int
+    named: Mapping[str, int]
+    held: Mapping[str, int]
+    u: Mapping[str, float]
+
+    @property
+    def row(self) -> str:
+        """The line of a table in Markdown."""
+        others = ", ".join(f"{n} {words}" for words, n in self.named.items() if words != "right")
+        right = max(self.named["right"], 1)
+        held = ", ".join(
+            f"{name.replace('_', ' ')} {n / right:.1%} ({self.u[name]:.1%})" for name, n in self.held.items()
+        )
+        return f"| {self.name} | {self.named['right']} of {self.runs} | {others} | {held} |"
+
+
+HEAD = """| sum | right | else | 95 % intervals with the truth (median u) |
+|---|---|---|---|"""
+
+
+def run(of: Case, runs: int, seed: int, samples: int = SAMPLES) -> Result:
+    """What is found in so many records of a sum."""
     right = in_words([name for name in LINEAR if name in of.linear], len(of.gauss_markov))
-    rng, named, rows = (
-        np.random.default_rng([29, CASES.index(of)]),
-        Counter[str](),
-        dict[str, list[tuple[float, float]]](),
-    )
+    rng, named = np.random.default_rng([seed, CASES.index(of)]), Counter({"right": 0})
+    held, u = Counter[str](), dict[str, list[float]]()
     for _ in range(runs // TOGETHER):
         for found in identify(allan_deviation(records(of, TOGETHER, rng, samples), RATE)):
-            named[found.words] += 1
-            if found.words != right:
-                continue
-            for name, estimate, truth in coefficients(of, found):
+            named["right" if found.words == right else found.words] += 1
+            for name, estimate, truth in coefficients(of, found) if found.words == right else ():
                 low, high = estimate.interval
-                rows.setdefault(name, []).append((float(low <= truth <= high), estimate.u / estimate.value))
-    return Counter({"right": named.pop(right, 0), **named}), {name: np.array(each) for name, each in rows.items()}
-
-
-def main(runs: int, wanted: list[str]) -> int:
-    """Print the table and the answer."""
-    print("| sum | right | else | of each coefficient, of 95 % intervals, with its median u |")
-    print("|---|---|---|---|")
-    shares, covered, least = [], [], 1.0
-    for of in CASES:
-        if wanted and of.name not in wanted:
-            continue
-        named, rows = run(of, runs)
-        others = ", ".join(f"{count} {words}" for words, count in named.most_common() if words != "right")
-        held = ", ".join(
-            f"{name.replace('_', ' ')} {each[:, 0].mean():.1%} ({np.median(each[:, 1]):.1%})"
-            for name, each in rows.items()
-        )
-        print(f"| {of.name} | {named['right']} of {runs} | {others} | {held} |", flush=True)
-        if of not in CASES[-BEYOND:]:
-            shares.append(named["right"] / runs)
-            covered += [float(each[:, 0].mean()) for each in rows.values()]
-            least = min(least, *(len(each) / runs for each in rows.values()))
-    chance = 3.0 * np.sqrt(0.95 * 0.05 / (least * runs))
-    right = min(shares) >= 0.9
-    honest = min(covered) > 0.95 - chance and max(covered) <= min(1.0, 0.95 + chance)
-    print(
-        f"Are the right processes named, and are the intervals honest? {'Yes' if right and honest else 'No'}: right in "
-        f"{min(shares):.0%} or more, intervals of 95 % hold the truth in {min(covered):.1%} to {max(covered):.1%} "
-        f"(by chance within {chance:.1%})."
+                held[name] += low <= truth <= high
+                u.setdefault(name, []).append(estimate.u / estimate.value)
+    return Result(
+        name=of.name,
+        told=of not in CASES[-BEYOND:],
+        runs=runs,
+        named=dict(named.most_common()),
+        held={name: held[name] for name in u},
+        u={name: float(np.median(each)) for name, each in u.items()},
     )
-    return 0 if right and honest else 1
+
+
+def answer(results: Sequence[Result]) -> tuple[bool, str]:
+    """Whether the right processes are named and the intervals are honest, of the sums that can be told."""
+    told = [each for each in results if each.told]
+    right = min(each.named["right"] / each.runs for each in told)
+    covered = [(n / each.named["right"], each.named["right"]) for each in told for n in each.held.values()]
+    all_held = sum(share * n for share, n in covered) / sum(n for _, n in covered)
+    within = sum(0.93 <= share <= 0.97 for share, _ in covered)
+    off = [(share - 0.95) / np.sqrt(0.95 * 0.05 / n) for share, n in covered]
+    honest = right >= 0.9 and max(np.abs(off)) < 3.3  # of 25 coefficients chance alone is farther off in 2 %
+    shares = [share for share, _ in covered]
+    return honest, (
+        f"Are the right processes named, and are the intervals honest? {'Yes' if honest else 'No'}: right in "
+        f"{right:.0%} or more; intervals of 95 % hold the truth in {all_held:.1%}, of each coefficient in "
+        f"{min(shares):.1%} to {max(shares):.1%}, {within} of {len(shares)} within 93 to 97 %, the farthest "
+        f"{max(off, key=abs):+.1f} standard deviations of chance off."
+    )
+
+
+def main(runs: int, seed: int, wanted: Sequence[str], file: Path | None) -> int:
+    """Print the table and the answer, and write what was found to a file."""
+    print(HEAD)
+    results = []
+    for of in CASES:
+        if not wanted or of.name in wanted:
+            results.append(run(of, runs, seed))
+            print(results[-1].row, flush=True)
+    honest, said = answer(results)
+    if file is not None:
+        content = {"seed": seed, "date": date.today().isoformat(), "sums": [asdict(each) for each in results]}
+        file.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    print(said)
+    return 0 if honest else 1
 
 
 if __name__ == "__main__":
-    short = "--short" in sys.argv
-    words = [word for word in sys.argv[1:] if word != "--short"]
-    sys.exit(main(10 if short else int((*words, "200")[0]), [CASES[0].name, CASES[3].name] if short else words[1:]))
+    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments.add_argument("sums", nargs="*")
+    arguments.add_argument("--short", action="store_true")
+    arguments.add_argument("--runs", type=int, default=200)
+    arguments.add_argument("--seed", type=int, default=29)
+    arguments.add_argument("--write", type=Path)
+    options = arguments.parse_args()
+    sums = [CASES[0].name, CASES[3].name] if options.short else options.sums
+    sys.exit(main(10 if options.short else options.runs, options.seed, sums, options.write))

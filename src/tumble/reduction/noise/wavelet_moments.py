@@ -64,6 +64,8 @@ PENALTY = {"linear": 12.0, "gauss_markov": 28.0}
 TRIED = 6
 """So many kinds of sums are fitted, those that are best on a grid of correlation times."""
 MOST_GAUSS_MARKOV = 2
+VANISHED = 0.01
+"""A process that adds less to Q has gone to zero: the sum is that of the others."""
 FLICKER = 2.0 * np.log(2.0) / np.pi
 EVERY_LAG = 4
 """Panels of (3) that are no wider, in samples, are summed lag by lag."""
@@ -327,6 +329,7 @@ def _chosen(variance: Array, moments: _Moments, error: float) -> tuple[_Sum, _Su
     def with_own(start: _Sum, weight: _Weights) -> tuple[_Sum, _Weights]:
         found, last = _fitted(variance, tau, start, weight), np.inf
         for _ in range(6):
+            found = _without_vanished(found, tau, weight)
             if set(found.active.tolist()) <= {LINEAR.index("ramp")}:  # which is no noise
                 return replace(found, deviance=np.inf), weight
             weight = weights(found)
@@ -336,15 +339,27 @@ def _chosen(variance: Array, moments: _Moments, error: float) -> tuple[_Sum, _Su
             last = found.deviance
         return found, weight
 
-    tried: dict[str, tuple[_Sum, _Weights]] = {}
+    begun, tried = set[str](), dict[str, tuple[_Sum, _Weights]]()
     weight = weights(_all_at_once(variance, tau, grid))
     for _ in range(2):
         for start in sorted(_by_grid(variance, tau, grid, weight), key=lambda each: each.cost)[:TRIED]:
-            if start.words not in tried:
-                tried[start.words] = with_own(start, weight)
+            if start.words not in begun:
+                begun.add(start.words)
+                found, own = with_own(start, weight)
+                if found.words not in tried or found.cost < tried[found.words][0].cost:
+                    tried[found.words] = found, own
         ordered = sorted(tried.values(), key=lambda each: each[0].cost)
         weight = ordered[0][1]
     return ordered[0][0], ordered[1][0] if len(ordered) > 1 else None
+
+
+def _without_vanished(found: _Sum, tau: Array, weight: _Weights) -> _Sum:
+    """The sum without the processes whose coefficients went to zero."""
+    adds = np.linalg.solve(weight.root, _slopes(tau, found.times) * found.squares)
+    stays = np.sum(adds**2, axis=0) > VANISHED
+    squares = np.where(stays, found.squares, 0.0)
+    kept = np.r_[np.full(len(LINEAR), True), stays[len(LINEAR) :]]
+    return replace(found, squares=squares[kept], times=tuple(np.array(found.times)[stays[len(LINEAR) :]].tolist()))
 
 
 def _all_at_once(variance: Array, tau: Array, grid: tuple[float, ...]) -> _Sum:
