@@ -49,6 +49,11 @@ MTIG_ESTIMATES = ((0.1255909, 5.028488e-5), (0.9984905, 3.676371e-10), (0.999922
 MTIG_SAMPLES = 873_684
 
 
+def octaves(count: int, first: int = 0) -> Array:
+    """Cluster sizes (k,) in samples, 2^first and on."""
+    return np.asarray(np.exp2(np.arange(first, count, dtype=float)))
+
+
 def recorded(table: str) -> Array:
     """Allan variances (k,) of 1, 2, 4 … samples."""
     return 2.0 * np.array([float(word) for word in table.split()])
@@ -58,7 +63,7 @@ def named(variances: Array, rate: float, samples: int) -> NoiseParameters:
     """The processes that a channel of these Allan variances is said to have."""
     deviation = np.sqrt(variances)[:, None]
     blank = np.ones_like(deviation)
-    tau = 2.0 ** np.arange(len(variances)) / rate
+    tau = octaves(len(variances)) / rate
     of = AllanDeviation(tau=tau, deviation=deviation, degrees=blank, low=deviation, high=deviation, counts=(samples,))
     return identify(of)[0]
 
@@ -71,7 +76,7 @@ def fitted(variances: Array, samples: int, start: _Sum) -> tuple[_Sum, Array]:
     for _ in range(8):
         model = _slopes(tau, found.times) @ found.squares
         C = moments.covariance(found.squares, found.times)
-        weights = _Weights(root=np.linalg.cholesky(C), freedom=2.0 * model**2 / np.diag(C), model=model)
+        weights = _Weights(root=np.asarray(np.linalg.cholesky(C)), freedom=2.0 * model**2 / np.diag(C), model=model)
         g, _ = weights.away(variances, _slopes(tau, start.times) @ start.squares)
         q.append(float(np.sum(np.linalg.solve(weights.root, g) ** 2)))
         found = _fitted(variances, tau, found, weights)
@@ -87,7 +92,7 @@ def test_gyros_of_an_ln_200_show_white_noise_of_their_data_sheet() -> None:
     """0.05 °/√h, as the publication quotes it for comparison. X and Z are white noise and nothing else over six hours,
     at every τ within its statistics; Y, which wanders in 0.3 s, follows no sum, and its N is 6 % more than what is left
     of it at long τ."""
-    tau = 2.0 ** np.arange(22) / 400.0
+    tau = octaves(22) / 400.0
     of_record = np.sqrt(3.0 * tau * 400.0 / 8_640_000)  # of σ² of white noise, standard deviation in parts of it
     for axis, table in LN200.items():
         p = named(recorded(table), 400.0, 8_640_000)
@@ -117,7 +122,7 @@ def test_a_gyro_of_a_navchip_has_the_published_quantisation_and_white_noise() ->
         u=np.empty(0),
     )
     variances = recorded(NAVCHIP_Y)
-    model = _slopes(2.0 ** np.arange(len(variances)), times) @ other.squares
+    model = _slopes(octaves(len(variances)), times) @ other.squares
     np.testing.assert_allclose(model, variances, rtol=0.13)  # the letters of both mean the same
     found, q = fitted(variances, 3_105_250, other)
     assert found.squares[0] == pytest.approx(published["Q²"], rel=0.015)
@@ -145,19 +150,21 @@ def test_the_published_processes_of_an_mti_g_are_those_of_the_formula() -> None:
     are means. Beside the third, which is white from four samples on, no record of this length tells two processes from
     a flat part, and N comes out 3 % too small."""
 
-    def of_means(m: Array, phi: float, s2: float) -> Array:
-        """The variance of a mean of m samples."""
-        whole = m * (1.0 + phi) / (1.0 - phi) - 2.0 * phi * (1.0 - phi**m) / (1.0 - phi) ** 2
-        return np.asarray(s2 / (1.0 - phi**2) * whole / m**2)
+    def allan(m: Array, *processes: tuple[float, float]) -> Array:
+        """Allan variances of AR(1) processes: of neighbouring means of m samples, 2 var(m) − 2 var(2m)."""
 
-    sizes = 2.0 ** np.arange(5, 17)
-    variances = sum(2.0 * (of_means(sizes, *p) - of_means(2.0 * sizes, *p)) for p in MTIG_ESTIMATES[1:])
+        def of_means(m: Array, phi: float, s2: float) -> Array:
+            whole = m * (1.0 + phi) / (1.0 - phi) - 2.0 * phi * (1.0 - phi**m) / (1.0 - phi) ** 2
+            return np.asarray(s2 / (1.0 - phi**2) * whole / m**2)
+
+        return np.asarray(np.sum([2.0 * (of_means(m, *p) - of_means(2.0 * m, *p)) for p in processes], axis=0))
+
+    sizes = octaves(17, first=5)
     squares, times = gauss_markov(MTIG_ESTIMATES[1:])
-    start = _Sum(squares=np.array([0, 0, 0, 0, 0, *squares]), times=times, u=np.empty(0))
-    np.testing.assert_allclose(_slopes(sizes, start.times) @ start.squares, variances, rtol=1e-3)
-    (phi, s2), seconds = MTIG_ESTIMATES[0], 1.0 / 100.0
-    every = sum(2.0 * (of_means(m, *p) - of_means(2.0 * m, *p)) for m in [2.0 ** np.arange(18)] for p in MTIG_ESTIMATES)
-    p = named(np.asarray(every), 100.0, MTIG_SAMPLES)
+    model = _slopes(sizes, times) @ np.array([0.0, 0.0, 0.0, 0.0, 0.0, *squares])
+    np.testing.assert_allclose(model, allan(sizes, *MTIG_ESTIMATES[1:]), rtol=1e-3)
+    (phi, s2), interval = MTIG_ESTIMATES[0], 0.01
+    p = named(allan(octaves(18), *MTIG_ESTIMATES), 1.0 / interval, MTIG_SAMPLES)
     assert p.words == "white noise + bias instability"
     assert p.white_noise is not None
-    assert p.white_noise.value == pytest.approx(np.sqrt(s2 * seconds) / (1.0 - phi), rel=0.05)
+    assert p.white_noise.value == pytest.approx(np.sqrt(s2 * interval) / (1.0 - phi), rel=0.04)
