@@ -645,10 +645,10 @@ def test_results_are_printed_as_data(sessions: Path) -> None:
     assert len(seen["turns"]) == len(seen["rests"]) - 1
     file = sessions / "one/calibration.json"
     compared = json.loads(run("compare", file, file, "--json").stdout)
-    assert compared["agree"]
+    assert compared["verdict"] == "accepted"
     assert {p["difference"] for p in compared["parameters"]} == {0.0}
     verified = json.loads(run("verify", file, sessions / "one", "--json").stdout)
-    assert verified["accepted"]
+    assert verified["verdict"] == "accepted"
     assert len(verified["positions"]) == len(seen["rests"])
 
 

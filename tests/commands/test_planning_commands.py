@@ -135,7 +135,7 @@ def test_plans_and_requirements_are_data_too() -> None:
     assert {row["method"] for row in budget["rows"]} == {"staged"}
     assert all(row["bound"] < row["error"] * 1.5 for row in budget["rows"])
     require = json.loads(run("require", "--want", "accel.scale=100ppm", "--grade", "mems", "--json").stdout)
-    assert require["feasible"]
+    assert require["verdict"] == require["rows"][0]["verdict"] == "accepted"
     assert require["rows"][0]["wanted"] == pytest.approx(1e-4)
 
 

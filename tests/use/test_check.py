@@ -259,7 +259,7 @@ def test_a_check_is_printed_as_data(folder: Path) -> None:
     done = CliRunner().invoke(main, ["check", str(folder / "calibration.json"), str(folder / "again"), "--json"])
     seen = json.loads(done.stdout)
     assert done.exit_code == 0
-    assert seen["valid"]
+    assert (seen["verdict"], seen["reasons"]) == ("accepted", [])
     assert (seen["rests"], seen["turns"], seen["changes"]) == (4, 3, [])
     largest = max(abs(each["change"]) / each["u"] for each in seen["parameters"])
     assert seen["largest"] == pytest.approx(largest)

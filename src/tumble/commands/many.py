@@ -67,7 +67,7 @@ def fleet(sessions: str, method: Method, as_json: bool, out: Path, **place: Any)
     ended = result.tally
     outcomes = {"not accepted": ended.refused, "failed": ended.failed}
     if as_json:
-        tally = {"accepted": ended.accepted, "refused": dict(ended.refused), "failed": dict(ended.failed)}
+        tally = {"accepted": ended.accepted, **{how: dict(why) for how, why in outcomes.items()}}
         print_data({"sessions": len(result.sessions), **tally, "rows": str(result.rows)})
     else:
         counts = [f"{len(sessions_why)} {how}" for how, sessions_why in outcomes.items()]

@@ -94,7 +94,7 @@ def compare(first: Path, second: Path, gyro_file: Path | None, as_json: bool) ->
         tell.say(f"note: {remark}")
     if found.missing:
         tell.say(f"note: only one of them has {', '.join(found.missing)}")
-    tell.end([] if found.agree else ["different: by more than chance and their uncertainties make"])
+    tell.end(found.reasons, "different: ")
 
 
 @click.command(epilog=ask.examples("tumble apply imu-7/calibration.json flight-12 -o corrected.parquet"))

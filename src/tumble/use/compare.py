@@ -95,6 +95,11 @@ class Comparison(Brief):
         return self.largest_by_chance is not None and not self.changed and not self.contradicts
 
     @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why they do not agree."""
+        return () if self.agree else ("by more than chance and their uncertainties make",)
+
+    @property
     def largest_by_chance(self) -> float | None:
         """How probable chance alone makes one of so many differences as large as the largest; None without any."""
         judged = [d.by_chance for d in self.differences if d.by_chance is not None]

@@ -19,7 +19,7 @@ from tumble.use.compare import Comparison
 from tumble.use.verify import Verification
 from tumble.views.blocks import Block, Table, Text, table, texts
 from tumble.views.numbers import cells, probability_text, units_of_values
-from tumble.views.render.data import Content, fields, rows
+from tumble.views.render.data import Content, fields, judged, rows
 
 # -------------------- two calibrations --------------------
 
@@ -57,7 +57,8 @@ def judged_lines(comparison: Comparison) -> list[str]:
 def comparison_data(comparison: Comparison) -> Content:
     """Differences of two calibrations."""
     return {
-        **fields(comparison, "agree frame"),
+        **judged(comparison.reasons),
+        "frame": comparison.frame,
         "parameters": [asdict(d) | {"difference": d.value, "e_n": d.e_n} for d in comparison.differences],
         **fields(comparison, "covariance chi_square degrees probability largest_by_chance missing remarks"),
     }
@@ -92,7 +93,7 @@ def verification_data(verification: Verification) -> Content:
     """Check positions and the verdict."""
     v = verification
     positions = rows("label difference u sigmas", v.labels, v.difference, v.u, v.sigmas)
-    return {"accepted": not v.reasons, **fields(v, "reasons left_out limit"), "positions": positions}
+    return judged(v.reasons) | fields(v, "left_out limit") | {"positions": positions}
 
 
 def residual_table(rests: Sequence[RestResidual]) -> Table:
@@ -147,7 +148,8 @@ def field_check_data(check: FieldCheck) -> Content:
     """What has changed since a calibration, and what would have been found."""
     result = check.result
     return {
-        **fields(check, "valid reasons rests turns"),
+        **judged(check.reasons),
+        **fields(check, "rests turns"),
         "changes": result.changes,
         "parameters": [
             {"name": name, "change": change, "u": u, "detectable": result.detectable[name]}

@@ -10,7 +10,7 @@ from tumble.reduction.observations import Observations
 from tumble.run.observed import Observed
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS
 from tumble.views.blocks import Block, Items, Table, Text, table
-from tumble.views.render.data import Content, fields, rows
+from tumble.views.render.data import Content, fields, judged, rows
 
 UPRIGHT = 0.98  # an axis within 11° of the vertical is up or down
 
@@ -119,5 +119,6 @@ def inspection_data(observed: Observed) -> Content:
             columns = turns.first, turns.last, turns.duration, turns.C
             shown["turns"] = rows("first last duration rotation", *columns)
         shown["notes"] = observations.notes
-    faults = [*observed.faults, *observed.gyro_faults, *observed.gyro_bias_faults]
-    return {"rate": observed.rate, **fields(segmentation, "scatter_limit rate_limit"), **shown, "faults": faults}
+    of_gyros = judged([*observed.faults, *observed.gyro_faults, *observed.gyro_bias_faults])
+    verdicts = judged(observed.faults) | {"gyro": of_gyros}
+    return verdicts | {"rate": observed.rate} | fields(segmentation, "scatter_limit rate_limit") | shown

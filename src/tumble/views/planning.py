@@ -22,7 +22,7 @@ from tumble.sensors.parameters import group_name, group_of, positions_by_group, 
 from tumble.units import DEGREE, ZERO_CELSIUS, Array
 from tumble.views.blocks import Block, Table, Text, table, texts
 from tumble.views.numbers import in_engineering, minus
-from tumble.views.render.data import Content, fields, rows
+from tumble.views.render.data import Content, fields, judged, rows
 
 LARGEST = 4
 """So many parameters of a combination are named."""
@@ -150,7 +150,7 @@ def plan_data(plan: PlanResult, reasons: list[str]) -> Content:
     share = (u / spread_of(setup, name) for name, u in zip(linear, bound.u, strict=False))
     columns = linear, bound.units[: bound.linear], bound.u[: bound.linear], share, plan.whole.u[: bound.linear]
     return {
-        "reasons": reasons,
+        **judged(reasons),
         "programme": programme.name,
         "positions": [_position(*at) for at in zip(programme.positions, (None, *programme.moves), strict=True)],
         "duration": time_of(programme, setup),
@@ -243,7 +243,7 @@ def thermal_plan_data(plan: ThermalPlan, reasons: list[str]) -> Content:
     units = (group_of(name).unit for name in plan.names)
     columns = plan.names, units, plan.u, plan.at(plan.low), plan.at(plan.high)
     return {
-        "reasons": reasons,
+        **judged(reasons),
         "programme": plan.setup.programme.name,
         "duration": plan.seconds,
         **fields(plan, "low reference high"),
@@ -300,7 +300,10 @@ def requirement_blocks(requirements: Requirements) -> list[Block]:
 
 def requirements_data(requirements: Requirements) -> Content:
     """What each wanted accuracy needs, and what meets all of them."""
-    row = "group estimator wanted unit feasible limited table_error mounting_error tilt rest reason"
-    return fields(requirements, "feasible table_error mounting_error rest") | {
-        "rows": [fields(each, row) for each in requirements.rows]
+    row = "group estimator wanted unit limited table_error mounting_error tilt rest"
+    reasons = [[each.reason] if each.reason else [] for each in requirements.rows]
+    return {
+        **judged([each.reason for each in requirements.rows if each.reason]),
+        **fields(requirements, "table_error mounting_error rest"),
+        "rows": [judged(why) | fields(each, row) for each, why in zip(requirements.rows, reasons, strict=True)],
     }

@@ -84,13 +84,16 @@ def record_data(record: Record, calibration: Calibration, verdict: Verdict | Non
     launches = enumerate([calibration.parameters, *(launch.parameters for launch in calibration.launches)])
     judged = None
     if verdict is not None:
-        said = {"reasons": verdict.reasons(), "parameters": verdict.judgements}
-        judged = fields(verdict, "result occasion frame") | said
+        of_p = [
+            fields(j, "name unit value expanded low high at beyond") | {"verdict": j.result} for j in verdict.judgements
+        ]
+        judged = {"verdict": verdict.result, **fields(verdict, "occasion frame")}
+        judged |= {"reasons": verdict.reasons(), "parameters": of_p}
     return {
         "record": record,
         "launches": [{"session": session, "log_sha256": log} for session, log in logs_of(calibration)],
         "parameters": [{"launch": i} | fields(p, "name value u unit dof") for i, own in launches for p in own],
-        "verdict": judged,
+        "acceptance": judged,
     }
 
 
