@@ -25,7 +25,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+Array = npt.NDArray[np.floating]
 Need = Literal["gyro", "latitude", "faces", "turns of 360°", "long rest"]
 """What a program asks of a case beside accelerometers that rest in several attitudes: gyros; the latitude; rests with
 each axis up and down; sections that are full turns about each axis; a rest at the beginning for the gyros' biases."""
@@ -212,7 +212,7 @@ def parameters_of(found: Estimate) -> dict[str, float]:
     """An estimate under the names of the truth: nine of accelerometers, twelve of gyros, whichever are there. Gyros
     without accelerometers stay in the program's own frame."""
     values: dict[str, float] = {}
-    turned = np.eye(3)
+    turned: Array = np.eye(3)
     for kind, matrix, bias in (("accel", found.accel, found.accel_bias), ("gyro", found.gyro, found.gyro_bias)):
         if kind == "accel" and matrix is not None:
             matrix, turned = lower_triangular(matrix)

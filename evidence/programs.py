@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from evidence import tumble_methods
+from evidence import peers, tumble_methods
 from evidence.case import Program
 
-PROGRAMS: tuple[Program, ...] = tumble_methods.PROGRAMS
+PROGRAMS: tuple[Program, ...] = (*tumble_methods.PROGRAMS, *peers.PROGRAMS)
 
 
 def named(name: str) -> Program:
