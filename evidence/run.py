@@ -1,125 +1,347 @@
-"""Is what is accepted right? Recordings of the independent generator, kind by kind, calibrated as a user would.
+"""The benchmark: every program on every case, what was done before not done again.
 
-    python evidence/run.py 40                 40 recordings of each kind
-    python evidence/run.py 40 'lag*' clean-*  of some kinds
+    python -m evidence.run                        all cases of all programs, to evidence/results, and the pages of them
+    python -m evidence.run simulated --sessions 3 --kinds 'hand-*'               some kinds, three sessions each
+    python -m evidence.run --short --against evidence/results/short.json         what moved since these results
 
-Every recording is a line of `results.jsonl` (those that are there are not made again); the table says of each kind
-how many were accepted, accepted with scatter and refused, and of the 21 parameters of those accepted without a remark,
-and of those with scatter, the rms of (value − truth)/u, the share beyond 3 u, the coverage of U (95 %) and the largest.
+What one program made of one case is a file in evidence/cache, by a hash of all that it depends on: how the case is
+made, the source of the program, versions of libraries. A run that is stopped goes on where it was; after a change only
+what it touches is computed again. With --scheduler cases go to the processes of a dask cluster, which need this folder
+on their path. Rows and scores of two runs are the same to the bit; times and memory stand apart.
 """
 
 from __future__ import annotations
 
+import argparse
+import hashlib
+import inspect
+import io
 import json
+import os
+import platform
+import subprocess
 import sys
-import tempfile
-from collections import defaultdict
-from dataclasses import replace
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from fnmatch import fnmatch
+from functools import cache
+from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from generator import DEG, G0, NAMES, Spec, record
 
-MICRO = 1e-6 * G0
-HAND = Spec()
-TABLE = Spec(grade="navigation", programme="table", rest=40.0, first_rest=40.0, turn=18.0, rate=50.0)
-CUBE = Spec(programme="cube")
-UNSTATED = {"log": '=file = "log.csv"\ntime = "t"'}
+from evidence import programs as benchmark
+from evidence.case import Case, Refusal
+from evidence.score import Row, by, row_of, score_of
+from evidence.simulated import kinds as simulated_kinds
+from evidence.simulated.kinds import KINDS, SEALED, SHORT, simulated
 
-KINDS: dict[str, Spec] = {
-    "clean-hand": HAND,
-    "clean-hand-12": replace(HAND, rests=12),
-    "clean-table": TABLE,
-    "clean-cube": CUBE,
-    "instantaneous": replace(HAND, instantaneous=True),
-    "groups-3-hand": replace(HAND, groups=3.0),
-    "groups-10-hand": replace(HAND, groups=10.0),
-    "groups-3-table": replace(TABLE, groups=3.0),
-    "grade-wrong-table": replace(TABLE, grade="tactical", stated={"device": 'grade = "navigation"'}),
-    "grade-wrong-hand": replace(HAND, stated={"device": 'grade = "tactical"'}),
-    **{f"lag-{lag}-{warm}K": replace(HAND, warming=(float(warm), 100.0, float(lag)))
-       for lag in (0, 15, 30, 60) for warm in (2, 8, 14)},
-    "lag-300-6K-table": replace(TABLE, warming=(6.0, 300.0, 300.0)),
-    **{f"spike-{g}g": replace(HAND, spikes=1, spike=g * G0) for g in (0.5, 1, 5, 20, 50)},
-    "spike-rail": replace(HAND, spikes=1, spike=np.inf),
-    **{f"gyro-spike-{rate}": replace(HAND, spikes=1, spike=rate * DEG, spiked="gyro") for rate in (3, 10, 100, 500)},
-    "gyro-spike-rail": replace(HAND, spikes=1, spike=np.inf, spiked="gyro"),
-    "held": replace(HAND, held=1),
-    "held-table": replace(TABLE, held=1),
-    **{f"clock-{ppm}-table": replace(TABLE, clock_ppm=float(ppm), stated=UNSTATED) for ppm in (0, 5, 50, 500)},
-    **{f"dead-zone-{zone}": replace(HAND, dead_zone=zone * DEG) for zone in (0.02, 0.1, 0.15, 0.3, 0.5)},
-    **{f"jump-{jump}": replace(HAND, jump=jump * DEG) for jump in (0.05, 0.3, 3.0)},
-    "normalised": replace(HAND, normalised=True),
-    "one-scatters-table": replace(TABLE, scatter_of_one=25.0 * MICRO),
-    "one-scatters-hand": replace(HAND, scatter_of_one=3e-3),
-    **{f"in-run-{what}": replace(HAND, in_run=what, in_run_size=6.0) for what in ("white", "walk", "flicker")},
-    **{f"in-run-markov-{tau}": replace(HAND, in_run="markov", in_run_size=6.0, in_run_time=float(tau))
-       for tau in (30, 100, 300)},
-    "in-run-exponential-100": replace(HAND, in_run="exponential", in_run_size=40.0),
-    "rounded": replace(HAND, step=(4.8e-3, 1.0 / 16.4 * DEG)),
-}  # fmt: skip
-RESULTS = Path(__file__).parent / "results.jsonl"
+FOLDER = Path(__file__).parent
+RESULTS = FOLDER / "results"
+CACHE = FOLDER / "cache"
+SESSIONS = 10
+"""Of every kind in the published table."""
+LIBRARIES = ("numpy", "scipy", "polars")
+JUDGES = ("tumble joint", "tumble staged")
+"""Programs whose verdicts are on the whole recording."""
 
 
-def tried(job: tuple[str, int]) -> dict[str, object]:
-    """One recording of a kind: the verdict, why, and the errors in units of u and of half U (95 %)."""
-    import tumble
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Entry:
+    """A case that is not made yet: `key` stands for all that it depends on."""
 
-    kind, seed = job
-    with tempfile.TemporaryDirectory() as scratch:
-        made = record(KINDS[kind], seed)
-        found = tumble.calibrate(made.write(Path(scratch) / "session"))
-    z = {
-        name: (found[name].value - made.truth[name]) / found[name].u
-        for name in NAMES
-        if name in found and found[name].u
-    }
-    covered = {name: abs(value) <= 1.95996 * (found[name].k or 2.0) / 2.0 for name, value in z.items()}
-    said = [*found.outcome.reasons, *found.outcome.remarks]
+    name: str
+    kind: str
+    key: str
+    make: Callable[[], Case]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Results:
+    """Of a set of cases: what was run, when and where (`made`), rows by case and program, and cost by program."""
+
+    made: Mapping[str, Any]
+    rows: tuple[Row, ...]
+    cost: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    @property
+    def expected(self) -> dict[str, tuple[str, str]]:
+        """By kind what is expected, and the words of a cause."""
+        return {kind.name: (kind.expected, kind.says) for kind in KINDS}
+
+    def scores(self) -> dict[str, dict[str, Any]]:
+        """By program, of all kinds and of each."""
+        out: dict[str, dict[str, Any]] = {}
+        for program, rows in by(self.rows, "program").items():
+            expected = self.expected if program in JUDGES else None
+            by_kind = {"all": rows, **by(rows, "kind")}
+            out[program] = {kind: score_of(some, expected).content() for kind, some in by_kind.items()}
+        return out
+
+    def text(self) -> str:
+        """As a file: a row is a line."""
+        rows = ",\n".join("  " + json.dumps(row.content(), ensure_ascii=False) for row in self.rows)
+        head = {"made": self.made, "cost": self.cost, "scores": self.scores()}
+        parts = [f" {json.dumps(name)}: {json.dumps(value, ensure_ascii=False)}" for name, value in head.items()]
+        return "{\n" + ",\n".join(parts) + ',\n "rows": [\n' + rows + "\n ]\n}\n"
+
+    @staticmethod
+    def read(path: Path) -> Results:
+        """The results in a file."""
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return Results(
+            made=content["made"], cost=content["cost"], rows=tuple(Row.from_content(each) for each in content["rows"])
+        )
+
+
+# -------------------- what there is to do --------------------
+
+
+def simulated_entries(series: str, sessions: int) -> list[Entry]:
+    """Sessions of all kinds."""
+    making = _digest(
+        *(FOLDER / "simulated" / f"{name}.py" for name in ("motion", "device", "driver")),
+        inspect.getsource(simulated_kinds.simulated),
+    )
+    return [
+        Entry(
+            name=f"{kind.name} {index}",
+            kind=kind.name,
+            key=hashlib.sha256(f"{making} {kind!r} {series} {index}".encode()).hexdigest(),
+            make=_Simulated(kind.name, index, series),
+        )
+        for index in range(sessions)
+        for kind in KINDS
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class _Simulated:
+    """Makes one session, in any process."""
+
+    kind: str
+    index: int
+    series: str
+
+    def __call__(self) -> Case:
+        return simulated(simulated_kinds.named(self.kind), self.index, self.series)
+
+
+def entries_of(name: str, sessions: int) -> list[Entry]:
+    """The cases of a set: simulated, or short, one session of every kind with seeds of its own."""
+    return simulated_entries(SHORT, 1) if name == "short" else simulated_entries(SEALED, sessions)
+
+
+def programs_of(patterns: Sequence[str]) -> list[str]:
+    """Names of the programs that fit one of the patterns."""
+    return [p.name for p in benchmark.PROGRAMS if any(fnmatch(p.name, pattern) for pattern in patterns)]
+
+
+def _digest(*parts: Path | str) -> str:
+    """The hash of files and texts."""
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part.read_bytes() if isinstance(part, Path) else part.encode())
+    return digest.hexdigest()
+
+
+@cache
+def _source(program: str) -> str:
+    """The hash of all that a program's rows depend on beside the case."""
+    ours = [*FOLDER.parent.joinpath("src/tumble").rglob("*.py"), FOLDER / "tumble_methods.py"]
+    peers = [path for path in FOLDER.rglob("*.py") if path.parent.name == "peers"]
+    files = sorted(ours if benchmark.named(program).ours else peers)
+    libraries = " ".join(f"{name} {version(name)}" for name in LIBRARIES)
+    return _digest(*files, FOLDER / "case.py", FOLDER / "score.py", libraries)
+
+
+def _cached(entry: Entry, program: str) -> Path:
+    """The file of what a program made of a case."""
+    name = hashlib.sha256(f"{entry.key} {program} {_source(program)}".encode()).hexdigest()
+    return CACHE / name[:2] / f"{name}.json"
+
+
+# -------------------- doing it --------------------
+
+
+def tried(make: Callable[[], Case], programs: Iterable[str]) -> list[dict[str, Any]]:
+    """What programs make of one case: rows, and the seconds of each."""
+    case, out = make(), []
+    for name in programs:
+        start = time.process_time()
+        try:
+            found = benchmark.named(name).calibrate(case)
+        except Exception as error:  # an error of a program is a result, of that program
+            found = Refusal(reason=f"failed, {type(error).__name__}: {error}")
+        seconds = time.process_time() - start
+        out.append({"row": row_of(case, name, found).content(), "seconds": seconds})
+    return out
+
+
+def _task(number: int, item: tuple[Callable[[], Case], Sequence[str]]) -> list[Mapping[str, Any]]:  # noqa: ARG001
+    return [{"program": each["row"]["program"], "text": json.dumps(each)} for each in tried(*item)]
+
+
+def _label(item: tuple[Callable[[], Case], Sequence[str]]) -> dict[str, Any]:  # noqa: ARG001
+    return {}
+
+
+def run(
+    entries: Sequence[Entry], programs: Sequence[str], *, workers: int = 0, scheduler: str | None = None,
+    say: Callable[[str], None] = lambda _: None,
+) -> tuple[list[Row], dict[str, float]]:  # fmt: skip
+    """Rows of all cases and programs, in this order, and the median seconds of each program. With `workers` 1 they are
+    computed in this process, with 0 in one process a core."""
+    import polars as pl
+
+    from tumble.campaigns.cluster import executor_for
+    from tumble.campaigns.engine import Job
+
+    missing = [(entry, [name for name in programs if not _cached(entry, name).exists()]) for entry in entries]
+    pending = [(entry, names) for entry, names in missing if names]
+    job = Job(
+        definition={"what": "evidence"},
+        items=[(entry.make, names) for entry, names in pending],
+        task=_task,
+        label=_label,
+        schema={"program": pl.String, "text": pl.String},
+    )
+    serial = workers == 1 or len(pending) < 2
+    done = 0
+    with executor_for(serial=serial, cluster=scheduler, workers=None if serial or scheduler else workers or None) as go:
+        for numbers, part in go(job, range(len(pending))) if pending else ():
+            for made in pl.read_parquet(io.BytesIO(part)).iter_rows(named=True):
+                if made["error"] is not None:
+                    raise RuntimeError(f"{pending[made['task']][0].name}: {made['error']}")
+                path = _cached(pending[made["task"]][0], made["program"])
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.with_suffix(".part").write_text(made["text"], encoding="utf-8")
+                path.with_suffix(".part").replace(path)
+            done += len(numbers)
+            say(f"{done} of {len(pending)} cases")
+    all_rows, seconds = [], dict[str, list[float]]()
+    for entry in entries:
+        for name in programs:
+            content = json.loads(_cached(entry, name).read_text(encoding="utf-8"))
+            all_rows.append(Row.from_content(content["row"]))
+            seconds.setdefault(name, []).append(content["seconds"])
+    return all_rows, {name: float(np.median(each)) for name, each in seconds.items()}
+
+
+def _peak(make: Callable[[], Case], program: str, answer: Any) -> None:
+    """MB of memory, at most, of a process in which a program calibrates a case."""
+    benchmark.named(program).calibrate(make())
+    status = Path("/proc/self/status")
+    words = status.read_text(encoding="utf-8").split() if status.exists() else []
+    answer.send(int(words[words.index("VmHWM:") + 1]) / 1024.0 if "VmHWM:" in words else float("nan"))
+
+
+def peak_of(make: Callable[[], Case], program: str) -> float:
+    """The same, of a new process."""
+    context = get_context("spawn")
+    here, there = context.Pipe()
+    process = context.Process(target=_peak, args=(make, program, there))
+    process.start()
+    there.close()
+    peak = float(here.recv())
+    process.join()
+    return peak
+
+
+def made_by(name: str, entries: Sequence[Entry], programs: Sequence[str]) -> dict[str, Any]:
+    """What was run, when, where, of which state of the sources."""
+    said = subprocess.run(["git", "rev-parse", "HEAD"], cwd=FOLDER, capture_output=True, text=True, check=False)
+    changed = subprocess.run(
+        ["git", "status", "--porcelain", "--", "src", "evidence/*.py"], cwd=FOLDER.parent,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    info = Path("/proc/cpuinfo")
+    model = [line for line in info.read_text(encoding="utf-8").splitlines() if line.startswith("model name")] if (
+        info.exists()
+    ) else []  # fmt: skip
+    counts = {len(some) for some in _by_kind(entries).values()}
     return {
-        "kind": kind, "seed": seed, "verdict": found.outcome.verdict, "said": said[:2],
-        "z": {name: round(value, 3) for name, value in z.items()}, "covered": sum(covered.values()),
-    }  # fmt: skip
+        "set": name,
+        "commit": said.stdout.strip() + (", changed" if changed.stdout.strip() else ""),
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": f"{model[0].partition(':')[2].strip() if model else platform.machine()}, {os.cpu_count()} cores",
+        "system": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
+        "libraries": {library: version(library) for library in LIBRARIES},
+        "series": SHORT if name == "short" else SEALED,
+        "kinds": len(_by_kind(entries)),
+        "sessions": len(entries),
+        "sessions_of_a_kind": min(counts),
+        "programs": list(programs),
+    }
 
 
-def table(rows: list[dict[str, object]]) -> None:
-    """A line of Markdown for each kind: of those accepted, and of those with scatter, rms, share beyond 3 u, coverage
-    and the largest."""
-    of_kind = defaultdict(list)
-    for row in rows:
-        of_kind[row["kind"]].append(row)
-    print("| kind | N | accepted, with scatter, not | accepted: rms, > 3 u, covered, largest | with scatter |")
-    print("|---|---|---|---|---|")
-    for kind in (kind for kind in KINDS if kind in of_kind):
-        every = of_kind[kind]
-        by = {v: [r for r in every if r["verdict"] == v] for v in ("accepted", "accepted with scatter", "not accepted")}
-        cells = [kind, f"{len(every)}", ", ".join(f"{len(each)}" for each in by.values())]
-        for verdict in ("accepted", "accepted with scatter"):
-            z = np.array([value for row in by[verdict] for value in row["z"].values()])
-            if len(z):
-                covered = sum(row["covered"] for row in by[verdict]) / len(z)
-                beyond, largest = 100.0 * np.mean(np.abs(z) > 3.0), np.abs(z).max()
-                cells.append(f"{np.sqrt(np.mean(z**2)):.2f}, {beyond:.1f} %, {100.0 * covered:.1f} %, {largest:.1f}")
-            else:
-                cells.append("")
-        print(f"| {' | '.join(cells)} |")
+def _by_kind(entries: Iterable[Entry]) -> dict[str, list[Entry]]:
+    out: dict[str, list[Entry]] = {}
+    for entry in entries:
+        out.setdefault(entry.kind, []).append(entry)
+    return out
 
 
-def main() -> None:
-    count, patterns = int(sys.argv[1]), sys.argv[2:] or ["*"]
-    there = [json.loads(line) for line in RESULTS.read_text().splitlines()] if RESULTS.exists() else []
-    done = {(row["kind"], row["seed"]) for row in there}
-    kinds = [kind for kind in KINDS if any(fnmatch(kind, pattern) for pattern in patterns)]
-    jobs = [(kind, seed) for seed in range(count) for kind in kinds if (kind, seed) not in done]
-    with get_context("spawn").Pool(2) as pool, RESULTS.open("a", encoding="utf-8") as out:
-        for row in pool.imap_unordered(tried, jobs):
-            out.write(json.dumps(row) + "\n")
-            out.flush()
-            there.append(row)
-    table([row for row in there if row["kind"] in kinds and row["seed"] < count])
+def computed(
+    name: str, *, sessions: int = SESSIONS, kinds: Sequence[str] = ("*",), programs: Sequence[str] = ("*",),
+    workers: int = 0, scheduler: str | None = None, cost: bool = True, say: Callable[[str], None] = lambda _: None,
+) -> Results:  # fmt: skip
+    """The results of a set of cases, or of the kinds and programs that fit one of the patterns."""
+    entries = [e for e in entries_of(name, sessions) if any(fnmatch(e.kind, pattern) for pattern in kinds)]
+    names = programs_of(programs)
+    rows, seconds = run(entries, names, workers=workers, scheduler=scheduler, say=say)
+    peaks = {p: peak_of(_Simulated("hand-30", 0, SEALED), p) for p in names} if cost else {}
+    return Results(
+        made=made_by(name, entries, names),
+        rows=tuple(rows),
+        cost={p: {"seconds": round(seconds[p], 3), **({"megabytes": round(peaks[p])} if cost else {})} for p in names},
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; 1 where scores are worse than those they are held against."""
+    parser = argparse.ArgumentParser(prog="python -m evidence.run", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument(
+        "set", nargs="?", choices=("simulated", "short"), help="the cases; all sets where none is named"
+    )
+    parser.add_argument("--kinds", nargs="+", default=["*"], help="some, by patterns such as 'hand-*'")
+    parser.add_argument("--short", action="store_true", help="one session of every kind: two minutes")
+    parser.add_argument("--sessions", type=int, default=SESSIONS, help="of every kind (default %(default)s)")
+    parser.add_argument("--programs", nargs="+", default=["*"], help="some, by patterns")
+    parser.add_argument("--workers", type=int, default=0, help="processes; one a core where it is not given")
+    parser.add_argument("--scheduler", help="of a dask cluster, as tcp://HOST:PORT")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the results (default evidence/results)")
+    parser.add_argument("--no-cost", action="store_true", help="memory is not measured")
+    parser.add_argument("--against", type=Path, help="results that the new ones are held against; nothing is written")
+    given = parser.parse_args(arguments)
+    names = [given.set] if given.set else ["short"] if given.short else ["simulated", "short"]
+
+    def say(words: str) -> None:
+        print(f"\r{words}", end="", file=sys.stderr, flush=True)
+
+    worse = False
+    for name in names:
+        found = computed(
+            name, sessions=given.sessions, kinds=given.kinds, programs=given.programs, workers=given.workers,
+            scheduler=given.scheduler, cost=not (given.against or given.no_cost), say=say,
+        )  # fmt: skip
+        print(file=sys.stderr)
+        if given.against:
+            from evidence.drift import compared, told
+
+            moved = compared(Results.read(given.against).rows, found.rows, found.expected)
+            print(told(moved))
+            worse |= any(each.worse for each in moved)
+            continue
+        given.out.mkdir(parents=True, exist_ok=True)
+        (given.out / f"{name}.json").write_text(found.text(), encoding="utf-8")
+        print(given.out / f"{name}.json")
+    return int(worse)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

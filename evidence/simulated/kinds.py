@@ -1,0 +1,196 @@
+"""The kinds of simulated sessions: each one entry of a table with what is to be expected of a program.
+
+`simulated(kind, index)` is one session of a kind. Its seed is drawn from the name of a series, of the kind and the
+index: the published tables are of the series SEALED, the short form in continuous integration is of SHORT, and tests
+use others. Motion, device, noise and driver have streams of their own.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from evidence.case import Case
+from evidence.simulated.device import G0, Process, Sensors, readings
+from evidence.simulated.driver import Driver, through
+from evidence.simulated.motion import DEG, Handling, course
+
+SEALED, SHORT = "evidence 1", "short 1"
+Expected = Literal["accept", "accept with scatter", "name the cause", "refuse"]
+GRAVITY_U = 1e-5
+"""m/s², with which the gravity of a place is stated: 1 mGal."""
+
+
+HAND, MEMS, CRYSTAL = Handling(), Sensors(), Driver(clock_ppm=15.0)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Kind:
+    """One kind of sessions: in words, what is expected of a program that judges, and what makes it."""
+
+    name: str
+    words: str
+    expected: Expected
+    says: str = ""
+    """A regular expression that a verdict which names the cause fits."""
+    handling: Handling = HAND
+    sensors: Sensors = MEMS
+    driver: Driver = CRYSTAL
+    alone: bool = False
+    """Without gyros."""
+
+
+EXACT = Driver(clock_ppm_u=0.0)
+TABLE = Handling(programme="table", rest=40.0, first_rest=40.0, turn=18.0, off=1.5 * DEG)
+CUBE = Handling(programme="cube", off=1.0 * DEG)
+FACES = Handling(programme="faces", rest=10.0, off=1.0 * DEG)
+NAVIGATION = Sensors(grade="navigation", rate=50.0)
+
+
+def _file(**changes: Any) -> Driver:
+    """The file of an ordinary unit, of whose clock nothing is stated, but for these."""
+    return replace(CRYSTAL, **changes)
+
+
+KINDS = (
+    # good recordings
+    Kind(name="hand-30", words="by hand, 30 rests, MEMS", expected="accept"),
+    Kind(name="hand-8", words="by hand, 8 rests, MEMS", expected="accept", handling=Handling(rests=8)),
+    Kind(name="hand-12", words="by hand, 12 rests, MEMS", expected="accept", handling=Handling(rests=12)),
+    Kind(name="hand-40", words="by hand, 40 rests, MEMS", expected="accept", handling=Handling(rests=40)),
+    Kind(name="hand-consumer", words="by hand, 30 rests, a consumer unit", expected="accept",
+         sensors=Sensors(grade="consumer")),
+    Kind(name="table-navigation", words="rough table, 1.5°, navigation unit", expected="accept", handling=TABLE,
+         sensors=NAVIGATION, driver=EXACT),
+    Kind(name="table-tactical", words="rough table, 1.5°, tactical unit", expected="accept", handling=TABLE,
+         sensors=Sensors(grade="tactical", rate=50.0), driver=EXACT),
+    Kind(name="cube-26", words="cube tilter, 26 positions, MEMS", expected="accept", handling=CUBE),
+    Kind(name="cube-alone", words="cube tilter, accelerometers alone", expected="accept", handling=CUBE, alone=True),
+    Kind(name="hand-alone", words="by hand, accelerometers alone", expected="accept", alone=True),
+    Kind(name="faces-alone", words="six faces once each, accelerometers alone: their axes are unknown",
+         expected="name the cause", says="six faces|faces|axes|axis", handling=FACES, alone=True),
+    Kind(name="faces", words="six faces once each, with gyros: too few rests for all parameters",
+         expected="name the cause", says="not determined|known to|poorly|faces|determine", handling=FACES),
+    Kind(name="tremor", words="by hand, tremor of 2° at 4–10 Hz in the turns", expected="accept",
+         handling=Handling(tremor=2.0 * DEG)),
+    Kind(name="soft-mount", words="rings by 1° at 8 Hz for 0.3 s after every stop", expected="accept",
+         handling=Handling(ringing=(1.0 * DEG, 8.0, 0.3))),
+    Kind(name="held", words="held in the hand at rest, tremor of 0.05°", expected="accept with scatter",
+         says="scatter|residual|noise", handling=Handling(tremor=2.0 * DEG, tremor_at_rest=0.05 * DEG)),
+    Kind(name="low-pass-20", words="low-pass of 20 Hz before sampling", expected="accept",
+         sensors=Sensors(cutoff=20.0)),
+    Kind(name="instantaneous", words="samples of an instant, not means", expected="accept",
+         sensors=Sensors(instantaneous=True)),
+    Kind(name="late-30-ms", words="accelerometers 30 ms late", expected="accept", sensors=Sensors(accel_delay=0.03)),
+    Kind(name="beyond-3", words="everything beyond the linear model three times its usual size", expected="accept",
+         sensors=Sensors(beyond=3.0)),
+    Kind(name="beyond-3-table", words="the same, navigation unit on a rough table", expected="accept", handling=TABLE,
+         sensors=Sensors(grade="navigation", rate=50.0, beyond=3.0), driver=EXACT),
+    Kind(name="sixteen-bits", words="readings of 16 bits, ±16 g and ±2000 °/s", expected="accept",
+         driver=_file(step=(16.0 * G0 / 32768.0, 2000.0 * DEG / 32768.0))),
+    Kind(name="jitter", words="time stamps jitter by 1 ms", expected="accept", driver=_file(jitter=1e-3)),
+    Kind(name="twice", words="0.5 % of the rows come twice", expected="accept", driver=_file(twice=0.005)),
+    Kind(name="spikes", words="five single readings off by up to 8 g or 1000 °/s", expected="accept",
+         driver=_file(spikes=5)),
+    Kind(name="held-samples", words="five samples repeat the one before", expected="accept", driver=_file(held=5)),
+    Kind(name="smoothed", words="a driver's exponential average of 50 ms", expected="accept",
+         driver=_file(smoothing=0.05)),
+    Kind(name="warm-8", words="warms by 8 K in minutes, with a thermometer", expected="accept",
+         sensors=Sensors(warming=(8.0, 100.0, 0.0))),
+    Kind(name="warm-8-lag", words="the same, the sensors 30 s behind the thermometer", expected="accept",
+         sensors=Sensors(warming=(8.0, 100.0, 30.0))),
+    # biases that move
+    Kind(name="markov-30", words="biases wander: Gauss–Markov of 30 s, six times the usual size",
+         expected="accept with scatter", says="wander|bias|scatter|in-run",
+         sensors=Sensors(in_run=Process(form="markov", size=6.0, memory=30.0))),
+    Kind(name="markov-300", words="Gauss–Markov of 300 s, six times", expected="accept with scatter",
+         says="wander|bias|scatter|in-run|drift",
+         sensors=Sensors(in_run=Process(form="markov", size=6.0, memory=300.0))),
+    Kind(name="walk", words="random walk to six times the usual size", expected="accept with scatter",
+         says="wander|bias|scatter|in-run|drift", sensors=Sensors(in_run=Process(form="walk", size=6.0))),
+    Kind(name="flicker", words="flicker of six times the usual size", expected="accept with scatter",
+         says="wander|bias|scatter|in-run", sensors=Sensors(in_run=Process(form="flicker", size=6.0))),
+    Kind(name="anew", words="biases anew at every rest, six times the usual size", expected="accept with scatter",
+         says="wander|bias|scatter|in-run", sensors=Sensors(in_run=Process(form="white", size=6.0))),
+    Kind(name="warm-up", words="a warm-up of 100 s without a thermometer", expected="accept with scatter",
+         says="warm|drift|wander|bias|scatter",
+         sensors=Sensors(in_run=Process(form="exponential", size=40.0, memory=100.0))),
+    Kind(name="warm-unseen", words="warms by 14 K, without a thermometer", expected="accept with scatter",
+         says="warm|drift|wander|bias|scatter|temperature",
+         sensors=Sensors(warming=(14.0, 100.0, 0.0), thermometer=False)),
+    Kind(name="one-scatters", words="one accelerometer steps by 25 µg from rest to rest, navigation unit",
+         expected="accept with scatter", says="scatter|wander", handling=TABLE,
+         sensors=Sensors(grade="navigation", rate=50.0, scatter_of_one=25e-6 * G0), driver=EXACT),
+    # what the model has not
+    Kind(name="jump", words="biases of the gyros jump by 0.3 °/s half way", expected="name the cause", says="jump",
+         sensors=Sensors(jump=0.3 * DEG)),
+    Kind(name="nonlinear-gyros", words="gyro scale factors off by 0.5 % at 100 °/s, with the square of the rate",
+         expected="name the cause", says="nonlinear|rate|cubic|square", sensors=Sensors(gyro_cubic=0.005)),
+    Kind(name="cross-products", words="products of forces in accelerometers, 2 mg", expected="name the cause",
+         says="product|cross", sensors=Sensors(cross=2e-3 * G0)),
+    Kind(name="memory", words="accelerometers read 0.1 % of the force again over 60 s, navigation unit",
+         expected="name the cause", says="memory|hysteresis", handling=TABLE,
+         sensors=Sensors(grade="navigation", rate=50.0, remembers=(1e-3, 60.0)), driver=EXACT),
+    # drivers and files
+    Kind(name="dead-zone", words="gyros below 0.15 °/s are written as 0", expected="name the cause",
+         says="dead zone|written as 0|small rates|exact", driver=_file(dead_zone=0.15 * DEG)),
+    Kind(name="self-zeroed", words="the driver takes off what gyros read in the first 2 s of every rest",
+         expected="name the cause", says="wander|bias|zero|scatter|jump", driver=_file(zeroed=2.0)),
+    Kind(name="clipped", words="gyros end at 60 °/s", expected="name the cause", says="clip|range|full scale|limit",
+         driver=_file(limit=(16.0 * G0, 60.0 * DEG))),
+    Kind(name="normalised", words="accelerometers normalised to g", expected="refuse", driver=_file(normalised=True)),
+    Kind(name="no-gravity", words="accelerometers without gravity, by a fusion filter", expected="refuse",
+         driver=_file(without_gravity=True)),
+    Kind(name="in-g", words="accelerometers in g, said to be m/s²", expected="refuse",
+         driver=_file(accel_factor=1.0 / G0)),
+    Kind(name="in-degrees", words="gyros in °/s, said to be rad/s", expected="refuse",
+         driver=_file(gyro_factor=1.0 / DEG)),
+    Kind(name="mirrored", words="a left-handed frame: y of both kinds the other way", expected="refuse",
+         driver=_file(mirrored=True)),
+    Kind(name="swapped-gyros", words="the gyros' x and y exchanged", expected="refuse",
+         driver=_file(swapped_gyros=True)),
+    Kind(name="lost-counted", words="0.5 % of the rows lost, stamps are counted", expected="name the cause",
+         says="lost|sample|missing", driver=_file(lost=0.005, counted=True)),
+    Kind(name="lost-stamped", words="0.5 % of the rows lost, stamps are right", expected="accept",
+         driver=_file(lost=0.005)),
+    Kind(name="clock-50", words="a clock 50 ppm fast, nothing stated of it; tactical unit on a rough table",
+         expected="accept", handling=TABLE, sensors=Sensors(grade="tactical", rate=50.0),
+         driver=Driver(clock_error_ppm=50.0)),
+)  # fmt: skip
+
+
+def named(name: str) -> Kind:
+    """The kind of a name."""
+    return next(kind for kind in KINDS if kind.name == name)
+
+
+def seed_of(series: str, kind: str, index: int) -> int:
+    """64 bits by which a session is drawn."""
+    return int.from_bytes(hashlib.sha256(f"{series}/{kind}/{index}".encode()).digest()[:8], "big")
+
+
+def simulated(kind: Kind, index: int, series: str = SEALED) -> Case:
+    """One session of a kind."""
+    seed = seed_of(series, kind.name, index)
+    motion, device, noise, driver = (np.random.default_rng([seed, stream]) for stream in range(4))
+    way = course(kind.handling, motion)
+    made = through(kind.driver, readings(kind.sensors, way, device, noise), way, driver)
+    truth = {name: value for name, value in made.truth.items() if not kind.alone or name.startswith("accel")}
+    return Case(
+        name=f"{kind.name} {index}",
+        kind=kind.name,
+        time=made.time,
+        accel=made.accel,
+        gyro=None if kind.alone else made.gyro,
+        temperature=made.temperature,
+        gravity=way.gravity + GRAVITY_U * float(driver.normal()),
+        gravity_u=GRAVITY_U,
+        latitude=way.latitude,
+        clock_ppm_u=kind.driver.clock_ppm_u,
+        truth=truth,
+        device=f"simulated {seed:016x}",
+        source=f"evidence.simulated.kinds, series {series!r}",
+    )
