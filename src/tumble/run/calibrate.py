@@ -23,8 +23,7 @@ from tumble.inference.hyperparameters import GUESSED, SHEET, STATED
 from tumble.inference.joint import joint
 from tumble.inference.sources import by_time_base, clocked, of_fit, source
 from tumble.methods.ellipsoid import ellipsoid
-from tumble.methods.paper.scalar import scalar
-from tumble.methods.paper.sequential import sequential
+from tumble.methods.paper.four_stages import scalar, sequential
 from tumble.methods.staged import staged
 from tumble.recording.arrays import Temperatures, session_of_arrays
 from tumble.recording.log import Log
