@@ -10,9 +10,9 @@ r²(z) being the 0.95 quantile of the noncentral χ² of one degree of freedom w
 are sizes, are judged by their logarithms. s contains what the recordings do not know of the units, u.
 
 Terms are those of IEEE Std 2700 (parameters of MEMS sensors) and of IEEE Std 528 (inertial sensors), as far as their
-definitions are public: in 2700 "sensitivity" is the scale factor, in 528 what an output changes by with an input that is
-not meant, as in "scale factor temperature sensitivity". An in-run bias is neither's bias instability, which is flicker
-noise: it is the exponentially correlated noise of IEEE Std 952, C.1.5.
+definitions are public: in 2700 "sensitivity" is the scale factor, in 528 what an output changes by with an input that
+is not meant, as in "scale factor temperature sensitivity". An in-run bias is no bias instability, which is flicker
+noise: it is the exponentially correlated noise of IEEE Std 952, annex C.
 
 Source: ISO 16269-6:2014, annex of exact factors; Odeh & Owen, Tables for Normal Tolerance Limits (1980).
 """
