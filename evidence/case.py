@@ -26,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.floating]
+Kind = Literal["accel", "gyro"]
 Need = Literal["gyro", "latitude", "faces", "turns of 360°", "long rest"]
 """What a program asks of a case beside accelerometers that rest in several attitudes: gyros; the latitude; rests with
 each axis up and down; sections that are full turns about each axis; a rest at the beginning for the gyros' biases."""
@@ -81,6 +82,8 @@ class Case:
     truth: Mapping[str, float] | None = None
     """Of a simulated case, by parameter."""
     reference: Reference | None = None
+    table: bool = False
+    """Every row is the mean reading of a rest of its own, in no order of time."""
     device: str = ""
     """Cases of the same device are compared with one another."""
     licence: str = ""
@@ -119,10 +122,30 @@ class Estimate:
     """Standard uncertainties in the frame of `parameters_of`; None where the program states none."""
     expanded: Mapping[str, float] | None = None
     """Half widths of the intervals it states for 95 %."""
+    whole_model: Callable[[Array, Array | None], tuple[Array, Array | None]] | None = None
+    """Corrects readings (N, 3) of accelerometers and gyros, where the program knows more than matrices and biases."""
     accepted: bool = True
-    """False where the program gives numbers and says that they are not to be used."""
+    """False where the program gives numbers and says that some of them are not to be used."""
+    refused: frozenset[Kind] = frozenset()
+    """Those of which it says so."""
     verdict: str = ""
     seconds: float = 0.0
+
+    def gives(self, kind: Kind) -> bool:
+        """Whether the program has numbers for these sensors and stands by them."""
+        matrix = self.accel if kind == "accel" else self.gyro
+        return matrix is not None and bool(np.isfinite(matrix).all()) and (self.accepted or kind not in self.refused)
+
+    def corrected(self, accel: Array, gyro: Array | None) -> tuple[Array, Array | None]:
+        """Specific force and rates (N, 3) of readings by all that the program knows; needs accelerometers."""
+        if self.whole_model is not None:
+            return self.whole_model(accel, gyro)
+        assert self.accel is not None
+        assert self.accel_bias is not None
+        force = np.linalg.solve(self.accel, (accel - self.accel_bias).T).T
+        if gyro is None or self.gyro is None or self.gyro_bias is None:
+            return force, None
+        return force, np.linalg.solve(self.gyro, (gyro - self.gyro_bias).T).T
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -195,7 +218,7 @@ def angles_of(matrix: Array) -> tuple[Array, dict[str, float]]:
     return length - 1.0, {pair: float(angle) for pair, angle in angles.items()}
 
 
-def matrix_of(parameters: Mapping[str, float], kind: Literal["accel", "gyro"]) -> Array:
+def matrix_of(parameters: Mapping[str, float], kind: Kind) -> Array:
     """diag(1 + k) A(γ) of named parameters; those that are not there are nothing."""
     cos, sin = ({p: f(parameters.get(f"{kind}.axis.{p}", 0.0)) for p in ("xy", "xz", "yx", "yz", "zx", "zy")}
                 for f in (np.cos, np.sin))  # fmt: skip

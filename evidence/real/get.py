@@ -162,9 +162,22 @@ SOURCES = (
 )
 
 
+SIMULATED_BY_OTHERS = tuple(
+    Source(name=name, title=title, licence=licence, address=address)
+    for name, title, licence, address in (
+        ("truth-turntable", "a rough turntable, simulated independently", "of the data folder", "its README"),
+        ("truth-handheld", "a MEMS device by hand, simulated independently", "of the data folder", "its README"),
+        ("truth-full", "a MEMS device with all dynamic groups, simulated independently", "of the data folder",
+         "its README"),
+        ("psins-systematic", "Yan: the systematic calibration of PSINS", "BSD-2-Clause",
+         "https://psins.org.cn, its example of a systematic calibration"),
+    )
+)  # fmt: skip
+
+
 def named(name: str) -> Source:
     """The source of a name."""
-    return next(source for source in SOURCES if source.name == name)
+    return next(source for source in (*SOURCES, *SIMULATED_BY_OTHERS) if source.name == name)
 
 
 def cache() -> Path:

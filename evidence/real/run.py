@@ -1,0 +1,300 @@
+"""Every program on every real recording, and what two scores without a reference say of them.
+
+    python -m evidence.real.run                 all cases, to evidence/results/real.json and docs/evidence/real.md
+    python -m evidence.real.run xsens-mti kim   some sources, printed and not written
+    python -m evidence.real.run --page          the page of the results that are there
+
+What one program made of one case is a file in evidence/cache, by a hash of the readings, the program and its sources: a
+run that is stopped goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evidence import programs as benchmark
+from evidence.case import Case, Estimate, Kind, Refusal
+from evidence.real.cases import READERS, cases, missing
+from evidence.real.scores import GROUPS, folds, prediction, repeatability
+from evidence.score import row_of
+
+FOLDER = Path(__file__).parents[1]
+CACHE = FOLDER / "cache" / "real"
+RESULTS = FOLDER / "results" / "real.json"
+FIRST = "tumble joint"
+"""The program that the others are held against."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Fit:
+    """What a program made of a case, or of a part of it, and what that predicts of others, by their names."""
+
+    case: str
+    program: str
+    found: Estimate | Refusal
+    predicted: Mapping[str, Mapping[str, Any]]
+
+    def gives(self, kind: Kind) -> bool:
+        """Whether the program has these sensors and stands by them."""
+        return isinstance(self.found, Estimate) and self.found.gives(kind)
+
+    def accepted_part(self) -> Estimate | None:
+        """The sensors the program stands by; None without accelerometers."""
+        if isinstance(self.found, Refusal) or not self.found.gives("accel"):
+            return None
+        return self.found if self.found.gives("gyro") else replace(self.found, gyro=None, gyro_bias=None)
+
+
+# -------------------- fits and their files --------------------
+
+
+def sources_of(program: str) -> str:
+    """The hash of what a program's answers depend on beside the readings."""
+    tumble = [*FOLDER.parent.joinpath("src/tumble").rglob("*.py"), FOLDER / "tumble_methods.py"]
+    files = tumble if benchmark.named(program).ours else [*FOLDER.joinpath("peers").glob("*.py")]
+    digest = hashlib.sha256(program.encode())
+    for path in (*sorted(files), FOLDER / "case.py", FOLDER / "real" / "scores.py", FOLDER / "peers" / "rests.py"):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def key_of(case: Case) -> str:
+    """The hash of all that a program is told."""
+    digest = hashlib.sha256(repr((case.gravity, case.gravity_u, case.latitude, case.programme, case.table)).encode())
+    digest.update(repr((sorted(case.sections.items()), case.turn_angle, case.clock_ppm_u)).encode())
+    for readings in (case.time, case.accel, case.gyro):
+        digest.update(b"" if readings is None else np.ascontiguousarray(readings).tobytes())
+    return digest.hexdigest()
+
+
+def content_of(found: Estimate | Refusal) -> dict[str, Any]:
+    """As a file has it."""
+    if isinstance(found, Refusal):
+        return {"reason": found.reason, "seconds": found.seconds}
+    arrays = {name: getattr(found, name) for name in ("accel", "accel_bias", "gyro", "gyro_bias")}
+    return {
+        **{name: None if value is None else np.asarray(value).tolist() for name, value in arrays.items()},
+        "u": None if found.u is None else dict(found.u),
+        "expanded": None if found.expanded is None else dict(found.expanded),
+        "accepted": found.accepted, "refused": sorted(found.refused), "verdict": found.verdict,
+        "seconds": found.seconds,
+    }  # fmt: skip
+
+
+def found_from(content: Mapping[str, Any]) -> Estimate | Refusal:
+    """The same back."""
+    if "reason" in content:
+        return Refusal(**content)
+    accel, accel_bias, gyro, gyro_bias = (
+        None if content[name] is None else np.array(content[name], dtype=float)
+        for name in ("accel", "accel_bias", "gyro", "gyro_bias")
+    )
+    return Estimate(
+        accel=accel, accel_bias=accel_bias, gyro=gyro, gyro_bias=gyro_bias,
+        u=content["u"], expanded=content["expanded"], accepted=content["accepted"],
+        refused=frozenset(content["refused"]), verdict=content["verdict"], seconds=content["seconds"],
+    )  # fmt: skip
+
+
+def fitted(case: Case, program: str, unseen: Sequence[Case]) -> dict[str, Any]:
+    """What a program makes of a case, and what that predicts of others, as a file has it; an error of a program is a
+    refusal with its name."""
+    try:
+        found = benchmark.named(program).calibrate(case)
+        told = {} if isinstance(found, Refusal) else {one.name: asdict(prediction(found, one)) for one in unseen}
+    except Exception as error:
+        found, told = Refusal(reason=f"failed, {type(error).__name__}: {error}"), {}
+    return {"found": content_of(found), "predicted": told}
+
+
+def fits(todo: Sequence[tuple[Case, Sequence[Case]]], programs: Sequence[str], workers: int) -> list[Fit]:
+    """All programs on all these cases, each with those that it is to predict, from their files where they are there."""
+    digests = {program: sources_of(program) for program in programs}
+    jobs = []
+    for case, unseen in todo:
+        key = " ".join(map(key_of, (case, *unseen)))
+        for program in programs:
+            name = hashlib.sha256(f"{key} {digests[program]}".encode()).hexdigest()
+            jobs.append((case, program, unseen, CACHE / name[:2] / f"{name}.json"))
+    pending = [job for job in jobs if not job[-1].exists()]
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        made = {pool.submit(fitted, case, name, unseen): path for case, name, unseen, path in pending}
+        for number, done in enumerate(as_completed(made), start=1):
+            path = made[done]
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(json.dumps(done.result()), encoding="utf-8")
+            print(f"\r{number} of {len(pending)} fits", end="", file=sys.stderr, flush=True)
+    out = []
+    for case, program, _, path in jobs:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        found = found_from(content["found"])
+        out.append(Fit(case=case.name, program=program, found=found, predicted=content["predicted"]))
+    return out
+
+
+# -------------------- results --------------------
+
+
+def rounded(value: float | None) -> float | None:
+    """To four digits."""
+    return None if value is None else float(f"{value:.3e}")
+
+
+def predictions(of: Mapping[tuple[str, str], Fit], programs: Iterable[str],
+                pairs: Iterable[tuple[str, str]]) -> Iterator[dict[str, Any]]:  # fmt: skip
+    """Of every pair, what was fitted and what is predicted, a row a program."""
+    for trained, unseen in pairs:
+        for program in programs:
+            told = of[trained, program].predicted.get(unseen, {})
+            numbers = {name: rounded(told[name]) for name in ("force", "tilt") if told.get(name) is not None}
+            counts = {name: told[name] for name in ("rests", "turns") if name in told}
+            yield {"fitted": trained, "predicted": unseen, "program": program, **counts, **numbers}
+
+
+def pairs_of(whole: Sequence[Case]) -> tuple[list[Case], list[tuple[str, str]]]:
+    """Parts of recordings, and pairs of what is fitted and what is predicted: of a device with several sessions the
+    next session, else folds of the recording."""
+    parts, pairs = [], []
+    sessions: dict[str, list[Case]] = {}
+    for case in whole:
+        sessions.setdefault(case.device, []).append(case)
+    for of_device in sessions.values():
+        if "mimu4444" in of_device[0].device and len(of_device) > 1:
+            pairs += [(of_device[i].name, of_device[(i + 1) % len(of_device)].name) for i in range(len(of_device))]
+            continue
+        for case in of_device:
+            try:
+                cut = folds(case)
+            except Exception as error:  # no rests
+                print(f"{case.name}: {error}", file=sys.stderr)
+                continue
+            for number, (to_fit, held) in enumerate(cut, start=1):
+                names = f"{case.name}, fold {number}, fitted", f"{case.name}, fold {number}, held out"
+                parts += [replace(part, name=name) for part, name in zip((to_fit, held), names, strict=True)]
+                pairs.append(names)
+    return parts, pairs
+
+
+def computed(names: Sequence[str], workers: int) -> dict[str, Any]:
+    """All results of these sources."""
+    programs = [program.name for program in benchmark.PROGRAMS]
+    whole = list(cases(*names))
+    real = [case for case in whole if case.truth is None]
+    parts, pairs = pairs_of(real)
+    every = {case.name: case for case in (*whole, *parts)}
+    unseen: dict[str, list[Case]] = {case.name: [] for case in whole}
+    for trained, held in pairs:
+        unseen.setdefault(trained, []).append(every[held])
+    todo = [(every[name], held) for name, held in unseen.items()]
+    of = {(fit.case, fit.program): fit for fit in fits(todo, programs, workers)}
+    rows = []
+    for case in whole:
+        for program in programs:
+            fit = of[case.name, program]
+            found = fit.found
+            refusal = isinstance(found, Refusal)
+            rows.append({
+                "case": case.name, "kind": case.kind, "program": program,
+                "accel": fit.gives("accel"), "gyro": fit.gives("gyro"),
+                "said": (found.reason if isinstance(found, Refusal) else found.verdict)[:300],
+                "estimate": not refusal, "seconds": round(found.seconds, 2),
+            })  # fmt: skip
+    repeated = {}
+    for program in programs:
+        devices: dict[str, list[Estimate]] = {}
+        for case in real:
+            part = of[case.name, program].accepted_part()
+            if part is not None and "mimu4444" in case.device:
+                devices.setdefault(case.device, []).append(part)
+        made = repeatability(devices.values())
+        repeated[program] = {
+            group: {"deviation": rounded(made.deviation[group]), "degrees": made.degrees[group],
+                    "over_u": rounded(made.over_u[group])}
+            for group in GROUPS if group in made.deviation
+        }  # fmt: skip
+    truths = [
+        row_of(case, program, of[case.name, program].found).content()
+        for case in whole if case.truth is not None for program in programs
+    ]  # fmt: skip
+    return {
+        "made": made_now(real, programs),
+        "recordings": recordings(real),
+        "rows": rows,
+        "predictions": list(predictions(of, programs, pairs)),
+        "repeatability": repeated,
+        "simulated_by_others": truths,
+    }
+
+
+def recordings(real: Sequence[Case]) -> list[dict[str, Any]]:
+    """What there is, by source: chips of an array that were recorded together are one recording."""
+    out: dict[str, dict[str, Any]] = {}
+    for case in real:
+        name = next(each for each in READERS if case.name.startswith(each))
+        one = out.setdefault(name, {"source": name, "recordings": set(), "devices": set(), "cases": 0})
+        one["recordings"].add(case.name.partition(" chip")[0])
+        one["devices"].add(case.device)
+        one["cases"] += 1
+        one["licence"], one["address"] = case.licence, case.source
+    return [{**one, "recordings": len(one["recordings"]), "devices": len(one["devices"])} for one in out.values()]
+
+
+def made_now(real: Sequence[Case], programs: Sequence[str]) -> dict[str, Any]:
+    """When, where, of which state of the sources."""
+    commands = ["git", "rev-parse", "HEAD"], ["git", "status", "--porcelain", "--", "src", "evidence/*.py"]
+    commit, changed = (
+        subprocess.run(command, cwd=FOLDER.parent, capture_output=True, text=True, check=False).stdout.strip()
+        for command in commands
+    )
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
+    model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
+    return {
+        "commit": commit + (", changed" if changed else ""),
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": f"{model or platform.machine()}, {os.cpu_count()} cores",
+        "system": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
+        "libraries": {library: version(library) for library in ("numpy", "scipy", "polars")},
+        "cases": len(real),
+        "programs": list(programs),
+        "missing": missing(),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Programs on real recordings")
+    parser.add_argument("sources", nargs="*", choices=[[], *READERS], help="some; all where none is named")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--page", action="store_true", help="only write the page of the results that are there")
+    given = parser.parse_args()
+    from evidence.real.page import page
+
+    if not given.page:
+        results = computed(given.sources, given.workers)
+        if given.sources:
+            print(page(results))
+            return
+        RESULTS.parent.mkdir(exist_ok=True)
+        RESULTS.write_text(json.dumps(results, ensure_ascii=False, indent=1) + "\n", encoding="utf-8")
+    target = FOLDER.parent / "docs" / "evidence" / "real.md"
+    target.write_text(page(json.loads(RESULTS.read_text(encoding="utf-8"))), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
