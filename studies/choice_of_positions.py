@@ -25,7 +25,7 @@ import numpy as np
 from paper_device import SETUP
 from scipy.optimize import minimize
 
-from tumble.methods.paper.scalar import scalar_fit, scalar_rows
+from tumble.methods.paper.accelerometers import scalar_fit, scalar_rows
 from tumble.programme.positions import programme
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, triad_model, triad_parameters

@@ -25,7 +25,7 @@ from itertools import product
 
 import numpy as np
 
-from tumble.methods.paper.scalar import scalar_rows
+from tumble.methods.paper.accelerometers import scalar_rows
 from tumble.methods.quadric import fit_many
 from tumble.programme.positions import programme
 from tumble.rotation import rotation_matrix

@@ -5,7 +5,8 @@ spread (`SPREAD`), drifts in every recording anew. Each unit is recorded twice b
 of them, and estimated by the method joint with the usual sizes of the grade. Then, for n known units out of the others,
 the recording with half the rests is combined with the type (`tumble.run.device_type`), as `tumble calibrate --registry`
 does. A unit is either a complete session, or drawn by the information of one (`--linear`): then its estimate has that
-session's covariance, and thousands are cheap.
+session's covariance, and thousands are cheap. Beside it stands what is possible at all: u where means and spreads of
+the type are known exactly, and the power of the best test for an outlier.
 
     python studies/device_types.py --linear        1,000 units by the information of a session, some ten minutes
     python studies/device_types.py --units 150     complete sessions, a second a unit
@@ -24,6 +25,7 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
+from scipy.stats import t
 
 from tumble.inference.estimate import Estimate
 from tumble.inference.joint import joint
@@ -97,9 +99,7 @@ def by_information(of: Unit, number: int, part: float) -> Unit:
         assert each.budget is not None
         by_prior = [s.name.removeprefix("prior.") for s in each.budget.sources]
         further = np.array([name in SETUP.further for name in by_prior])
-        size = np.sqrt(np.diag(each.covariance))
-        inverse = np.linalg.inv(each.covariance / np.outer(size, size)) / np.outer(size, size)
-        data = inverse @ each.budget.covariances[~further].sum(axis=0) @ inverse
+        data, size, inverse = _information(each)
         precision = np.array([SETUP.further.get(group_name(name), np.inf) ** -2.0 for name in names])
         C = np.linalg.inv((data + np.diag(precision)) * np.outer(size, size)) * np.outer(size, size)
         noise = inverse @ size_root(each.budget.covariances[~further].sum(axis=0)) @ rng.standard_normal(len(names))
@@ -116,6 +116,15 @@ def by_information(of: Unit, number: int, part: float) -> Unit:
             replace(each, values=values, covariance=C, budget=budget, groups=findings, observable=np.ones(len(C)) > 0)
         )
     return _unit(number, dict(zip(names, truth.tolist(), strict=True)), estimates, of.observations)
+
+
+def _information(estimate: Estimate) -> tuple[Array, Array, Array]:
+    """What the data of an estimate say beside the usual sizes, (m, m); its u (m,), and C⁻¹ (m, m)."""
+    assert estimate.budget is not None
+    by_prior = [each.name.removeprefix("prior.") in SETUP.further for each in estimate.budget.sources]
+    size = np.sqrt(np.diag(estimate.covariance))
+    inverse = np.linalg.inv(estimate.covariance / np.outer(size, size)) / np.outer(size, size)
+    return inverse @ estimate.budget.covariances[~np.array(by_prior)].sum(axis=0) @ inverse, size, inverse
 
 
 def size_root(covariance: Array) -> Array:
@@ -140,7 +149,7 @@ def studied(units: Sequence[Unit], n: int, part: float, *, outliers: bool = Fals
     deviations off the mean of its type: how many are named for that."""
     z: dict[str, list[float]] = {}
     gain: dict[str, list[tuple[float, float, float]]] = {}
-    named = found = 0
+    named = found = judged = 0
     for number, each in enumerate(units):
         rng = np.random.default_rng([SEED, n, number])
         others = [i for i in rng.permutation(len(units)).tolist() if i != number][:n]
@@ -154,6 +163,7 @@ def studied(units: Sequence[Unit], n: int, part: float, *, outliers: bool = Fals
             values, off = estimate.values.copy(), OFFSET * np.hypot(part * spread, estimate.u[i])
             values[i] = spread * mean + (off if rng.random() < 0.5 else -off)
             estimate = replace(estimate, values=values)
+            judged = judged or len(known.learned().parameters)
         made, said = with_type(estimate, each.observations, known)
         unlike = [sentence for sentence in said if sentence.startswith("unlike")]
         named += bool(unlike)
@@ -170,13 +180,47 @@ def studied(units: Sequence[Unit], n: int, part: float, *, outliers: bool = Fals
     k = 1.959964
     out: dict[str, object] = {"units known": n, "N": len(units), "named": named / len(units)}
     if outliers:
-        return out | {"offset": OFFSET, "found": found / len(units)}
+        best = {"best test": power(n, judged), "of one parameter alone": power(n, 1, share=1)}
+        return out | {"offset": OFFSET, "found": found / len(units), "parameters": judged, **best}
     for what, all_z in (("linear", linear_z), ("further", further_z)):
         out |= {f"{what} coverage": float(np.mean(np.abs(all_z) < k)), f"{what} rms": float(np.sqrt(np.mean(all_z**2)))}
     ratios = {g: np.sqrt(np.mean(np.square(gain[g]), axis=0)) for g in gain}
     out["u over all rests"] = {g: float(u[0] / u[1]) for g, u in ratios.items()}
     out["without type"] = {g: float(u[2] / u[1]) for g, u in ratios.items()}
     return out
+
+
+def possible(of: Unit, part: float, correlation: float = 0.0) -> dict[str, object]:
+    """u from half the rests where the means of the type and what units differ by are known exactly, over u from all the
+    rests without a type, by group, root mean square: no prior that is learned does better. Parameters of a group are
+    correlated between units by `correlation`."""
+    names = of.whole.names
+    groups, u = [group_name(name) for name in names], dict[str, Array]()
+    for what, each in (("whole", of.whole), ("half", of.half)):
+        data, size, _ = _information(each)
+        precision = np.diag([SETUP.further.get(group, np.inf) ** -2.0 for group in groups])
+        if what == "half":
+            for group in {group for group, name in zip(groups, names, strict=True) if variable_of(name) != "time"}:
+                at = np.array([i for i, own in enumerate(groups) if own == group])
+                spread = part * spreads_of([names[i] for i in at])
+                apart = correlation + (1.0 - correlation) * np.eye(len(at))
+                precision[np.ix_(at, at)] = np.linalg.inv(np.outer(spread, spread) * apart)
+        C = np.linalg.inv((data + precision) * np.outer(size, size)) * np.outer(size, size)
+        u[what] = np.sqrt(np.diag(C))
+    ratios = dict[str, float]()
+    for group in dict.fromkeys(groups):
+        at = np.array([i for i, own in enumerate(groups) if own == group])
+        ratios[group] = float(np.linalg.norm(u["half"][at]) / np.linalg.norm(u["whole"][at]))
+    return {"type known exactly, correlation": correlation, "u over all rests": ratios}
+
+
+def power(n: int, parameters: int, share: int = 3, offset: float = OFFSET) -> float:
+    """How often the best test, Student's, of 1 % over so many parameters finds a value `offset` standard deviations off
+    the mean of a type by n units, which `share` parameters tell the standard deviation of."""
+    rng, degrees, count = np.random.default_rng(SEED), share * (n - 1), 200_000
+    limit = t.isf(0.5 * -np.expm1(np.log(0.99) / parameters), degrees) * np.sqrt(1.0 + 1.0 / n)
+    size = np.sqrt(rng.chisquare(degrees, count) / degrees)
+    return float(np.mean(np.abs(offset - rng.standard_normal(count) / np.sqrt(n)) > limit * size))
 
 
 def chips(folder: Path) -> Iterator[dict[str, object]]:
@@ -241,6 +285,8 @@ def main() -> None:
         units = [by_information(first, number, part) for number in range(count)]
     else:
         units = [first, *(session(number, part) for number in range(1, count))]
+    for correlation in (0.0, 0.5, 0.9):
+        print(json.dumps(possible(first, part, correlation)), flush=True)
     for n in KNOWN[:1] if options.short else options.known:
         found = studied(units, n, part)
         print(json.dumps(found), flush=True)

@@ -19,15 +19,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-
-from tumble.earth import EARTH_RATE, earth_rate, normal_gravity
-from tumble.inference.hyperparameters import CORRELATION_TIME
-from tumble.methods.paper.accuracy_formulas import (
+from accuracy_formulas import (
     axis_angle_error,
     reference_rate_error,
     scalar_scale_error,
     up_down_errors,
 )
+
+from tumble.earth import EARTH_RATE, earth_rate, normal_gravity
+from tumble.inference.hyperparameters import CORRELATION_TIME
 from tumble.planning.bounds import begins, course_of
 from tumble.planning.budget import GROUPS, budget
 from tumble.planning.error_propagation import BudgetedMethod

@@ -27,8 +27,7 @@ from tumble.inference.likelihood import Point, Problem, weights
 from tumble.inference.linearisation import linearise
 from tumble.inference.step import solve
 from tumble.inference.turns_about import TurnsAbout
-from tumble.methods.paper.scalar import scalar
-from tumble.methods.paper.sequential import sequential
+from tumble.methods.paper.four_stages import scalar, sequential
 from tumble.methods.staged import staged
 from tumble.planning.budget import GROUPS
 from tumble.planning.setup import Setup

@@ -35,7 +35,7 @@ from paper_device import INSTABILITY
 
 from tumble.earth import earth_rate
 from tumble.inference.joint import joint
-from tumble.methods.paper.gyro_bias import triad
+from tumble.methods.paper.gyros import triad
 from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk

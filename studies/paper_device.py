@@ -24,10 +24,13 @@ from dataclasses import dataclass, replace
 
 import formulas_against_simulation as simulation
 import numpy as np
+from accuracy_formulas import scalar_scale_error
 
 from tumble.earth import earth_rate, normal_gravity
 from tumble.inference.estimate import Outcome
-from tumble.methods.paper.accuracy_formulas import scalar_scale_error
+from tumble.methods.paper.accelerometers import by_modulus as scalar
+from tumble.methods.paper.accelerometers import by_vector as sequential
+from tumble.methods.paper.accelerometers import check_for_vector as check_positions
 from tumble.methods.paper.four_stages import (
     PaperMethod,
     ProgrammeCourse,
@@ -35,10 +38,7 @@ from tumble.methods.paper.four_stages import (
     gyro_bias_pass,
     gyro_matrix_pass,
 )
-from tumble.methods.paper.indirect import RecordedTurn, known_turns, programme_matrix
-from tumble.methods.paper.scalar import accelerometers as scalar
-from tumble.methods.paper.sequential import accelerometers as sequential
-from tumble.methods.paper.sequential import check_positions
+from tumble.methods.paper.gyros import RecordedTurn, known_turns, programme_matrix
 from tumble.planning.setup import Setup
 from tumble.programme.positions import Programme
 from tumble.result.calibration import Calibration

@@ -7,7 +7,7 @@ accelerometers as a growing east specific force, is the bias that points north,
 
     d(f_E/g)/dt = δω_N = n̂·δω,   n̂ = L̂ᵀ e_N,
 
-a row for each rest. Beside it the ways of `tumble.methods.paper.gyro_bias` on the same rests of
+a row for each rest. Beside it the ways of `tumble.methods.paper.gyros` on the same rests of
 rough-table, table and mounting off by up to 1°; the accelerometers are calibrated, and read noise. "North, from
 means" is what the drift comes to where the body is known to rest: |ω̂ − û(û·ω̂)| − Ω cos B. Noise is in samples of 1
 s, rms errors are over launches and gyros.
@@ -29,7 +29,7 @@ import formulas_against_simulation as simulation
 import numpy as np
 
 from tumble.earth import earth_rate, normal_gravity
-from tumble.methods.paper.gyro_bias import carried, invariant_bias, scalar_bias, triad, vertical_bias
+from tumble.methods.paper.gyros import carried, invariant_bias, scalar_bias, triad, vertical_bias
 from tumble.planning.setup import Setup
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.sensors.grades import NoiseModel

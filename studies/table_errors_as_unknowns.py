@@ -27,11 +27,11 @@ from dataclasses import replace
 
 import formulas_against_simulation as simulation
 import numpy as np
+from accuracy_formulas import accelerometer_errors
 from paper_device import SETUP
 
-from tumble.methods.paper.accuracy_formulas import accelerometer_errors
-from tumble.methods.paper.scalar import scalar_fit
-from tumble.methods.paper.sequential import accelerometers as sequential
+from tumble.methods.paper.accelerometers import by_vector as sequential
+from tumble.methods.paper.accelerometers import scalar_fit
 from tumble.rotation import tangent_basis, unit_vector
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, SensorModel, triad_model, triad_parameters

@@ -41,12 +41,15 @@ class Kind:
     driver: Driver = CRYSTAL
     alone: bool = False
     """Without gyros."""
+    south: bool = False
+    """The latitude is stated with the wrong sign."""
 
 
 EXACT = Driver(clock_ppm_u=0.0)
 TABLE = Handling(programme="table", rest=40.0, first_rest=40.0, turn=18.0, off=1.5 * DEG)
 CUBE = Handling(programme="cube", off=1.0 * DEG)
 FACES = Handling(programme="faces", rest=10.0, off=1.0 * DEG)
+TURNS = Handling(programme="turns", rest=10.0, turn=6.0, off=1.0 * DEG)
 NAVIGATION = Sensors(grade="navigation", rate=50.0)
 
 
@@ -72,12 +75,15 @@ KINDS = (
     Kind(name="hand-alone", words="by hand, accelerometers alone", expected="accept", alone=True),
     Kind(name="faces-alone", words="six faces once each, accelerometers alone: their axes are unknown",
          expected="name the cause", says="six faces|faces|axes|axis", handling=FACES, alone=True),
-    Kind(name="faces", words="six faces once each, with gyros: too few rests for all parameters",
-         expected="name the cause", says="not determined|known to|poorly|faces|determine", handling=FACES),
+    Kind(name="faces", words="six faces once each, MEMS with gyros", expected="accept", handling=FACES),
+    Kind(name="full-turns", words="six faces and a full turn about each axis, MEMS", expected="accept", handling=TURNS),
     Kind(name="tremor", words="by hand, tremor of 2° at 4–10 Hz in the turns", expected="accept",
          handling=Handling(tremor=2.0 * DEG)),
     Kind(name="soft-mount", words="rings by 1° at 8 Hz for 0.3 s after every stop", expected="accept",
          handling=Handling(ringing=(1.0 * DEG, 8.0, 0.3))),
+    Kind(name="creeping", words="settles by 0.1° within some seconds of every stop", expected="accept",
+         handling=Handling(ringing=(0.1 * DEG, 0.0, 1.0))),
+    Kind(name="knocks", words="six knocks of 2 g at any time", expected="accept", handling=Handling(knocks=6)),
     Kind(name="held", words="held in the hand at rest, tremor of 0.05°", expected="accept with scatter",
          says="scatter|residual|noise", handling=Handling(tremor=2.0 * DEG, tremor_at_rest=0.05 * DEG)),
     Kind(name="low-pass-20", words="low-pass of 20 Hz before sampling", expected="accept",
@@ -131,6 +137,8 @@ KINDS = (
          expected="name the cause", says="nonlinear|rate|cubic|square", sensors=Sensors(gyro_cubic=0.005)),
     Kind(name="cross-products", words="products of forces in accelerometers, 2 mg", expected="name the cause",
          says="product|cross", sensors=Sensors(cross=2e-3 * G0)),
+    Kind(name="wrong-hemisphere", words="a latitude of the wrong sign, navigation unit", expected="name the cause",
+         says="latitude", handling=TABLE, sensors=NAVIGATION, driver=EXACT, south=True),
     Kind(name="memory", words="accelerometers read 0.1 % of the force again over 60 s, navigation unit",
          expected="name the cause", says="memory|hysteresis", handling=TABLE,
          sensors=Sensors(grade="navigation", rate=50.0, remembers=(1e-3, 60.0)), driver=EXACT),
@@ -188,7 +196,9 @@ def simulated(kind: Kind, index: int, series: str = SEALED) -> Case:
         temperature=made.temperature,
         gravity=way.gravity + GRAVITY_U * float(driver.normal()),
         gravity_u=GRAVITY_U,
-        latitude=way.latitude,
+        latitude=-way.latitude if kind.south else way.latitude,
+        sections=way.sections,
+        turn_angle=2.0 * np.pi if kind.handling.programme == "turns" else None,
         clock_ppm_u=kind.driver.clock_ppm_u,
         truth=truth,
         device=f"simulated {seed:016x}",

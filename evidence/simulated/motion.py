@@ -6,7 +6,8 @@ A course is rests with turns between them. On turn k, from the attitude q_k and 
 
 with u the share of the turn's time that has passed and s a quintic that is at rest at both ends. Tremor are sinusoids
 of 4 to 10 Hz within the turn (and, where the device is held, at rest too); ringing is a decaying oscillation after
-every stop, of a device on something soft. Everything else follows by central differences over STEP, whose error is
+every stop, of a device on something soft, or a creeping to its place; a knock moves it to and fro within 20 ms.
+Everything else follows by central differences over STEP, whose error is
 1e-6 of an acceleration at 10 Hz:
 
     ω(t) = log(q(t − h)* q(t + h)) / 2h + Lᵀ ω_earth,      α(t) = (ω(t + h) − ω(t − h)) / 2h
@@ -28,6 +29,8 @@ Array: TypeAlias = NDArray[np.float64]
 DEG = np.pi / 180.0
 EARTH_RATE = 7.292115e-5
 STEP = 1e-4
+KNOCK, KNOCK_TIME = 20.0, 4e-3
+"""m/s² of a knock at its peak, and the standard deviation of the Gaussian in time, s, by which it moves the device."""
 NORTH, UP, EAST = np.eye(3)
 
 
@@ -36,7 +39,7 @@ class Handling:
     """How a device is carried: the programme, and how steadily."""
 
     programme: str = "hand"
-    """hand, table, cube, faces"""
+    """hand, table, cube, faces, or turns: faces with a full turn about each axis after them"""
     rests: int = 30
     """Of the programme hand; the others have their own."""
     rest: float = 5.0  # s, a fifth more or less
@@ -50,14 +53,17 @@ class Handling:
     tremor_at_rest: float = 0.0
     """The same at rest, in the hand."""
     ringing: tuple[float, float, float] = (0.0, 8.0, 0.3)
-    """Amplitude after a stop, rad (and a twentieth of it, m), frequency, Hz, and time constant, s."""
+    """Amplitude after a stop, rad (and a twentieth of it, m), frequency, Hz, 0 for creeping, and time constant, s."""
+    knocks: int = 0
+    """At any time, in any direction, of KNOCK."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Course:
     """Attitudes (R, 4) and places (R, 3) of the rests; rotation vectors (R − 1, 3) and begins (R − 1,) of the turns,
     how long they last, and begins and ends (R, 2) of the rests. Tremors are (R − 1, 3 frequencies, 3 axes) of amplitude
-    and phase; `shape` (3,) says along which axes it rings."""
+    and phase; `ringing` (R − 1, 3) says about which axis it rings; knocks have times (K,) and directions (K, 3).
+    `faces` are the axes that point up at the rests, and the axes of full turns, where these are the programme."""
 
     handling: Handling
     attitudes: Array
@@ -67,7 +73,9 @@ class Course:
     lasts: Array
     rests: Array
     tremor: tuple[Array, Array, Array]
-    shape: Array
+    ringing: Array
+    knocks: tuple[Array, Array]
+    faces: tuple[str, ...]
     latitude: float
     gravity: float
 
@@ -76,6 +84,18 @@ class Course:
         """From the beginning of the first rest to the end of the last, s."""
         return float(self.rests[-1, 1])
 
+    @property
+    def sections(self) -> dict[str, tuple[float, float]]:
+        """What an operator notes: when each face was up, half a second within, and when each full turn was made, half a
+        second of rest about it."""
+        out = {}
+        for k, name in enumerate(self.faces):
+            if name.endswith("turn"):
+                out[name] = float(self.rests[k - 1, 1] - 0.5), float(self.rests[k, 0] + 0.5)
+            else:
+                out[name] = float(self.rests[k, 0] + 0.5), float(self.rests[k, 1] - 0.5)
+        return out
+
     def still(self, t: Array) -> NDArray[np.bool_]:
         """Whether nothing moves at times (N,)."""
         if self.handling.tremor_at_rest:
@@ -83,7 +103,10 @@ class Course:
         k = np.clip(np.searchsorted(self.begin - 2.0 * STEP, t, side="right") - 1, 0, None)
         since = t - self.begin[k] - self.lasts[k]
         rung = 0.9 * (self.rests[k + 1, 1] - self.rests[k + 1, 0]) if self.handling.ringing[0] else 0.0
-        return np.asarray((t < self.begin[0] - 2.0 * STEP) | (since > rung + 2.0 * STEP))
+        still = (t < self.begin[0] - 2.0 * STEP) | (since > rung + 2.0 * STEP)
+        for knock in self.knocks[0]:
+            still &= np.abs(t - knock) > 10.0 * KNOCK_TIME
+        return np.asarray(still)
 
     def pose(self, t: Array) -> tuple[Array, Array]:
         """Quaternions (N, 4) and places (N, 3) at times (N,)."""
@@ -99,9 +122,13 @@ class Course:
         rest = self.rests[k + 1, 1] - self.rests[k + 1, 0]
         envelope = _smooth(1.0 + since / 0.2) * np.exp(-np.clip(since, 0.0, None) / decay)
         envelope *= 1.0 - _smooth(since / (0.9 * rest))
-        rung = (size * envelope * np.sin(2.0 * np.pi * ringing * since))[:, None] * self.shape
+        to_and_fro = np.sin(2.0 * np.pi * ringing * since) if ringing else 1.0
+        rung = (size * envelope * to_and_fro)[:, None] * self.ringing[k]
         q = _times(self.attitudes[k], _exp(self.vectors[k] * done + shaken + rung))
         place = self.places[k] + (self.places[k + 1] - self.places[k]) * done
+        for knock, way in zip(*self.knocks, strict=True):
+            moved = np.exp(-0.5 * np.clip((t - knock) / KNOCK_TIME, -12.0, 12.0) ** 2)
+            place = place + KNOCK * KNOCK_TIME**2 * moved[:, None] * way
         return q, place + 0.05 * np.roll(shaken + rung, 1, axis=1)
 
     def felt(self, t: Array, places: Array) -> tuple[Array, Array]:
@@ -131,7 +158,7 @@ class Course:
 
 def course(handling: Handling, rng: np.random.Generator) -> Course:
     """A course of a programme, drawn anew, at a place on Earth drawn anew."""
-    nominal, turns = _programme(handling, rng)
+    nominal, turns, faces = _programme(handling, rng)
     missed = nominal if handling.programme == "hand" else [
         _times(_times(_exp(handling.off * rng.normal(size=3)), q), _exp(handling.off * rng.normal(size=3) / 3.0))
         for q in nominal
@@ -140,7 +167,11 @@ def course(handling: Handling, rng: np.random.Generator) -> Course:
     vectors = _log(_times(_conjugate(attitudes[:-1]), attitudes[1:]))
     for k, meant in enumerate(turns):  # half a turn either way looks alike: the one that is meant
         other = vectors[k] * (1.0 - 2.0 * np.pi / np.linalg.norm(vectors[k]))
-        if meant is not None and np.linalg.norm(other - meant) < np.linalg.norm(vectors[k] - meant):
+        if meant is not None and np.linalg.norm(meant) > 1.5 * np.pi:  # a full turn ends where it began
+            attitudes[k + 1], vectors[k] = attitudes[k], meant
+            if k + 1 < len(vectors):
+                vectors[k + 1] = _log(_times(_conjugate(attitudes[k + 1]), attitudes[k + 2]))
+        elif meant is not None and np.linalg.norm(other - meant) < np.linalg.norm(vectors[k] - meant):
             vectors[k] = other
     count = len(attitudes)
     resting = handling.rest * rng.uniform(0.8, 1.2, count)
@@ -148,8 +179,7 @@ def course(handling: Handling, rng: np.random.Generator) -> Course:
     lasts = handling.turn * rng.uniform(0.8, 1.2, count - 1)
     begin = np.cumsum(resting[:-1]) + np.r_[0.0, np.cumsum(lasts)[:-1]]
     starts = np.r_[0.0, begin + lasts]
-    shape = rng.normal(size=3)
-    latitude = rng.uniform(-60.0, 60.0) * DEG
+    latitude = rng.choice([-1.0, 1.0]) * rng.uniform(20.0, 60.0) * DEG
     return Course(
         handling=handling,
         attitudes=attitudes,
@@ -163,7 +193,9 @@ def course(handling: Handling, rng: np.random.Generator) -> Course:
             rng.uniform(4.0, 10.0, (count - 1, 3, 3)),
             rng.uniform(0.0, 2.0 * np.pi, (count - 1, 3, 3)),
         ),
-        shape=shape / np.linalg.norm(shape),
+        ringing=_unit(rng.normal(size=(count - 1, 3))),
+        knocks=(rng.uniform(0.0, starts[-1], handling.knocks), _unit(rng.normal(size=(handling.knocks, 3)))),
+        faces=faces,
         latitude=latitude,
         gravity=_normal_gravity(latitude) + 3e-4 * rng.normal(),
     )
@@ -175,11 +207,11 @@ def _normal_gravity(latitude: float) -> float:
     return float(9.7803267715 * (1.0 + 0.001931851353 * s) / np.sqrt(1.0 - 0.0066943800229 * s))
 
 
-def _programme(handling: Handling, rng: np.random.Generator) -> tuple[list[Array], list[Array | None]]:
-    """Nominal attitudes, and the rotation vectors, in the body, of the turns of which they matter."""
+def _programme(handling: Handling, rng: np.random.Generator) -> tuple[list[Array], list[Array | None], tuple[str, ...]]:
+    """Nominal attitudes, the rotation vectors, in the body, of the turns of which they matter, and the axes that point
+    up, x+ to z−, or are turned about, where these are faces."""
     if handling.programme == "hand":
-        q = rng.normal(size=(handling.rests, 4))
-        return list(q / np.linalg.norm(q, axis=1, keepdims=True)), []
+        return list(_unit(rng.normal(size=(handling.rests, 4)))), [], ()
     out: list[Array] = []
     turns: list[Array | None] = []
     if handling.programme == "table":
@@ -201,15 +233,27 @@ def _programme(handling: Handling, rng: np.random.Generator) -> tuple[list[Array
             axes[:, third] = sense * np.cross(axes[:, above], axes[:, below])
             turns.append(None)
             out.append(_of_axes(axes))
-        return out, turns
+        return out, turns, ()
     grid = [np.array([x, y, z], float) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
-    count = {"cube": 4, "faces": 2}[handling.programme]  # how many of x, y, z may be 0 or not
+    count = {"cube": 4, "faces": 2, "turns": 2}[handling.programme]  # how many of x, y, z may be 0 or not
     ups = [d for d in grid if 0 < np.abs(d).sum() < count]
-    for i in rng.permutation(len(ups)):
-        up = ups[i] / np.linalg.norm(ups[i])
+    order = rng.permutation(len(ups))
+    for i in order:
+        up = _unit(ups[i])
         north = np.linalg.qr(np.column_stack([up, rng.normal(size=3)]))[0][:, 1]
         out.append(_of_axes(np.stack([north, up, np.cross(north, up)])))
-    return out, []
+    faces = tuple(f"{'xyz'[np.abs(ups[i]).argmax()]}{'-+'[int(ups[i].sum() > 0.0)]}" for i in order)
+    if handling.programme == "turns":
+        turns, faces = [None] * (len(out) - 1), (*faces, "x turn", "y turn", "z turn")
+        for axis in np.eye(3):
+            turns.append(2.0 * np.pi * axis)
+            out.append(out[-1])
+    return out, turns, faces if handling.programme != "cube" else ()
+
+
+def _unit(vectors: Array) -> Array:
+    """Of length 1 along the last axis."""
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 def _smooth(u: Array) -> Array:

@@ -19,7 +19,7 @@ from tumble.diagnosis.observability import Refusal
 from tumble.errors import InputError
 from tumble.methods.ellipsoid import ellipsoid
 from tumble.methods.ellipsoid_fit import TRIAD, EllipsoidFit, fit_ellipsoid
-from tumble.methods.paper.scalar import scalar_rows
+from tumble.methods.paper.accelerometers import scalar_rows
 from tumble.methods.quadric import fit_many
 from tumble.methods.staged import staged
 from tumble.recording.session import Site

@@ -8,7 +8,7 @@ import pytest
 from tests.support.paper_variants import turned_bias, two_position_bias
 from tests.support.rough_launches import EARTH, GRAVITY, LATITUDE, PROGRAMME
 from tumble.earth import EARTH_RATE
-from tumble.methods.paper.gyro_bias import (
+from tumble.methods.paper.gyros import (
     invariant_bias,
     scalar_bias,
     vector_bias,

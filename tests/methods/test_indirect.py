@@ -18,13 +18,13 @@ from tests.support.rough_launches import (
     rough_attitudes,
 )
 from tumble.errors import ProgrammeError
-from tumble.methods.paper.accuracy_formulas import accelerometer_leakage
-from tumble.methods.paper.gyro_bias import triad
-from tumble.methods.paper.indirect import (
+from tumble.methods.paper.gyros import (
+    accelerometer_leakage,
     check_directions,
     horizontal_differences,
     known_turns,
     programme_matrix,
+    triad,
 )
 from tumble.programme.positions import ANY_MOVE, Move, Position, Programme, attitude
 from tumble.sensors.model import PERFECT_TRIAD

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from accuracy_formulas import angle_variance, best_elevations
 
 from tests.methods.test_staged import (
     COARSE,
@@ -27,9 +28,8 @@ from tests.methods.test_staged import (
 )
 from tests.support.paper_variants import angle_astride
 from tumble.earth import earth_rate
-from tumble.methods.paper.accuracy_formulas import angle_variance, best_elevations
-from tumble.methods.paper.gyro_bias import triad
-from tumble.methods.paper.sequential import angle_between, bias_and_scale
+from tumble.methods.paper.accelerometers import angle_between, bias_and_scale
+from tumble.methods.paper.gyros import triad
 from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.rotation import rotation_matrix, unit_vector

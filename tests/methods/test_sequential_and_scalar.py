@@ -25,8 +25,7 @@ from tests.support.rough_launches import (
 )
 from tumble.errors import InputError, ProgrammeError, SessionError
 from tumble.inference.estimate import Estimate
-from tumble.methods.paper.scalar import scalar
-from tumble.methods.paper.sequential import sequential
+from tumble.methods.paper.four_stages import scalar, sequential
 from tumble.programme.positions import programme
 from tumble.recording.log import open_log
 from tumble.recording.session import Site

@@ -7,18 +7,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from accuracy_formulas import best_elevations
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.paper_variants import angle_astride
 from tumble.errors import ProgrammeError
-from tumble.methods.paper.accuracy_formulas import best_elevations
-from tumble.methods.paper.sequential import (
-    accelerometers,
+from tumble.methods.paper.accelerometers import (
     angle_between,
     axis_angles,
     bias_and_scale,
-    check_positions,
+    by_vector,
+    check_for_vector,
     levelled_cosines,
 )
 from tumble.programme.positions import programme
@@ -106,7 +106,7 @@ def test_the_errors_of_every_axis_are_alike_where_equation_7_of_the_paper_has_no
     model = triad_model(np.zeros((n, 3)), np.zeros((n, 3)), σ_γ * rng.standard_normal((n, 3)))
     u = tilted(NOMINAL, tilt, rng, n)
     readings = g * u @ np.swapaxes(model.matrix, -1, -2)
-    found = np.stack(triad_parameters(accelerometers(readings, NOMINAL, np.array(g)))[:2], axis=-1)
+    found = np.stack(triad_parameters(by_vector(readings, NOMINAL, np.array(g)))[:2], axis=-1)
     # four rests an axis: two of them up, two down, tilts independent
     expected = tilt / np.sqrt(3) * σ_γ / np.sqrt(2)
     np.testing.assert_allclose(np.sqrt((found[..., 1] ** 2).mean(axis=0)), expected, rtol=0.05)
@@ -203,7 +203,7 @@ def test_iterations_on_compensated_readings_converge() -> None:
     found = SensorModel(matrix=np.eye(3), bias=np.zeros(3))
     errors = []
     for _ in range(6):
-        found = found.composed(accelerometers(found.apply(readings), NOMINAL, np.array(g)))
+        found = found.composed(by_vector(found.apply(readings), NOMINAL, np.array(g)))
         errors.append(float(np.abs(found.matrix - true.matrix).max()))
     assert errors[0] > 1e-6
     assert errors[1] < 0.2 * errors[0]
@@ -243,9 +243,9 @@ def test_axes_of_a_redundant_block_are_calibrated_one_by_one_and_pair_by_pair() 
 
 
 def test_positions_that_are_missing_are_named() -> None:
-    check_positions(NOMINAL)
+    check_for_vector(NOMINAL)
     with pytest.raises(ProgrammeError, match="Y down; X 45° above and Y 45° below the horizon, found none"):
-        check_positions(NOMINAL[[0, 4, 5, 8, 9, 10, 13, 14]])
+        check_for_vector(NOMINAL[[0, 4, 5, 8, 9, 10, 13, 14]])
 
 
 def test_levelling_is_the_direction_of_the_readings() -> None:

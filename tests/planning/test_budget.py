@@ -212,7 +212,7 @@ def test_impossible_setups_are_refused_in_one_line(change: dict[str, float], wor
 
 
 def test_programmes_without_the_positions_are_refused() -> None:
-    with pytest.raises(ProgrammeError, match="45° up and down"):
+    with pytest.raises(ProgrammeError, match="X 45° above and Y 45° below the horizon"):
         budget(replace(SETUP, programme=programme("cube-14")), ("sequential",))
     faces = Programme(name="faces", positions=programme("nine").positions[:6], moves=(ANY_MOVE,) * 5, ordered=True)
     with pytest.raises(ProgrammeError, match="found 6"):

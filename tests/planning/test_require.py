@@ -6,12 +6,12 @@ import math
 from dataclasses import replace
 
 import pytest
+from accuracy_formulas import axis_angle_rms, up_down_rms
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.formula_setup import AXIS, BIAS, SCALE, SETUP, SILENT
 from tumble.errors import InputError
-from tumble.methods.paper.accuracy_formulas import axis_angle_rms, up_down_rms
 from tumble.planning.bounds import bound
 from tumble.planning.budget import GROUPS, budget, indirect_coefficients
 from tumble.planning.error_propagation import BUDGETED_METHODS, BudgetedMethod

@@ -29,17 +29,18 @@ from tests.support.rough_launches import (
     values_of,
 )
 from tumble.earth import EARTH_RATE
-from tumble.methods.paper.accuracy_formulas import accelerometer_leakage
+from tumble.methods.paper.accelerometers import by_modulus as scalar_accelerometers
+from tumble.methods.paper.accelerometers import by_vector as sequential_accelerometers
+from tumble.methods.paper.accelerometers import check_for_vector as check_positions
+from tumble.methods.paper.accelerometers import scalar_differences, scalar_fit, scalar_rows
 from tumble.methods.paper.four_stages import PaperMethod
-from tumble.methods.paper.gyro_bias import invariant_bias, triad
-from tumble.methods.paper.indirect import (
+from tumble.methods.paper.gyros import (
+    accelerometer_leakage,
     horizontal_differences,
+    invariant_bias,
     programme_matrix,
+    triad,
 )
-from tumble.methods.paper.scalar import accelerometers as scalar_accelerometers
-from tumble.methods.paper.scalar import scalar_differences, scalar_fit, scalar_rows
-from tumble.methods.paper.sequential import accelerometers as sequential_accelerometers
-from tumble.methods.paper.sequential import check_positions
 from tumble.rotation import unit_vector
 from tumble.sensors.model import PERFECT_TRIAD, SensorModel, triad_model, triad_parameters
 from tumble.units import ARCSEC, DEGREE, Array

@@ -11,6 +11,8 @@ import pytest
 
 import tumble
 from tumble.errors import InputError
+from tumble.run.together import calibrate_together
+from tumble.simulation.temperature_profile import TemperatureProfile
 from tumble.units import Array
 
 RATE, SECONDS, PPM = 100.0, 300.0, 40.0
@@ -117,3 +119,36 @@ def test_a_time_base_that_was_compared_corrects_the_scale_factors_of_the_gyros(t
     block = tumble.read_session(folder).gyro_block
     assert block is not None
     np.testing.assert_allclose(made.gyro.matrix, block.model(np.array([made[n].value for n in block.names])).matrix)
+
+
+def test_every_session_of_one_estimate_is_read_by_its_own_clock(tmp_path: Path) -> None:
+    """Of two sessions over temperature one has seconds that are 300 ppm too short, and the time of satellites beside
+    them: the scale factors of both together are those of two good clocks, whichever session is the first, and u has the
+    clock that is known worst."""
+    setup = tumble.Setup.of(grade="tactical", positions=12)
+    sound = []
+    for k, celsius in enumerate(((10.0, 22.0), (30.0, 18.0))):
+        profile = TemperatureProfile(celsius=celsius)
+        folder = tmp_path / f"level-{k}"
+        sound.append(tumble.simulate_session(folder, setup, seed=3, launch=k + 1, temperature=profile))
+    short = tmp_path / "short"
+    short.mkdir()
+    log = pl.read_parquet(sound[0] / "log.parquet")
+    t = log["t"].to_numpy()
+    log = log.with_columns(pl.Series("t", t / (1.0 + 300e-6)), pl.Series("gps", 1.7e9 + t))
+    log.write_parquet(short / "log.parquet")
+    head, _, tail = (sound[0] / "session.toml").read_text().replace("clock_ppm_u = 0\n", "").partition("[log.accel]")
+    clock = '[log.reference_clock]\ncolumn = "gps"\nppm_u = 0.1'
+    (short / "session.toml").write_text(f"{head}{clock}\n\n[log.accel]{tail}")
+    stated = sound[1] / "session.toml"
+    stated.write_text(stated.read_text().replace("clock_ppm_u = 0\n", "clock_ppm_u = 5\n"))
+    exact = calibrate_together(sound)
+    for order in ((short, sound[1]), (sound[1], short)):
+        made = calibrate_together(order)
+        for axis in "xyz":
+            name = f"gyro.scale.{axis}"
+            assert made[name].value == pytest.approx(exact[name].value, abs=0.1 * (exact[name].u or 0.0))
+            assert made[name].u == pytest.approx(exact[name].u, rel=0.01)
+        assert made.clock_u == pytest.approx(5e-6)
+        assert any(note.startswith("short: by 'gps'") and "+300.0 ppm" in note for note in made.notes)
+        assert "the clocks of the sessions are known to 0.1 to 5 ppm: u has that of level-1, the largest" in made.notes

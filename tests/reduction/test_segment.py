@@ -339,6 +339,34 @@ def test_every_rest_is_found_where_the_level_of_the_gyros_depends_on_the_attitud
         assert_all_found(recording, found(recording.time, recording.accel, recording.gyro))
 
 
+def on_six_faces(grade: str, seed: int) -> Recording:
+    """Once each, with gyros that feel specific force."""
+    whole = recorded(Setup.of(grade=grade, programme="nine", rest=8.0, sample_rate=50.0), seed)
+    kept = whole.time <= whole.rests[5, 1]
+    cut = replace(whole, time=whole.time[kept], accel=whole.accel[kept], gyro=whole.gyro[kept], rests=whole.rests[:6])
+    return with_g_sensitivity(cut, seed)
+
+
+@pytest.mark.parametrize("grade", ["tactical", "mems", "consumer"])
+def test_six_faces_are_enough_for_gyros_that_feel_specific_force(grade: str) -> None:
+    for seed in (31, 32, 33, 34):
+        recording = on_six_faces(grade, seed)
+        assert_all_found(recording, found(recording.time, recording.accel, recording.gyro))
+
+
+@pytest.mark.parametrize("turning", range(6))
+def test_a_slow_turn_about_the_vertical_on_one_of_six_faces_is_no_rest(turning: int) -> None:
+    for seed in (33, 34):
+        recording = on_six_faces("mems", seed)
+        start, stop = recording.rests[turning]
+        during = (recording.time > start) & (recording.time <= stop)
+        up = recording.accel[during].mean(axis=0)
+        gyro = recording.gyro.copy()
+        gyro[during] += 0.5 * DEGREE * up / np.linalg.norm(up)
+        rests = found(recording.time, recording.accel, gyro).rests
+        assert len(rests) == 1 or not any(r.start < stop and r.stop > start for r in rests)
+
+
 @pytest.mark.parametrize("seed", [207, 208])
 def test_every_rest_is_found_where_gyros_that_feel_force_also_warm(seed: int) -> None:
     """MEMS units with all terms of usual size that warm by 20 K in some four minutes."""

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from scipy.stats import t
+from scipy.optimize import brentq
+from scipy.stats import chi2, norm, t
 
 import tumble
 from tumble.cli import main
@@ -297,6 +298,7 @@ def test_a_registry_is_a_prior_of_the_next_unit_and_what_it_made_is_no_evidence(
         ran = CliRunner().invoke(main, ["registry", "datasheet", "M-1", "--registry", place, "--out", str(out)])
         assert ran.exit_code == 0, ran.output
         assert out.stat().st_size > 1000
+    assert b"/Type/Pages/Count 1/" in (tmp_path / "sheet.pdf").read_bytes()
     assert "| accel.bias.x | zero-g offset | 3 |" in (tmp_path / "sheet.md").read_text()
     ran = CliRunner().invoke(main, ["registry", "datasheet", "M-1", "--registry", place, "--json"])
     rows = {row["name"]: row for row in json.loads(ran.stdout)["rows"]}
@@ -307,7 +309,17 @@ def test_a_registry_is_a_prior_of_the_next_unit_and_what_it_made_is_no_evidence(
     assert {"accel.in_run", "gyro.in_run"} <= set(rows)
 
 
-@pytest.mark.parametrize(("n", "k"), [(2, 36.519), (3, 9.789), (5, 5.077), (10, 3.393), (20, 2.760)])
+@pytest.mark.parametrize(("n", "k"), [(2, 36.519), (3, 9.789), (5, 5.077), (10, 3.393), (20, 2.760), (30, 2.555)])
 def test_tolerance_factors_are_those_of_the_tables(n: int, k: float) -> None:
     """Exact two-sided factors of 95 % with 95 % confidence: Odeh & Owen (1980), ISO 16269-6."""
     assert tolerance_factor(n) == pytest.approx(k, abs=6e-4)
+
+
+@pytest.mark.parametrize(("n", "k"), [(5, 5.079), (10, 3.379), (20, 2.752), (30, 2.549)])
+def test_older_tables_have_an_approximation_of_the_tolerance_factors(n: int, k: float) -> None:
+    """Bowker (1947) by Wald and Wolfowitz: k = r √(ν/χ²), r about a mean that is 1/√n off; 0.5 % less."""
+    off = 1.0 / np.sqrt(n)
+    r = brentq(lambda r: norm.cdf(off + r) - norm.cdf(off - r) - 0.95, 1.0, 4.0)
+    approximation = r * np.sqrt((n - 1.0) / chi2.ppf(0.05, n - 1))
+    assert approximation == pytest.approx(k, abs=6e-4)
+    assert tolerance_factor(n) == pytest.approx(approximation, rel=5e-3)

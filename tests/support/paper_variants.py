@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tumble.methods.paper.indirect import (
+from tumble.methods.paper.gyros import (
     _LEVEL,
     Series,
     carried_attitudes,

@@ -21,7 +21,7 @@ from tumble.methods.paper.four_stages import (
     gyro_bias_pass,
     gyro_matrix_pass,
 )
-from tumble.methods.paper.indirect import RecordedTurn, known_turns, programme_matrix
+from tumble.methods.paper.gyros import RecordedTurn, known_turns, programme_matrix
 from tumble.programme.positions import programme
 from tumble.reduction.noise.coloured_noise import WHITE
 from tumble.reduction.turns.turns import Turns

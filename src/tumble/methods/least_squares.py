@@ -64,6 +64,12 @@ def least_squares(jacobian: Array, residual: Array, spread: Array) -> Solution:
     return Solution(step=gain @ residual, gain=gain, null=null, covariance=covariance)
 
 
+def solved(rows: Array, right: Array) -> Array:
+    """Least squares (..., m) of many problems with rows (..., r, m) of full rank, right-hand sides (..., r)."""
+    Q, R = np.linalg.qr(rows)
+    return np.asarray(np.linalg.solve(R, np.swapaxes(Q, -1, -2) @ right[..., None])[..., 0])
+
+
 def gauss_newton(
     solution_at: Callable[[Array], Solution], values: Array, spread: Array, rounding: Array | float = ROUNDING
 ) -> tuple[Array, tuple[Array, ...]]:

@@ -1,4 +1,4 @@
-"""What accuracy a set-up gives: the paper's error formulas put together for a whole programme.
+"""What accuracy a set-up gives: what the errors of a set-up do to each pass of a method on a programme.
 
 How the budget is put together. Let X be the 21 parameters (the order of the calibration file). To first order in X
 one pass of a method is a matrix, so that it leaves
@@ -16,11 +16,10 @@ T² X. With parameters and deviations independent of each other and of zero mean
 where T² = c + Σ τ_k l_k + Σ τ_k τ_l A_kl, S is the symmetric part of A, tr A = Σ v_k A_kk, and v_k, μ_k are the second
 and fourth moments of τ_k. Further passes gain as much as the second did: (κσ)^i, §7.
 
-The method `joint` needs no formulas: what it leaves is the bound (`tumble.planning.bounds`), of instruments with all
+The method `joint` needs none of that: what it leaves is the bound (`tumble.planning.bounds`), of instruments with all
 groups of parameters, too, which the others take for parameters of the linear model.
 
-T₀, D and q are those of `tumble.planning.error_propagation`, the symbols those of
-`tumble.methods.paper.accuracy_formulas`. `tumble.planning.requirements` is the inverse.
+T₀, D and q are those of `tumble.planning.error_propagation`. `tumble.planning.requirements` is the inverse.
 """
 
 from __future__ import annotations
@@ -33,18 +32,19 @@ from typing import Literal
 import numpy as np
 
 from tumble.brief import Brief
-from tumble.earth import earth_rate
+from tumble.earth import EARTH_RATE, earth_rate
 from tumble.errors import InputError
 from tumble.inference.hyperparameters import CORRELATION_TIME
-from tumble.methods.paper.accuracy_formulas import turn_bias_error
 from tumble.planning.bounds import begins, bound, course_of
 from tumble.planning.error_propagation import (
     BUDGETED_METHODS,
+    STEP,
     BudgetedMethod,
     Plan,
-    Seen,
-    estimates,
+    estimated,
     first_order,
+    logged_rows,
+    observed,
     plan_of,
     second_order,
 )
@@ -300,7 +300,7 @@ def total_of(variances: Mapping[str, Array]) -> Array:
 def pipeline_of(setup: Setup, method: BudgetedMethod) -> Pipeline:
     """A method on the programme of a set-up: the mean squares of T X, T² X and q(X), see the module's docstring."""
     plan = plan_of(setup.programme, method, turn_rate=setup.turn_rate, latitude=setup.latitude)
-    T0, D = first_order(plan, method)
+    T0, D = first_order(plan)
     table = 3 * len(plan.nominal)
     width = np.repeat([setup.table_error, setup.mounting_error], [table, 3])
     v, fourth = width**2 / 3.0, width**4 / 5.0  # uniform
@@ -313,20 +313,17 @@ def pipeline_of(setup: Setup, method: BudgetedMethod) -> Pipeline:
     trace = np.tensordot(v, own, axes=1)
     square = trace**2 + 2.0 * np.einsum("k,l,klpq->pq", v, v, S**2, optimize=True)
     square += np.tensordot(fourth - 3.0 * v**2, own**2, axes=1)
-    # q(X) = Xᵀ Q X by polarisation, with the mean square (tr Q)² + 2 Σ Q_ij² for independent Gaussian X of unit spread
-    single = np.diag(spread)
-    diagonal = second_order(plan, method, single)
-    Q = 0.5 * (second_order(plan, method, single[:, None] + single) - diagonal[:, None] - diagonal)
-    Q[np.arange(len(Q)), np.arange(len(Q))] = diagonal
+    # q(X) = Xᵀ Q X, with the mean square (tr Q)² + 2 Σ Q_ij² for independent Gaussian X of unit spread
+    Q = np.outer(spread, spread)[:, :, None] * second_order(plan)
     return Pipeline(
         method=method,
-        groups=GROUPS if plan.turns is not None else GROUPS[:4],
+        groups=GROUPS if len(plan.first) else GROUPS[:4],
         exact=T0**2,
         by_table=np.tensordot(v[:table], D[:table] ** 2, axes=1),
         by_mounting=np.tensordot(v[table:], D[table:] ** 2, axes=1),
         twice=(c**2, 2.0 * c * trace + np.tensordot(v, linear**2, axes=1), square),
-        second_order=diagonal.sum(axis=0) ** 2 + 2.0 * (Q**2).sum(axis=(0, 1)),
-        noise=_noise(setup, plan, method),
+        second_order=np.trace(Q) ** 2 + 2.0 * (Q**2).sum(axis=(0, 1)),
+        noise=_noise(setup, plan),
         spread=spread,
     )
 
@@ -335,16 +332,19 @@ REST_NOISE = ("accelerometer noise at rest", "gyro noise at rest")
 """The causes that longer rests reduce."""
 
 
-def _noise(setup: Setup, plan: Plan, method: BudgetedMethod) -> dict[str, Array]:
+def _noise(setup: Setup, plan: Plan) -> dict[str, Array]:
     """Variances (21,) of the parameters from noise, by cause, on an exact programme: each noise as if alone."""
-    N, K, noise, g = len(plan.nominal), len(plan.duration), setup.noise, setup.gravity
+    N, K, noise, g = len(plan.nominal), len(plan.first), setup.noise, setup.gravity
     rest, turn = np.eye(3 * N).reshape(3 * N, N, 3), np.eye(3 * K).reshape(3 * K, K, 3)
+    rows = logged_rows(plan, np.zeros(len(NAMES)), plan.nominal)
 
-    def gains(m: int, accel: float | Array = 0.0, gyro: float | Array = 0.0, turn: float | Array = 0.0) -> Array:
-        """Estimates (m, 21) that m unit errors of what is seen lead to."""
-        at_rest, in_turn = np.zeros((m, N, 3)), np.zeros((m, K, 3))
-        seen = Seen(accel=at_rest + accel, gyro=at_rest + gyro, turn=in_turn + turn)
-        return estimates(plan, method, plan.nominal, seen)
+    def gains(step: float, **errors: Array) -> Array:
+        """What unit errors of what is seen make of the parameters (m, 21)."""
+        X, out = np.zeros((len(rest) if "turned" not in errors else len(turn), len(NAMES))), []
+        for sign in (1.0, -1.0):
+            seen = observed(plan, X, plan.nominal, **{name: sign * step * error for name, error in errors.items()})
+            out.append(estimated(plan, seen, rows))
+        return np.asarray((out[0] - out[1]) / (2.0 * step))
 
     alike = np.exp(-np.abs(np.subtract.outer(*[begins(course_of(setup), setup)] * 2)) / CORRELATION_TIME)
 
@@ -355,17 +355,15 @@ def _noise(setup: Setup, plan: Plan, method: BudgetedMethod) -> dict[str, Array]
         of_rests[:, np.arange(3), MEMBERS[bias]] -= 1.0 / N
         return np.asarray(np.einsum("icp,ij,jcp->p", of_rests, alike, of_rests))
 
-    carried: float | Array = 0.0  # by biases that in a turn are between those at its ends
-    if (turns := plan.turns) is not None:
-        between = 0.5 * (rest[:, turns.first] + rest[:, turns.first + 1])
-        carried = turn_bias_error(turns.start, turns.axis, turns.angle, plan.duration, between)
-    by_accel, by_gyro, by_turn = gains(3 * N, accel=rest), gains(3 * N, gyro=rest), gains(3 * K, turn=turn)
-    by_change = gains(3 * N, gyro=rest, turn=carried)
+    by_accel, by_gyro = gains(STEP, force=rest), gains(STEP * EARTH_RATE, rate=rest)
+    by_turn = gains(STEP, turned=turn) if K else np.zeros((0, len(NAMES)))
+    between = 0.5 * (rest[:, plan.first] + rest[:, plan.first + 1])  # biases in a turn are those between its ends
+    by_change = gains(STEP * EARTH_RATE, rate=rest, drift=between)
     scale = np.isin(np.arange(len(NAMES)), MEMBERS["accel.scale"])
     return {
         REST_NOISE[0]: (by_accel**2).sum(axis=0) * (noise.accel_white / g) ** 2 / setup.rest,
         REST_NOISE[1]: (by_gyro**2).sum(axis=0) * noise.gyro_white**2 / setup.rest,
-        "gyro noise in turns": np.repeat(plan.duration, 3) @ by_turn**2 * noise.gyro_white**2,
+        "gyro noise in turns": np.repeat(plan.course.duration, 3) @ by_turn**2 * noise.gyro_white**2,
         "accelerometer instability": wandered(by_accel, "accel.bias") * (noise.accel_instability / g) ** 2,
         "gyro instability": wandered(by_change, "gyro.bias") * noise.gyro_instability**2,
         "uncertainty of gravity": scale * (setup.gravity_u / g) ** 2,

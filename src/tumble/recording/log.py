@@ -40,9 +40,10 @@ _SHORTEST_INTERVAL, _LONGEST_INTERVAL = 1e-15, 1e15  # beyond, nothing can be co
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Chunk:
-    """Consecutive samples of one file, `file` being its index in session.log.files: end time and interval of
-    each sample, s; accelerometers (m, na), m/s²; gyros (m, ng), rad/s; temperatures (m, T), K, of the
-    thermometers; magnetometer (m, 3) in its unit."""
+    """Consecutive samples of one file, `file` being its index in session.log.files: end time of each sample by the
+    clock of the log, s, and its interval, in seconds of the reference clock where the log has one; accelerometers
+    (m, na), m/s²; gyros (m, ng), rad/s; temperatures (m, T), K, of the thermometers; magnetometer (m, 3) in its
+    unit."""
 
     file: int
     time: Array
@@ -122,7 +123,8 @@ class Log(Brief):
         source, grid = self._sources[file], self._grids[file]
         bridge = Bridge(source=source, file=file, spec=spec, interval=grid.interval, gaps=self._gaps)
         rows = rows_of(source, spec, file, grid, self._gaps, on_grid=spec.unstamped or grid.rounded)
-        for time, dt, values in bridge.samples(rows):
+        for time, dt_of_log, values in bridge.samples(rows):
+            dt = dt_of_log if spec.clock_rate == 1.0 else spec.clock_rate * dt_of_log
             yield Chunk(
                 file=file,
                 time=time,

@@ -9,7 +9,10 @@ confidence, where they are normally distributed,
 r²(z) being the 0.95 quantile of the noncentral χ² of one degree of freedom with noncentrality z². In-run biases, which
 are sizes, are judged by their logarithms. s contains what the recordings do not know of the units, u.
 
-Terms are those of IEEE Std 2700 (parameters of MEMS sensors) and of IEEE Std 528 (inertial sensors).
+Terms are those of IEEE Std 2700 (parameters of MEMS sensors) and of IEEE Std 528 (inertial sensors), as far as their
+definitions are public: in 2700 "sensitivity" is the scale factor, in 528 what an output changes by with an input that
+is not meant, as in "scale factor temperature sensitivity". An in-run bias is no bias instability, which is flicker
+noise: it is the exponentially correlated noise of IEEE Std 952, annex C.
 
 Source: ISO 16269-6:2014, annex of exact factors; Odeh & Owen, Tables for Normal Tolerance Limits (1980).
 """
@@ -39,12 +42,12 @@ TERMS: Mapping[str, tuple[str, str]] = {
     "accel.bias": ("zero-g offset", "bias"),
     "accel.scale": ("sensitivity", "scale factor error"),
     "accel.axis": ("cross-axis sensitivity", "input-axis misalignment"),
-    "accel.quadratic": ("nonlinearity", "second-order nonlinearity"),
-    "accel.cubic": ("nonlinearity", "third-order nonlinearity"),
+    "accel.quadratic": ("nonlinearity", "second-order nonlinearity coefficient"),
+    "accel.cubic": ("nonlinearity", "third-order nonlinearity coefficient"),
     "accel.asymmetry": ("nonlinearity", "scale factor asymmetry"),
     "accel.bias.t1": ("zero-g offset temperature coefficient", "bias temperature sensitivity"),
     "accel.scale.t1": ("sensitivity temperature coefficient", "scale factor temperature sensitivity"),
-    "accel.in_run": ("", "in-run bias instability"),
+    "accel.in_run": ("", "exponentially correlated noise"),
     "gyro.bias": ("zero-rate offset", "bias"),
     "gyro.scale": ("sensitivity", "scale factor error"),
     "gyro.axis": ("cross-axis sensitivity", "input-axis misalignment"),
@@ -53,9 +56,9 @@ TERMS: Mapping[str, tuple[str, str]] = {
     "gyro.g_sensitivity": ("linear acceleration sensitivity", "acceleration-sensitive drift rate"),
     "gyro.bias.t1": ("zero-rate offset temperature coefficient", "bias temperature sensitivity"),
     "gyro.scale.t1": ("sensitivity temperature coefficient", "scale factor temperature sensitivity"),
-    "gyro.in_run": ("", "in-run bias instability"),
+    "gyro.in_run": ("", "exponentially correlated noise"),
 }
-"""Of groups of parameters: what IEEE Std 2700 and IEEE Std 528 call them."""
+"""Of groups of parameters: what IEEE Std 2700 and IEEE Std 528, of in-run biases 952, call them."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -23,12 +23,11 @@ from tumble.inference.hyperparameters import GUESSED, SHEET, STATED
 from tumble.inference.joint import joint
 from tumble.inference.sources import by_time_base, clocked, of_fit, source
 from tumble.methods.ellipsoid import ellipsoid
-from tumble.methods.paper.scalar import scalar
-from tumble.methods.paper.sequential import sequential
+from tumble.methods.paper.four_stages import scalar, sequential
 from tumble.methods.staged import staged
 from tumble.recording.arrays import Temperatures, session_of_arrays
 from tumble.recording.log import Log
-from tumble.recording.session import Session
+from tumble.recording.session import LogSpec, Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.result.accepted import accepted_kinds
@@ -282,27 +281,12 @@ def estimated(
             f"no uncertainty of the time base is stated: {1e6 * session.log.time_base_u:.0f} ppm, as of a crystal, "
             f"are in the u of {' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact",
         )
-    if (reference := session.log.reference_clock) is not None:
-        longer = f"{1e6 * (session.log.clock_rate - 1.0):+.1f} ppm"
-        notes += (
-            f"by '{reference.column}' a second of the log's clock is {longer} longer than one, to "
-            f"{1e6 * session.log.time_base_u:.2g} ppm: {' and '.join(by_clock) or 'no parameter'} corrected for it",
-        )
+    notes += by_reference_clock(session.log)
     unstamped = session.log.unstamped
     observations = replace(observations, start=start, notes=notes, by_clock=by_clock, unstamped=unstamped)
     try:
         with np.errstate(over="ignore"):  # damaged samples, of which it breaks down
             estimate = method(observations)
-        if (slow := session.log.clock_rate - 1.0) != 0.0:
-            change = by_time_base(estimate.names, clocked(slow, session.log.increments))
-            estimate = replace(estimate, values=estimate.values + change)
-            by_name = dict(zip(estimate.names, estimate.values, strict=True))
-            for block in (observations.accel_block, observations.gyro_block):
-                if block is not None and set(block.names) <= by_name.keys():
-                    model = block.model(np.array([by_name[name] for name in block.names]))
-                    estimate = (
-                        replace(estimate, accel=model) if block.kind == "accel" else replace(estimate, gyro=model)
-                    )
         if estimate.method != "joint":  # which counts the time base itself
             estimate = _with_time_base(estimate, observations)
         if terms == "linear":
@@ -319,6 +303,17 @@ def estimated(
         broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
         return Outcome(reasons=(one_attitude(observations) or broken,))
     return estimate, replace(observations, notes=notes)
+
+
+def by_reference_clock(log: LogSpec) -> tuple[str, ...]:
+    """A note of what the second clock of a log says of the first, where there is one."""
+    if log.reference_clock is None:
+        return ()
+    corrected = " and ".join(clocked(log.time_base_u, log.increments)) or "no parameter"
+    return (
+        f"by '{log.reference_clock.column}' a second of the log's clock is {1e6 * (log.clock_rate - 1.0):+.1f} ppm "
+        f"longer than one, to {1e6 * log.time_base_u:.2g} ppm: {corrected} corrected for it",
+    )
 
 
 def _with_time_base(estimate: Estimate, observations: Observations) -> Estimate:

@@ -17,6 +17,7 @@ from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome, OwnEstimate
 from tumble.inference.joint import joint
+from tumble.inference.sources import clocked
 from tumble.recording.log import Log
 from tumble.recording.session import Session, Site
 from tumble.recording.session_file import session_from
@@ -24,7 +25,7 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Member, Parameter
-from tumble.run.calibrate import estimated, provenance_of, systematic_of
+from tumble.run.calibrate import by_reference_clock, estimated, provenance_of, systematic_of
 from tumble.run.from_estimate import result_of, without_result
 from tumble.run.launches import Means, check_recordings, circumstances_of_all, digest_of_all
 from tumble.run.observed import Progress, inspect_session, observations_in_parts
@@ -99,6 +100,8 @@ def calibrate_together(
         if each.rests.temperature is None:
             raise InputError(f"{name}: expected temperatures in the log, found none that are numbers")
     whole = joined(observations, [member.session for member in members], numbers)
+    first, clocks = _with_clocks(described, members)
+    whole = replace(whole, notes=(*whole.notes, *clocks))
     estimate = estimated(first, whole, joint, systematic, "full")
     if isinstance(estimate, Outcome):
         return without_result(first, "joint", estimate, provenance)
@@ -112,6 +115,28 @@ def calibrate_together(
         if own is None
         else tuple(replace(member, parameters=_of_its_own(own, s)) for s, member in enumerate(members)),
     )
+
+
+def _with_clocks(sessions: Sequence[Session], members: Sequence[Member]) -> tuple[Session, tuple[str, ...]]:
+    """The first session with the uncertainty of the time base of all in which anything is turned, and what the second
+    clocks of the logs say: every log is read by its own. Errors of the clocks are taken for one, of the largest u; the
+    estimate is a mean over the sessions, which any of them moves by less."""
+    turned = [i for i, member in enumerate(members) if member.turns] or range(len(members))
+    worst = max(turned, key=lambda i: sessions[i].log.time_base_u)
+    least = min(sessions[i].log.time_base_u for i in turned)
+    most = sessions[worst].log
+    notes = tuple(
+        f"{member.session}: {note}"
+        for session, member in zip(sessions, members, strict=True)
+        for note in by_reference_clock(session.log)
+    )
+    if most.time_base_u > 1.01 * least and clocked(most.time_base_u, most.increments):
+        notes += (
+            f"the clocks of the sessions are known to {1e6 * least:.2g} to {1e6 * most.time_base_u:.2g} ppm: u has "
+            f"that of {members[worst].session}, the largest",
+        )
+    first = sessions[0]
+    return replace(first, log=replace(first.log, clock_u=most.clock_u, reference_clock=None)), notes
 
 
 def _nothing_turned(member: Member) -> str:

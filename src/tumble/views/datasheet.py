@@ -23,7 +23,7 @@ _EXPLAINED = (
     "Min, typical (mean) and max of the units by their own recordings; s is the standard deviation between them, of "
     "which u is what the recordings do not know; run to run is what a unit changes by from power-on to power-on. The "
     "tolerance interval contains 95 % of all units of the type with 95 % confidence, where they are normally "
-    "distributed (ISO 16269-6). Terms by IEEE Std 2700, or else by IEEE Std 528."
+    "distributed (ISO 16269-6). Terms by IEEE Std 2700, or else by IEEE Std 528 and 952."
 )
 
 
@@ -119,6 +119,7 @@ def write_datasheet(sheet: Datasheet, out: Path, created: str) -> None:
     if ending == ".md":
         content = f"# Data sheet: {_escaped(sheet.model)}\n\n{markdown(blocks)}".encode()
     else:
+        sections = tuple(section(each.caption, replace(each, caption="")) for each in _tables(sheet))
         document = Document(
             title="Data sheet",
             device=sheet.model,
@@ -126,7 +127,7 @@ def write_datasheet(sheet: Datasheet, out: Path, created: str) -> None:
             verdict=f"{sheet.units} units",
             facts=_facts(sheet),
             created=created,
-            parts=(Part(title="", sections=tuple(section(t.caption, replace(t, caption="")) for t in _tables(sheet))),),
+            parts=(Part(title="", sections=sections, customer=len(sections)),),
             statements=(_EXPLAINED,),
             closing="End of the data sheet",
         )

@@ -34,16 +34,18 @@ from scipy import linalg
 from tumble.earth import earth_rate
 from tumble.errors import InputError, ProgrammeError, SessionError
 from tumble.inference.estimate import Estimate
-from tumble.methods.least_squares import Residuals, explaining
-from tumble.methods.paper.accuracy_formulas import solved
-from tumble.methods.paper.gyro_bias import STANDING, triad, vertical_bias
-from tumble.methods.paper.indirect import (
+from tumble.methods.least_squares import Residuals, explaining, solved
+from tumble.methods.paper.accelerometers import by_modulus, by_vector, check_for_modulus, check_for_vector
+from tumble.methods.paper.gyros import (
+    STANDING,
     RecordedTurn,
     Series,
     check_directions,
     horizontal_differences,
     known_turns,
     programme_matrix,
+    triad,
+    vertical_bias,
 )
 from tumble.programme.positions import Programme
 from tumble.reduction.observations import Observations
@@ -66,6 +68,25 @@ class PaperMethod:
     name: str
     accelerometers: Callable[[Array, Array, Array], SensorModel]
     check: Callable[[Array], None]
+
+
+SEQUENTIAL = PaperMethod(name="sequential", accelerometers=by_vector, check=check_for_vector)
+SCALAR = PaperMethod(name="scalar", accelerometers=by_modulus, check=check_for_modulus)
+
+
+def sequential(observations: Observations, iterations: int = 2) -> Estimate:
+    """The paper's method with the sequential vector method for the accelerometers.
+
+    Raises ProgrammeError if the session's programme has not the positions or the known turns it needs."""
+    return iterated(observations, SEQUENTIAL, iterations)
+
+
+def scalar(observations: Observations, iterations: int = 2) -> Estimate:
+    """The paper's method with the scalar method for the accelerometers, with the estimated orientation and on all
+    rests of the programme.
+
+    Raises ProgrammeError if the session's programme has not the positions or the known turns it needs."""
+    return iterated(observations, SCALAR, iterations)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -126,6 +126,8 @@ class Reduction:
     """Blocks with bad samples, which have no weight."""
     tuning: Tuning = USUAL
     """By which rests and bad samples are told from movement."""
+    clock_rate: float = 1.0
+    """Seconds in a second of the log's clock, which times are of; intervals of samples are in seconds."""
 
     @property
     def by_file(self) -> dict[int, FileBlocks]:
@@ -238,10 +240,11 @@ class Reducer:
         gyro: Block | None,
         increments: tuple[bool, bool] = (False, False),
         magnetometer: bool = False,
+        clock_rate: float = 1.0,
     ) -> None:
         """`increments`: whether accelerometers and gyros came as increments per sample; `magnetometer`: whether there
-        is one."""
-        self.rate, self.accel, self.gyro = rate, accel, gyro
+        is one; `clock_rate`: seconds in a second of the log's clock."""
+        self.rate, self.accel, self.gyro, self.clock_rate = rate, accel, gyro, clock_rate
         self.size = max(1, int(BLOCK_SECONDS * rate * (1.0 + 1e-9)))
         self._channels = {
             "accel": _Channels(accel.size, self.size, increments=increments[0]),
@@ -290,7 +293,7 @@ class Reducer:
 
     def _covered(self, first: int, edges: Array) -> Array:
         """The time (k,), s, that the samples of blocks with these edges (k + 1,) cover, from block `first` on."""
-        seconds = np.diff(edges)
+        seconds = self.clock_rate * np.diff(edges)
         for block, left in self._unrecorded.items():
             if first <= block < first + len(seconds):
                 seconds[block - first] -= left
@@ -342,6 +345,7 @@ class Reducer:
             magnetometer_channels=self._channels["magnetometer"].states(),
             lost=self._lost,
             repeated_rows=self._repeated,
+            clock_rate=self.clock_rate,
         )
 
 
@@ -360,8 +364,14 @@ def reduce_log(
     of_accel, of_gyro = (
         channels is not None and channels.unit.kind == "increment" for channels in (spec.accel, spec.gyro)
     )
-    magnetometer = spec.magnetometer is not None
-    reducer = Reducer(rate=log.rate, accel=accel, gyro=gyro, increments=(of_accel, of_gyro), magnetometer=magnetometer)
+    reducer = Reducer(
+        rate=log.rate,
+        accel=accel,
+        gyro=gyro,
+        increments=(of_accel, of_gyro),
+        magnetometer=spec.magnetometer is not None,
+        clock_rate=spec.clock_rate,
+    )
     for chunk in one_ahead(iter(log.chunks() if chunks is None else chunks)):
         reducer.feed(chunk)
     reduction = reducer.now()

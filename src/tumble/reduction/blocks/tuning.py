@@ -70,8 +70,11 @@ class Tuning:
     g_sensitivity: float = _of(
         1.0, "°/s/g", "what is usual of a level that depends on attitude", "ten times that of a MEMS unit")
     level_drift: float = _of(1.0, "°/s", "what is usual of its drift over half a log, and of a jump")
+    level_attitudes: int = _of(
+        6, "", "stretches at least that show how the level depends on attitude alone",
+        "four unknowns an axis, and two: a rest on each of six faces")
     level_stretches: int = _of(
-        8, "", "stretches at least that show how the level depends on attitude and time",
+        8, "", "stretches at least that show how the level depends on time",
         "five unknowns an axis, and three")
     level_share: float = _of(2.0 / 3.0, "", "part of all stretches that follow this dependence")
     level_gain: float = _of(0.2, "", "part more that follow it than a simpler one")

@@ -75,7 +75,7 @@ def level_function(
     of most, or one level does as well."""
     of_rests = [(k, i, j) for k, spans in enumerate(rests) for i, j in spans if j - i >= least]
     stretches = of_rests + [(s.place, s.first, s.last) for s in off]
-    if len(stretches) < tuning.level_stretches:
+    if len(stretches) < tuning.level_attitudes:
         return None
     (force, time), sizes = goes_with, [*(3 * [tuning.g_sensitivity]), tuning.level_drift, tuning.level_drift]
     usual = np.array(sizes) / limit
@@ -86,15 +86,17 @@ def level_function(
         [[1.0, *(usual * [*force[k][i:j].mean(axis=0), t, 0.0])] for (k, i, j), t in zip(cores, at, strict=True)]
     )
 
-    def explains_more(follow: BoolArray, near: BoolArray) -> bool:
-        """Whether so many more stretches follow a function than follow that before it that it is one."""
+    def explains_more(columns: list[int], follow: BoolArray, near: BoolArray) -> bool:
+        """Whether so many more stretches follow a function of these columns than follow that before it that it is
+        one."""
+        least = tuning.level_attitudes if columns == _G else tuning.level_stretches
         share, gain = tuning.level_share * len(near), near.sum() + tuning.level_gain * len(near)
-        return bool(follow.sum() >= max(tuning.level_stretches, share, gain))
+        return bool(follow.sum() >= max(least, share, gain))
 
     used, near, step_at = [0], _near(rows[:, :1], level, limit), np.inf
     for more in (_G, _G_AND_DRIFT):  # each where it explains more
         follow = _near(rows[:, more], level, limit)
-        if explains_more(follow, near):
+        if explains_more(more, follow, near):
             used, near = more, follow
     in_order = np.sort(at)[tuning.beside_jump - 1 : len(at) + 1 - tuning.beside_jump]
     most = near
@@ -103,7 +105,7 @@ def level_function(
         stepped[:, 5] = usual[4] * (at > 0.5 * (before + after))
         for more in (_STEP, _G_AND_STEP):
             follow = _near(stepped[:, more], level, limit)
-            if explains_more(follow, near) and follow.sum() > most.sum():
+            if explains_more(more, follow, near) and follow.sum() > most.sum():
                 used, most, step_at = more, follow, 0.5 * (before + after)
     rows[:, 5], near = usual[4] * (at > step_at), most
     if used == [0]:
@@ -112,9 +114,10 @@ def level_function(
     fitted[used] = _least_squares(some[near], level[near])[0]
     fitted[1:] *= usual[:, None]
     accepted: list[list[Span]] = [[] for _ in rates]
+    few = len(stretches) < tuning.level_stretches  # of which each bends the function to itself
     for n, (k, i, j) in enumerate(stretches):
         follows = bool(near[n])
-        if follows and n >= len(of_rests):  # whether the others determine its level, and it is there
+        if follows and (few or n >= len(of_rests)):  # whether the others determine its level, and it is there
             others = near & (np.arange(len(near)) != n)
             predicted, normal = _least_squares(some[others], level[others])
             uncertain = float(some[n] @ np.linalg.solve(normal, some[n]))
@@ -122,6 +125,8 @@ def level_function(
             follows = uncertain < tuning.level_uncertainty**2 and distance < limit * math.sqrt(1.0 + uncertain)
         if follows:
             accepted[k].append((i, j))
+        elif few:
+            return None
     return LevelFunction(
         g_sensitivity=fitted[1:4].T, drift=fitted[4], step=fitted[5], step_at=float(step_at), accepted=accepted
     )

@@ -175,7 +175,7 @@ def reduced_turns(
         ],
         dtype=int,
     ).reshape(-1, 4).T  # fmt: skip
-    duration = np.array([after.start - before.stop for before, after in ends])
+    duration = reduction.clock_rate * np.array([after.start - before.stop for before, after in ends])
     (accel, of_accel), (gyro, of_gyro) = accel_noise, gyro_noise
     least = _least_off(reduction, rests)
     bad = bad_samples_of_turns(stored, start, stop, (file_start, file_stop), reduction.rate, least, reduction.tuning)
@@ -275,7 +275,7 @@ def turn_readings(
     integral, covariance = np.zeros((len(turns), gyro.size)), _by_rounding(samples, gyro, rounded)
     for k, (i, j, T) in enumerate(zip(turns.first, turns.last, turns.duration, strict=True)):
         blocks, between = reduction.by_file[spans[i].file], slice(spans[i].last, spans[j].first)
-        integral[k] = np.diff(blocks.edges)[between] @ blocks.gyro.means[between]
+        integral[k] = reduction.clock_rate * np.diff(blocks.edges)[between] @ blocks.gyro.means[between]
         covariance[k] += T**2 * noise.covariance_of_mean(max(T / reduction.block_seconds, 1.0))
     return TurnReadings(integral=integral, covariance=covariance + TURN_FLOOR**2 * np.eye(gyro.size))
 

@@ -1,7 +1,9 @@
 """The paper's accuracy formulas: what errors of table, mounting and sensors do to each estimate, one function each.
 
 They are numbered as in Vodicheva & Parysheva (Giroskopiya i Navigatsiya 27, 2(105), 2019), with the corrections of the
-turntable method (§ are its sections). `tumble.planning.error_propagation` puts them together for a pass of a method.
+turntable method (§ are its sections). The program does without them: its budget differentiates the methods themselves
+(`tumble.planning.error_propagation`). Here they are held against simulations and the published numbers
+(tests/planning/test_accuracy.py, studies/formulas_against_simulation.py).
 
 Symbols: b = δw/g, bias of an accelerometer as an angle, rad; k, γ scale-factor error and axis angles; M, E matrix
 errors of accelerometers and gyros; u vertical in the body; L attitude body → geographic N, U, E; ψ attitude error,
@@ -11,22 +13,17 @@ L̂ = (I + [ψ×]) L; Γ_pq = γ_pq + γ_qp. Arrays of vectors have the componen
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
-from tumble.errors import ProgrammeError
-from tumble.programme.positions import Programme
+from tumble.methods.least_squares import solved
+from tumble.methods.paper.gyros import matrix_error, swept
 from tumble.rotation import rotation_matrix
-from tumble.sensors.model import ACCEL_ANGLES
-from tumble.units import Array, IntArray
+from tumble.units import Array
 
 _N, _U, _E = 0, 1, 2
-
-_PAIRS = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
-"""Where γ_xy, γ_xz, γ_yx, γ_yz, γ_zx, γ_zy are in M and E."""
 
 
 # -------------------- bias and scale factor of an accelerometer --------------------
@@ -268,20 +265,11 @@ def gyro_matrix_rate_error(attitude: Array, E: Array, latitude: float) -> Array:
 # -------------------- scale factors and axis angles of the gyros: the indirect method --------------------
 
 
-def turn_error(attitude: Array, axis: Array, angle: Array, E: Array) -> Array:
-    """Attitude error Δψ (..., 3), rad, about N, U, E, that gyro scale-factor and axis errors E (..., 3, 3) make in a
-    turn by `angle` (..., rad, signed) about the geographic unit vector `axis` (..., 3) from `attitude` (..., 3, 3):
-    Eq. (6.2). Any rate profile gives the same."""
-    L, n = np.asarray(attitude), np.asarray(axis)
-    Fn = applied(L, applied(E, applied(transposed(L), n)))
-    return _swept(n, angle, Fn)
-
-
 def turn_bias_error(attitude: Array, axis: Array, angle: Array, duration: Array, bias: Array) -> Array:
     """Attitude error Δψ (..., 3), rad, that gyro biases (..., 3), rad/s, make in a turn of `duration` (...), s, at
     constant rate; other arguments as in `turn_error`. §6.2."""
     per_radian = np.asarray(duration) / np.asarray(angle)
-    return _swept(np.asarray(axis), angle, applied(attitude, bias)) * per_radian[..., None]
+    return swept(np.asarray(axis), angle, applied(attitude, bias)) * per_radian[..., None]
 
 
 def turn_earth_error(attitude: Array, axis: Array, angle: Array, duration: Array, E: Array, latitude: float) -> Array:
@@ -313,32 +301,6 @@ def horizontal_differences(attitude_change: Array, accel_change: Array) -> Array
     over g, resolved in N, U, E."""
     ψ, α = np.asarray(attitude_change), np.asarray(accel_change)
     return np.stack([-ψ[..., _E] + α[..., _N], ψ[..., _N] + α[..., _E]], axis=-1)
-
-
-def indirect_matrix(programme: Programme) -> Array:
-    """Matrix (2K, 9) of the indirect method for the K known turns of a programme, Earth's rate apart: derivative of y
-    (north, east of each turn) with respect to the gyros' k (3) and γ (6). Eq. (6.3)."""
-    turns = turns_of(programme)
-    each = matrix_error(np.eye(9)[:, :3], np.eye(9)[:, 3:])
-    change = turn_error(turns.start, turns.axis, turns.angle, each[:, None])
-    return horizontal_differences(change, np.zeros(3)).reshape(9, -1).T
-
-
-def indirect_accelerometer_matrix(programme: Programme) -> Array:
-    """Matrix (2K, 9) of the derivative of y with respect to the accelerometers' b (3), k (3) and γ (3): the terms of
-    Eq. (6.3) with superscript A. An exact turn leaves nothing of k."""
-    turns = turns_of(programme)
-
-    def seen(attitudes: Array) -> Array:
-        return applied(attitudes, accelerometer_errors(np.eye(9)[:, None], attitudes[..., 1, :]))
-
-    return horizontal_differences(np.zeros(3), seen(turns.stop) - seen(turns.start)).reshape(9, -1).T
-
-
-def accelerometer_leakage(programme: Programme) -> Array:
-    """Errors (9, 9) of the gyros' k (3) and γ (6), rad, per unit of what is left of the accelerometers' b, k, γ after
-    stages 1 and 2 (true − estimated), with the programme's matrix: §6.3."""
-    return np.asarray(np.linalg.pinv(indirect_matrix(programme)) @ indirect_accelerometer_matrix(programme))
 
 
 def misaligned_turn_error(
@@ -379,43 +341,6 @@ def misaligned_turn_error(
     return np.stack([ψ_N, ψ_E], axis=-1)
 
 
-# -------------------- the turns of a programme --------------------
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class KnownTurns:
-    """K known turns: rests `first` and `last` (K,), whether each `opens` a series, geographic `axis` (K, 3), signed
-    `angle` (K,), rad, and nominal attitudes at its `start` and `stop` (K, 3, 3)."""
-
-    first: IntArray
-    last: IntArray
-    opens: tuple[bool, ...]
-    axis: Array
-    angle: Array
-    start: Array
-    stop: Array
-
-
-def turns_of(programme: Programme) -> KnownTurns:
-    """The turns of a programme whose axis and angle are known. Raises ProgrammeError if there are none."""
-    known = [(i, m) for i, m in enumerate(programme.moves) if m.axis is not None and m.angle is not None]
-    if not known:
-        raise ProgrammeError(
-            f"programme {programme.name}: expected turns with known axis and angle, found none; take rough-table"
-        )
-    first = np.array([i for i, _ in known])
-    nominal = np.array([position.matrix for position in programme.positions])
-    return KnownTurns(
-        first=first,
-        last=first + 1,
-        opens=tuple(bool(i - 1 not in first) for i in first),
-        axis=np.array([m.axis for _, m in known], dtype=float),
-        angle=np.array([m.angle for _, m in known], dtype=float),
-        start=nominal[first],
-        stop=nominal[first + 1],
-    )
-
-
 # -------------------- linear pieces --------------------
 
 
@@ -432,23 +357,6 @@ def transposed(matrix: Array) -> Array:
     return np.swapaxes(np.asarray(matrix), -1, -2)
 
 
-def _swept(axis: Array, angle: Array, vector: Array) -> Array:
-    """∫ R v dΘ (..., 3) over a rotation by `angle` about `axis`: [Θ n nᵀ + sin Θ (I − n nᵀ) + (1 − cos Θ) [n×]] v."""
-    along = axis * dot(axis, vector)[..., None]
-    Θ = np.asarray(angle)[..., None]
-    return np.asarray(Θ * along + np.sin(Θ) * (vector - along) + (1.0 - np.cos(Θ)) * np.cross(axis, vector))
-
-
-def matrix_error(scale: Array, angles: Array) -> Array:
-    """M or E (..., 3, 3), of first order, of k (..., 3) and of γ_yx, γ_zx, γ_zy (..., 3) of accelerometers, or of all
-    six angles γ_xy, γ_xz, γ_yx, γ_yz, γ_zx, γ_zy (..., 6) of gyros."""
-    pairs = [_PAIRS[i] for i in (ACCEL_ANGLES if angles.shape[-1] == len(ACCEL_ANGLES) else range(6))]
-    out = np.zeros((*angles.shape[:-1], 3, 3))
-    out[..., [0, 1, 2], [0, 1, 2]] = scale
-    out[..., [p for p, _ in pairs], [q for _, q in pairs]] = angles
-    return out
-
-
 def _angle_sums(angles: Array) -> Array:
     """Γ (..., 3, 3) of γ_yx, γ_zx, γ_zy: γ_pq + γ_qp."""
     lower = matrix_error(np.zeros(3), np.asarray(angles))
@@ -459,8 +367,3 @@ def accelerometer_errors(values: Array, vertical: Array) -> Array:
     """Errors over g (..., 3) at rest of accelerometers with b, k, γ (..., 9), for verticals (..., 3) in the body."""
     v = np.asarray(values)
     return v[..., :3] + applied(matrix_error(v[..., 3:6], v[..., 6:]), vertical)
-
-
-def solved(rows: Array, right: Array) -> Array:
-    """Least squares (..., m) of rows (..., r, m) for right-hand sides (..., r)."""
-    return applied(np.asarray(np.linalg.pinv(rows), dtype=float), right)

@@ -1,0 +1,420 @@
+"""The pages that are made of results: tables and pictures of docs/evidence, and single figures in other pages.
+
+    python -m evidence.pages            writes them anew from evidence/results
+
+A page that is made is its results and nothing else: a test compares it with what is made again. In a page that is
+written by hand a figure of a result stands between two comments, which name it, and is put there by the same command:
+
+    <!-- figure: simulated | tumble joint | all | covered -->95.2 %<!-- end -->
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import sys
+import textwrap
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evidence import programs as benchmark
+from evidence.run import JUDGES, RESULTS, Results
+from evidence.score import GROUPS, USABLE, Row, Score, as_expected, by, score_of
+from evidence.simulated.kinds import KINDS, Kind, seed_of
+
+ROOT = Path(__file__).parents[1]
+OURS = "tumble joint"
+PICTURES = ROOT / "docs" / "pictures"
+ASKED = {"rms": 1.15, "beyond_3": 0.01, "covered": 0.92}
+"""What is asked of z and of 95 % intervals of what is accepted without a remark."""
+GOOD = "accept"
+FIGURE = re.compile(r"(<!-- figure: ([^>]*?) -->)(.*?)(<!-- end -->)", re.S)
+WORDS = {
+    "accel.bias": "bias", "accel.scale": "scale", "accel.axis": "axes",
+    "gyro.bias": "bias", "gyro.scale": "scale", "gyro.axis": "axes",
+}  # fmt: skip
+
+
+# -------------------- numbers --------------------
+
+
+def share(value: float | None) -> str:
+    """As per cent."""
+    return "–" if value is None else f"{100.0 * value:.1f} %"
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    """With so many decimals, fewer where it is large; a dash where there is none."""
+    if value is None or not np.isfinite(value):
+        return "–"
+    if abs(value) >= 1000.0:
+        return f"{value:.1e}"
+    return f"{value:.{0 if abs(value) >= 100.0 else 1 if abs(value) >= 10.0 else digits}f}"
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """In Markdown."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def verdicts(score: Score) -> str:
+    """How many were accepted, accepted with scatter, and not."""
+    count = score.verdicts.get
+    return f"{count('accepted', 0)}, {count('with scatter', 0)}, {count('not accepted', 0) + count('gave up', 0)}"
+
+
+def over_ours(rows: Mapping[str, Row], ours: Mapping[str, Row], group: str) -> tuple[float, float, int] | None:
+    """The geometric mean of errors of a group over those of tumble's default method, the standard error of its
+    logarithm, and of how many cases; None of fewer than three."""
+    logs = [
+        np.log(row.errors[group][0] / ours[case].errors[group][0])
+        for case, row in rows.items()
+        if case in ours and _has(row, group) and _has(ours[case], group)
+    ]
+    if len(logs) < 3:
+        return None
+    return float(np.exp(np.mean(logs))), float(np.std(logs, ddof=1) / np.sqrt(len(logs))), len(logs)
+
+
+def _has(row: Row, group: str) -> bool:
+    return row.verdict in USABLE and group in row.errors and row.errors[group][0] > 0.0
+
+
+# -------------------- the page of simulated sessions --------------------
+
+
+def simulated_page(results: Results) -> str:
+    """docs/evidence/simulated.md."""
+    made, of_program = results.made, by(results.rows, "program")
+    kinds = [kind for kind in KINDS if any(row.kind == kind.name for row in results.rows)]
+    peers = [name for name in of_program if name not in JUDGES and not benchmark.named(name).ours]
+    each = int(made["sessions_of_a_kind"])
+    useless = sum(kind.expected in ("refuse", "name the cause") for kind in kinds)
+    return page(
+        "# Simulated sessions",
+        f"By `python -m evidence.run`, commit {made['commit'][:12]}, {made['date']}, {made['machine']}, "
+        f"{made['system']}: {made['sessions']} sessions of {made['kinds']} kinds, {each} of each at least, series "
+        f"`{made['series']}`, {len(of_program)} programs. This page is made from `evidence/results/simulated.json` by "
+        "`python -m evidence.pages`.",
+        "A session is drawn by a simulator that shares no code with tumble (`evidence/simulated/`): a course with its "
+        "tremor and ringing, a device with everything that is beyond bias, scale factor and axes in the sizes usual of "
+        "its grade, a driver and a clock. A program gets readings in SI, gravity to 1 mGal, the latitude, and nothing "
+        "else. Seeds are none of those of the tests.",
+        "## Where tumble loses",
+        losses(results, kinds),
+        "## By kind of session",
+        "The method `joint`. As expected: a good recording is accepted without a remark, one that scatters with the "
+        "remark that says so, a cause is among the words of the verdict, what is of no use is not accepted. Silently "
+        "wrong: accepted without a remark, and one of the 21 parameters more than 4 u off. rms, shares beyond 2 and 3, "
+        "and the largest are of error over u, covered of 95 % intervals, of what is accepted with or without a remark. "
+        "Of normal errors and a true u 1, 4.6 %, 0.3 % and 95 % are to be expected; the standard error of a kind's rms "
+        f"is {1.0 / np.sqrt(20.0 * each):.2f} where ten of the 21 are independent.",
+        kind_table(results, kinds),
+        "![rms of error over u and coverage by kind](../pictures/evidence-kinds.svg)",
+        "## By program",
+        "Good recordings, kinds of which nothing but acceptance is expected: how many of them a program calibrates, "
+        "and what it leaves of the errors of the device (rms of the errors over rms of what there was to find, "
+        "geometric mean over the sessions that it calibrates). A program that does not state u has no coverage, and "
+        f"cannot be silently wrong. {_peers(peers)}",
+        program_table(results, kinds),
+        "Errors over those of `joint` in the same sessions, geometric mean over good recordings that both calibrate:",
+        ratio_table(results, kinds),
+        "![Errors of programs over those of the method joint](../pictures/evidence-programs.svg)",
+        f"Recordings of no use, and those with a cause that is to be named, {useless} kinds: how many a program "
+        "calibrates without a word against it.",
+        useless_table(results, kinds),
+        "## Limits",
+        "What is simulated is what was thought of: the sizes of everything beyond the linear model are those that data "
+        "sheets state, normally distributed, and tumble's own priors are of such sheets too. Recordings of real "
+        "devices are on pages of their own. Programs of others are rewritten from what they publish, with their "
+        "defaults; where one states no rule for finding rests it is given one (`evidence/peers/`).",
+    )
+
+
+def page(*paragraphs: str) -> str:
+    """A page of paragraphs, headings, lists, tables and pictures."""
+    return (
+        "\n\n".join(
+            text if text[0] in "#|*!" else textwrap.fill(text, 120, break_long_words=False, break_on_hyphens=False)
+            for text in paragraphs
+        )
+        + "\n"
+    )
+
+
+def _peers(names: Sequence[str]) -> str:
+    return f"Programs of others: {', '.join(names)}." if names else "Programs of others were not run."
+
+
+def losses(results: Results, kinds: Sequence[Kind]) -> str:
+    """What is against tumble's default method, as a list."""
+    rows = by([row for row in results.rows if row.program == OURS], "kind")
+    out = []
+    for row in (row for some in rows.values() for row in some if row.silent_wrong):
+        name, z = row.worst
+        seed = seed_of(results.made["series"], row.kind, int(row.case.rpartition(" ")[2]))
+        out.append(f"Silently wrong: `{row.case}` (seed {seed:016x}), `{name}` by {z:+.1f} u.")
+    for kind in kinds:
+        score = score_of(rows[kind.name], results.expected)
+        wrong = [row for row in rows[kind.name] if not as_expected(row, kind.expected, kind.says)]
+        if wrong:
+            said = f"{kind.expected} is expected, {verdicts(score)} are accepted, accepted with scatter, not"
+            out.append(f"Verdicts: `{kind.name}`, {len(wrong)} of {score.sessions} are not what is expected: {said}.")
+    for kind in kinds:
+        clean = [row for row in rows[kind.name] if row.verdict == "accepted"]
+        score = score_of(clean)
+        short = [
+            words
+            for words, misses in (
+                (f"rms {number(score.rms)}", score.rms is not None and score.rms > ASKED["rms"]),
+                (
+                    f"{share(score.beyond_3)} beyond 3 u",
+                    score.beyond_3 is not None and score.beyond_3 > ASKED["beyond_3"],
+                ),
+                (f"{share(score.covered)} covered", score.covered is not None and score.covered < ASKED["covered"]),
+            )
+            if misses
+        ]
+        if short:
+            out.append(f"u: `{kind.name}`, {len(clean)} accepted without a remark: {', '.join(short)}.")
+        scattering = score_of([row for row in rows[kind.name] if row.verdict == "with scatter"])
+        if scattering.largest is not None and scattering.largest > 4.0:
+            beyond = f"{share(scattering.beyond_3)} beyond 3 u, the largest {number(scattering.largest, 1)}"
+            out.append(f"u with a remark: `{kind.name}`, {scattering.sessions} accepted with scatter: {beyond}.")
+    good = {kind.name for kind in kinds if kind.expected == GOOD}
+    ours = {row.case: row for row in results.rows if row.program == OURS}
+    for program, some in by(results.rows, "program").items():
+        for kind_name, of_kind in by([row for row in some if row.kind in good], "kind").items():
+            for group in GROUPS if program != OURS else ():
+                ratio = over_ours({row.case: row for row in of_kind}, ours, group)
+                if ratio is not None and np.log(ratio[0]) < -2.0 * ratio[1] and ratio[0] < 0.95:
+                    out.append(
+                        f"Errors: {program} leaves {ratio[0]:.2f} times the errors of `{group}` that `joint` does, "
+                        f"`{kind_name}`, {ratio[2]} sessions."
+                    )
+    return "\n".join(f"* {line}" for line in out) or "Nowhere, in what is asked here."
+
+
+def kind_table(results: Results, kinds: Sequence[Kind]) -> str:
+    """Of the default method, a line for each kind, and all."""
+    rows = by([row for row in results.rows if row.program == OURS], "kind")
+    head = ["kind", "", "expected", "N", "as expected", "accepted, with scatter, not", "silently wrong", "rms",
+            "> 2 u", "> 3 u", "largest", "covered"]  # fmt: skip
+    lines = []
+    for name, words, expected in [*((k.name, k.words, k.expected) for k in kinds), ("all", "", "")]:
+        score = score_of(rows[name] if name in rows else [r for some in rows.values() for r in some], results.expected)
+        lines.append([
+            f"`{name}`" if name in rows else "**all**", words, expected, f"{score.sessions}", f"{score.as_expected}",
+            verdicts(score), f"{score.silent_wrong}", number(score.rms), share(score.beyond_2), share(score.beyond_3),
+            number(score.largest, 1), share(score.covered),
+        ])  # fmt: skip
+    return table(head, lines)
+
+
+def program_table(results: Results, kinds: Sequence[Kind]) -> str:
+    """Of good recordings, a line for each program."""
+    good = {kind.name for kind in kinds if kind.expected == GOOD}
+    head = ["program", "N", "calibrated", "silently wrong", "rms", "> 3 u", "covered",
+            *(f"{group.split('.')[0]} {WORDS[group]}" for group in GROUPS), "s", "MB"]  # fmt: skip
+    lines = []
+    for program, rows in by(results.rows, "program").items():
+        able = [row for row in rows if row.kind in good and row.verdict != "cannot run"]
+        score, cost = score_of(able), results.cost.get(program, {})
+        usable = sum(row.verdict in USABLE for row in able)
+        states = score.rms is not None
+        lines.append([
+            program, f"{len(able)}", f"{usable}", f"{score.silent_wrong}" if states else "–", number(score.rms),
+            share(score.beyond_3), share(score.covered), *(number(score.left.get(group), 3) for group in GROUPS),
+            number(cost.get("seconds")), number(cost.get("megabytes"), 0),
+        ])  # fmt: skip
+    return table(head, lines)
+
+
+def ratio_table(results: Results, kinds: Sequence[Kind]) -> str:
+    """Errors of every program over those of the default method."""
+    good = {kind.name for kind in kinds if kind.expected == GOOD}
+    ours = {row.case: row for row in results.rows if row.program == OURS and row.kind in good}
+    head = ["program", "N", *(f"{group.split('.')[0]} {WORDS[group]}" for group in GROUPS)]
+    lines = []
+    for program, rows in by(results.rows, "program").items():
+        if program == OURS:
+            continue
+        theirs = {row.case: row for row in rows if row.kind in good}
+        ratios = [over_ours(theirs, ours, group) for group in GROUPS]
+        most = max((ratio[2] for ratio in ratios if ratio), default=0)
+        lines.append([program, f"{most}", *(f"{number(r[0])} ± {number(r[0] * r[1])}" if r else "–" for r in ratios)])
+    return table(head, lines)
+
+
+def useless_table(results: Results, kinds: Sequence[Kind]) -> str:
+    """Of recordings that should not be used as they are, a line for each program."""
+    bad = {kind.name for kind in kinds if kind.expected in ("refuse", "name the cause")}
+    lines = []
+    for program, rows in by(results.rows, "program").items():
+        able = [row for row in rows if row.kind in bad and row.verdict != "cannot run"]
+        lines.append([program, f"{len(able)}", f"{sum(row.verdict == 'accepted' for row in able)}"])
+    return table(["program", "N", "calibrated without a word"], lines)
+
+
+# -------------------- pictures --------------------
+
+
+def _axes(width: float, height: float, columns: int) -> tuple[Any, Any]:
+    import matplotlib as mpl
+
+    mpl.use("Agg", force=False)
+    mpl.rcParams.update({"svg.hashsalt": "tumble", "svg.fonttype": "path", "font.size": 7.5, "axes.linewidth": 0.6})
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(1, columns, figsize=(width, height), sharey=True, layout="constrained", squeeze=False)
+    for each in axes[0]:
+        each.grid(axis="x", color="0.85", linewidth=0.5)
+        each.set_axisbelow(True)
+        for side in ("top", "right", "left"):
+            each.spines[side].set_visible(False)
+        each.tick_params(axis="y", length=0)
+    return figure, axes[0]
+
+
+def _saved(figure: Any, path: Path, of: str) -> None:
+    from matplotlib import pyplot as plt
+
+    figure.savefig(path, format="svg", metadata={"Date": None, "Creator": None, "Description": f"results {of}"})
+    plt.close(figure)
+
+
+def draw_kinds(results: Results, path: Path) -> None:
+    """rms of error over u and coverage of 95 % intervals of the default method, by kind, with standard errors of the
+    sessions; what is accepted without a remark is filled."""
+    rows = by([row for row in results.rows if row.program == OURS], "kind")
+    kinds = [kind for kind in KINDS if any(row.z and row.verdict in USABLE for row in rows.get(kind.name, ()))]
+    figure, (left, right) = _axes(6.3, 0.155 * len(kinds) + 0.9, 2)
+    for i, kind in enumerate(kinds):
+        for verdict, colour in (("accepted", "#1f4e8c"), ("with scatter", "#c7681c")):
+            some = [row for row in rows[kind.name] if row.verdict == verdict and row.z]
+            if not some:
+                continue
+            at = -i + (0.12 if verdict == "accepted" else -0.12)
+            style = {"color": colour, "marker": "o", "markersize": 3.2, "linewidth": 0.8, "capsize": 0}
+            face = {} if verdict == "accepted" else {"markerfacecolor": "white"}
+            square = np.array([np.mean(np.square(list(row.z.values()))) for row in some])
+            rms = np.sqrt(square.mean())
+            spread = square.std(ddof=1) / np.sqrt(len(square)) / (2.0 * rms) if len(square) > 1 else 0.0
+            left.errorbar(min(rms, 3.0), at, xerr=spread, **style, **face)
+            if rms > 3.0:
+                left.annotate(f"{rms:.1f} →", (2.95, at), ha="right", va="center", color=colour, fontsize=6.5)
+            of_session = np.array([row.covered / row.intervals for row in some if row.intervals])
+            error = of_session.std(ddof=1) / np.sqrt(len(of_session)) if len(of_session) > 1 else 0.0
+            right.errorbar(100.0 * max(of_session.mean(), 0.7), at, xerr=100.0 * error, **style, **face)
+    left.set_yticks(-np.arange(len(kinds)), [kind.name for kind in kinds])
+    left.set_ylim(-len(kinds) + 0.3, 0.7)
+    left.axvline(1.0, color="0.4", linewidth=0.7)
+    right.axvline(95.0, color="0.4", linewidth=0.7)
+    left.set_xlim(0.0, 3.05)
+    right.set_xlim(69.0, 101.0)
+    left.set_xlabel("rms of error over u")
+    right.set_xlabel("95 % intervals that contain the truth, %")
+    from matplotlib.lines import Line2D
+
+    marks = [
+        Line2D([], [], color="#1f4e8c", marker="o", markersize=3.2, linewidth=0.8, label="accepted"),
+        Line2D([], [], color="#c7681c", marker="o", markersize=3.2, linewidth=0.8, markerfacecolor="white",
+               label="accepted with scatter"),
+    ]  # fmt: skip
+    figure.legend(handles=marks, loc="outside upper right", ncols=2, frameon=False)
+    _saved(figure, path, digest(results))
+
+
+def draw_programs(results: Results, path: Path) -> None:
+    """Errors of every program over those of the default method in the same good sessions, by group."""
+    good = {kind.name for kind in KINDS if kind.expected == GOOD}
+    ours = {row.case: row for row in results.rows if row.program == OURS and row.kind in good}
+    others = [name for name in by(results.rows, "program") if name != OURS]
+    figure, panels = _axes(6.3, 0.2 * len(others) + 1.1, len(GROUPS))
+    for axes, group in zip(panels, GROUPS, strict=True):
+        for i, program in enumerate(others):
+            theirs = {row.case: row for row in results.rows if row.program == program and row.kind in good}
+            ratio = over_ours(theirs, ours, group)
+            if ratio is None:
+                continue
+            shade = "#1f4e8c" if benchmark.named(program).ours else "#7a7a7a"
+            low, high = ratio[0] * np.exp(-ratio[1]), ratio[0] * np.exp(ratio[1])
+            axes.plot([low, high], [-i, -i], color=shade, linewidth=0.8)
+            axes.plot([ratio[0]], [-i], color=shade, marker="o", markersize=3.5)
+        axes.set_xscale("log")
+        axes.axvline(1.0, color="0.4", linewidth=0.7)
+        axes.set_title(f"{group.split('.')[0]} {WORDS[group]}", fontsize=7.5)
+        low, high = axes.get_xlim()
+        axes.set_xlim(min(low, 0.7), max(high, 15.0))
+        axes.xaxis.set_minor_formatter("")
+    panels[0].set_yticks(-np.arange(len(others)), others)
+    panels[0].set_ylim(-len(others) + 0.4, 0.6)
+    figure.supxlabel("errors over those of tumble joint (logarithmic)", fontsize=7.5)
+    _saved(figure, path, digest(results))
+
+
+def digest(results: Results) -> str:
+    """Of rows alone: what pictures are made of."""
+    return hashlib.sha256(repr(results.rows).encode()).hexdigest()[:16]
+
+
+# -------------------- all of them --------------------
+
+
+def render(results: Mapping[str, Results]) -> dict[str, str]:
+    """Pages by their path in the repository, from results by the name of their set."""
+    return {"docs/evidence/simulated.md": simulated_page(results["simulated"])} if "simulated" in results else {}
+
+
+def all_results() -> dict[str, Results]:
+    """What is in evidence/results."""
+    return {path.stem: Results.read(path) for path in sorted(RESULTS.glob("*.json"))}
+
+
+def with_figures(text: str, results: Mapping[str, Results]) -> str:
+    """A page with the figures of today between its comments. Raises KeyError for one that no result has."""
+
+    def put(match: re.Match[str]) -> str:
+        return f"{match[1]}{figure(match[2], results)}{match[4]}"
+
+    return FIGURE.sub(put, text)
+
+
+def figure(name: str, results: Mapping[str, Results]) -> str:
+    """A figure by its name: set | program | kind or all | score, or set | made | what is said of the run."""
+    of_set, *keys = (word.strip() for word in name.split("|"))
+    if keys[0] == "made":
+        return str(results[of_set].made[keys[1]])
+    value: Any = results[of_set].scores()
+    for key in keys:
+        value = value[key]
+    shares = ("beyond_2", "beyond_3", "covered")
+    return share(value) if keys[-1] in shares else f"{value}" if isinstance(value, int) else number(value)
+
+
+def written_by_hand() -> list[Path]:
+    """Pages that may hold figures."""
+    made = {ROOT / "docs/evidence/simulated.md"}
+    return [path for path in sorted([ROOT / "README.md", *ROOT.glob("docs/**/*.md")]) if path not in made]
+
+
+def write() -> None:
+    """Pages, pictures and figures of today."""
+    results = all_results()
+    for name, text in render(results).items():
+        (ROOT / name).write_text(text, encoding="utf-8")
+    if "simulated" in results:
+        draw_kinds(results["simulated"], PICTURES / "evidence-kinds.svg")
+        draw_programs(results["simulated"], PICTURES / "evidence-programs.svg")
+    for path in written_by_hand():
+        text = path.read_text(encoding="utf-8")
+        if (new := with_figures(text, results)) != text:
+            path.write_text(new, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    sys.exit(write())

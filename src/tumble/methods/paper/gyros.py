@@ -1,0 +1,241 @@
+"""The paper's methods for gyros: biases from rests, stage 3, and scale factors and axis angles from turns, stage 4.
+
+Stage 3 compares what gyros read at rest with the Earth's rate Ω, in three ways. Bias is the reading minus the true
+rate.
+
+    vector          ω̂ − L̂ᵀΩ, L̂ by TRIAD                  Eq. (16); at the pole (17), vertical (18)
+    scalar          (ω̂² − Ω²)/2Ω = û^Ω·δω                 after (12), (13)
+    dot product     û·ω̂ − Ω sin B = û·δω                  not in the paper
+
+What levels them is the accelerometers: an error δw of theirs leaves Ω cos B δw/g in every one.
+
+Stage 4, the indirect method, sees what errors of the gyros do to the horizontal after a turn. A series of turns starts
+from an attitude by TRIAD, which the gyros carry through the turns and which is held during rests. Each turn by 180°
+leaves y = (Δf_N, Δf_E)/g, the change of the horizontal specific force from its start to its end, computed with the
+carried attitude:
+
+    y_N = −Δψ_E + Δα_N,   y_E = Δψ_N + Δα_E,   α = L(b + M Lᵀe_U)
+
+with ψ the error of the carried attitude, L̂ = (I + [ψ×]) L, and α that of the accelerometers (b = δw/g, M = S − I).
+`programme_matrix` says it for the programmed attitudes, Eq. (6.3). The paper does not say in which directions it turns;
+they decide whether biases of the accelerometers pass for scale-factor errors of the gyros: `check_directions`.
+
+All take any leading axes: rates ω̂ and specific forces (..., N, 3) of N rests in the body frame, `earth_rate` (3,) Ω in
+N, U, E. Columns of the gyros are k_x, k_y, k_z, γ_xy, γ_xz, γ_yx, γ_yz, γ_zx, γ_zy; of the accelerometers b_x, b_y, b_z
+(rad), k_x, k_y, k_z, γ_yx, γ_zx, γ_zy. Source: §5, §6 of the turntable method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.errors import ProgrammeError
+from tumble.methods.least_squares import solved
+from tumble.programme.positions import Programme
+from tumble.rotation import rotation_matrix, unit_vector
+from tumble.sensors.model import ACCEL_ANGLES
+from tumble.units import DEGREE, Array
+
+STANDING = 1e-6
+"""Cosine deficit at which a nominal axis still counts as vertical."""
+
+LEAK = 1e-6
+"""Biases that enter scale factors with less than this coefficient cancel."""
+
+_LEVEL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""What of ψ and of α the two rows y_N, y_E are."""
+
+_PAIRS = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
+"""Where γ_xy, γ_xz, γ_yx, γ_yz, γ_zx, γ_zy are in the errors E and M of matrices."""
+
+
+# Stage 3
+
+
+def triad(force: Array, rate: Array) -> Array:
+    """Attitude body → geographic N, U, E (..., 3, 3) from the specific force and the Earth's rate measured at rest:
+    e_U ∥ ŵ, e_E ∥ ω̂ × e_U, e_N = e_U × e_E."""
+    east = unit_vector(np.cross(rate, unit_vector(force)))
+    up = np.broadcast_to(unit_vector(force), east.shape)
+    return np.stack([np.cross(up, east), up, east], axis=-2)
+
+
+def vector_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
+    """Bias (..., N, 3), rad/s, that every gyro shows in every rest: ω̂ − L̂ᵀΩ with L̂ by TRIAD, Eq. (16).
+
+    To be believed along the polar axis, where sensor errors enter times deviations from the programme, Eq. (17),
+    and along the vertical, Eq. (18). TRIAD's azimuth is not linear in the bias: at the polar axis −δω_E²/2Ω is
+    left, which the paper does not have (1.8 % of 0.3 °/h)."""
+    return np.asarray(rate - earth_rate @ triad(force, rate))
+
+
+def vertical_bias(rate: Array, force: Array, earth_rate: Array, nominal: Array) -> Array:
+    """Bias (..., 3) by the vector method where each gyro is vertical, Eq. (18): mean over the rests in which the
+    nominal vertical (N, 3) is along its axis."""
+    shown = vector_bias(rate, force, earth_rate)
+    standing = np.abs(nominal) > 1.0 - STANDING
+    return np.stack([shown[..., standing[:, q], q].mean(axis=-1) for q in range(3)], axis=-1)
+
+
+def scalar_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
+    """Bias (..., 3) by the scalar method: least squares of (ω̂² − Ω²)/2Ω = û^Ω·δω, û^Ω = L̂ᵀΩ/Ω, the analogue of
+    Eqs. (12), (13) with the estimated orientation.
+
+    Every rest is left with (δω_N² + δω_U² − δω_E²)/2Ω, which cancels over a programme in which the sensors stand
+    both ways."""
+    Ω = float(np.linalg.norm(earth_rate))
+    polar = earth_rate @ triad(force, rate) / Ω
+    return solved(polar, ((rate**2).sum(axis=-1) - Ω**2) / (2.0 * Ω))
+
+
+def invariant_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
+    """Bias (..., 3) from the dot-product invariant û·ω̂ − Ω sin B = û·δω by least squares: linear in the bias, and
+    without an azimuth. Not in the paper, where the scalar method has to take its place."""
+    u = unit_vector(force)
+    return solved(u, (u * rate).sum(axis=-1) - earth_rate[1])
+
+
+# Stage 4: the programmed turns
+
+
+def known_turns(programme: Programme) -> tuple[tuple[int, ...], ...]:
+    """Series of turns with known axis and angle that follow each other: indices of the moves."""
+    series: list[list[int]] = []
+    for k, move in enumerate(programme.moves):
+        if move.axis is None or move.angle is None:
+            continue
+        if series and series[-1][-1] == k - 1:
+            series[-1].append(k)
+        else:
+            series.append([k])
+    return tuple(tuple(s) for s in series)
+
+
+def matrix_error(scale: Array, angles: Array) -> Array:
+    """M or E (..., 3, 3), of first order, of k (..., 3) and of γ_yx, γ_zx, γ_zy (..., 3) of accelerometers, or of all
+    six angles γ_xy, γ_xz, γ_yx, γ_yz, γ_zx, γ_zy (..., 6) of gyros."""
+    pairs = [_PAIRS[i] for i in (ACCEL_ANGLES if angles.shape[-1] == len(ACCEL_ANGLES) else range(6))]
+    out = np.zeros((*angles.shape[:-1], 3, 3))
+    out[..., [0, 1, 2], [0, 1, 2]] = scale
+    out[..., [p for p, _ in pairs], [q for _, q in pairs]] = angles
+    return out
+
+
+def turn_error(attitude: Array, axis: Array, angle: Array, E: Array) -> Array:
+    """Attitude error Δψ (..., 3), rad, about N, U, E, that gyro scale-factor and axis errors E (..., 3, 3) make in a
+    turn by `angle` (..., rad, signed) about the geographic unit vector `axis` n (..., 3) from `attitude` L (..., 3, 3):
+    Δψ = ∫ R dΘ L E Lᵀ n, Eq. (6.2). Any rate profile gives the same."""
+    L, n = np.asarray(attitude), np.asarray(axis)
+    return swept(n, angle, (L @ E @ np.swapaxes(L, -1, -2) @ n[..., None])[..., 0])
+
+
+def swept(axis: Array, angle: Array, vector: Array) -> Array:
+    """∫ R v dΘ (..., 3) over a rotation by `angle` about `axis`: [Θ n nᵀ + sin Θ (I − n nᵀ) + (1 − cos Θ) [n×]] v."""
+    along = axis * (axis * vector).sum(axis=-1, keepdims=True)
+    Θ = np.asarray(angle)[..., None]
+    return np.asarray(Θ * along + np.sin(Θ) * (vector - along) + (1.0 - np.cos(Θ)) * np.cross(axis, vector))
+
+
+def programme_matrix(programme: Programme) -> tuple[Array, Array]:
+    """H_G and H_A (2T, 9), by which y of the T known turns depends on the errors of gyros and accelerometers, at
+    the programmed attitudes: Eq. (6.3) for the turns by 180° of the rough-table programme. Terms of the order of
+    Ω T (1.5e-3) are left out, as in the paper. An exact turn leaves nothing of k of the accelerometers."""
+    known = [(k, m) for k, m in enumerate(programme.moves) if m.axis is not None and m.angle is not None]
+    if not known:
+        return np.empty((0, 9)), np.empty((0, 9))
+    first = np.array([k for k, _ in known])
+    L = np.array([position.matrix for position in programme.positions])
+    axis, angle = np.array([m.axis for _, m in known], dtype=float), np.array([m.angle for _, m in known], dtype=float)
+    each = np.eye(9)[:, None]
+    ψ = turn_error(L[first], axis, angle, matrix_error(each[..., :3], each[..., 3:]))
+    M, up = matrix_error(each[..., 3:6], each[..., 6:]), np.broadcast_to(L[:, 1], (9, len(L), 3))
+    α = (L @ (each[..., :3] + (M @ up[..., None])[..., 0])[..., None])[..., 0]
+    tilt = np.stack([-ψ[..., 2], ψ[..., 0]], axis=-1)
+    return tilt.reshape(9, -1).T, ((α[:, first + 1] - α[:, first]) @ _LEVEL.T).reshape(9, -1).T
+
+
+def accelerometer_leakage(programme: Programme) -> Array:
+    """Errors (9, 9) of the gyros' k (3) and γ (6), rad, per unit of what is left of the accelerometers' b, k, γ after
+    stages 1 and 2 (true − estimated), with the programme's matrix: §6.3."""
+    H_G, H_A = programme_matrix(programme)
+    return np.asarray(np.linalg.pinv(H_G) @ H_A)
+
+
+def check_directions(programme: Programme) -> None:
+    """Raise ProgrammeError if the known turns of a programme do not determine the nine gyro parameters, or if
+    accelerometer biases leak into the gyro scale factors, as with (+N, +U, +N), (+N, −N, +U) and (+U, +N, −N), where
+    k takes up 2/π of them. The paper does not state the directions of its turns."""
+    H_G, _ = programme_matrix(programme)
+    rank = int(np.linalg.matrix_rank(H_G)) if len(H_G) else 0
+    described = "; ".join(
+        ", ".join(
+            f"{'NUE'[int(np.argmax(np.abs(move.axis)))]}{move.angle / DEGREE:+.0f}"
+            for move in (programme.moves[k] for k in series)
+            if move.axis is not None and move.angle is not None
+        )
+        for series in known_turns(programme)
+    )
+    advice = "take the programme rough-table or the method staged"
+    if rank < 9:
+        raise ProgrammeError(
+            f"programme {programme.name}: expected known turns that determine nine gyro scale factors and angles, "
+            f"found {rank} from {described or 'none'}; {advice}"
+        )
+    leak = float(np.abs(accelerometer_leakage(programme)[:3, :3]).max())
+    if leak > LEAK:
+        raise ProgrammeError(
+            f"programme {programme.name}: expected turns in whose directions accelerometer biases cancel in the gyro "
+            f"scale factors, found {described}, which pass on {leak:.2f} of a bias in g; turn back the second time "
+            "about the same axis, as in N+180, U+180, N-180"
+        )
+
+
+# Stage 4: the turns as they were
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RecordedTurn:
+    """One recorded turn of a series: its index, the rests before and after it, and whether it is a turn of the
+    programme, which counts, or what happened between two rests in the same position."""
+
+    turn: int
+    first: int
+    last: int
+    counts: bool
+
+
+Series = tuple[RecordedTurn, ...]
+
+
+def carried(attitude: Array, C: Array, earth_rate: Array, seconds: Array | float) -> Array:
+    """Attitude (..., 3, 3) after a move that turned the body by C (body at the end → body at the start, in the
+    non-rotating frame) and took `seconds`, in which the geographic frame turned by Ω T: exp(−[Ω T×]) L C."""
+    return np.asarray(rotation_matrix(-earth_rate * seconds) @ attitude @ C)
+
+
+def carried_attitudes(series: Series, attitude: Array, C: Array, duration: Array, earth_rate: Array) -> list[Array]:
+    """Attitudes (..., 3, 3) of a series before its first turn and after each: the start is that of the rest before
+    the first turn, of attitudes (..., N, 3, 3), held during rests and carried by the turns C (..., K, 3, 3)."""
+    attitudes = [attitude[..., series[0].first, :, :]]
+    for t in series:
+        attitudes.append(carried(attitudes[-1], C[..., t.turn, :, :], earth_rate, float(duration[t.turn])))
+    return attitudes
+
+
+def horizontal_differences(
+    course: Sequence[Series], attitude: Array, force: Array, C: Array, duration: Array, earth_rate: Array
+) -> Array:
+    """y (..., 2T): change of the north and east specific force, in units of its modulus, over every turn that counts.
+    `attitude` (..., N, 3, 3) by TRIAD and `force` (..., N, 3) are those of the rests. §6.2."""
+    f = unit_vector(force)
+    rows = []
+    for series in course:
+        L = carried_attitudes(series, attitude, C, duration, earth_rate)
+        for j, t in enumerate(series):
+            if t.counts:
+                change = L[j + 1] @ f[..., t.last, :, None] - L[j] @ f[..., t.first, :, None]
+                rows.append((_LEVEL @ change)[..., 0])
+    return np.concatenate(rows, axis=-1)
