@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN = .venv/bin
 INSTALL = $(shell command -v uv >/dev/null 2>&1 && echo "uv pip install -q --python $(BIN)/python" || echo "$(BIN)/python -m pip install -q --disable-pip-version-check")
 
-.PHONY: demo bench-demo test test-quick lint bench docs kernels clean
+.PHONY: demo bench-demo test test-quick lint bench evidence drift docs kernels clean
 
 demo: .venv/demo
 	rm -rf demo
@@ -36,6 +36,12 @@ kernels: .venv/test
 
 bench: .venv/test kernels
 	for script in benchmarks/*.py; do $(BIN)/python $$script || exit 1; done
+
+evidence: .venv/test kernels
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m evidence.run
+
+drift: .venv/test kernels
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m evidence.run --short --against evidence/results/short.json
 
 .venv/bin/python:
 	@echo "a virtual environment: .venv (nothing is installed outside this folder)"

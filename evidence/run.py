@@ -340,6 +340,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         given.out.mkdir(parents=True, exist_ok=True)
         (given.out / f"{name}.json").write_text(found.text(), encoding="utf-8")
         print(given.out / f"{name}.json")
+    if given.out == RESULTS and not given.against:
+        from evidence.pages import write
+
+        write()
     return int(worse)
 
 

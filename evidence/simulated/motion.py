@@ -113,23 +113,27 @@ class Course:
         k = np.clip(np.searchsorted(self.begin, t, side="right") - 1, 0, None)
         u = (t - self.begin[k]) / self.lasts[k]
         done = _smooth(u)[:, None]
-        amplitude, frequency, phase = (each[k] for each in self.tremor)
-        within = np.clip(u, 0.0, 1.0)
-        window = self.handling.tremor * 64.0 * (within * (1.0 - within)) ** 3 + self.handling.tremor_at_rest
-        shaken = (amplitude * np.sin(2.0 * np.pi * frequency * t[:, None, None] + phase)).sum(axis=1) * window[:, None]
-        size, ringing, decay = self.handling.ringing
-        since = t - self.begin[k] - self.lasts[k]
-        rest = self.rests[k + 1, 1] - self.rests[k + 1, 0]
-        envelope = _smooth(1.0 + since / 0.2) * np.exp(-np.clip(since, 0.0, None) / decay)
-        envelope *= 1.0 - _smooth(since / (0.9 * rest))
-        to_and_fro = np.sin(2.0 * np.pi * ringing * since) if ringing else 1.0
-        rung = (size * envelope * to_and_fro)[:, None] * self.ringing[k]
-        q = _times(self.attitudes[k], _exp(self.vectors[k] * done + shaken + rung))
+        handling, moved = self.handling, np.zeros((len(t), 3))
+        if handling.tremor or handling.tremor_at_rest:
+            amplitude, frequency, phase = (each[k] for each in self.tremor)
+            within = np.clip(u, 0.0, 1.0)
+            window = handling.tremor * 64.0 * (within * (1.0 - within)) ** 3 + handling.tremor_at_rest
+            sinusoids = amplitude * np.sin(2.0 * np.pi * frequency * t[:, None, None] + phase)
+            moved += sinusoids.sum(axis=1) * window[:, None]
+        size, ringing, decay = handling.ringing
+        if size:
+            since = t - self.begin[k] - self.lasts[k]
+            rest = self.rests[k + 1, 1] - self.rests[k + 1, 0]
+            envelope = _smooth(1.0 + since / 0.2) * np.exp(-np.clip(since, 0.0, None) / decay)
+            envelope *= 1.0 - _smooth(since / (0.9 * rest))
+            to_and_fro = np.sin(2.0 * np.pi * ringing * since) if ringing else 1.0
+            moved += (size * envelope * to_and_fro)[:, None] * self.ringing[k]
+        q = _times(self.attitudes[k], _exp(self.vectors[k] * done + moved))
         place = self.places[k] + (self.places[k + 1] - self.places[k]) * done
         for knock, way in zip(*self.knocks, strict=True):
-            moved = np.exp(-0.5 * np.clip((t - knock) / KNOCK_TIME, -12.0, 12.0) ** 2)
-            place = place + KNOCK * KNOCK_TIME**2 * moved[:, None] * way
-        return q, place + 0.05 * np.roll(shaken + rung, 1, axis=1)
+            pulse = np.exp(-0.5 * np.clip((t - knock) / KNOCK_TIME, -12.0, 12.0) ** 2)
+            place = place + KNOCK * KNOCK_TIME**2 * pulse[:, None] * way
+        return q, place + 0.05 * np.roll(moved, 1, axis=1)
 
     def felt(self, t: Array, places: Array) -> tuple[Array, Array]:
         """Rates (N, 3) and specific forces (N, P, 3) in the body at P places in it (P, 3), at times (N,)."""

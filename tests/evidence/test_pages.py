@@ -1,0 +1,121 @@
+"""Pages of the benchmark say what its results say, and nothing else."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from evidence import pages
+from evidence.pages import FIGURE, ROOT, all_results, digest, figure, render, with_figures, written_by_hand
+from evidence.run import Results
+from evidence.score import Row
+from evidence.simulated.kinds import KINDS
+
+PROGRAMS = ("tumble joint", "tumble staged", "imu_tk")
+
+
+def row(kind: str, index: int, program: str, z: float = 0.8, verdict: str = "accepted") -> Row:
+    errors = {"accel.bias": (0.01 * (1.0 + index), 0.05), "accel.scale": (1e-4, 5e-3)}
+    states = program != "imu_tk"
+    return Row(
+        case=f"{kind} {index}", kind=kind, program=program, verdict=verdict, said=verdict,  # type: ignore[arg-type]
+        z={"accel.bias.x": z, "accel.scale.x": -0.5} if states else {}, covered=2, intervals=2 if states else 0,
+        errors=errors,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def made_up() -> Results:
+    rows = [
+        row(kind.name, index, program)
+        for index in range(3)
+        for kind in KINDS
+        for program in PROGRAMS
+    ]  # fmt: skip
+    made = {
+        "set": "simulated", "commit": "0123456789abcdef", "date": "2026-01-01", "machine": "a machine",
+        "system": "a system", "series": "made up", "sessions": 3 * len(KINDS), "kinds": len(KINDS),
+        "sessions_of_a_kind": 3, "programs": list(PROGRAMS),
+    }  # fmt: skip
+    return Results(made=made, rows=tuple(rows), cost={p: {"seconds": 1.0, "megabytes": 100} for p in PROGRAMS})
+
+
+@pytest.mark.parametrize("name", sorted(render(all_results())))
+def test_a_page_is_what_its_results_make(name: str) -> None:
+    made = render(all_results())[name]
+    assert (ROOT / name).read_text(encoding="utf-8") == made, "run python -m evidence.pages"
+
+
+def test_pictures_are_of_the_results() -> None:
+    results = all_results()
+    if "simulated" in results:
+        for name in ("evidence-kinds.svg", "evidence-programs.svg"):
+            picture = (pages.PICTURES / name).read_text(encoding="utf-8")
+            assert f"results {digest(results['simulated'])}" in picture, "run python -m evidence.pages"
+
+
+@pytest.mark.parametrize("path", written_by_hand(), ids=lambda path: path.name)
+def test_figures_in_pages_are_those_of_the_results(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    if FIGURE.search(text):
+        assert with_figures(text, all_results()) == text, "run python -m evidence.pages"
+
+
+def test_published_results_are_of_300_sessions_of_30_kinds_with_sealed_seeds() -> None:
+    results = all_results()
+    if "simulated" in results:
+        made = results["simulated"].made
+        assert made["sessions"] >= 300
+        assert made["kinds"] >= 30
+        assert not made["commit"].endswith("changed")
+
+
+def test_a_figure_is_put_where_its_name_is_and_one_that_no_result_has_is_refused(made_up: Results) -> None:
+    text = "Of <!-- figure: simulated | made | sessions -->0<!-- end --> sessions "
+    text += "<!-- figure: simulated | tumble joint | hand-8 | covered -->?<!-- end --> are covered."
+    out = with_figures(text, {"simulated": made_up})
+    assert f"-->{3 * len(KINDS)}<!-- end -->" in out
+    assert "-->100.0 %<!-- end -->" in out
+    assert with_figures(out, {"simulated": made_up}) == out
+    with pytest.raises(KeyError):
+        figure("simulated | tumble joint | no such kind | rms", {"simulated": made_up})
+    with pytest.raises(KeyError):
+        with_figures(text, {})
+
+
+def test_what_tumble_loses_is_said_first(made_up: Results) -> None:
+    rows = list(made_up.rows)
+    at = next(i for i, r in enumerate(rows) if r.kind == "hand-8" and r.program == "tumble joint")
+    rows[at] = row("hand-8", 0, "tumble joint", z=4.6)
+    rows = [
+        replace(r, errors={group: (0.5 * off * (1.0 + 1e-3 * i), was) for group, (off, was) in r.errors.items()})
+        if r.program == "imu_tk" and r.kind == "cube-26" else r
+        for i, r in enumerate(rows)
+    ]  # fmt: skip
+    text = pages.simulated_page(replace(made_up, rows=tuple(rows)))
+    loses = re.search(r"## Where tumble loses\n(.*?)\n## ", text, re.S)
+    assert loses is not None
+    assert text.index("## Where tumble loses") < text.index("## By kind of session")
+    assert re.search(r"Silently wrong: `hand-8 0` \(seed [0-9a-f]{16}\), `accel.bias.x` by \+4.6 u", loses[1])
+    assert "imu_tk leaves 0.5" in loses[1]
+    assert "`cube-26`, 3 sessions" in loses[1]
+    assert "`in-g`, 3 of 3 are not what is expected: refuse is expected" in loses[1]
+
+
+def test_every_kind_and_program_has_its_line(made_up: Results) -> None:
+    text = pages.simulated_page(made_up)
+    for kind in KINDS:
+        assert text.count(f"| `{kind.name}` | {kind.words} | {kind.expected} | 3 |") == 1
+    assert "| imu_tk | " in text
+    good = sum(kind.expected == "accept" for kind in KINDS)
+    assert f"| tumble joint | {3 * good} | {3 * good} | 0 |" in text
+
+
+def test_pictures_are_drawn_of_any_results(made_up: Results, tmp_path: Path) -> None:
+    pages.draw_kinds(made_up, tmp_path / "kinds.svg")
+    pages.draw_programs(made_up, tmp_path / "programs.svg")
+    for path in tmp_path.iterdir():
+        assert digest(made_up) in path.read_text(encoding="utf-8")
