@@ -475,9 +475,9 @@ IRON = np.array([20.0, -35.0, 12.0, 0.05, -0.03, 0.02, 0.02, -0.03, 0.01])
 @pytest.mark.parametrize("memory", [0.0, 0.9])
 def test_halves_of_a_waved_recording_agree_within_u(memory: float) -> None:
     """Rows taken as independent gave halves that differ by 4 u (rms) at this memory. Student's t with 19 degrees of
-    freedom has a variance of 1.12; six pairs of nine parameters with correlations stay below 2."""
+    freedom has a variance of 1.12; twelve pairs of nine parameters with correlations stay below 2."""
     z, errors = [], []
-    for seed in range(6):
+    for seed in range(12):
         directions, error = waved(800, np.random.default_rng([5, seed]), memory)
         seen = TRIAD.model(IRON).predict(49.7 * directions) + 0.3 * error
         every = [

@@ -34,8 +34,9 @@ from tumble.inference.likelihood import Problem, instruments_of
 from tumble.inference.prediction import prediction
 from tumble.inference.sources import source
 from tumble.reduction.observations import Observations
-from tumble.rotation import tangent_basis, unit_vector
+from tumble.rotation import unit_vector
 from tumble.sensors.instrument import Instrument, functions
+from tumble.sensors.model import beyond_turning
 from tumble.sensors.parameters import FORCE, positions_by_group, shown_in, units_of
 from tumble.units import Array, two_digits
 
@@ -140,9 +141,8 @@ def left_out_of(observations: Observations, sigma: Array | None = None, names: C
     changes = np.einsum("ipb,pbm->ipm", beta, D)
     changing, base = problem.changed
     changes[:, :, changing] = changes[:, :, base] * problem.goes[0][:, None]
-    turning = np.einsum("pk,ijk->ipj", instrument.coefficients(block, values)[:, FORCE], tangent_basis(force / g))
-    across, _ = np.linalg.qr(turning, mode="complete")  # beyond the first two: what no turn of the vertical reaches
-    rows = np.einsum("ipr,ipm->irm", across[:, :, 2:], changes).reshape(-1, len(values))
+    across = beyond_turning(instrument.coefficients(block, values)[:, FORCE], force / g)
+    rows = np.einsum("ipr,ipm->irm", across, changes).reshape(-1, len(values))
     if sigma is not None:
         rows = rows / np.repeat(sigma, block.size - 2)[:, None]
     A, B = np.split(rows, [instrument.linear_count], axis=1)

@@ -14,6 +14,7 @@ from tumble.inference.sources import common_covariances
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.rotation import onto_body, skew, tangent_basis
+from tumble.sensors.model import beyond_turning
 from tumble.sensors.parameters import LINEAR, group_name, group_of, limits_of, sensor_kind, within_kind
 from tumble.units import DEGREE, Array
 
@@ -190,8 +191,8 @@ def _rest_rows(observations: Observations, vertical: Array) -> Array:
     spreads: (n − 2, m), m/s²."""
     block, g = observations.accel_block, observations.site.gravity
     derivative = block.jacobian(np.zeros(len(block.names)))
-    basis, _ = np.linalg.qr(block.axes @ tangent_basis(vertical).T, mode="complete")
-    rows = np.einsum("pr,pqm,q->rm", basis[:, 2:], derivative, np.append(g * vertical, 1.0))
+    free = beyond_turning(block.axes, vertical)
+    rows = np.einsum("pr,pqm,q->rm", free, derivative, np.append(g * vertical, 1.0))
     return np.asarray(rows * limits_of(block.names))
 
 

@@ -43,9 +43,29 @@ def ellipsoid(observations: Observations) -> Estimate:
         covariance=rests.accel_covariance,
         block=block,
     )
-    if isinstance(found, Refusal):
-        return _refused(observations, found)
-    return estimate_of(found, observations)
+    if not isinstance(found, Refusal):
+        return estimate_of(found, observations)
+    if not len(found.null):
+        raise np.linalg.LinAlgError(found.reason)
+    model = block.nominal()
+    return Estimate(  # no parameter is determined: a part of them would be as wrong as the missing part allows
+        method="ellipsoid",
+        names=block.names,
+        units=units_of(block.names),
+        values=np.zeros(9),
+        covariance=np.zeros((9, 9)),
+        observable=np.zeros(9, dtype=bool),
+        null=found.null,
+        accel=model,
+        gyro=None,
+        rest_residual=np.linalg.norm(model.apply(rests.accel), axis=1) - site.gravity,
+        rest_sigmas=np.zeros(len(rests)),
+        turn_sigmas=np.empty(0),
+        increments=(),
+        fits={"accelerometers": Fit(chi_square=0.0, degrees=0.0, scatter=0.0, unit="m/s^2")},
+        converged=False,
+        reasons=(found.reason,),
+    )
 
 
 def estimate_of(found: EllipsoidFit, observations: Observations) -> Estimate:
@@ -81,29 +101,3 @@ def estimate_of(found: EllipsoidFit, observations: Observations) -> Estimate:
     variance = np.einsum("ip,ipq,iq->i", up, observations.rests.accel_covariance, up) + found.scatter**2
     sigma = np.where(found.used, np.sqrt(variance), np.inf)
     return with_left_out(estimate, left_out_of(observations, sigma), gravity)
-
-
-def _refused(observations: Observations, refusal: Refusal) -> Estimate:
-    """No parameter is determined: a part of them would be as wrong as the missing part allows."""
-    if not len(refusal.null):
-        raise np.linalg.LinAlgError(refusal.reason)
-    block = observations.accel_block
-    model = block.nominal()
-    return Estimate(
-        method="ellipsoid",
-        names=block.names,
-        units=units_of(block.names),
-        values=np.zeros(9),
-        covariance=np.zeros((9, 9)),
-        observable=np.zeros(9, dtype=bool),
-        null=refusal.null,
-        accel=model,
-        gyro=None,
-        rest_residual=np.linalg.norm(model.apply(observations.rests.accel), axis=1) - observations.site.gravity,
-        rest_sigmas=np.zeros(len(observations.rests)),
-        turn_sigmas=np.empty(0),
-        increments=(),
-        fits={"accelerometers": Fit(chi_square=0.0, degrees=0.0, scatter=0.0, unit="m/s^2")},
-        converged=False,
-        reasons=(refusal.reason,),
-    )

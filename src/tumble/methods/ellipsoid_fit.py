@@ -12,7 +12,9 @@ The algebraic fit of Li & Griffiths gives the ellipsoid without a start (`quadri
 
 Geometric fit: least squares on |M⁻¹(y − b)| − m with the covariances of the readings as weights, Gauss–Newton from the
 algebraic fit. In programmes that surround the sphere it changes the values by a hundredth of their uncertainties; it is
-there for weights, robustness and covariance.
+there for weights, robustness and covariance. Of n sensors a reading says n − 2 things, y − b − m M t/|t| with the two
+directions projected out in which t may turn (`sphere_rows`); for a triad that is the same. The method `staged` has its
+accelerometers from these rows.
 
 Readings one after another of a triad that is waved about err alike in neighbours, by noise with a memory and by what
 the model does not have, so that their number says nothing of u. Whole blocks of them are then left out in turn (the
@@ -44,7 +46,8 @@ from tumble.errors import InputError
 from tumble.inference.estimate import Fit
 from tumble.methods.least_squares import Solution, least_squares, sigmas, with_scatter
 from tumble.methods.quadric import fit_many
-from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
+from tumble.rotation import unit_vector
+from tumble.sensors.model import Block, SensorModel, beyond_turning, to_accelerometer_frame
 from tumble.units import Array, BoolArray, IntArray
 
 TRIAD = Block(kind="accel", axes=np.eye(3))
@@ -209,17 +212,47 @@ class _Task:
         own = SensorModel(matrix=some.matrix[0] @ handed, bias=some.bias[0])
         return np.asarray(self.block.parameters(to_accelerometer_frame(self.block, own, None)[0]))
 
-    def linearised(self, values: Array) -> tuple[Array, Array, Array, Array]:
-        """Residuals |t| − m (N,) at parameter values, minus their derivatives (N, 9), their variance from noise and
-        what a unit variance of scatter adds to it."""
-        model = self.block.model(values)
-        true = model.apply(self.readings)
-        length = np.linalg.norm(true, axis=1)
-        normal = (true / length[:, None]) @ model.inverse()
-        homogeneous = np.concatenate([true, np.ones((len(true), 1))], axis=1)
-        jacobian = np.einsum("ip,pqm,iq->im", normal, self.block.jacobian(values), homogeneous)
-        noise = np.einsum("ip,ipq,iq->i", normal, self.covariance, normal)
-        return length - self.modulus, jacobian, noise, np.einsum("ip,ip->i", normal, normal)
+    def rows(self, values: Array, scatter: float) -> SphereRows:
+        """What the readings say, linearised about values."""
+        return sphere_rows(self.block, self.readings, self.covariance, self.modulus, values, scatter)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SphereRows:
+    """Whitened residuals (N, n − 2) and their derivatives with respect to the parameters (N, n − 2, m), to minus
+    the readings (N, n − 2, n) and to the modulus (N, n − 2)."""
+
+    residual: Array
+    jacobian: Array
+    reading: Array
+    modulus: Array
+
+    def solution(self, spread: Array, used: BoolArray | slice = slice(None)) -> Solution:
+        """The step of the parameters, of spreads (m,), by the readings that are used."""
+        return least_squares(self.jacobian[used].reshape(-1, len(spread)), self.residual[used].ravel(), spread)
+
+
+def sphere_rows(
+    block: Block, readings: Array, covariance: Array, modulus: float, values: Array, scatter: float
+) -> SphereRows:
+    """What readings (N, n) of covariance (N, n, n) and of a scatter say of the sensors of a block that measure a vector
+    of this length, linearised about values (m,)."""
+    model, covariance = block.model(values), covariance + scatter**2 * np.eye(block.size)
+    direction = unit_vector(model.apply(readings))
+    if block.size == 3:
+        normal = direction @ model.inverse()
+        whiten = (normal / np.sqrt(np.einsum("ip,ipq,iq->i", normal, covariance, normal))[:, None])[:, None]
+    else:
+        lower = np.linalg.cholesky(covariance)
+        free = beyond_turning(np.linalg.solve(lower, model.matrix), direction)
+        whiten = np.swapaxes(np.linalg.solve(np.swapaxes(lower, 1, 2), free), 1, 2)
+    homogeneous = np.concatenate([modulus * direction, np.ones((len(direction), 1))], axis=1)
+    return SphereRows(
+        residual=np.einsum("irp,ip->ir", whiten, readings - model.predict(modulus * direction)),
+        jacobian=np.einsum("irp,pqm,iq->irm", whiten, block.jacobian(values), homogeneous),
+        reading=whiten,
+        modulus=np.einsum("irp,pk,ik->ir", whiten, model.matrix, direction),
+    )
 
 
 def _fitted(task: _Task, used: BoolArray) -> EllipsoidFit | None:
@@ -229,22 +262,22 @@ def _fitted(task: _Task, used: BoolArray) -> EllipsoidFit | None:
     if start is None:
         return None
 
-    def step(values: Array, scatter: float) -> Solution:
-        residual, jacobian, noise, by_scatter = task.linearised(values)
-        sigma = np.sqrt(noise + scatter**2 * by_scatter)[used]
-        return least_squares(jacobian[used] / sigma[:, None], residual[used] / sigma, spread)
-
     def agreement_at(values: Array) -> tuple[Callable[[float], float], float, float]:
-        residual, _, noise, by_scatter = (each[used] for each in task.linearised(values))
-        size = float(np.sqrt(np.mean(residual**2 / by_scatter)))
-        return lambda scatter: float(np.sum(residual**2 / (noise + scatter**2 * by_scatter))), degrees, size
+        rows = task.rows(values, 0.0)
+        sigma = 1.0 / rows.modulus[used, 0]
+        square = (sigma * rows.residual[used, 0]) ** 2
+        by_scatter = (sigma[:, None] ** 2 * rows.reading[used, 0] ** 2).sum(axis=1)
+        size = float(np.sqrt(np.mean(square / by_scatter)))
+        return lambda scatter: float(np.sum(square / (sigma**2 + scatter**2 * by_scatter))), degrees, size
 
-    values, scatter, steps = with_scatter(step, agreement_at, start, spread, FLOOR * spread)
-    solution, (residual, jacobian, noise, by_scatter) = step(values, scatter), task.linearised(values)
+    values, scatter, steps = with_scatter(
+        lambda at, size: task.rows(at, size).solution(spread, used), agreement_at, start, spread, FLOOR * spread
+    )
+    rows = task.rows(values, scatter)
+    solution, whitened, sigma = rows.solution(spread, used), rows.jacobian[:, 0], 1.0 / rows.modulus[:, 0]
     if len(solution.null):
         return None
-    sigma = np.sqrt(noise + scatter**2 * by_scatter)
-    whitened = jacobian / sigma[:, None]
+    residual = sigma * rows.residual[:, 0]
     leverage = np.einsum("im,mn,in->i", whitened, solution.covariance, whitened)  # variance that the fit predicts
     # the variance of a residual over that against the fit through all others; one that these do not determine shows
     # nothing
@@ -256,14 +289,11 @@ def _fitted(task: _Task, used: BoolArray) -> EllipsoidFit | None:
     out = np.where(used, sigmas(z, degrees, scatter > 0.0), z)
     if scatter > 0.0:
         out[~used] = -ndtri(np.maximum(stdtr(degrees, -z[~used]), 1e-300))
-    by_noise, noise_degrees, modulus_u = (
-        solution.covariance,
-        float(degrees) if scatter > 0.0 else np.inf,
-        task.modulus_u,
-    )
+    by_noise, modulus_u = solution.covariance, task.modulus_u
+    noise_degrees = float(degrees) if scatter > 0.0 else np.inf
     if task.blocks is not None:
-        by_noise, noise_degrees = _jackknife(whitened, residual / sigma, task.blocks, spread), float(task.blocks.max())
-        modulus_u = float(np.hypot(modulus_u, scatter**2 / task.modulus))
+        by_noise = _jackknife(whitened, rows.residual[:, 0], task.blocks, spread)
+        noise_degrees, modulus_u = float(task.blocks.max()), float(np.hypot(modulus_u, scatter**2 / task.modulus))
     by_modulus = -modulus_u * (solution.gain / sigma[used]).sum(axis=1)
     return EllipsoidFit(
         values=values,

@@ -1,9 +1,8 @@
 """Staged method: accelerometers by the scalar method on all rests, then gyros from rests and turns.
 
-Stage 1 is Eqs. (12), (13) in norm form and with covariance. At rest y = S g u + b with the vertical u unknown, so a
-rest of n accelerometers says n − 2 things: the residual y − b − S g u with the two directions in which u may turn
-projected out. For a triad that is |S⁻¹(y − b)| = g. Iterated to convergence, so that the coefficients are those of the
-estimated orientation and the second-order errors of (15) do not remain.
+Stage 1 is Eqs. (12), (13) in norm form and with covariance, for any number of sensors: the geometric fit of the sphere
+of radius g (`tumble.methods.ellipsoid_fit.sphere_rows`). Iterated to convergence, so that the coefficients are those of
+the estimated orientation and the second-order errors of (15) do not remain.
 
 Stage 2, with û = S⁻¹(y − b)/g from stage 1:
 
@@ -24,13 +23,14 @@ have in common. Scatter between rests and of turns is estimated where the residu
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tumble.earth import EARTH_RATE
 from tumble.inference.estimate import Estimate, Fit
+from tumble.methods.ellipsoid_fit import SphereRows, sphere_rows
 from tumble.methods.least_squares import (
     Residuals,
     Solution,
@@ -95,69 +95,30 @@ class Accelerometers:
     increments: tuple[Array, ...]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class RestRows:
-    """Whitened residuals (N, n − 2) and their derivatives with respect to the parameters (N, n − 2, m), to minus
-    the readings (N, n − 2, n) and to g (N, n − 2)."""
-
-    residual: Array
-    jacobian: Array
-    reading: Array
-    gravity: Array
-    spread: Array
-
-    def solution(self) -> Solution:
-        return least_squares(self.jacobian.reshape(-1, len(self.spread)), self.residual.ravel(), self.spread)
-
-    def chi_square(self) -> float:
-        """Of the residuals after a step."""
-        after = self.residual - self.jacobian @ self.solution().step
-        return float((after**2).sum())
-
-
-def rest_rows(observations: Observations, values: Array, scatter: float) -> RestRows:
-    """What the rests say of the accelerometers, linearised about values."""
-    block, g = observations.accel_block, observations.site.gravity
-    model, readings = block.model(values), observations.rests.accel
-    vertical = unit_vector(model.apply(readings))
-    covariance = observations.rests.accel_covariance + scatter**2 * np.eye(block.size)
-    lower = np.linalg.cholesky(covariance)
-    turning = np.einsum("pk,ijk->ipj", model.matrix, tangent_basis(vertical)) * g
-    basis, _ = np.linalg.qr(np.linalg.solve(lower, turning), mode="complete")
-    free = basis[:, :, 2:]  # the n − 2 directions that no turn of the vertical reaches
-    whiten = np.swapaxes(np.linalg.solve(np.swapaxes(lower, 1, 2), free), 1, 2)
-    homogeneous = np.concatenate([g * vertical, np.ones((len(vertical), 1))], axis=1)
-    return RestRows(
-        residual=np.einsum("irp,ip->ir", whiten, readings - model.predict(g * vertical)),
-        jacobian=np.einsum("irp,pqm,iq->irm", whiten, block.jacobian(values), homogeneous),
-        reading=whiten,
-        gravity=np.einsum("irp,pk,ik->ir", whiten, model.matrix, vertical),
-        spread=limits_of(block.names),
-    )
-
-
 def estimate_accelerometers(observations: Observations) -> Accelerometers:
     """The accelerometers from all rests, with scatter between rests where the residuals need it."""
     block, site, rests = observations.accel_block, observations.site, observations.rests
-    size = float(np.sqrt(np.median(np.trace(rests.accel_covariance, axis1=1, axis2=2))))
+    spread, size = limits_of(block.names), float(np.sqrt(np.median(np.trace(rests.accel_covariance, axis1=1, axis2=2))))
 
-    def degrees_of(rows: RestRows) -> float:
-        return float(rows.residual.size - (len(rows.spread) - len(rows.solution().null)))
+    def rows_at(values: Array, scatter: float) -> SphereRows:
+        return sphere_rows(block, rests.accel, rests.accel_covariance, site.gravity, values, scatter)
 
-    def agreement_at(values: Array) -> tuple[Callable[[float], float], float, float]:
-        degrees = degrees_of(rest_rows(observations, values, 0.0))
-        return lambda scatter: rest_rows(observations, values, scatter).chi_square(), degrees, size
+    def chi_square(rows: SphereRows) -> float:  # of the residuals after a step
+        return float(((rows.residual - rows.jacobian @ rows.solution(spread).step) ** 2).sum())
+
+    def degrees_of(rows: SphereRows) -> float:
+        return float(rows.residual.size - (len(spread) - len(rows.solution(spread).null)))
 
     values, scatter, increments = with_scatter(
-        lambda at, scatter: rest_rows(observations, at, scatter).solution(),
-        agreement_at,
+        lambda at, scatter: rows_at(at, scatter).solution(spread),
+        lambda at: (lambda scatter: chi_square(rows_at(at, scatter)), degrees_of(rows_at(at, 0.0)), size),
         observations.start_values(block),
-        limits_of(block.names),
+        spread,
     )
-    rows = rest_rows(observations, values, scatter)
-    solution, degrees, m = rows.solution(), degrees_of(rows), len(values)
+    rows = rows_at(values, scatter)
+    solution, degrees, m = rows.solution(spread), degrees_of(rows), len(values)
     by_rest = solution.gain.reshape(m, *rows.residual.shape)
-    by_gravity = -np.einsum("mir,ir->m", by_rest, rows.gravity)
+    by_gravity = -np.einsum("mir,ir->m", by_rest, rows.modulus)
     left = np.eye(rows.residual.size) - rows.jacobian.reshape(-1, m) @ solution.gain
     expected = np.maximum(np.diag(left @ left.T), 1e-12).reshape(rows.residual.shape)
     normalised = rows.residual / np.sqrt(expected)
@@ -167,12 +128,12 @@ def estimate_accelerometers(observations: Observations) -> Accelerometers:
         values=values,
         model=model,
         solution=solution,
-        null=solution.null * rows.spread,
+        null=solution.null * spread,
         gain=np.einsum("mir,irp->mip", by_rest, rows.reading),
         by_gravity=by_gravity,
         vertical=unit_vector(model.apply(rests.accel)),
         covariance=solution.covariance + site.gravity_u**2 * np.outer(by_gravity, by_gravity),
-        fit=Fit(chi_square=rows.chi_square(), degrees=degrees, scatter=scatter, unit="m/s^2"),
+        fit=Fit(chi_square=chi_square(rows), degrees=degrees, scatter=scatter, unit="m/s^2"),
         sigmas=sigmas(np.sqrt((normalised**2).mean(axis=1)), degrees, scatter > 0.0),
         increments=increments,
     )

@@ -21,7 +21,7 @@ from typing import Literal
 
 import numpy as np
 
-from tumble.rotation import axes_angles, axes_matrix, left_inverse
+from tumble.rotation import axes_angles, axes_matrix, left_inverse, tangent_basis
 from tumble.units import Array, IntArray
 
 SensorKind = Literal["accel", "gyro"]
@@ -287,3 +287,10 @@ def _frame_of(axes: Array) -> Array:
 def beyond_body(matrix: Array) -> Array:
     """Orthonormal rows (n − 3, n): what sensors of a sensitivity matrix (n, 3) read that no vector explains."""
     return np.asarray(np.linalg.qr(matrix, mode="complete")[0][:, 3:].T)
+
+
+def beyond_turning(matrix: Array, direction: Array) -> Array:
+    """Orthonormal columns (N, n, n − 2): what sensors of a sensitivity matrix (n, 3), or (N, n, 3), read that no turn
+    of vectors along `direction` (N, 3) reaches."""
+    turning = matrix @ np.swapaxes(tangent_basis(direction), -1, -2)
+    return np.asarray(np.linalg.qr(turning, mode="complete")[0][..., 2:])
