@@ -43,14 +43,8 @@ if not cython.compiled:
 ROUNDING = 1e-10
 """A column that an elimination leaves with less than this part of its length has nothing left in it."""
 
-BUFFER = 96
-"""Rows on the parameters that are folded into the triangle together."""
-
-MANY = 200
-"""Parameters from which on that is a factorisation by LAPACK, in blocks: the loops wait for memory there."""
-
-WIDE = 32
-"""Columns of such a block."""
+BLOCK, WIDE_BLOCK, WIDE = 8, 32, 200
+"""Columns that LAPACK folds together, and how many from so many parameters on."""
 
 LARGE = 20
 """Unknowns of a rest from which on its elimination is one by LAPACK, too."""
@@ -67,16 +61,11 @@ def eliminate(
     if factor.shape[1] > LARGE:
         _eliminate_large(rest, turn, link, factor, triangle, begins)
         return
-    r, t, d, p = rest.shape[1], turn.shape[1], factor.shape[1], len(triangle) - 1
-    columns, most = 2 * d + p + 1, d + r + t
-    buffer = BUFFER if p < MANY else len(rest) * most
-    work, carried, kept = np.zeros((most, columns)), begins.copy(), np.zeros((buffer + most, p + 1))
+    (N, r, _), t, d, columns = rest.shape, turn.shape[1], factor.shape[1], factor.shape[2]
+    work, kept = np.zeros((d + r + t, columns)), np.zeros((N * (d + r + t), len(triangle)), order="F")
     length, product = np.zeros(2 * d), np.zeros(columns)
-    count = _eliminate(rest, turn, link, factor, triangle, ROUNDING * ROUNDING, work, carried, kept, length, product)
-    if p < MANY:
-        _fold(kept, product, count, triangle)
-    else:
-        fold(kept[:count], triangle)
+    count = _eliminate(rest, turn, link, factor, ROUNDING * ROUNDING, work, begins.copy(), kept, length, product)
+    fold(kept[:count], triangle)
 
 
 def _eliminate_large(rest: Array, turn: Array, link: IntArray, factor: Array, triangle: Array, begins: Array) -> None:
@@ -130,35 +119,21 @@ def _reflected(work: Array, top: int, column: int, least: float) -> bool:
     return True
 
 
-def fold(rows: Array, triangle: Array) -> None:
-    """Fold rows (n, p + 1) into an upper triangle (p + 1, p + 1)."""
-    if len(triangle) > MANY:
-        _fold_many(rows[np.any(rows, axis=1)], triangle)
-        return
-    whole = np.ascontiguousarray(triangle)
-    _fold(rows.copy(), np.zeros(len(whole)), len(rows), whole)
-    if whole is not triangle:
-        triangle[:] = whole
-
-
-def _fold_many(rows: Array, triangle: Array) -> None:
-    """The same by LAPACK, from the first column on that is not zero; rows that are a triangle there cost a third."""
-    for first in np.flatnonzero(np.any(rows, axis=0))[:1]:
-        upper = triangle[first:, first:]
-        below = rows[:, first:]
-        triangular = len(below) <= len(upper) and not np.any(np.tril(below, -1))
-        upper[:] = np.triu(dtpqrt(len(below) if triangular else 0, min(WIDE, len(upper)), upper, below)[0])
+def fold(rows: Array, triangle: Array, triangular: bool = False) -> None:
+    """Fold rows (n, p + 1) into an upper triangle (p + 1, p + 1), by LAPACK; rows that are `triangular` cost a third."""
+    if len(rows):
+        block = min(WIDE_BLOCK if len(triangle) > WIDE else BLOCK, len(triangle))
+        triangle[:] = dtpqrt(len(rows) if triangular else 0, block, triangle, rows, overwrite_a=1)[0]
 
 
 # C: cdef Py_ssize_t _eliminate(const double[:, :, :] rest, const double[:, :, :] turn, const int64_t[:] link,
-# C:     double[:, :, :] factor, double[:, ::1] triangle, double rounding, double[:, ::1] work, double[:, ::1] carried,
-# C:     double[:, ::1] kept, double[::1] length, double[::1] product)
+# C:     double[:, :, :] factor, double rounding, double[:, ::1] work, double[:, ::1] carried, double[::1, :] kept,
+# C:     double[::1] length, double[::1] product)
 def _eliminate(
     rest: Array,
     turn: Array,
     link: IntArray,
     factor: Array,
-    triangle: Array,
     rounding: float,
     work: Array,
     carried: Array,
@@ -166,10 +141,9 @@ def _eliminate(
     length: Array,
     product: Array,
 ) -> int:
-    """One rest after the other; how many rows on the parameters are left to be folded, in `kept`. `length`: squares of
-    the columns before anything was taken off them."""
-    d, p, columns = factor.shape[1], triangle.shape[0] - 1, work.shape[1]
-    buffer, count = kept.shape[0] - work.shape[0], 0
+    """One rest after the other; how many rows on the parameters are left, in `kept`. `length`: squares of the columns
+    before anything was taken off them."""
+    d, columns, count = factor.shape[1], work.shape[1], 0
     with cython.nogil:
         for i in range(rest.shape[0]):
             rows = _gather(work, carried, rest, i, turn, link[i])
@@ -189,13 +163,10 @@ def _eliminate(
                     for column in range(d, columns):
                         carried[c - d, column - d if column < 2 * d else column] = work[top, column]
                     top += 1
-            for row in range(top, rows):
-                for column in range(p + 1):
-                    kept[count + row - top, column] = work[row, 2 * d + column]
+            for column in range(2 * d, columns):
+                for row in range(top, rows):
+                    kept[count + row - top, column - 2 * d] = work[row, column]
             count += rows - top
-            if count > buffer:
-                _fold(kept, product, count, triangle)
-                count = 0
     return count
 
 
@@ -257,43 +228,6 @@ def _reflect(work: Array, product: Array, top: int, column: int, rows: int, leas
     for row in range(top + 1, rows):
         work[row, column] = 0.0
     return True
-
-
-# C: @cython.locals(square=double)
-# C: cdef void _fold(double[:, ::1] kept, double[::1] product, Py_ssize_t count, double[:, ::1] triangle
-# C:     ) noexcept nogil
-def _fold(kept: Array, product: Array, count: int, triangle: Array) -> None:
-    """Fold rows (count, p + 1), which are overwritten, into an upper triangle (p + 1, p + 1): Householder reflections
-    of the rows together with one row of the triangle at a time. Rows that are 0 in a column have no part in that of its
-    row, so that those of a triangle cost a third."""
-    size = triangle.shape[0]
-    for c in range(size):
-        square = 0.0
-        for row in range(count):
-            square += kept[row, c] * kept[row, c]
-        if square == 0.0:
-            continue
-        head = triangle[c, c]
-        root = sqrt(square + head * head)
-        diagonal = -root if head > 0.0 else root
-        top = head - diagonal
-        scale = 1.0 / (diagonal * (diagonal - head))
-        triangle[c, c] = diagonal
-        for other in range(c + 1, size):
-            product[other] = top * triangle[c, other]
-        for row in range(count):
-            part = kept[row, c]
-            if part != 0.0:
-                for other in range(c + 1, size):
-                    product[other] += part * kept[row, other]
-        for other in range(c + 1, size):
-            product[other] *= scale
-            triangle[c, other] -= product[other] * top
-        for row in range(count):
-            part = kept[row, c]
-            if part != 0.0:
-                for other in range(c + 1, size):
-                    kept[row, other] -= product[other] * part
 
 
 def given_others(factor: Array) -> tuple[Array, Array, Array, Array]:

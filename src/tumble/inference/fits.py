@@ -78,12 +78,15 @@ def _falls(W: Array, after: tuple[Array, Array], kept: Array, rows: slice) -> tu
     seen = variance > FREE
     square = ((pull * size)[:, None] @ directions)[:, 0] ** 2
     fall, count, weight = (square / np.where(seen, variance, np.inf)).sum(axis=1), seen.sum(axis=1), kept[:, rows]
-    for i in np.flatnonzero(weight.min(axis=1) < 1.0):
-        some = variance[i] > ROUNDED * variance[i].max()
-        along, spread = directions[i][:, some], np.diag(1.0 / variance[i][some])
-        less = whole[i] * (1.0 - np.outer(weight[i], weight[i])) / np.outer(size[i], size[i])
-        difference = spread @ along.T @ (pull[i] * size[i])
-        fall[i], count[i] = difference @ np.linalg.solve(spread - along.T @ less @ along, difference), len(difference)
+    if len(out := np.flatnonzero(weight.min(axis=1) < 1.0)):
+        some = variance[out] > ROUNDED * variance[out].max(axis=1, keepdims=True)
+        spread, along = 1.0 / np.where(some, variance[out], 1.0), directions[out] * some[:, None]
+        less = whole[out] / size[out][:, :, None] / size[out][:, None, :]
+        less *= 1.0 - weight[out][:, :, None] * weight[out][:, None, :]
+        difference = spread * ((pull[out] * size[out])[:, None] @ along)[:, 0]
+        of_all = spread[:, :, None] * np.eye(spread.shape[1]) - np.swapaxes(along, 1, 2) @ less @ along
+        fall[out] = (difference * np.linalg.solve(of_all, difference[:, :, None])[:, :, 0]).sum(axis=1)
+        count[out] = some.sum(axis=1)
     return fall, count
 
 

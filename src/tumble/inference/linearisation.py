@@ -211,7 +211,7 @@ def priors(problem: Problem, point: Point, about: TurnsAbout | None = None) -> A
     what arrays say of themselves in motion."""
     expected, u = problem.measured
     known = u > 0.0
-    rows = np.zeros((len(u) + 1, len(u) + 1))
+    rows = np.zeros((len(u) + 1, len(u) + 1), order="F")
     if problem.prior.covariance is None:
         rows[np.arange(len(u)), np.arange(len(u))] = np.where(known, 1.0 / np.where(known, u, 1.0), 0.0)
     else:

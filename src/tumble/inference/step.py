@@ -117,6 +117,7 @@ def tell(problem: Problem, rows: Rows, weight: Weights) -> Told:
     size = len(problem.own_known) + len(rows.prior)
     d = 3 if process is None else 3 + len(process.sigma)
     factor, sessions, joints = np.empty((len(rest), d, 2 * d + size)), np.zeros((len(problem.parts), size, size)), turn
+    sessions = np.swapaxes(sessions, 1, 2)
     if process is not None:
         joints = np.zeros((len(rest), turn.shape[1] + d - 3, 2 * d + size))
         joints[problem.before_turn, : turn.shape[1]] = turn
@@ -141,7 +142,7 @@ def joined(problem: Problem, rows: Rows, told: Told) -> Known:
     for session, residual in zip(told.sessions, rows.own, strict=True):
         wide = with_own(problem, session, residual)
         heads.append(wide[:q])
-        fold(triangle, wide[q:, q:])
+        fold(triangle, wide[q:, q:], triangular=True)
         triangle = wide[q:, q:]
     exact = int(triangle[0, 0] == 0.0)  # gravity, of which the step is zero then
     p = len(triangle) - 1
@@ -167,11 +168,11 @@ def joined(problem: Problem, rows: Rows, told: Told) -> Known:
 
 def with_own(problem: Problem, session: Array, residual: Array) -> Array:
     """What a session says, a triangle, with the prior of what it has of its own, of whitened residual (q,)."""
-    wide, q = session.copy(), len(residual)
+    wide, q = session.copy(order="F"), len(residual)
     if q:
         prior = np.zeros((q, len(wide)))
         prior[:, :q], prior[:, -1] = np.diag(1.0 / problem.own_known), residual
-        fold(prior, wide)
+        fold(prior, wide, triangular=True)
     return wide
 
 

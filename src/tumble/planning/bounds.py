@@ -178,7 +178,7 @@ def _bound(seen: View, setup: Setup, clock_u: float = 0.0, by_type: Array | None
     if by_type is not None:
         before[1:][by_type.any(axis=0)] = 0.0
     triangle = np.diag(np.append(np.where(before > 0.0, 1.0 / np.where(before > 0.0, before, 1.0), 0.0), 0.0))
-    fold(told.sessions[0], triangle)
+    fold(told.sessions[0], triangle, triangular=True)
     if by_type is not None and len(by_type):
         fold(np.pad(by_type, ((0, 0), (1, 1))), triangle)
     triangle = triangle[:-1, :-1]

@@ -121,10 +121,11 @@ class Instrument:
 
     def group_columns(self, name: str) -> slice:
         """Where the parameters of a group stand."""
-        if name in self.members:
-            return self.members[name]
-        places = positions_by_group(self.names)[name]
-        return slice(places[0], places[-1] + 1)
+        return self._group_columns[name]
+
+    @cached_property
+    def _group_columns(self) -> dict[str, slice]:
+        return {name: slice(own[0], own[-1] + 1) for name, own in positions_by_group(self.names).items()} | self.members
 
     def change(self, block: Block, values: Array, variable: Variable) -> Array:
         """∂K (n, 15) of a block by a variable, from the parameters that change with it: by time, 1/s."""
