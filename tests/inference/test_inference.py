@@ -14,7 +14,8 @@ from tests.support.wandering_biases import middles
 from tumble.diagnosis.verdict import verdict
 from tumble.inference import elimination, integral
 from tumble.inference import joint as of_joint
-from tumble.inference.hyperparameters import Components, Hyperparameter
+from tumble.inference.elimination import given_others
+from tumble.inference.hyperparameters import Components, Hyperparameters
 from tumble.inference.in_run import InRun, mean_along
 from tumble.inference.integral import posterior, smoothed
 from tumble.inference.joint import joint
@@ -92,7 +93,7 @@ def fitted_of(session: Observations) -> Maximum:
     return maximum(*started(session))
 
 
-def away_from_bounds(entries: tuple[Hyperparameter, ...], seed: int = 5) -> Array:
+def away_from_bounds(entries: Hyperparameters, seed: int = 5) -> Array:
     """φ where nothing is at its most likely, and no size at its bound."""
     rng = np.random.default_rng(seed)
     return np.array([0.5 if h.bounded else h.centre for h in entries]) + 0.3 * rng.uniform(-1.0, 1.0, len(entries))
@@ -242,7 +243,7 @@ def test_states_of_biases_are_those_of_everything_at_once(cut: bool) -> None:
     mean[np.arange(n), 3 * N + 1 + problem.biases] = 1.0
     for s in range(n):
         mean[s, 3 * N + p + s + n * np.arange(N)] = 1.0 / N
-    alone, by, noise = mean_along(step.told)
+    alone, by, noise = mean_along(step.told, given_others(step.told.factor))
     more, apart = alone + by @ step.parameters, np.einsum("ibd,icd->bc", noise, noise)
     to_session = np.eye(n, p, 1)
     to_session[:] = 0.0

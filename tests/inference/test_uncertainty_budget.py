@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.inference.test_inference import by_hand, fitted_of, observed, two_sessions, without_gyros
+from tumble.inference.elimination import given_others
 from tumble.inference.hyperparameters import SCATTER, Weights, components_of, sized
 from tumble.inference.in_run import InRun, mean_along
 from tumble.inference.integral import conditional
@@ -78,7 +79,7 @@ def test_the_sources_are_the_covariance(name: str) -> None:
     expected = step.covariance.copy()
     if step.told.process is not None and len(problem.parts) == 1:
         q, biases = len(problem.own_known), 1 + problem.biases
-        _, along, noise = mean_along(step.told)
+        _, along, noise = mean_along(step.told, given_others(step.told.factor))
         to_session = np.eye(len(expected))
         to_session[biases] += along[:, q:]
         expected = to_session @ expected @ to_session.T
@@ -108,7 +109,7 @@ def test_the_sources_of_an_estimate_are_its_covariance(name: str) -> None:
 
 def at_best(fitted: Maximum) -> tuple[Problem, Rows, Weights]:
     """The problem, rows and weights at the maximum."""
-    components = components_of(fitted.entries, fitted.best.phi, fitted.free.sensors)
+    components = components_of(fitted.entries, fitted.best.phi)
     problem = sized(fitted.free, fitted.entries, fitted.best.phi)
     rows = with_priors(fitted.at.rows, problem, fitted.at.point, fitted.at.about)
     return problem, rows, fitted.at.noise.weights(components)
@@ -141,7 +142,7 @@ class Drawn:
 
     def __init__(self, fitted: Maximum, problem: Problem, rng: np.random.Generator) -> None:
         self.fitted, self.problem, self.rng = fitted, problem, rng
-        self.components = components_of(fitted.entries, fitted.best.phi, fitted.free.sensors)
+        self.components = components_of(fitted.entries, fitted.best.phi)
         point, about = fitted.at.point, fitted.at.about
         rows = with_priors(fitted.at.rows, problem, point, about)
         rest, turn = rows.rest.copy(), rows.turn.copy()
@@ -216,6 +217,6 @@ class Drawn:
     def _of_session(self, step: Step) -> Array:
         out = step.parameters.copy()
         if step.told.process is not None:
-            values, along, _ = mean_along(step.told)
+            values, along, _ = mean_along(step.told, given_others(step.told.factor))
             out[1 + self.problem.biases] += values + along @ step.parameters
         return out

@@ -120,7 +120,7 @@ def _reflected(work: Array, top: int, column: int, least: float) -> bool:
 
 
 def fold(rows: Array, triangle: Array, triangular: bool = False) -> None:
-    """Fold rows (n, p + 1) into an upper triangle (p + 1, p + 1), by LAPACK; rows that are `triangular` cost a third."""
+    """Fold rows (n, p + 1) into an upper triangle (p + 1, p + 1), by LAPACK; `triangular` ones cost a third."""
     if len(rows):
         block = min(WIDE_BLOCK if len(triangle) > WIDE else BLOCK, len(triangle))
         triangle[:] = dtpqrt(len(rows) if triangular else 0, block, triangle, rows, overwrite_a=1)[0]
@@ -239,6 +239,12 @@ def given_others(factor: Array) -> tuple[Array, Array, Array, Array]:
     by, unknowns = np.zeros((N, d, factor.shape[2] - 2 * d - 1)), np.empty((N, d))
     _solve_all(factor, inverse, by_next, by, unknowns)
     return inverse, by_next, by, unknowns
+
+
+def along_chain(by_next: Array, values: Array) -> None:
+    """Add to the values (N, d, k) of every rest, from the last to the first, what `by_next` (N, d, d) makes of those of
+    the next one."""
+    _follow(by_next, np.zeros(values.shape[:2]), values)
 
 
 def put_back(factor: Array, parameters: Array, covariance: Array, unknowns: Array) -> tuple[Array, Array]:

@@ -14,14 +14,16 @@ sound accelerometers take the blame. With λ = exp(max(p, 0))
 half of the prior says that the sheet holds, the other half that it is too small by a factor of the order k: 2 for a
 data sheet, 3 for a grade that is stated, 10 for one that is guessed. A prior is never narrowed.
 
-`Hyperparameter` has all that the maximum (`tumble.inference.maximum`) and the integral (`tumble.inference.integral`)
-need of an element of φ; `table` makes those of a problem, in their order. Adding one is adding an entry there.
+`Hyperparameters` has all that the maximum (`tumble.inference.maximum`) and the integral (`tumble.inference.integral`)
+need of φ; `table` makes those of a problem, in their order. Adding one is adding an entry there.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
@@ -147,6 +149,7 @@ class Weights:
 
 
 Place = Literal["scatter", "in-run", "time", "unlike", "group", "own group"]
+PLACES: tuple[Place, ...] = get_args(Place)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -182,18 +185,66 @@ class Hyperparameter:
         """The quantity, SI."""
         return float(np.exp(max(phi, 0.0) if self.bounded else phi))
 
-    def prior(self, phi: float) -> tuple[float, float, float]:
-        """Logarithm of the density of φ, less a constant, its derivative, and the curvature of its negative."""
-        if self.place == "scatter":
-            x = float(np.exp(phi) / self.usual)
-            if self.name not in OF_TURNS:
-                return float(np.log(x) - x), 1.0 - x, x
-            return float(np.log(x) - 2.0 * np.log1p(x)), (1.0 - x) / (1.0 + x), 2.0 * x / (1.0 + x) ** 2
-        z = (phi - self.centre) / self.within
-        return float(-0.5 * z * z), float(-z / self.within), self.within**-2
+
+class Hyperparameters(tuple[Hyperparameter, ...]):
+    """The elements of φ (D,) of a problem, in their order, and where all of them enter: matrices of 0 and 1, by
+    component of scatter (D, c), by sensor for the sizes of in-run biases, their correlation times and sensors unlike
+    the others (D, n), and by parameter for the sizes of groups in common (D, m) and of each session (D, q)."""
+
+    by_scatter: Array
+    by_in_run: Array
+    by_time: Array
+    by_unlike: Array
+    by_group: Array
+    by_own_group: Array
+
+    @staticmethod
+    def of(problem: Problem, entries: Iterable[Hyperparameter]) -> Hyperparameters:
+        """Entries of a problem."""
+        out = Hyperparameters(entries)
+        widths = len(SCATTER), *(problem.sensors,) * 3, len(problem.instrument.names), len(problem.own_known)
+        for place, width in zip(PLACES, widths, strict=True):
+            by = np.zeros((len(out), width))
+            for i, h in enumerate(out):
+                if h.place == place:
+                    by[i, SCATTER.index(h.name) if h.members is None else h.members] = 1.0
+            setattr(out, f"by_{place.replace('-', '_').replace(' ', '_')}", by)
+        return out
+
+    @cached_property
+    def bounded(self) -> BoolArray:
+        """Which have values below zero that are those at zero (D,)."""
+        return np.array([h.bounded for h in self], dtype=bool)
+
+    @cached_property
+    def centre(self) -> Array:
+        """The most likely φ (D,) by the prior alone."""
+        return np.array([h.centre for h in self])
+
+    @cached_property
+    def _priors(self) -> tuple[BoolArray, BoolArray, Array]:
+        of_turns = np.array([h.name in OF_TURNS for h in self], dtype=bool)
+        return self.by_scatter.any(axis=1), of_turns, np.array([h.within or 1.0 for h in self])
+
+    def prior(self, phi: Array) -> Array:
+        """Of every element the logarithm of the density of φ, less a constant, its derivative, and the curvature of its
+        negative (3, D)."""
+        scatter, of_turns, within = self._priors
+        z = (phi - self.centre) / within
+        x = np.exp(np.where(scatter, z, 0.0))
+        exponential, power = (
+            (z - x, 1.0 - x, x),
+            (z - 2.0 * np.log1p(x), (1.0 - x) / (1.0 + x), 2.0 * x / (1.0 + x) ** 2),
+        )
+        normal = -0.5 * z * z, -z / within, within**-2
+        return np.where(of_turns, power, np.where(scatter, exponential, normal))
+
+    def sizes(self, phi: Array, by: Array) -> Array:
+        """λ = exp(max(p, 0)) at φ of what a matrix of bounded elements says where they enter."""
+        return np.asarray(np.exp(np.maximum(phi, 0.0) @ by))
 
 
-def table(problem: Problem, noise: Noise, seen: BoolArray) -> tuple[Hyperparameter, ...]:
+def table(problem: Problem, noise: Noise, seen: BoolArray) -> Hyperparameters:
     """The hyperparameters of a problem: the components of scatter that are `seen`, the in-run biases, and the groups
     whose size is by a prior."""
     observations, blocks, entries = problem.observations, problem.instrument.blocks, list[Hyperparameter]()
@@ -224,6 +275,7 @@ def table(problem: Problem, noise: Noise, seen: BoolArray) -> tuple[Hyperparamet
                 place="in-run",
                 usual=observations.in_run.get(kind, noise_u),
                 within=IN_RUN_WITHIN,
+                members=slice(first, first + block.size),
             )
         )
         entries.append(
@@ -234,6 +286,7 @@ def table(problem: Problem, noise: Noise, seen: BoolArray) -> tuple[Hyperparamet
                 place="time",
                 usual=CORRELATION_TIME,
                 within=IN_RUN_WITHIN,
+                members=slice(first, first + block.size),
             )
         )
         for c, sensor in enumerate(block.sensors if block.size > 1 else ()):
@@ -253,28 +306,23 @@ def table(problem: Problem, noise: Noise, seen: BoolArray) -> tuple[Hyperparamet
         for name, members in groups.items():
             factor, said = observations.too_small.get(name, STATED), f"size of {name} over the usual one"
             entries.append(Hyperparameter.of_size(name, said, place, factor, members))
-    return tuple(entries)
+    return Hyperparameters.of(problem, entries)
 
 
-def components_of(entries: tuple[Hyperparameter, ...], phi: Array, sensors: int) -> Components:
+def components_of(entries: Hyperparameters, phi: Array) -> Components:
     """The components of variance at φ."""
-    known, unlike = dict[str, Any](), np.ones(sensors)
-    for h, p in zip(entries, phi.tolist(), strict=True):
-        if h.place in ("scatter", "in-run", "time"):
-            known[h.name] = h.value(p)
-        elif h.place == "unlike":
-            unlike[h.members] = h.value(p)
-    return Components(**known, unlike=unlike)
+    values = np.exp(phi).tolist()
+    known: dict[str, Any] = {
+        h.name: values[i] for i, h in enumerate(entries) if h.place in ("scatter", "in-run", "time")
+    }
+    return Components(**known, unlike=entries.sizes(phi, entries.by_unlike))
 
 
-def sized(problem: Problem, entries: tuple[Hyperparameter, ...], phi: Array) -> Problem:
+def sized(problem: Problem, entries: Hyperparameters, phi: Array) -> Problem:
     """The problem with the priors of its groups as large as φ says."""
     expected, known, own = problem.measured[0], problem.usual[1].copy(), problem.own_usual.copy()
     if problem.lag_known and problem.lag is not None:
         known[1 + problem.lag] = problem.measured[1][1 + problem.lag]
-    for h, p in zip(entries, phi.tolist(), strict=True):
-        if h.place == "group":
-            known[1:][h.members] *= h.value(p)
-        elif h.place == "own group":
-            own[h.members] *= h.value(p)
+    known[1:] *= entries.sizes(phi, entries.by_group)
+    own *= entries.sizes(phi, entries.by_own_group)
     return replace(problem, measured=(expected, known), own_known=own)

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tumble.inference.elimination import given_others
+from tumble.inference.elimination import along_chain
 from tumble.inference.hyperparameters import Components
 from tumble.units import Array, BoolArray
 
@@ -101,18 +101,18 @@ class InRun:
         return by_size, by_time, told
 
 
-def mean_along(told: Told) -> tuple[Array, Array, Array]:
+def mean_along(told: Told, given: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array]:
     """The mean over the rests of a session of its in-run biases (n,), along the chain of its states u_i = A_i u_{i+1} +
-    B_i x + a_i + R_i⁻¹ e_i from the first: its value where x is zero, what it changes with x, what the session has of
-    its own, gravity and the common parameters (n, q + 1 + m), and with the noise e of every rest (N, n, d)."""
-    process = told.process
+    B_i x + a_i + R_i⁻¹ e_i from the first, `given` others (`tumble.inference.elimination.given_others`): its value
+    where x is zero, what it changes with x, what the session has of its own, gravity and the common parameters
+    (n, q + 1 + m), and with the noise e of every rest (N, n, d)."""
+    (inverse, by_next, by, alone), process = given, told.process
     assert process is not None
-    inverse, by_next, by, alone = given_others(told.factor)
-    N, d, p = by.shape
-    n = len(process.sigma)
-    carried = np.zeros((N, n, d))
-    carried[:, :, d - n :] = np.diag(process.sigma) / N
-    for i in range(1, N):
-        carried[i] += carried[i - 1] @ by_next[i - 1]
-    flat = np.swapaxes(carried, 0, 1).reshape(n, N * d)
-    return flat @ alone.ravel(), flat @ by.reshape(N * d, p), carried @ inverse
+    (N, d, p), n = by.shape, len(process.sigma)
+    carried, back = np.zeros((N, d, n)), np.zeros((N, d, d))  # transposed, from the last rest to the first
+    carried[:, d - n :] = np.diag(process.sigma) / N
+    back[:-1] = np.swapaxes(by_next[-2::-1], 1, 2)
+    along_chain(back, carried)
+    carried = carried[::-1]
+    flat = carried.reshape(N * d, n).T
+    return flat @ alone.ravel(), flat @ by.reshape(N * d, p), np.swapaxes(carried, 1, 2) @ inverse

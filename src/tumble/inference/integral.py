@@ -30,9 +30,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
+from tumble.inference.elimination import given_others
 from tumble.inference.in_run import mean_along
 from tumble.inference.maximum import Evaluated, Maximum
-from tumble.inference.uncertainty_budget import Roots, contributions, noise_roots
+from tumble.inference.uncertainty_budget import Roots, Sources, add_contributions, noise_roots
 from tumble.units import Array
 
 POINTS = 64
@@ -102,10 +103,10 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
     process, own = (np.array([getattr(each, f"process_{name}") for each in every]) for name in ("step", "covariance"))
     deviations = np.sqrt(np.diagonal(within, axis1=1, axis2=2))
     mean, process_mean = weight @ steps, weight @ process
-    sources, roots = dict[str, Array](), noise_roots(fitted.free, fitted.at)
+    together, roots = Sources(), noise_roots(fitted.free, fitted.at)
     for each, w in zip(every, weight.tolist(), strict=True):
-        for name, by_source in each.covariances(roots).items():
-            sources[name] = sources.get(name, 0.0) + w * by_source
+        add_contributions(together, w, fitted.at, each.here, each.given, each.mean, roots)
+    sources = together.covariances()
     sources["hyperparameters"] = ((steps - mean).T * weight) @ (steps - mean)
     covariance = np.sum(list(sources.values()), axis=0)
     factor = _coverage_factors(steps - mean, deviations, weight, np.sqrt(np.diag(covariance)))
@@ -138,7 +139,7 @@ class _Axis:
 
 def _axes(fitted: Maximum) -> tuple[list[_Axis], Array]:
     """ℓ along every element of φ that matters, and the correlations (k, k) of these by its curvature."""
-    best, bounded = fitted.best, np.array([h.bounded for h in fitted.entries])
+    best, bounded = fitted.best, fitted.entries.bounded
     linear = slice(1, 1 + fitted.free.instrument.linear_count)
     q, mean, u = (
         len(fitted.free.own_known),
@@ -149,7 +150,7 @@ def _axes(fitted: Maximum) -> tuple[list[_Axis], Array]:
     for i, h in enumerate(fitted.entries):
         at_bound = bool(bounded[i] and best.phi[i] <= 0.0)
         bend = best.information[i, i] if at_bound else fitted.curvature[i, i]
-        size = 1.0 / np.sqrt(max(bend, h.prior(float(best.phi[i]))[2]))
+        size = 1.0 / np.sqrt(max(bend, best.prior[2, i]))
         told = best.told if h.place in ("group", "own group") else None  # what the rows tell does not know of sizes
         there, matters = {0.0: best}, False
         for away in (away for away in KNOTS if away > 0.0 or not at_bound):
@@ -202,11 +203,12 @@ def _axis(element: int, centre: float, knots: list[tuple[float, float, float]], 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Conditional:
-    """ℓ at φ, and there the step of gravity and the parameters (1 + m,) and its covariance, both with the biases of the
-    session, which are by the `mean` of the processes along it where there are some, and the step and the covariance of
-    the biases of the processes."""
+    """ℓ at φ, and there the rows of the rests solved for their unknowns, which are `given` others, the step of gravity
+    and the parameters (1 + m,) and its covariance, both with the biases of the session, which are by the `mean` of the
+    processes along it where there are some, and the step and the covariance of the biases of the processes."""
 
     here: Evaluated
+    given: tuple[Array, Array, Array, Array]
     mean: tuple[Array, Array, Array] | None
     step: Array
     covariance: Array
@@ -220,7 +222,9 @@ class Conditional:
 
     def covariances(self, roots: tuple[Roots, Roots]) -> dict[str, Array]:
         """The covariance of the step by source, with the roots of the noise of the rows."""
-        return contributions(self.here.problem, self.here.at, self.here.told, self.here.known, self.mean, roots)
+        out = Sources()
+        add_contributions(out, 1.0, self.here.at, self.here, self.given, self.mean, roots)
+        return out.covariances()
 
 
 def conditional(fitted: Maximum, phi: Array) -> Conditional:
@@ -228,9 +232,9 @@ def conditional(fitted: Maximum, phi: Array) -> Conditional:
     here = Evaluated.of(fitted.free, fitted.entries, fitted.at, phi)
     known, biases, mean = here.known, 1 + fitted.free.biases, None
     step, root = known.parameters.copy(), known.roots[0][len(here.problem.own_known) :].copy()
-    process = root[biases]
+    process, given = root[biases], given_others(here.told.factor)
     if here.told.process is not None and len(here.problem.parts) == 1:
-        mean = mean_along(here.told)
+        mean = mean_along(here.told, given)
         step[biases] += mean[0] + mean[1] @ np.concatenate([known.own[0], known.parameters])
         root[biases] += mean[1] @ known.roots[0]
     covariance = root @ root.T
@@ -239,6 +243,7 @@ def conditional(fitted: Maximum, phi: Array) -> Conditional:
         covariance[np.ix_(biases, biases)] += along @ along.T
     return Conditional(
         here=here,
+        given=given,
         mean=mean,
         step=step,
         covariance=covariance,

@@ -69,7 +69,7 @@ def maximum_with_lag(problem: Problem, at: At, iterations: int) -> tuple[Maximum
     tried = {0.0}
     for _ in range(LAG_ROUNDS):
         # by the φ that the lag before has led to, which may hide another one, and by the usual
-        usual = components_of(fitted.entries, np.array([h.centre for h in fitted.entries]), free.sensors)
+        usual = components_of(fitted.entries, fitted.entries.centre)
         grids = solutions(fitted.problem, fitted.components), solutions(free, usual)
         every = [resolved(at_lags, np.array(LAGS))[:2] for at_lags in grids]
         likely = {float(lags[np.argmax(weight / np.gradient(lags))]) for lags, weight in every} - tried

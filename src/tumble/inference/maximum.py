@@ -42,7 +42,7 @@ from tumble.inference.hyperparameters import (
     REST_MODES,
     SCATTER,
     Components,
-    Hyperparameter,
+    Hyperparameters,
     Noise,
     components_of,
     sized,
@@ -122,28 +122,30 @@ class At:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Evaluated:
-    """ℓ at φ and one linearisation: its `value`, the problem with priors of that size, what the rows tell and what is
-    known by them and the priors; when they are asked for, the step, what it leaves, and the score."""
+    """ℓ at φ and one linearisation: the `prior` of φ with its derivatives, the `value` of ℓ, the problem with priors of
+    that size, what the rows tell and what is known by them and the priors; when they are asked for, the step, what it
+    leaves, and the score."""
 
-    entries: tuple[Hyperparameter, ...]
+    entries: Hyperparameters
     at: At
     phi: Array
+    prior: Array
     value: float
     problem: Problem
     told: Told
     known: Known
 
     @staticmethod
-    def of(
-        problem: Problem, entries: tuple[Hyperparameter, ...], at: At, phi: Array, told: Told | None = None
-    ) -> Evaluated:
+    def of(problem: Problem, entries: Hyperparameters, at: At, phi: Array, told: Told | None = None) -> Evaluated:
         """ℓ at φ; what the rows tell may be known where no component of variance is another one."""
         sizes = sized(problem, entries, phi)
         rows = with_priors(at.rows, sizes, at.point, at.about)
-        told = told or tell(sizes, rows, at.noise.weights(components_of(entries, phi, problem.sensors)))
-        known = joined(sizes, rows, told)
-        value = -0.5 * known.deviance + sum(h.prior(p)[0] for h, p in zip(entries, phi.tolist(), strict=True))
-        return Evaluated(entries=entries, at=at, phi=phi, value=float(value), problem=sizes, told=told, known=known)
+        told = told or tell(sizes, rows, at.noise.weights(components_of(entries, phi)))
+        known, prior = joined(sizes, rows, told), entries.prior(phi)
+        value = float(prior[0].sum() - 0.5 * known.deviance)
+        return Evaluated(
+            entries=entries, at=at, phi=phi, prior=prior, value=value, problem=sizes, told=told, known=known
+        )
 
     @cached_property
     def step(self) -> Step:
@@ -166,59 +168,41 @@ class Evaluated:
         return self.score[1]
 
     @cached_property
-    def of_groups(self) -> dict[str, tuple[Array, Array]]:
-        """∂ℓ/∂ ln λ, and how much is learned, of every parameter of a group in common and of each session's (26)."""
-        problem, point, known = self.problem, self.at.point, self.known
+    def of_groups(self) -> tuple[Array, Array]:
+        """∂ℓ/∂ ln λ of sizes of groups (D,), in common and of each session (26), and how much is learned of them."""
+        problem, point, known, entries = self.problem, self.at.point, self.known, self.entries
         expected, s = (each[1:] for each in problem.measured)
-        q, variance, out = len(problem.own_known), (known.roots**2).sum(axis=2), dict[str, tuple[Array, Array]]()
-        for place, c, v, size in (
-            ("group", (point.values + known.parameters[1:] - expected)[None], variance[:1, q + 1 :], s),
-            ("own group", point.own + known.own, variance[:, :q], problem.own_known),
+        q, variance, by, learned = len(problem.own_known), (known.roots**2).sum(axis=2), 0.0, 0.0
+        for enters, c, v, size in (
+            (entries.by_group, (point.values + known.parameters[1:] - expected)[None], variance[:1, q + 1 :], s),
+            (entries.by_own_group, point.own + known.own, variance[:, :q], problem.own_known),
         ):
-            learned = 2.0 * np.clip(1.0 - v / size**2, 0.0, 1.0)
-            out[place] = ((c**2 + v) / size**2 - 1.0).sum(axis=0), learned.sum(axis=0)
-        return out
+            size = np.where(size > 0.0, size, np.inf)
+            by = by + enters @ ((c**2 + v) / size**2 - 1.0).sum(axis=0)
+            learned = learned + 2.0 * enters @ np.clip(1.0 - v / size**2, 0.0, 1.0).sum(axis=0)
+        return np.asarray(by), np.asarray(learned)
 
     def slope(self, i: int) -> tuple[float, float]:
         """The gradient and the information by one element of φ alone; of a group's size nothing is put back for it."""
-        h, phi = self.entries[i], float(self.phi[i])
-        if h.place not in self.of_groups:
-            return float(self.gradient[i]), float(self.information[i, i])
-        by, learned = (float(each[h.members].sum()) for each in self.of_groups[h.place])
-        _, slope, curvature = h.prior(phi)
-        return by + slope, learned + curvature
+        if self.entries[i].place in ("group", "own group"):
+            by, learned = self.of_groups
+            return float(by[i] + self.prior[1, i]), float(learned[i] + self.prior[2, i])
+        return float(self.gradient[i]), float(self.information[i, i])
 
     @cached_property
     def score(self) -> tuple[Array, Array]:
         """Gradient and information: (24) of scatter, (25) of in-run biases, (26) of groups, and those of the priors."""
-        step, problem, D = self.step, self.problem, len(self.entries)
+        step, problem, entries, (gradient, learned) = self.step, self.problem, self.entries, self.of_groups
         by_variance, of_variance, by_sensor = scatter_score(self.at.noise, step, self.left)
         twice, process = 2.0 * self.told.weights.components.variances, self.told.process
-        by_size, by_time, learned = np.zeros((3, problem.sensors)) if process is None else process.scores(step)
-        gradient, information, scatter = np.zeros(D), np.zeros((D, D)), list[int]()
-        accelerometers = problem.instrument.accel.size
-        for i, (h, phi) in enumerate(zip(self.entries, self.phi.tolist(), strict=True)):
-            kind = slice(accelerometers) if h.name.startswith("accel") else slice(accelerometers, None)
-            if h.place == "scatter":
-                scatter.append(i)
-                gradient[i] = (twice * by_variance)[SCATTER.index(h.name)]
-            elif h.place == "in-run":
-                gradient[i], information[i, i] = by_size[kind].sum(), 2.0 * learned[kind].sum()
-            elif h.place == "time":
-                gradient[i], information[i, i] = by_time[kind].sum(), 0.5 * learned[kind].sum()
-            elif h.place == "unlike":
-                own = twice[SCATTER.index(h.name.partition(".")[0])] * by_sensor[h.members]
-                gradient[i] = by_size[h.members].sum() + own.sum()
-                information[i, i] = 2.0 * learned[h.members].sum() + len(problem.link) * SENSED
-            else:
-                gradient[i], information[i, i] = self.slope(i)
-                continue
-            _, slope, curvature = h.prior(phi)
-            gradient[i] += slope
-            information[i, i] += curvature
-        index = [SCATTER.index(self.entries[i].name) for i in scatter]
-        information[np.ix_(scatter, scatter)] += (np.outer(twice, twice) * of_variance)[np.ix_(index, index)]
-        return gradient, information
+        by_size, by_time, states = np.zeros((3, problem.sensors)) if process is None else process.scores(step)
+        kinds = np.repeat([0, 1], [problem.instrument.accel.size, problem.sensors - problem.instrument.accel.size])
+        gradient = gradient + self.prior[1] + entries.by_scatter @ (twice * by_variance) + entries.by_time @ by_time
+        gradient += entries.by_in_run @ by_size + entries.by_unlike @ (by_size + twice[kinds] * by_sensor)
+        learned = learned + self.prior[2] + entries.by_in_run @ (2.0 * states) + entries.by_time @ (0.5 * states)
+        learned += entries.by_unlike @ (2.0 * states + len(problem.link) * SENSED)
+        scatter = entries.by_scatter * twice
+        return gradient, np.diag(learned) + scatter @ of_variance @ scatter.T
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -234,7 +218,7 @@ class Maximum:
     status: Status
 
     @property
-    def entries(self) -> tuple[Hyperparameter, ...]:
+    def entries(self) -> Hyperparameters:
         """The hyperparameters."""
         return self.best.entries
 
@@ -266,8 +250,7 @@ def maximum(
     Student-t rows (`tumble.inference.fits`)."""
     plain = at.solved(problem, Components())
     entries = table(problem, at.noise, _seen(at.noise, left(problem, plain), plain))
-    bounded = np.array([h.bounded for h in entries], dtype=bool)
-    phi = np.array([h.centre for h in entries]) if phi is None or len(phi) != len(entries) else phi
+    phi, bounded = entries.centre if phi is None or len(phi) != len(entries) else phi, entries.bounded
     near, gain = False, np.inf
     increments, radius, B, enough = list[Array](), FURTHEST, np.zeros((0, 0)), GAIN * max(1, len(entries))
     while True:

@@ -30,19 +30,22 @@ Source: JCGM 100:2008 (GUM), 5.1; EA-4/02 M:2022, section 4.
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import dataclass, field
 
-from tumble.inference.elimination import given_others
+import numpy as np
+from scipy.linalg.blas import dsyrk
+
+from tumble.inference.elimination import along_chain
 from tumble.inference.hyperparameters import SCATTER
 from tumble.inference.likelihood import Problem, unseen_rate
 from tumble.inference.linearisation import root_of_inverse
-from tumble.inference.maximum import At
-from tumble.inference.step import Known, Told
+from tumble.inference.maximum import At, Evaluated
 from tumble.rotation import skew
 from tumble.units import Array, IntArray
 
-Roots = tuple[list[str], Array]
-"""Names (Q,) of sources, and roots F (N, r, Q) of their covariances of rows, S = F Fᵀ over the columns of a name."""
+Roots = tuple[dict[str, slice], Array]
+"""Names of sources, and where each stands among the roots F (N, r, Q) of their covariances of rows, S = F Fᵀ over the
+columns of a name."""
 
 
 def noise_roots(problem: Problem, at: At) -> tuple[Roots, Roots]:
@@ -72,91 +75,108 @@ def noise_roots(problem: Problem, at: At) -> tuple[Roots, Roots]:
     in_turns["turn.gyro.noise"] = noise.turn - sum(in_turns.values())
 
     def roots(sources: dict[str, Array], directions: tuple[Array, IntArray]) -> Roots:
-        names, columns = list[str](), list[Array]()
+        columns = dict[str, Array]()
         for name, S in sources.items():
             size = np.sqrt(np.maximum(np.diagonal(S, axis1=1, axis2=2), 0.0))
             unit = np.where(size > 0.0, size, 1.0)
             value, vectors = np.linalg.eigh(S / unit[:, :, None] / unit[:, None, :])
             F = size[:, :, None] * vectors * np.sqrt(np.maximum(value, 0.0))[:, None]
-            columns.append(F[:, :, F.any(axis=(0, 1))])
-            names += [name] * columns[-1].shape[2]
-        names += [f"{SCATTER[place]}.scatter" for place in directions[1].tolist()]
-        return names, np.concatenate([*columns, directions[0]], axis=2)
+            columns[name] = F[:, :, F.any(axis=(0, 1))]
+        Z, of = directions
+        columns |= {f"{SCATTER[place]}.scatter": Z[:, :, of == place] for place in np.unique(of).tolist()}
+        last = np.cumsum([each.shape[2] for each in columns.values()]).tolist()
+        where = {name: slice(end - F.shape[2], end) for (name, F), end in zip(columns.items(), last, strict=True)}
+        return where, np.concatenate(list(columns.values()), axis=2)
 
     return roots(rests, noise.rest_directions), roots(in_turns, noise.turn_directions)
 
 
-def contributions(
-    problem: Problem,
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Sources:
+    """The covariance of gravity and the parameters (1 + m, 1 + m) by source, as triangles to which rows are added."""
+
+    triangles: dict[str, Array] = field(default_factory=dict)
+
+    def add(self, name: str, K: Array) -> None:
+        """Σ Kᵀ K over rows (..., y)."""
+        flat = K.reshape(-1, K.shape[-1])
+        if len(flat):
+            before = self.triangles.get(name)
+            before = np.zeros((K.shape[-1],) * 2, order="F") if before is None else before
+            self.triangles[name] = dsyrk(1.0, flat.T, 1.0, before, overwrite_c=1)
+
+    def covariances(self) -> dict[str, Array]:
+        """Of those that there are."""
+        return {name: np.triu(each) + np.triu(each, 1).T for name, each in self.triangles.items() if each.any()}
+
+
+def add_contributions(
+    out: Sources,
+    weight: float,
     at: At,
-    told: Told,
-    known: Known,
+    here: Evaluated,
+    given: tuple[Array, Array, Array, Array],
     mean: tuple[Array, Array, Array] | None,
     roots: tuple[Roots, Roots],
-) -> dict[str, Array]:
-    """The covariance of gravity and the parameters (1 + m, 1 + m) by source, at the hyperparameters that the rows are
-    weighed with; the biases are those of the session where their `mean` is given (`mean_along`)."""
+) -> None:
+    """Add the covariance by source at the hyperparameters of `here`, with a weight; the rows of the rests solved for
+    their unknowns are `given` others, the biases those of the session where their `mean` is given (`mean_along`)."""
+    problem, told, known = here.problem, here.told, here.known
     d, q, size = told.factor.shape[1], len(problem.own_known), len(known.parameters)
-    components, (rest, turn), kept = told.weights.components, told.whitened, at.noise.kept
-    (rest_names, of_rest), (turn_names, of_turn) = roots
+    components, whitened, kept, process = told.weights.components, told.whitened, at.noise.kept, told.process
     sigma = {f"{name}.scatter": getattr(components, name) for name in SCATTER}
-    of_rest = of_rest * np.array([sigma.get(name, 1.0) for name in rest_names])
-    of_rest[:, :, len(rest_names) - problem.sensors :] *= components.unlike if len(components.unlike) else 1.0
-    of_turn = of_turn * np.array([sigma.get(name, 1.0) for name in turn_names])
-    of_rest = (told.weights.rest / kept[0][:, None]) @ of_rest
-    of_turn = (told.weights.turn / kept[1][:, None]) @ of_turn
-    _, by_next, by, _ = given = given_others(told.factor)
-    out = dict[str, Array]()
-
-    def add(name: str, K: Array) -> None:
-        """Add Σ Kᵀ K over rows (..., y)."""
-        flat = K.reshape(-1, size)
-        if len(flat):
-            out[name] = out.get(name, 0.0) + flat.T @ flat
+    rooted = list[Array]()
+    for (where, F), W, weights in zip(roots, (told.weights.rest, told.weights.turn), kept, strict=True):
+        longer = np.ones(F.shape[2])
+        for name in where.keys() & sigma.keys():
+            longer[where[name]] = sigma[name]
+        if F is roots[0][1] and len(components.unlike):
+            longer[-problem.sensors :] *= components.unlike
+        rooted.append((W / weights[:, None]) @ (F * longer))
+    inverse, by_next, by, _ = given
 
     for s, part in enumerate(problem.parts):
         # Z (39), along the chain from its last rest to the first
-        Y, Z = np.eye(q + size)[q:], np.zeros((part.rests.stop - part.rests.start + 1, d, size))
+        Y, Z = np.sqrt(weight) * np.eye(q + size)[q:], np.zeros((part.rests.stop - part.rests.start + 1, d, size))
         if mean is not None:
             biases = 1 + problem.biases
-            Y[biases] += mean[1]
-            Z[:-1, :, biases] = given[0] @ np.swapaxes(mean[2], 1, 2)
+            Y[biases] += np.sqrt(weight) * mean[1]
+            Z[:-1, :, biases] = inverse @ np.swapaxes(np.sqrt(weight) * mean[2], 1, 2)
         Z_x = known.roots[s] @ (known.roots[s].T @ Y.T)
         Z[:-1] += by[part.rests] @ Z_x
-        for i in range(len(Z) - 2, -1, -1):
-            Z[i] += by_next[part.rests.start + i] @ Z[i + 1]
+        along_chain(by_next[part.rests], Z[:-1])
 
         # covariances by source (38)
-        first, rows = part.first, turn[part.turns]
-        K = rest[part.rests, :, :d] @ Z[:-1] + rest[part.rests, :, d:-1] @ Z_x
-        K_turn = rows[:, :, :d] @ Z[first] + rows[:, :, d : 2 * d] @ Z[first + 1] + rows[:, :, 2 * d : -1] @ Z_x
-        for names, F, moved in (
-            (rest_names, of_rest[part.rests], K),
-            (turn_names, of_turn[part.turns], K_turn),
+        rest, turn, first = whitened[0][part.rests], whitened[1][part.turns], part.first
+        ends = np.concatenate([Z[first], Z[first + 1]], axis=1)
+        for (where, _), F, own, rows, Z_i in (
+            (roots[0], rooted[0], part.rests, rest, Z[:-1]),
+            (roots[1], rooted[1], part.turns, turn, ends),
         ):
-            H = np.swapaxes(F, 1, 2) @ moved
-            for name in dict.fromkeys(names):
+            e, flat = Z_i.shape[1], rows.reshape(-1, rows.shape[2])
+            K = rows[:, :, :e] @ Z_i + (flat[:, e:-1] @ Z_x).reshape(*rows.shape[:2], size)
+            H = np.swapaxes(F[own], 1, 2) @ K
+            for name, columns in where.items():
                 if sigma.get(name, 1.0) > 0.0:
-                    add(name, H[:, [other == name for other in names]])
-        if (process := told.process) is not None:
+                    out.add(name, H[:, columns])
+        if process is not None:
             states, follows = Z[:, d - len(process.sigma) :], process.follows[part.rests]
             steps = states[1:] - process.rho[part.rests][:, :, None] * states[:-1]
             K = np.concatenate([states[:1], (steps / process.deviation[part.rests][:, :, None])[follows]])
             accelerometers = problem.instrument.accel.size
-            add("accel.in_run", K[:, :accelerometers])
-            add("gyro.in_run", K[:, accelerometers:])
-        for name, own in problem.own_members.items():
-            add(f"prior.{name}", Z_x[own] / problem.own_known[own, None])
+            out.add("accel.in_run", K[:, :accelerometers])
+            out.add("gyro.in_run", K[:, accelerometers:])
+        for name, members in problem.own_members.items():
+            out.add(f"prior.{name}", Z_x[members] / problem.own_known[members, None])
 
     common, u, instrument = Z_x[q:], problem.measured[1], problem.instrument
     if problem.prior.covariance is not None:
-        add("prior", root_of_inverse(problem.prior.covariance) @ common)
+        out.add("prior", root_of_inverse(problem.prior.covariance) @ common)
     else:
         K = common / np.where(u > 0.0, u, np.inf)[:, None]
-        add("gravity", K[:1])
-        add("prior.linear", K[1 : 1 + instrument.linear_count])
+        out.add("gravity", K[:1])
+        out.add("prior.linear", K[1 : 1 + instrument.linear_count])
         for group in instrument.further:
-            add(f"prior.{group.name}", K[1:][instrument.members[group.name]])
+            out.add(f"prior.{group.name}", K[1:][instrument.members[group.name]])
     for array in () if at.about is None else at.about.arrays:
-        add("arrays", array.rows(instrument, at.point.values)[:, :-1] @ common[1:])
-    return {name: covariance for name, covariance in out.items() if covariance.any()}
+        out.add("arrays", array.rows(instrument, at.point.values)[:, :-1] @ common[1:])

@@ -35,7 +35,7 @@ import numpy as np
 from tumble.brief import Brief
 from tumble.earth import earth_rate
 from tumble.errors import InputError
-from tumble.inference.elimination import fold
+from tumble.inference.elimination import fold, given_others
 from tumble.inference.estimate import GroupFinding
 from tumble.inference.hyperparameters import Components
 from tumble.inference.in_run import InRun, mean_along
@@ -224,7 +224,7 @@ def over_session(problem: Problem, told: Told, root: Array) -> Array:
     (1 + m, ·) of gravity and the parameters, biases being the means of their processes."""
     if told.process is None:
         return root[1:]
-    _, by, noise = mean_along(told)
+    _, by, noise = mean_along(told, given_others(told.factor))
     biases, more = 1 + problem.biases, np.zeros((len(root), len(by)))
     moved = root.copy()
     moved[biases] += by @ root
