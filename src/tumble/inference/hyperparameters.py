@@ -224,7 +224,7 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
     @cached_property
     def _priors(self) -> tuple[BoolArray, BoolArray, Array]:
         of_turns = np.array([h.name in OF_TURNS for h in self], dtype=bool)
-        return self.by_scatter.any(axis=1), of_turns, np.array([h.within or 1.0 for h in self])
+        return np.asarray(self.by_scatter.any(axis=1)), of_turns, np.array([h.within or 1.0 for h in self])
 
     def prior(self, phi: Array) -> Array:
         """Of every element the logarithm of the density of φ, less a constant, its derivative, and the curvature of its
