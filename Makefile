@@ -39,6 +39,7 @@ bench: .venv/test kernels
 
 evidence: .venv/test kernels
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m evidence.run
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m evidence.real.run
 
 drift: .venv/test kernels
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m evidence.run --short --against evidence/results/short.json

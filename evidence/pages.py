@@ -371,8 +371,9 @@ def render(results: Mapping[str, Results]) -> dict[str, str]:
 
 
 def all_results() -> dict[str, Results]:
-    """What is in evidence/results."""
-    return {path.stem: Results.read(path) for path in sorted(RESULTS.glob("*.json"))}
+    """What is in evidence/results of simulated cases; real ones have a page and a test of their own."""
+    paths = (RESULTS / f"{name}.json" for name in ("simulated", "short"))
+    return {path.stem: Results.read(path) for path in paths if path.exists()}
 
 
 def with_figures(text: str, results: Mapping[str, Results]) -> str:

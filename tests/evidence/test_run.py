@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from evidence.case import NAMES, Case, Estimate, Program, Refusal, matrix_of
 from evidence.drift import compared, told
 from evidence.score import Row, as_expected, row_of, score_of
 from evidence.simulated.kinds import KINDS, named, simulated
+from tumble.campaigns.cluster import executor_for
+from tumble.campaigns.engine import Done
 
 EXPECTED = {kind.name: (kind.expected, kind.says) for kind in KINDS}
 KIND_NAMES = ("hand-8", "cube-alone", "in-g")
@@ -117,11 +120,13 @@ def test_two_runs_are_the_same_to_the_bit(monkeypatch: pytest.MonkeyPatch, tmp_p
     assert len(one.rows) == len(KIND_NAMES) * len(programs.PROGRAMS)
 
 
-def test_processes_make_what_one_process_makes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_processes_of_a_cluster_make_what_one_process_makes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     one = computed(("hand-8", "in-g"), programs=("tumble joint",))
     monkeypatch.setattr(run, "CACHE", tmp_path / "another")
     entries = [e for e in run.entries_of("short", 1) if e.kind in ("hand-8", "in-g")]
-    rows, _ = run.run(entries, ["tumble joint"], workers=2)
+    with executor_for(workers=2) as processes:
+        (client,) = cast("partial[Iterator[Done]]", processes).args
+        rows, _ = run.run(entries, ["tumble joint"], scheduler=client.scheduler.address)
     assert tuple(rows) == one.rows
 
 
