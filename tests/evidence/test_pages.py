@@ -13,6 +13,7 @@ from evidence.pages import FIGURE, ROOT, all_results, digest, figure, render, wi
 from evidence.run import Results
 from evidence.score import Row
 from evidence.simulated.kinds import KINDS
+from tests.docs.test_docs import RUN
 
 PROGRAMS = ("tumble joint", "tumble staged", "imu_tk")
 
@@ -62,6 +63,32 @@ def test_figures_in_pages_are_those_of_the_results(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     if FIGURE.search(text):
         assert with_figures(text, all_results()) == text, "run python -m evidence.pages"
+
+
+MADE = ("simulated.md", "real.md")
+"""Pages that are made of results, and compared with them by a test of their own."""
+BY_HAND = {
+    "dependencies.md": "licences and sizes, no measurements",
+    "ellipsoid.md": "no study writes its tables, as it says",
+    "mimu4444.md": "recordings that are not everywhere",
+    "paper.md": "figures of the paper, and tests that are named beside ours",
+    "public-recordings.md": "recordings that are not here",
+}
+"""Pages with tables that no program in the repository writes, and why; none is added."""
+
+
+def test_tables_of_evidence_are_of_a_program_that_is_here_with_its_date() -> None:
+    """Or the page is run by the tests of the documentation."""
+    for path in sorted((ROOT / "docs/evidence").glob("*.md")):
+        text = path.read_text(encoding="utf-8")
+        head = text.partition("\n## ")[0]
+        if path.name in MADE or f"docs/evidence/{path.name}" in RUN or not re.search(r"^\|.*\d.*\|$", text, re.M):
+            continue
+        programs = re.findall(r"`((?:python )?(?:studies|benchmarks|evidence|tests)/[\w/.]+)", head)
+        assert bool(programs) != (path.name in BY_HAND), path.name
+        for program in programs:
+            assert (ROOT / program.removeprefix("python ")).exists(), f"{path.name}: {program}"
+        assert not programs or re.search(r"State: (\d+ )?\w+ 20\d\d", head), f"{path.name} has no date"
 
 
 def test_published_results_are_of_300_sessions_of_30_kinds_with_sealed_seeds() -> None:
