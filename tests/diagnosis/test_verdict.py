@@ -6,6 +6,7 @@ Sessions come from the study of departures, which simulates them sample by sampl
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -31,6 +32,8 @@ from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
 from tumble.run.calibrate import Terms, calibrate
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.scenario import scenario_of
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, Array
 
@@ -255,6 +258,31 @@ def _projected(estimate: Estimate, rest: Array, turn: Array) -> Projection:
     assert estimate.linearised is not None
     (found,) = projections(estimate.linearised, Components(), rest, turn)
     return found
+
+
+def test_what_is_known_poorly_is_said_and_refused_where_it_is_known_less_than_ten_times_better() -> None:
+    """Noise of thirty times the usual: u is then some thousandths of scale factors and angles, and holds."""
+    setup, off, said = Setup.of(grade="mems", positions=12, noise_factor=30.0), [], set()
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        scenario = scenario_of(setup, rng)
+        observations = simulate_observations(scenario, rng)
+        estimate = joint(observations)
+        outcome = verdict(estimate, observations)
+        worst = [
+            float(known)
+            for known in re.findall(r"known to ([0-9.]+) %", " ".join((*outcome.reasons, *outcome.remarks)))
+        ]
+        if max(worst) != 10.0:  # as it is printed
+            assert outcome.verdict == ("not accepted" if max(worst) > 10.0 else "accepted with scatter")
+        said.add(outcome.verdict)
+        off.append(
+            (estimate.values - [scenario.truth[name] for name in estimate.names])
+            / np.sqrt(np.diag(estimate.covariance))
+        )
+    assert len(said) == 2
+    assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.3  # of 168; false alarms below 1e-6 were all independent
+    assert np.abs(off).max() < 5.5
 
 
 def test_a_projection_is_that_of_all_unknowns_at_once() -> None:

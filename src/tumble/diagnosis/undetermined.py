@@ -8,8 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tumble.diagnosis.misfit import Said
 from tumble.diagnosis.observability import faces_and_edges, most_telling, standing
-from tumble.inference.estimate import SEEN, Estimate
+from tumble.inference.estimate import DETERMINED, SEEN, Estimate
 from tumble.inference.sources import common_covariances
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
@@ -19,8 +20,8 @@ from tumble.sensors.parameters import LINEAR, group_name, group_of, limits_of, s
 from tumble.units import DEGREE, Array
 
 POORLY_KNOWN = 0.05
-"""Of the spreads: a combination of parameters of a triad that is known no better is poorly observable, and one of
-more sensors where all err alike by as much."""
+"""Of the spreads: that a combination of parameters of a triad is known no better is said, and of one of more sensors
+where all err alike by as much; where it is known less than DETERMINED times better than its spread it is refused."""
 
 _ONE_ATTITUDE = math.cos(10.0 * DEGREE)
 """Cosine between verticals in the body: closer ones are those of one attitude."""
@@ -38,15 +39,16 @@ def linear_names(names: Sequence[str]) -> tuple[str, ...]:
 
 def undetermined(
     estimate: Estimate, observations: Observations, missing: tuple[str, ...]
-) -> list[tuple[tuple[str, ...], str]]:
+) -> tuple[list[Said], list[Said]]:
     """What the data do not determine, the parameters that are `missing`, and what they determine poorly of kinds of
-    sensors of which none is, and what would; with the groups of parameters it concerns."""
-    said = list[tuple[tuple[str, ...], str]]()
+    sensors of which none is, and what would: reasons, and remarks on what is known by less than others are and yet as
+    well as u says."""
+    reasons, remarks = list[Said](), list[Said]()
     if missing:
         helpful = _most_helpful(estimate, observations, estimate.null)
         unseen = f"not observable in this session: {listed(missing)}"
-        said.append((groups_of(missing), _and(one_attitude(observations), unseen, helpful)))
-    combinations, known = _weak(estimate, observations, {sensor_kind(name) for name in missing})
+        reasons.append((groups_of(missing), _and(one_attitude(observations), unseen, helpful)))
+    combinations, known, refused = _weak(estimate, observations, {sensor_kind(name) for name in missing})
     if len(known):
         largest, weak = [_largest_of(combination) for combination in combinations], list[str]()
         for combination, parts, u in zip(combinations, largest, known, strict=True):
@@ -55,8 +57,9 @@ def undetermined(
             weak.append(f"{terms.removeprefix('+ ')} (known to {100.0 * u:.2g} % of its usual size)")
         remedy = _most_helpful(estimate, observations, combinations)
         concerned = groups_of([estimate.names[i] for parts in largest for i in parts])
-        said.append((concerned, _and(f"poorly observable in this session: {'; '.join(weak)}", remedy)))
-    return said
+        poorly = concerned, _and(f"poorly observable in this session: {'; '.join(weak)}", remedy)
+        (reasons if refused else remarks).append(poorly)
+    return reasons, remarks
 
 
 def faces_alone(estimate: Estimate, missing: Sequence[str]) -> bool:
@@ -108,13 +111,13 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(f"{group} ({count})" for group, count in counted.items())
 
 
-def _weak(estimate: Estimate, observations: Observations, without: set[str]) -> tuple[Array, Array]:
+def _weak(estimate: Estimate, observations: Observations, without: set[str]) -> tuple[Array, Array, bool]:
     """Combinations (q, m) of the parameters of the linear model, in units of their spreads, that the data determine
-    poorly or not at all, the worst first, and how well they are known, in the same units; `without` those of some kinds
-    of sensors. Spreads are the limits of parameters, wider by √(n/3) for n sensors of a kind: a combination of unit
-    length of n sensors that err alike is then known as well as one of a triad whose three err by as much. Poorly is
-    also where the square of the uncertainty of scale factors and angles is not small against what the data resolve: u
-    does not hold then, for effects of second order count."""
+    poorly or not at all, the worst first, how well they are known, in the same units, and whether one too
+    poorly for use; `without` those of some kinds of sensors. Spreads are the limits of parameters, wider by √(n/3) for
+    n sensors of a kind: a combination of unit length of n sensors that err alike is then known as well as one of a
+    triad whose three err by as much. Too poorly is also where the square of the uncertainty of scale factors and angles
+    is not small against what the data resolve: u does not hold then, for effects of second order count."""
     linear = linear_names(estimate.names)
     some = [i for i, name in enumerate(linear) if sensor_kind(name) not in without]
     blocks = (observations.accel_block, observations.gyro_block)
@@ -129,10 +132,11 @@ def _weak(estimate: Estimate, observations: Observations, without: set[str]) -> 
     variance, vectors = np.linalg.eigh(covariance[np.ix_(some, some)] / np.outer(spread, spread))
     angles = np.array([within_kind(group_name(linear[i])) != "bias" for i in some], dtype=bool)  # biases are linear
     squared = variance * (vectors[angles] ** 2).sum(axis=0) * group_of("accel.axis").limit ** 2
-    poor = np.flatnonzero((variance > POORLY_KNOWN**2) | (squared > _resolution(estimate, observations)))[::-1]
+    refused = (variance > DETERMINED**-2) | (squared > _resolution(estimate, observations))
+    poor = np.flatnonzero((variance > POORLY_KNOWN**2) | refused)[::-1]
     combinations = np.zeros((len(poor), len(linear)))
     combinations[:, some] = vectors[:, poor].T
-    return combinations, np.sqrt(variance[poor])
+    return combinations, np.sqrt(variance[poor]), bool(refused.any())
 
 
 def _resolution(estimate: Estimate, observations: Observations) -> float:

@@ -34,7 +34,7 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
     where these are not judged alike."""
     missing = linear_names(estimate.unobservable)
     faces = faces_alone(estimate, missing)
-    first = [] if estimate.reasons or faces else undetermined(estimate, observations, missing)
+    first, poor = ([], []) if estimate.reasons or faces else undetermined(estimate, observations, missing)
     reasons: list[Said] = [((), reason) for reason in estimate.reasons]
     if (faces or not missing) and not estimate.converged:
         said = "the estimate did not converge: the data contradict the model; look at the rests with `tumble inspect`"
@@ -63,7 +63,7 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
     remarks: list[Said] = [(("accel.scale",), said) for said in gravity_wanted(observations.site)]
     if faces:
         remarks.append((("accel",), as_six_faces_give(estimate, observations, missing)))
-    remarks += [*apart, *(((), remark) for remark in estimate.remarks), *judged.remarks]
+    remarks += [*poor, *apart, *(((), remark) for remark in estimate.remarks), *judged.remarks]
     integral = estimate.integral
     if integral is not None and integral.pareto > POOR and integral.effective < FEWEST_POINTS:
         said = "u rests on a few points of the integral over what the model does not know of itself: it is a rough one"
