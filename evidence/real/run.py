@@ -37,8 +37,8 @@ from evidence.score import row_of
 FOLDER = Path(__file__).parents[1]
 CACHE = FOLDER / "cache" / "real"
 RESULTS = FOLDER / "results" / "real.json"
-FIRST = "tumble joint"
-"""The program that the others are held against."""
+CHIPS = (1, 6)
+"""Of the eight of the array, one of either side of the board."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -191,10 +191,11 @@ def pairs_of(whole: Sequence[Case]) -> tuple[list[Case], list[tuple[str, str]]]:
     return parts, pairs
 
 
-def computed(names: Sequence[str], workers: int) -> dict[str, Any]:
-    """All results of these sources."""
+def computed(names: Sequence[str], workers: int, chips: Sequence[int] = CHIPS) -> dict[str, Any]:
+    """All results of these sources, of the array those of some chips."""
     programs = [program.name for program in benchmark.PROGRAMS]
-    whole = list(cases(*names))
+    kept = tuple(f"chip {chip}" for chip in chips)
+    whole = [case for case in cases(*names) if "chip" not in case.name or case.name.endswith(kept)]
     real = [case for case in whole if case.truth is None]
     parts, pairs = pairs_of(real)
     every = {case.name: case for case in (*whole, *parts)}
@@ -281,12 +282,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Programs on real recordings")
     parser.add_argument("sources", nargs="*", choices=[[], *READERS], help="some; all where none is named")
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--chips", type=int, nargs="+", default=CHIPS, help="of the array (default 1 and 6)")
     parser.add_argument("--page", action="store_true", help="only write the page of the results that are there")
     given = parser.parse_args()
     from evidence.real.page import page
 
     if not given.page:
-        results = computed(given.sources, given.workers)
+        results = computed(given.sources, given.workers, given.chips)
         if given.sources:
             print(page(results))
             return
