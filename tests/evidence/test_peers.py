@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from evidence.case import NAMES, Array, Case, Estimate, matrix_of, parameters_of
-from evidence.peers import PROGRAMS, ardupilot, ferraris, gravity_norm, imu_tk, magneto, mikoff
+from evidence.peers import PROGRAMS, allan, ardupilot, ferraris, gravity_norm, imu_tk, magneto, mikoff
 from evidence.peers.rests import chained, faces, found, rotation_of, runs
 from evidence.programs import named
 from evidence.real.get import named as source
@@ -266,3 +266,30 @@ def test_runs_are_those_of_true() -> None:
 def test_every_program_says_where_it_is_from_and_has_a_name_of_its_own() -> None:
     assert len({program.name for program in PROGRAMS}) == len(PROGRAMS) >= 5
     assert all(program.source for program in PROGRAMS)
+
+
+# -------------------- allan_variance_ros --------------------
+
+
+def test_lines_of_known_slope_give_the_coefficients_exactly() -> None:
+    """σ² = N²/τ + K² τ/3, as the program's own prediction has it, each alone."""
+    periods = np.arange(1, 1000) * 0.1
+    assert allan.line_at(periods, 0.02 / np.sqrt(periods), -0.5, 1.0) == pytest.approx(0.02)
+    assert allan.line_at(periods, 0.003 * np.sqrt(periods / 3.0), 0.5, 3.0) == pytest.approx(0.003)
+
+
+def test_white_noise_is_found_and_no_walk_is_an_upper_bound() -> None:
+    """The three hours that it asks for, at 20 Hz: bins of 5 s are 2160, N within 5 %; K, which is nothing, comes out as
+    more than a thousandth of N."""
+    readings = 0.02 * np.sqrt(20.0) * np.random.default_rng(8).normal(size=216_000)
+    made = allan.noise(readings, 20.0)
+    assert made.white == pytest.approx(0.02, rel=0.05)
+    assert made.walk > 2e-5
+
+
+def test_a_deviation_is_that_of_neighbouring_means() -> None:
+    readings = np.array([1.0, 3.0, 2.0, 2.0, 6.0, 0.0, 1.0])
+    periods, sigmas = allan.deviation(readings, 10.0)
+    assert periods[1] == pytest.approx(0.2)
+    means = np.array([2.0, 2.0, 3.0])
+    assert sigmas[1] == pytest.approx(np.sqrt(0.5 * np.mean(np.diff(means) ** 2)))
