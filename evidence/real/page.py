@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from evidence.pages import page, table
 from evidence.real.get import named
 
 FIRST = "tumble joint"
@@ -61,13 +62,7 @@ def behind(logs: np.ndarray) -> bool:
     return len(logs) >= 5 and logs.mean() + 2.0 * logs.std(ddof=1) / np.sqrt(len(logs)) < 0.0
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Lines of Markdown."""
-    lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
-    return [*lines, *(f"| {' | '.join(row)} |" for row in rows)]
-
-
-def predicted(results: Mapping[str, Any], score: str, unit: float) -> tuple[list[str], list[str]]:
+def predicted(results: Mapping[str, Any], score: str, unit: float) -> tuple[str, list[str]]:
     """The table of a score, and who is ahead of the first program where."""
     programs, ahead, rows = results["made"]["programs"], [], []
     for program in programs:
@@ -84,7 +79,7 @@ def predicted(results: Mapping[str, Any], score: str, unit: float) -> tuple[list
     return table(head, rows), ahead
 
 
-def repeated(results: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+def repeated(results: Mapping[str, Any]) -> tuple[str, list[str]]:
     """The table of repeatability, and who repeats better than the first program where."""
     rows, ahead = [], []
     first = results["repeatability"].get(FIRST, {})
@@ -111,7 +106,7 @@ def repeated(results: Mapping[str, Any]) -> tuple[list[str], list[str]]:
     return table(["program", *(f"{group}, {unit}" for group, (unit, _) in UNITS.items())], rows), ahead
 
 
-def page(results: Mapping[str, Any]) -> str:
+def real_page(results: Mapping[str, Any]) -> str:
     """The whole page."""
     made = results["made"]
     force, force_ahead = predicted(results, "force", 1e6 / G0)
@@ -119,80 +114,56 @@ def page(results: Mapping[str, Any]) -> str:
     repeats, repeats_ahead = repeated(results)
     sources = results["recordings"]
     count = sum(one["recordings"] for one in sources)
-    lines = [
+    shown = [[named(one["source"]).title, *(f"{one[what]}" for what in COLUMNS)] for one in sources]
+    return page(
         "# Real recordings",
-        "",
-        f"By `python -m evidence.real.run`, stored in `evidence/results/real.json`: {count} recordings of "
-        f"{len(sources)} sources, {len(made['programs'])} programs. State: {made['date']}, commit "
-        f"{made['commit'][:8]}, {made['machine']}. What is measured: "
-        "[The joint method](../explanation/method-joint.md). The peers are rewritten from what they publish, each "
-        "tested against its own example (`tests/evidence/test_peers.py`).",
-        "",
-        "**Where tumble is not ahead.** " + where(force_ahead, tilt_ahead, repeats_ahead),
-        "",
+        f"By `python -m evidence.real.run`, commit {made['commit'][:12]}, {made['date']}, {made['machine']}, "
+        f"{made['system']}: {count} recordings of {len(sources)} sources, {made['cases']} cases, "
+        f"{len(made['programs'])} programs. This page is made from `evidence/results/real.json`. Programs of others "
+        "are rewritten from what they publish, each tested against its own example or its published numbers "
+        "(`tests/evidence/test_peers.py`); they are given the gravity of the place instead of their constants.",
+        "## Where tumble is not ahead",
+        where(force_ahead, tilt_ahead, repeats_ahead),
         "## Recordings",
-        "",
-        *table(
-            ["source", "recordings", "devices", "licence", "published at"],
-            [
-                [named(one["source"]).title, *(f"{one[what]}" for what in COLUMNS)]
-                for one in sources
-            ],
-        ),
-        "",
+        table(["source", "recordings", "devices", "licence", "published at"], shown),
         "Chips of an array are devices; what they record together is one recording. `python -m evidence.real.get` "
-        "brings the files into a cache; none is part of this repository.",
-        "",
+        "brings the files into a cache, by address and digest; none is part of this repository. None has a reference "
+        "that is better than what is to be judged: two scores need none.",
         "## What is calibrated",
-        "",
-        *table(["program", "cases", "accelerometers", "gyros", "neither", "s, median"], answered(results)),
-        "",
-        "A case counts where the program gives the sensors and stands by them. Only tumble and ArduPilot have a "
-        "verdict.",
-        "",
+        table(["program", "cases", "accelerometers", "gyros", "neither", "s, median"], answered(results)),
+        "A case counts where the program has numbers for the sensors and stands by them. Only tumble and ArduPilot "
+        "have a verdict. Among the cases are some of no use, such as two attitudes, or three.",
         "## Rests that were not seen",
-        "",
-        "Readings are corrected by all that a program knows, of tumble by the whole model. "
         "What the length of the corrected specific force misses g by, µg (rms over rests, median over pairs), and the "
-        f"geometric mean of the ratio to `{FIRST}` over the pairs that both have, with its standard error.",
-        "",
-        *force,
-        "",
+        f"geometric mean of the ratio to `{FIRST}` over the pairs that both have, with its standard error and N. "
+        "Readings are corrected by all that a program knows, of tumble by the whole model. The noise of the rests that "
+        "are predicted is in it, of all programs alike.",
+        force,
         "## Turns that were not seen",
-        "",
         "What the vertical carried through a turn by the corrected rates misses that of the rest after it by, mrad. "
         "The biases are read anew in the rests before and after, so that scale factors and axes are what is judged.",
-        "",
-        *tilt,
-        "",
+        tilt,
         "## Repeatability",
-        "",
         "Standard deviation over the sessions of a chip, mean square of the deviations over u where u is stated, and "
-        "the degrees of freedom. Biases change from one power-on to another.",
-        "",
-        *repeats,
-        "",
+        "the degrees of freedom, of what is accepted. Biases change from one power-on to another, scale factors and "
+        "axes should not.",
+        repeats,
         "## Simulated by others",
-        "",
-        "Sessions whose truth is known because others simulated them: of the parameters accepted the rms of (value − "
-        "truth)/u, the largest, and how many of the stated 95 % intervals contain the truth.",
-        "",
-        *table(["session", "program", "verdict", "rms", "largest", "covered"], of_others(results)),
-        "",
-    ]  # fmt: skip
-    return "\n".join(lines)
+        "Sessions whose truth is known because others simulated them: the rms of (value − truth)/u over the "
+        "parameters, the largest, and how many of the stated 95 % intervals contain the truth.",
+        table(["session", "program", "verdict", "rms", "largest", "covered"], of_others(results)),
+    )
 
 
 def where(force: Sequence[str], tilt: Sequence[str], repeats: Sequence[str]) -> str:
-    """The sentences that come first."""
-    said = []
-    if force:
-        said.append(f"Unseen rests are predicted better, beyond two standard errors, by {'; '.join(force)}.")
-    if tilt:
-        said.append(f"Unseen turns are predicted better by {'; '.join(tilt)}.")
-    if repeats:
-        said.append(f"More repeatable by more than a tenth: {'; '.join(repeats)}.")
-    return " ".join(said) or "Nowhere beyond the scatter of these recordings."
+    """What comes first, as a list."""
+    heads = {
+        "Unseen rests, beyond two standard errors": force,
+        "Unseen turns, beyond two standard errors": tilt,
+        "Repeatability, by more than a tenth": repeats,
+    }
+    lines = [f"* {head}: {'; '.join(said)}." for head, said in heads.items() if said]
+    return "\n".join(lines) or "Nowhere beyond the scatter of these recordings."
 
 
 def answered(results: Mapping[str, Any]) -> list[list[str]]:

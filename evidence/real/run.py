@@ -285,17 +285,17 @@ def main() -> None:
     parser.add_argument("--chips", type=int, nargs="+", default=CHIPS, help="of the array (default 1 and 6)")
     parser.add_argument("--page", action="store_true", help="only write the page of the results that are there")
     given = parser.parse_args()
-    from evidence.real.page import page
+    from evidence.real.page import real_page
 
     if not given.page:
         results = computed(given.sources, given.workers, given.chips)
         if given.sources:
-            print(page(results))
+            print(real_page(results))
             return
         RESULTS.parent.mkdir(exist_ok=True)
         RESULTS.write_text(json.dumps(results, ensure_ascii=False, indent=1) + "\n", encoding="utf-8")
     target = FOLDER.parent / "docs" / "evidence" / "real.md"
-    target.write_text(page(json.loads(RESULTS.read_text(encoding="utf-8"))), encoding="utf-8")
+    target.write_text(real_page(json.loads(RESULTS.read_text(encoding="utf-8"))), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from evidence.case import NAMES, Array, Case, Estimate, matrix_of
 from evidence.peers.rests import found
 from evidence.real import get
 from evidence.real.cases import cases, normal_gravity, psins_truth
-from evidence.real.page import page, ratio
+from evidence.real.page import ratio, real_page
 from evidence.real.run import RESULTS, content_of, found_from
 from evidence.real.scores import FEWEST, folds, prediction, repeatability
 from tests.support import ROOT
@@ -205,4 +205,4 @@ def test_every_source_says_its_licence_and_where_it_is_published() -> None:
 
 @pytest.mark.skipif(not RESULTS.exists(), reason="no results yet")
 def test_the_page_is_that_of_the_results() -> None:
-    assert PAGE.read_text(encoding="utf-8") == page(json.loads(RESULTS.read_text(encoding="utf-8")))
+    assert PAGE.read_text(encoding="utf-8") == real_page(json.loads(RESULTS.read_text(encoding="utf-8")))
