@@ -26,7 +26,7 @@ The prior decides nothing of a change: it is beyond it. A change smaller than wh
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -65,14 +65,34 @@ MAX_ITERATIONS = 12
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class KnownBefore:
-    """What was known before: values (m,) of the parameters of an instrument, the covariance (1 + m, 1 + m) of gravity
-    and of them, SI, in how far that is known itself, D of Eq. (3), and the components of variance beside its noise."""
+    """What was known before, SI: values (m,) of the parameters of an instrument; Σ, the covariance (1 + m, 1 + m) of
+    gravity and of them as they were `calibrated`, and the variances (1 + m,) of what turning on again changes; for both
+    1/ν (1 + m,), ν the degrees of freedom with which they are known; the matrix (1 + m, 1 + m) that took the former to
+    the temperature they are for; and the components of variance beside the noise."""
 
     instrument: Instrument
     values: Array
-    covariance: Array
-    doubt: Array
+    calibrated: Array
+    turned_on: Array
+    inverse_degrees: Array
+    turned_on_inverse_degrees: Array
+    to_temperature: Array
     components: Components
+
+    @property
+    def covariance(self) -> Array:
+        """P (1 + m, 1 + m)."""
+        return np.asarray(self.calibrated + np.diag(self.turned_on))
+
+    @property
+    def doubt(self) -> Array:
+        """D (1 + m, 1 + m) of Eq. (3)."""
+        return self.doubt_of(self.calibrated) + np.diag(self.turned_on * np.sqrt(self.turned_on_inverse_degrees))
+
+    def doubt_of(self, calibrated: Array) -> Array:
+        """The part of D that is of the calibration, for a Σ."""
+        N = self.inverse_degrees**0.25
+        return np.asarray(N[:, None] * calibrated * N)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -115,21 +135,16 @@ class CheckResult:
 
 def field_check(observations: Observations, known: KnownBefore) -> CheckResult:
     """What a session says of a calibration, see the module's docstring."""
-    instrument, limits, turns = known.instrument, limits_of(known.instrument.names), observations.turns
+    instrument, limits = known.instrument, limits_of(known.instrument.names)
     free, others = list[int](), list[dict[int, float]]()  # the changed parameters, and what is as likely instead
-    start = dict(zip(instrument.names, known.values.tolist(), strict=True))
-    problem = Problem.of(replace(observations, start=start), Prior(covariance=known.covariance), instrument=instrument)
-    about = None if turns is None or not len(turns) else TurnsAbout.of(observations, instrument, known.values)
-    vertical = unit_vector(specific_force(instrument, known.values, observations.rests.accel))
-    attitudes = headings(problem, vertical, known.values, about)
-    point = Point(values=known.values, gravity=observations.site.gravity, attitudes=attitudes)
+    problem, point, about = _begun(observations, known)
     first = None
     while True:
         covariance, which = known.covariance.copy(), np.array(free, dtype=int)
         covariance[1 + which, 1 + which] += limits[which] ** 2  # those set free, within their limits
         problem = replace(problem, prior=Prior(covariance=covariance))
         point, about, left = _iterated(problem, point, about, known.components)
-        tests = _Tests.of(left, covariance, known.doubt)
+        tests = Tests.of(left, covariance, known.doubt)
         seen = [j for j in range(instrument.linear_count) if j not in free and tests.u[j] < limits[j] / DETERMINED]
         candidates = np.array(seen, dtype=int)
         limit = tests.limit(candidates)
@@ -141,10 +156,8 @@ def field_check(observations: Observations, known: KnownBefore) -> CheckResult:
         least = np.sqrt(max(tests.t[worst] ** 2 - AS_LIKELY, limit**2))
         near = [int(j) for j in candidates if j != worst and abs(tests.t[j]) > least]
         others.append({j: float(tests.t[j] * tests.u[j]) for j in near})
-    unfreed = _Tests.of(left, known.covariance, known.doubt)
-    Q, R = np.linalg.qr(unfreed.G[:, free])  # the changes together, their u, and how much of |z|² they explain
-    along, inverse = Q.T @ unfreed.z, np.linalg.inv(R)
-    change, change_u = inverse @ along, np.sqrt((inverse**2).sum(axis=1))
+    unfreed = Tests.of(left, known.covariance, known.doubt)
+    change, change_u, explained = unfreed.together(free)
     S, PR = np.eye(len(left.d)) + left.R @ covariance @ left.R.T, covariance @ left.R.T
     (alone, candidates, limit), names = first, instrument.names
     return CheckResult(
@@ -163,7 +176,7 @@ def field_check(observations: Observations, known: KnownBefore) -> CheckResult:
         largest=float(np.abs(alone.t[candidates]).max()) if len(candidates) else 0.0,
         limit=limit,
         misfit=Fit(
-            chi_square=left.squares + float(unfreed.z @ unfreed.z) - float(along @ along),
+            chi_square=left.squares + float(unfreed.z @ unfreed.z) - explained,
             degrees=float(left.degrees - len(free)),
             scatter=0.0,
             unit="",
@@ -174,7 +187,7 @@ def field_check(observations: Observations, known: KnownBefore) -> CheckResult:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Left:
+class Left:
     """R (p, p) and d (p,) of Eq. (1) with p = 1 + m, about what was known; the sum of squares that no x explains, and
     the degrees of freedom of all of them."""
 
@@ -184,9 +197,26 @@ class _Left:
     degrees: int
 
 
+def left_by(observations: Observations, known: KnownBefore) -> Left:
+    """What a session leaves of Eq. (1), with attitudes that are unknown, where nothing has changed."""
+    problem, point, about = _begun(observations, known)
+    return _iterated(problem, point, about, known.components)[2]
+
+
+def _begun(observations: Observations, known: KnownBefore) -> tuple[Problem, Point, TurnsAbout | None]:
+    """What was known, and attitudes of the verticals that it gives."""
+    instrument, turns = known.instrument, observations.turns
+    start = dict(zip(instrument.names, known.values.tolist(), strict=True))
+    problem = Problem.of(replace(observations, start=start), Prior(covariance=known.covariance), instrument=instrument)
+    about = None if turns is None or not len(turns) else TurnsAbout.of(observations, instrument, known.values)
+    vertical = unit_vector(specific_force(instrument, known.values, observations.rests.accel))
+    attitudes = headings(problem, vertical, known.values, about)
+    return problem, Point(values=known.values, gravity=observations.site.gravity, attitudes=attitudes), about
+
+
 def _iterated(
     problem: Problem, point: Point, about: TurnsAbout | None, components: Components
-) -> tuple[Point, TurnsAbout | None, _Left]:
+) -> tuple[Point, TurnsAbout | None, Left]:
     """Gauss–Newton, and what the session's own rows leave at the end."""
     for _ in range(MAX_ITERATIONS):
         rows = linearise(problem, point, about)
@@ -201,7 +231,7 @@ def _iterated(
     told = tell(problem, rows, weights(problem, rows, components))
     session, off = told.sessions[0], np.append(point.gravity, point.values) - problem.measured[0]
     angles = int(np.count_nonzero(np.diagonal(told.factor, axis1=1, axis2=2)[:, :3]))
-    left = _Left(
+    left = Left(
         R=session[:-1, :-1],
         d=session[:-1, -1] + session[:-1, :-1] @ off,
         squares=session[-1, -1] ** 2,
@@ -211,7 +241,7 @@ def _iterated(
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Tests:
+class Tests:
     """z (p,) and G (p, m) of Eq. (1), without the column of gravity; 1/ν (m,) of Eq. (3), and the tests t (m,) of
     Eq. (2) with their u, infinite where the session says nothing."""
 
@@ -222,14 +252,26 @@ class _Tests:
     u: Array
 
     @staticmethod
-    def of(left: _Left, covariance: Array, doubt: Array) -> _Tests:
+    def of(left: Left, covariance: Array, doubt: Array) -> Tests:
+        """Those of what a session leaves."""
         S = np.eye(len(left.d)) + left.R @ covariance @ left.R.T
         both = np.linalg.solve(np.linalg.cholesky(S), np.column_stack([left.R, left.d]))
-        with_gravity, G, z = both[:, :-1], both[:, 1:-1], both[:, -1]
+        return Tests.whitened(both[:, :-1], both[:, -1], doubt)
+
+    @staticmethod
+    def whitened(with_gravity: Array, z: Array, doubt: Array) -> Tests:
+        """Those of z and G, with the column of gravity."""
+        G = with_gravity[:, 1:]
         u = 1.0 / np.maximum(np.linalg.norm(G, axis=0), 1e-300)
         q = with_gravity.T @ G * u
         inverse = np.einsum("ij,ik,kj->j", q, doubt, q) ** 2
-        return _Tests(z=z, G=G, inverse_degrees=inverse, t=u * (G.T @ z), u=u)
+        return Tests(z=z, G=G, inverse_degrees=inverse, t=u * (G.T @ z), u=u)
+
+    def together(self, free: Sequence[int]) -> tuple[Array, Array, float]:
+        """The changes (k,) of some parameters together, their u (k,), and how much of |z|² they explain."""
+        Q, R = np.linalg.qr(self.G[:, free])
+        along, inverse = Q.T @ self.z, np.linalg.inv(R)
+        return inverse @ along, np.sqrt((inverse**2).sum(axis=1)), float(along @ along)
 
     def limit(self, candidates: IntArray) -> float:
         """What the largest |t| of the candidates exceeds in CHANCE of all cases."""

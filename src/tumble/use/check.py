@@ -263,8 +263,6 @@ def known_before(
         here = replace(calibration, references=now)
         warmer = [here.reference_of(name) - calibration.reference_of(name) for name in names]
         J[1:, 1:] = to_temperature(names, np.array(warmer))
-    known = J @ whole @ J.T
-
     # s² and 1/ν_s of another power-on, Eq. (2); a single launch is as far from the mean of all as the one checked,
     # while u of several together has what they change by
     single = len(calibration.launches) < 2 and not calibration.together
@@ -281,14 +279,16 @@ def known_before(
             inverse_degrees[i] = 1.0 / degrees if own > pooled else 1.0 / (USUAL_DEGREES + degrees)
 
     inverse = {p.name: 1.0 / p.dof for p in calibration.parameters if p.dof is not None}
-    N = np.array([0.0, *(inverse.get(name, 0.0) for name in names)]) ** 0.25
     fits = calibration.fits
     scatter: dict[str, Any] = {name: fits[fit].scatter for name, fit in _FITS.items() if fit in fits}
     return KnownBefore(
         instrument=instrument,
         values=J[1:, 1:] @ values,
-        covariance=known + np.diag(turned_on),
-        doubt=N[:, None] * known * N + np.diag(turned_on * np.sqrt(inverse_degrees)),
+        calibrated=J @ whole @ J.T,
+        turned_on=turned_on,
+        inverse_degrees=np.array([0.0, *(inverse.get(name, 0.0) for name in names)]),
+        turned_on_inverse_degrees=inverse_degrees,
+        to_temperature=J,
         components=replace(components_of(GRADES[grade].noise), **scatter),
     )
 
