@@ -98,6 +98,10 @@ from tumble.use.verify import Positions as Positions
 from tumble.use.verify import Verification as Verification
 from tumble.use.verify import positions_of as positions_of
 from tumble.use.verify import verify_calibration as verify_calibration
+from tumble.use.watch import Notice as Notice
+from tumble.use.watch import Watch as Watch
+from tumble.use.watch import WatchedRest as WatchedRest
+from tumble.use.watch import watch_session as watch_session
 from tumble.views.report.write import write_report as write_report
 from tumble.views.sheet import write_sheet as write_sheet
 

@@ -75,6 +75,7 @@ COMMANDS: Mapping[str, Mapping[str, str]] = {
         ),
         "verify": "Test whether CALIBRATION holds in check positions, by g − |corrected reading| in each of them.",
         "check": "Test from a few rests of its device what has changed since CALIBRATION, and by how much.",
+        "watch": "Test CALIBRATION by every rest of a flight or a day, as the readings of SOURCE come.",
         "compare": "Differences of two calibration files in units of their combined uncertainty, and E_n numbers.",
         "apply": "Correct the recording of SESSION with CALIBRATION, a calibration file of the same device.",
         "mission": (

@@ -56,6 +56,7 @@ RUN = (
     "docs/howto/recordings.md",
     "docs/howto/registry.md",
     "docs/howto/field-check.md",
+    "docs/howto/watch.md",
     "docs/howto/campaigns.md",
     "docs/howto/plan.md",
     "docs/reference/api.md",

@@ -44,6 +44,7 @@ ANSWERS = {
     "table_errors_as_unknowns.py": "Is anything gained by the tilts as unknowns? No: converged, it is the scalar",
     "thermometers_apart.py": "Does each chip need its own thermometer? Yes",
     "tuning.py": "and u honest, with the thresholds as they are? Yes",
+    "watched_days.py": "Does a watch alarm no oftener than it says, and find these changes? Yes",
     "verdicts_by_group.py": "Does what is spared hold? Yes",
     "which_method_when.py": "Which method, when? joint wherever there are gyros and turns",
 }

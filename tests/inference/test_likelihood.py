@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.support.formula_setup import device_setup
+from tumble.inference.elimination import fold
 from tumble.inference.hyperparameters import Components
 from tumble.inference.likelihood import NO_PRIOR, Point, Prior, Problem, Rows, bases, noise_of, weights
 from tumble.inference.linearisation import inverse_left_jacobian, linearise
@@ -320,3 +321,13 @@ def test_other_chains_are_refused() -> None:
     odd = replace(observations.turns, last=observations.turns.last + 1)
     with pytest.raises(ValueError, match="neighbouring rests"):
         Problem.of(replace(observations, turns=odd))
+
+
+def test_few_rows_on_many_parameters_are_folded_in_numbers() -> None:
+    """What is left of three rows after three columns is rounding, and the rounding of that soon has no square."""
+    rows = np.random.default_rng(0).standard_normal((3, 90)) * 10.0 ** np.linspace(4.0, -4.0, 90)
+    triangle = np.zeros((90, 90))
+    fold(rows, triangle)
+    assert np.isfinite(triangle).all()
+    size = np.linalg.norm(rows, axis=0)
+    np.testing.assert_allclose(triangle.T @ triangle, rows.T @ rows, atol=1e-12 * np.outer(size, size).max())

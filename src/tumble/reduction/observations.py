@@ -17,7 +17,8 @@ Forster et al. 2017) with body-frame sensors and the two-sample coning term.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -130,6 +131,22 @@ class Observations(Brief):
         covariance = np.zeros((len(rests), 0, 0))
         at_rest = replace(rests, gyro=none, gyro_covariance=covariance, gyro_drift=none, gyro_noise=none)
         return replace(self, gyro_block=None, rests=at_rest, turns=None, turn_samples=None, turn_readings=None)
+
+    def of_rest(self, i: int) -> Observations:
+        """What rest i alone says."""
+        arrays: dict[str, Any] = {
+            f.name: None if (v := getattr(self.rests, f.name)) is None else v[i : i + 1] for f in fields(Rests)
+        }
+        return replace(
+            self,
+            rests=Rests(**arrays),
+            turns=None,
+            turn_samples=None,
+            turn_readings=None,
+            programme=None,
+            position=None,
+            arrays=(),
+        )
 
     @property
     def _samples(self) -> TurnSamples:

@@ -37,7 +37,7 @@ from tumble.files import FilePath
 from tumble.inference.estimate import Outcome
 from tumble.inference.prediction import prediction
 from tumble.inference.variables import variables_of
-from tumble.methods.field_check import CheckResult, KnownBefore, field_check
+from tumble.methods.field_check import ChangedParameter, CheckResult, KnownBefore, field_check
 from tumble.planning.bounds import components_of
 from tumble.recording.session import Circumstances, Session, Site
 from tumble.recording.session_file import session_from
@@ -94,15 +94,7 @@ class FieldCheck(Brief):
     def reasons(self) -> tuple[str, ...]:
         """What has changed, in sentences; none where the calibration holds."""
         if self.result.explained:
-            reasons = []
-            for change in self.result.changes:
-                (size, unit), value = shown_in(change.name, change.unit, change.value), change.value
-                said = f"{change.name} has changed by {value / size:+.3g} {unit} (u {change.u / size:.2g} {unit})"
-                for name, value in change.others.items():
-                    size, unit = shown_in(name, group_of(name).unit, value)
-                    said += f", or {name} by {value / size:+.3g} {unit}"
-                reasons.append(said)
-            return tuple(reasons)
+            return tuple(change_text(change) for change in self.result.changes)
         fit = self.result.misfit
         agree = "its rests alone agree with the calibration, so that the turns are to blame; "
         turns = agree if self.rests_agree else ""
@@ -118,6 +110,16 @@ class FieldCheck(Brief):
         if not self.result.explained:
             raise CalibrationError(f"{self.session}: expected a check that is explained, found {self.reasons[-1]}")
         return _updated(self, self.reasons).in_frame(self.frame)
+
+
+def change_text(change: ChangedParameter) -> str:
+    """That a parameter has changed, by how much, and what would explain as much."""
+    (size, unit), value = shown_in(change.name, change.unit, change.value), change.value
+    text = f"{change.name} has changed by {value / size:+.3g} {unit} (u {change.u / size:.2g} {unit})"
+    for name, value in change.others.items():
+        size, unit = shown_in(name, group_of(name).unit, value)
+        text += f", or {name} by {value / size:+.3g} {unit}"
+    return text
 
 
 def check_calibration(
@@ -140,7 +142,7 @@ def check_calibration(
     """
     given, session = calibration_from(calibration), session_from(session)
     given = accepted_accelerometers(given, "a check has its attitudes")
-    _check_given(given, session)
+    check_given(given, session)
     own = given.in_frame("accelerometer")
     observed = inspect_session(replace(session, programme=None))
     observations = observations_for_calibration(observed)
@@ -190,7 +192,7 @@ def check_calibration(
     )
 
 
-def _check_given(calibration: Calibration, session: Session) -> None:
+def check_given(calibration: Calibration, session: Session) -> None:
     """A calibration that can be checked, and a session of its device."""
     if calibration.covariance is None:
         raise CalibrationError(f"calibration of {calibration.serial!r}: expected one with uncertainties, found none")

@@ -238,14 +238,15 @@ class Corrector:
         self._compensator = compensator = self.calibration.compensator
         blocks = compensator.accel, compensator.gyro
         of_accel, of_gyro = (np.zeros(0, int) if block is None else block.thermometer for block in blocks)
-        self._heat = 1 + int(max(*of_accel, *of_gyro))
+        self.thermometers = 1 + int(max(*of_accel, *of_gyro))
+        """How many thermometers its readings come with."""
         self._sizes = [0 if block is None else block.size for block in blocks]
         self._stream = Stream(
             compensator,
             1.0 / rate,
             gyros=True,
             thermometers=(of_accel, of_gyro),
-            heat=self._heat,
+            heat=self.thermometers,
             ranges=self.ranges,
             zero=ZERO_CELSIUS,
             latest=LATEST,
@@ -309,11 +310,12 @@ class Corrector:
         kelvin = None
         if temperature is not None:
             kelvin = np.asarray(temperature, dtype=float)
-            if kelvin.size != count * self._heat:
+            if kelvin.size != count * self.thermometers:
                 raise InputError(
-                    f"temperature: expected {self._heat} for each of {count} samples, found the shape {kelvin.shape}"
+                    f"temperature: expected {self.thermometers} for each of {count} samples, found the shape "
+                    f"{kelvin.shape}"
                 )
-            kelvin = kelvin.reshape(count, self._heat)
+            kelvin = kelvin.reshape(count, self.thermometers)
             check_kelvin(kelvin)
         corrected = self._stream.add(readings, turned, stamps, kelvin)
         return self._known(corrected)

@@ -9,14 +9,16 @@ from dataclasses import asdict
 import numpy as np
 
 from tumble.methods.field_check import CHANCE
+from tumble.methods.rest_chain import MovedBias
 from tumble.result.file import fit_content
 from tumble.selftest import SelftestRecord
-from tumble.sensors.parameters import group_name, group_of, positions_by_group
+from tumble.sensors.parameters import group_name, group_of, positions_by_group, sensor_kind, shown_in
 from tumble.units import G_STANDARD, engineering, two_digits
 from tumble.use.apply import RestResidual
-from tumble.use.check import FieldCheck
+from tumble.use.check import FieldCheck, change_text
 from tumble.use.compare import Comparison
 from tumble.use.verify import Verification
+from tumble.use.watch import Event, Notice
 from tumble.views.blocks import Block, Table, Text, table, texts
 from tumble.views.numbers import cells, probability_text, units_of_values
 from tumble.views.render.data import Content, fields, judged, rows
@@ -158,6 +160,61 @@ def field_check_data(check: FieldCheck) -> Content:
         **fields(result, "largest limit"),
         "misfit": fit_content(result.misfit),
         "notes": check.notes,
+    }
+
+
+# -------------------- a watch --------------------
+
+
+def watch_line(event: Event) -> str:
+    """A rest, or what is to be said of the stream, in one line."""
+    if isinstance(event, Notice):
+        return f"{event.time:.1f} s: {event.text}"
+    parts = ["no rest" if event.number is None else f"rest {event.number}", f"{event.start:.1f}–{event.stop:.1f} s"]
+    parts += [] if event.celsius is None else [f"{event.celsius:.1f} °C"]
+    size, unit = engineering("m/s^2", max(abs(event.force), event.force_u or 0.0))
+    parts.append(f"|f|−g {_off(event.force / size, unit, event.force_sigmas)}")
+    judged = event.judged
+    if judged is None:
+        return "  ".join([*parts, event.why])
+    gyros = {name: test for name, test in judged.tests.items() if sensor_kind(name) == "gyro"}
+    if gyros:
+        name = max(gyros, key=lambda name: abs(gyros[name].sigmas))
+        size, unit = shown_in(name, group_of(name).unit, max(abs(gyros[name].change), gyros[name].u))
+        parts.append(f"{name} {_off(gyros[name].change / size, unit, gyros[name].sigmas)}")
+    parts += [f"outside in {', '.join(event.outside)}"] if event.outside else []
+    parts += [] if judged.learned else ["off: the next ones decide"]
+    return "  ".join(parts)
+
+
+def _off(value: float, unit: str, sigmas: float | None) -> str:
+    return f"{value:+z.3g} {unit}" + ("" if sigmas is None else f" ({sigmas:+z.1f} u)")
+
+
+def moved_line(moved: MovedBias) -> str:
+    """That a bias has moved, by how much and since when."""
+    return f"{change_text(moved.change)}, since about {moved.since:.1f} s, rest {moved.rest + 1}"
+
+
+def watch_data(event: Event) -> Content:
+    """The same as data."""
+    if isinstance(event, Notice):
+        return {"event": "notice", **fields(event, "time text")}
+    judged = event.judged
+    number = None if event.number is None else event.number - 1
+    content = {
+        "event": "rest",
+        "number": number,
+        **fields(event, "start stop celsius force force_u force_sigmas outside why"),
+    }
+    if judged is None:
+        return content | {"used": False}
+    return content | {
+        "used": True,
+        "learned": judged.learned,
+        "biases": [{"name": name, **asdict(test)} for name, test in judged.tests.items()],
+        "misfit": fit_content(judged.misfit),
+        "moved": [{**asdict(each.change), "rest": each.rest, "since": each.since} for each in judged.moved],
     }
 
 

@@ -29,6 +29,11 @@ def print_data(content: Content) -> None:
     click.echo(json.dumps({"format": 1} | _plain(content), indent=1, allow_nan=False))
 
 
+def print_line(content: Content) -> None:
+    """The same on one line, at once."""
+    click.echo(json.dumps({"format": 1} | _plain(content), allow_nan=False))
+
+
 def fields(result: object, names: str) -> Content:
     """Fields of a result, by their names."""
     return {name: getattr(result, name) for name in names.split()}

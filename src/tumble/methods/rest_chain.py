@@ -1,0 +1,318 @@
+"""Whether a calibration still holds, rest after rest for a day: a field check of one rest at a time, with what the
+rests before it have said, and a sequential test of whether the bias of a sensor has moved.
+
+The state x is the deviation, from the calibration, of gravity and the parameters at its reference temperature, with
+what turning on has changed, P at the first rest as in `tumble.use.check` Eq. (1); and of the in-run bias of every
+sensor, a Gauss–Markov process of the usual σ and τ. Biases and scale factors go on to wander at random, in an hour by
+as much as is usual of a drift, d · 1 h; in a pause Δt, however long, by no more than turning on changes, s:
+
+    x_{k+1} = F x_k + n,   F = diag(1, e^{−Δt/τ}),   var n = min(d² · 1 h · Δt, s²), (1 − e^{−2Δt/τ}) σ²          (1)
+
+This is as much as any process makes of the increments that has this rate and returns to a mean, so that a bias which
+stays where it was turned on and one which does not are both as predicted. A rest leaves d = R x + n of
+`tumble.methods.field_check` Eq. (1), and with the x̂ and P that are known before it
+
+    z = L⁻¹ (d − R x̂),   G = L⁻¹ R,   L Lᵀ = 1 + R P Rᵀ,   x̂ ← x̂ + P Gᵀ z,   P ← A P,   A = 1 − P Gᵀ G       (2)
+
+are of unit variance, and independent from rest to rest, as long as nothing has changed. The first rest is judged as a
+field check of it alone; all together, with the information Γ = Σ Φᵀ Gᵀ G Φ and γ = Σ Φᵀ Gᵀ z about x at the first, Φ
+the product of all F A before, as a field check of all of them in one session, but for the wandering.
+
+A change of a bias by a from some rest on is seen in the next ones as μ = G m, m the mean of what x̂ errs by: a in that
+bias at the first, then F A m, for what is learned takes it up. The logarithm of the likelihood ratio of a rest is
+
+    ℓ = |μ| ζ − |μ|²/2,   ζ = Φ⁻¹(T_ν(t)),   t = μᵀz / |μ|                                                        (3)
+
+with Student's T_ν as in a field check, so that ζ is normal. For every bias, both signs and a of DETECTED times the u of
+one rest, the ℓ are added from where the sum was last below zero (Page's CUSUM). As E e^ℓ = 1 given what was before, a
+sum begun at any one of N rests exceeds h with a probability of at most e^−h (Ville), so that any of D sums does so
+within N rests with at most N D e^−h: with
+
+    h = ln(D · RESTS_APART)                                                                                       (4)
+
+a false alarm comes in N rests with a probability of at most N / RESTS_APART: of 1000 rests, a long day, 1 %. ℓ is cut
+at ALONE h, which makes E e^ℓ smaller: no single rest decides. A rest that is off by more than SUSPECT is not learned
+from: where the next ones agree with it, that is a change, and the bias is set free within its limits; where they do
+not, it was no rest. `studies/watched_days.py` counts false alarms, and rests until a change is found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import special
+from scipy.linalg import block_diag
+
+from tumble.inference.estimate import DETERMINED, Fit
+from tumble.methods.field_check import (
+    AS_LIKELY,
+    MOST_CHANGES,
+    POWER,
+    ChangedParameter,
+    CheckResult,
+    KnownBefore,
+    Tests,
+    left_by,
+)
+from tumble.reduction.observations import Observations
+from tumble.sensors.parameters import group_name, limits_of, sensor_kind
+from tumble.units import Array, IntArray
+
+RESTS_APART = 1e5
+"""Rests from one false alarm to the next, on average, at least."""
+DETECTED = (1.0, 2.0, 4.0)
+"""Changes that are looked for, in u of one rest."""
+ALONE = 0.6
+"""Of what decides: so much of it one rest can say."""
+SUSPECT = 5.0
+"""|ζ| beyond which a rest is not learned from: by chance one of some 100,000 with six biases."""
+HOUR = 3600.0
+BIASES = ("accel.bias", "gyro.bias")
+_LEAST = 1e-9
+"""Of the largest eigenvalue of Γ: smaller ones are rounding."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BiasTest:
+    """By how much one rest has a bias off what is predicted for it, SI, with the standard uncertainty of that, and the
+    deviation in standard normal numbers."""
+
+    change: float
+    u: float
+    sigmas: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MovedBias:
+    """A bias that has moved: the change, from which rest on, counted from 0, and since when, s."""
+
+    change: ChangedParameter
+    rest: int
+    since: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class JudgedRest:
+    """One rest: its `tests` by bias as far as it sees them, χ² of what no change explains, whether it was learned from,
+    and what is now known to have `moved`."""
+
+    tests: Mapping[str, BiasTest]
+    misfit: Fit
+    learned: bool
+    moved: tuple[MovedBias, ...] = ()
+
+
+class RestChain:
+    """The rests of one power-on, judged one after the other. `known` is what was known before the first of them, and
+    `drift` what is usual of drifts, by group of parameters, SI per s; false alarms are to be so many `rests_apart`."""
+
+    def __init__(self, known: KnownBefore, drift: Mapping[str, float], *, rests_apart: float = RESTS_APART) -> None:
+        instrument, components = known.instrument, known.components
+        self.instrument, self._limits = instrument, limits_of(instrument.names)
+        self._biases = np.array([i for i, n in enumerate(instrument.names) if group_name(n) in BIASES], dtype=int)
+        kinds = [sensor_kind(instrument.names[i]) for i in self._biases]
+        in_run = np.array([getattr(components, f"{kind}_in_run") for kind in kinds])
+        self._in_run, self._time = in_run**2, np.array([getattr(components, f"{kind}_time") for kind in kinds])
+        drifts = [drift.get(f"{group_name(name)}.drift", 0.0) for name in instrument.names[: instrument.linear_count]]
+        self._wanders = np.zeros(1 + len(instrument.names))  # d² · 1 h
+        self._wanders[1 : 1 + len(drifts)] = np.array(drifts) ** 2 * HOUR
+        self._turned_on = known.turned_on
+        self._turned_on_doubt = known.turned_on * np.sqrt(known.turned_on_inverse_degrees)
+        back = np.linalg.inv(known.to_temperature)
+        calibrated = back @ known.calibrated @ back.T
+        self._P = block_diag(calibrated + np.diag(self._turned_on), np.diag(self._in_run))
+        self._D = block_diag(known.doubt_of(calibrated) + np.diag(self._turned_on_doubt), np.zeros((len(in_run),) * 2))
+        self._doubt, n = self._D.copy(), len(self._P)
+        self._x, self._Phi = np.zeros(n), np.eye(n)
+        self._information, self._score = np.zeros((n, n)), np.zeros(n)
+        self._squares = self._degrees = 0.0
+        self._last: float | None = None
+        self.rests = 0
+        # the sums: of every bias, both signs, and every size
+        signed = [sign * size for sign in (1.0, -1.0) for size in DETECTED]
+        self._of = np.repeat(np.arange(len(self._biases)), len(signed))
+        self._sizes = np.tile(signed, len(self._biases))
+        self.threshold = float(np.log(len(self._of) * rests_apart))
+        self._finest = np.full(len(self._biases), np.inf)
+        self._forget()
+
+    def _forget(self) -> None:
+        """Begin all sums anew."""
+        count = len(self._of)
+        self.sums, self._mean = np.zeros(count), np.zeros((len(self._P), count))
+        self._said, self._weight, self._change = np.zeros(count), np.zeros(count), np.zeros(count)
+        self._begun: list[tuple[int, float]] = [(0, 0.0)] * count
+
+    def add(self, observations: Observations, known: KnownBefore, *, apart: float | None = None) -> JudgedRest:
+        """Judge the next rest, the only one of its observations, `known` being the calibration at its temperature. Its
+        time is that of the rest, s; `apart`, where that does not say it, the seconds since the one before, infinite
+        after another power-on."""
+        rests = observations.rests
+        start, middle = float(rests.start[0]), 0.5 * float(rests.start[0] + rests.stop[0])
+        if self._last is not None:
+            self._wait(middle - self._last if apart is None else apart)
+        self._last = middle
+        still = replace(known.components, accel_in_run=0.0, gyro_in_run=0.0)
+        left = left_by(observations, replace(known, components=still))
+        at_reference = left.R @ known.to_temperature
+        R = np.concatenate([at_reference, at_reference[:, 1 + self._biases]], axis=1)
+        S = np.eye(len(R)) + R @ self._P @ R.T
+        L = np.linalg.cholesky(S)
+        both = np.linalg.solve(L, np.column_stack([R, left.d - R @ self._x]))
+        G, z = both[:, :-1], both[:, -1]
+
+        # the rest alone
+        n = len(self._biases)
+        alone = np.zeros((G.shape[1], n))
+        alone[1 + self._biases, np.arange(n)] = 1.0
+        size, t, zeta = self._along(G, z, alone)
+        u = 1.0 / np.maximum(size, 1e-300)
+        seen = u < self._limits[self._biases] / DETERMINED
+        tests = {
+            self.instrument.names[i]: BiasTest(change=float(t[k] * u[k]), u=float(u[k]), sigmas=float(zeta[k]))
+            for k, i in enumerate(self._biases.tolist())
+            if seen[k]
+        }
+        misfit = Fit(chi_square=left.squares + float(z @ z), degrees=float(left.degrees), scatter=0.0, unit="")
+        learned = bool(np.all(np.abs(zeta[seen]) <= SUSPECT))
+
+        # the sums
+        self._finest = np.minimum(self._finest, np.where(seen, u, np.inf))
+        anew = self.sums <= 0.0
+        change = self._sizes * self._finest[self._of]
+        anew &= np.isfinite(change)
+        self._change[anew] = change[anew]
+        self._mean[:, anew] = 0.0
+        self._mean[1 + self._biases[self._of[anew]], anew] = change[anew]
+        for k in np.flatnonzero(anew):
+            self.sums[k] = self._said[k] = self._weight[k] = 0.0
+            self._begun[k] = self.rests, start
+        size, t, zeta = self._along(G, z, self._mean)
+        self.sums += np.minimum(size * zeta - 0.5 * size**2, ALONE * self.threshold)
+        self._said += size * t
+        self._weight += size**2
+        self.rests += 1
+
+        # what is learned
+        if learned:
+            PG = self._P @ G.T
+            A = np.eye(len(self._P)) - PG @ G
+            self._squares, self._degrees = self._squares + misfit.chi_square, self._degrees + left.degrees
+            GPhi = G @ self._Phi
+            self._information += GPhi.T @ GPhi
+            self._score += GPhi.T @ z
+            self._x = self._x + PG @ z
+            P = A @ self._P
+            self._P, self._D = 0.5 * (P + P.T), A @ self._D @ A.T
+            self._Phi, self._mean = A @ self._Phi, A @ self._mean
+        return JudgedRest(tests=tests, misfit=misfit, learned=learned, moved=self._moved())
+
+    def _wait(self, seconds: float) -> None:
+        """The processes go on for some time, Eq. (1)."""
+        rho = np.exp(-max(seconds, 0.0) / self._time)
+        F = np.concatenate([np.ones(len(self._turned_on)), rho])
+        if np.isfinite(seconds):
+            wandered = np.minimum(self._wanders * max(seconds, 0.0), self._turned_on)
+        else:
+            wandered = self._turned_on
+        self._x = F * self._x
+        self._P = F[:, None] * self._P * F + np.diag(np.concatenate([wandered, (1.0 - rho**2) * self._in_run]))
+        self._D = F[:, None] * self._D * F
+        if not np.isfinite(seconds):
+            at = np.arange(len(self._turned_on))
+            self._D[at, at] += self._turned_on_doubt
+        self._Phi, self._mean = F[:, None] * self._Phi, F[:, None] * self._mean
+
+    def _along(self, G: Array, z: Array, of: Array) -> tuple[Array, Array, Array]:
+        """|μ|, t and ζ (k,) of Eq. (3) of changes (n, k) of the state."""
+        mu = G @ of
+        size = np.linalg.norm(mu, axis=0)
+        along = mu / np.maximum(size, 1e-300)
+        t = along.T @ z
+        q = G.T @ along
+        inverse = np.einsum("ik,ij,jk->k", q, self._D, q) ** 2
+        return size, t, _normal(t, inverse)
+
+    def _moved(self) -> tuple[MovedBias, ...]:
+        """What has moved where a sum decides: the bias that explains most of what came since its own sum began, with
+        others that explain nearly as much, as Eq. (2) of a field check has it. All of these are set free."""
+        if self.sums.max() < self.threshold:
+            return ()
+        t = np.where(self.sums > 0.5 * self.threshold, self._said / np.sqrt(np.maximum(self._weight, 1e-300)), 0.0)
+        k = int(np.argmax(np.abs(t)))
+        near = np.flatnonzero(np.abs(t) > np.sqrt(max(t[k] ** 2 - AS_LIKELY, 0.0)))
+        changes = self._change * self._said / np.maximum(self._weight, 1e-300)
+        alike: dict[int, int] = {}
+        for i in sorted(near.tolist(), key=lambda i: -abs(t[i])):
+            alike.setdefault(int(self._of[i]), i)
+        del alike[int(self._of[k])]
+        at = int(self._biases[self._of[k]])
+        changed = ChangedParameter(
+            name=self._name(k),
+            unit=self.instrument.units[at],
+            value=float(changes[k]),
+            u=float(abs(self._change[k]) / np.sqrt(self._weight[k])),
+            others={self._name(i): float(changes[i]) for i in alike.values()},
+        )
+        moved = MovedBias(change=changed, rest=self._begun[k][0], since=self._begun[k][1])
+        free = self._biases[[self._of[k], *alike]]
+        self._P[1 + free, 1 + free] += self._limits[free] ** 2
+        self._forget()
+        return (moved,)
+
+    def _name(self, k: int) -> str:
+        return self.instrument.names[int(self._biases[self._of[k]])]
+
+    def result(self, moved: tuple[MovedBias, ...] = ()) -> CheckResult:
+        """What all rests so far say together, as a field check of one session with them; `moved` has what is known to
+        have moved."""
+        names, m = self.instrument.names, len(self.instrument.names)
+        values, vectors = np.linalg.eigh(self._information)
+        kept = values > _LEAST * max(float(values[-1]), 1e-300)
+        root, inverse = np.sqrt(values[kept]), vectors[:, kept]
+        whole, z = (root * inverse).T, (inverse.T @ self._score) / root
+        already = [names.index(each.change.name) for each in moved]
+        free = list[int]()
+        first: tuple[Tests, IntArray, float] | None = None
+        while True:
+            Q = np.linalg.qr(whole[:, [1 + j for j in free]])[0]
+            tests = Tests.whitened(
+                (whole - Q @ (Q.T @ whole))[:, : 1 + m], z - Q @ (Q.T @ z), self._doubt[: 1 + m, : 1 + m]
+            )
+            linear = range(self.instrument.linear_count)
+            seen = [j for j in linear if j not in (*free, *already) and tests.u[j] < self._limits[j] / DETERMINED]
+            candidates = np.array(seen, dtype=int)
+            limit = tests.limit(candidates)
+            first = first or (tests, candidates, limit)
+            worst = int(candidates[np.argmax(np.abs(tests.t[candidates]))]) if len(candidates) else 0
+            if not len(candidates) or abs(tests.t[worst]) <= limit or len(free) + len(already) >= MOST_CHANGES:
+                break
+            free.append(worst)
+        alone, candidates, limit = first
+        change, u, explained = alone.together(free)
+        changes = tuple(
+            ChangedParameter(
+                name=names[j], unit=self.instrument.units[j], value=float(change[i]), u=float(u[i]), others={}
+            )
+            for i, j in enumerate(free)
+        )
+        return CheckResult(
+            changes=(*(each.change for each in moved), *changes),
+            tests={names[j]: (float(alone.t[j] * alone.u[j]), float(alone.u[j])) for j in candidates},
+            detectable={names[j]: float((limit + special.ndtri(POWER)) * alone.u[j]) for j in candidates},
+            largest=float(np.abs(alone.t[candidates]).max()) if len(candidates) else 0.0,
+            limit=limit,
+            misfit=Fit(chi_square=self._squares - explained, degrees=self._degrees - len(free), scatter=0.0, unit=""),
+            values=self._x[1 : 1 + m],
+            covariance=self._P[1 : 1 + m, 1 : 1 + m],
+        )
+
+
+def _normal(t: Array, inverse_degrees: Array) -> Array:
+    """The standard normal numbers with the probabilities of Student's t, of 1/ν degrees of freedom."""
+    nu = 1.0 / np.maximum(inverse_degrees, 1e-12)
+    below = special.stdtr(nu, -np.abs(t))
+    normal = np.where(nu > 1e8, np.abs(t), -special.ndtri(np.maximum(below, 1e-300)))
+    return np.asarray(np.sign(t) * normal)
