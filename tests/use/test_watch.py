@@ -270,7 +270,7 @@ def test_what_is_printed_as_data_is_a_line_each(folder: Path) -> None:
     assert lines[0]["number"] == 0
     assert lines[0]["used"]
     assert {bias["name"] for bias in lines[0]["biases"]} >= {"gyro.bias.x", "gyro.bias.y", "gyro.bias.z"}
-    assert lines[-1]["valid"]
+    assert lines[-1]["verdict"] == "accepted"
     assert lines[-1]["rests"] == 30
 
 

@@ -112,13 +112,6 @@ class Watch:
         For a calibration that was not accepted, has no uncertainties or is in the frame of the case.
     InputError
         For a session of another device or of other sensors.
-
-    >>> import tumble
-    >>> calibration = tumble.calibrate(tumble.simulate_session("made", tumble.Setup.of(positions=12), seed=1))
-    >>> day = tumble.simulate_session("day", tumble.Setup.of(positions=6), seed=1)
-    >>> events = tumble.watch_session(calibration, day)
-    >>> [event.number for event in events]
-    [1, 2, 3, 4, 5, 6]
     """
 
     def __init__(self, calibration: Calibration | FilePath, session: Session | FilePath, *, sample_rate: float) -> None:
@@ -360,7 +353,15 @@ class Watch:
 
 
 def watch_session(calibration: Calibration | FilePath, session: Session | FilePath) -> Iterator[Event]:
-    """The same of a whole recording, a `Session` or its folder: what there is to say, in the order of time."""
+    """The same of a whole recording, a `Session` or its folder: what there is to say, in the order of time.
+
+    >>> import tumble
+    >>> calibration = tumble.calibrate(tumble.simulate_session("made", tumble.Setup.of(positions=12), seed=1))
+    >>> day = tumble.simulate_session("day", tumble.Setup.of(positions=6), seed=1)
+    >>> events = tumble.watch_session(calibration, day)
+    >>> [event.number for event in events]
+    [1, 2, 3, 4, 5, 6]
+    """
     log = open_log(session_from(session))
     watch = Watch(calibration, log.session, sample_rate=log.rate)
     yield from watched(watch, log.chunks())
