@@ -20,8 +20,10 @@ from tumble.inference.linearisation import with_priors
 from tumble.inference.maximum import Maximum, without_outliers
 from tumble.inference.step import Step, solve
 from tumble.inference.uncertainty_budget import noise_roots
+from tumble.methods.ellipsoid import ellipsoid
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
+from tumble.rotation import unit_vector
 from tumble.sensors.parameters import usual_sizes
 from tumble.simulation.scenario import scenario_of
 from tumble.units import Array
@@ -220,3 +222,46 @@ class Drawn:
             values, along, _ = mean_along(step.told, given_others(step.told.factor))
             out[1 + self.problem.biases] += values + along @ step.parameters
         return out
+
+
+def test_every_source_of_the_ellipsoid_is_what_it_varies_by_where_it_alone_does() -> None:
+    """N = 500 sets of readings in 26 positions of a cube for noise, gravity and each group that is taken as nothing,
+    whose terms are written down here; u by noise is that of every fit by its own residuals."""
+    session = SESSIONS["cube"]()
+    session = replace(session, site=replace(session.site, gravity_u=1e-3))
+    estimate, rests, rng = ellipsoid(session), session.rests, np.random.default_rng(8)
+    assert estimate.budget is not None
+    force = session.site.gravity * unit_vector(estimate.accel.apply(rests.accel))
+    readings, roots = estimate.accel.predict(force), np.linalg.cholesky(rests.accel_covariance)
+    time, seen = 0.5 * (rests.start + rests.stop), list[str]()
+    time = (time - time.mean())[:, None]
+    terms = {
+        "accel.quadratic": readings**2,
+        "accel.cubic": readings**3,
+        "accel.asymmetry": np.abs(readings),
+        "accel.bias.drift": np.broadcast_to(time, readings.shape),
+        "accel.scale.drift": time * readings,
+    }
+    for source, covariance in zip(estimate.budget.sources, estimate.budget.covariances, strict=True):
+        own, errors, variances = np.sqrt(np.diag(covariance)[:9]), [], []
+        if np.all(own < 0.05 * estimate.u[:9]):
+            continue
+        seen.append(source.name)
+        for _ in range(N):
+            if source.name == "fit":
+                read = readings + (roots @ rng.standard_normal((*readings.shape, 1)))[..., 0]
+            elif source.name == "gravity":
+                read = estimate.accel.predict(force * (1.0 + 1e-3 * rng.standard_normal() / session.site.gravity))
+            else:
+                group = source.name.removeprefix("prior.")
+                read = readings + session.usual[group] * rng.standard_normal(3) * terms[group]
+            found = ellipsoid(replace(session, rests=replace(rests, accel=read), usual={}))
+            errors.append(found.values - estimate.values[:9])
+            assert found.budget is not None
+            variances.append(np.diag(found.budget.covariances[0]))
+        rms = np.sqrt(np.mean(np.square(errors), axis=0))
+        u = own if source.name != "fit" else np.sqrt(np.mean(variances, axis=0))
+        matters = u > 0.05 * estimate.u[:9]
+        assert np.median(rms[matters] / u[matters]) == pytest.approx(1.0, abs=0.1), source.name
+        assert np.all(np.abs(rms[matters] / u[matters] - 1.0) < 0.2), source.name
+    assert len(seen) >= 5

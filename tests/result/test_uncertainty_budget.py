@@ -8,15 +8,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tumble import Setup, calibrate, calibrate_launches, read_calibration, simulate_session
+from tumble import Setup, calibrate, calibrate_launches, read_calibration, read_session, simulate_session
 from tumble.cli import main
 from tumble.errors import CalibrationError
 from tumble.result.calibration import Calibration
 from tumble.result.uncertainty_budget import shares_by_group, what_would_help
 from tumble.run.calibrate import Method
+from tumble.run.launches import Run, mean_of_launches
 from tumble.sensors.frames import Frame
 from tumble.views.uncertainty_budget import budget_section
 
@@ -77,6 +79,41 @@ def test_of_launches(tmp_path: Path) -> None:
     between = by_name["launches"].contributions
     assert between
     assert set(between) < {p.name for p in mean.parameters}, "of others launches differ by less than they know"
+
+
+def test_of_launches_each_source_is_what_their_mean_varies_by(tmp_path: Path) -> None:
+    """N = 500 times three launches, about the same values with the noise of one alone, and by what a device changes
+    from launch to launch alone: the rms of their mean is the contribution of either, in the mean of squares."""
+    setup, runs = Setup.of(grade="mems", positions=12), []
+    for launch in (1, 2, 3):
+        session = read_session(simulate_session(tmp_path / f"{launch}", setup, seed=1, launch=launch))
+        runs.append(Run(session=session, calibration=calibrate(session, terms="linear")))
+    names, C = list(runs[0].calibration), runs[0].calibration.covariance_of(list(runs[0].calibration))
+    assert C is not None
+    u, rng = np.sqrt(np.diag(C)), np.random.default_rng(9)
+    root = u[:, None] * np.linalg.cholesky(C / np.outer(u, u))
+    for source, noise in (("within launches", 1.0), ("launches", 1e-3)):
+        errors, variances = [], []
+        for _ in range(500):
+            drawn = []
+            for run in runs:
+                off = root @ rng.standard_normal(len(u)) if noise == 1.0 else 3.0 * u * rng.standard_normal(len(u))
+                made = run.calibration
+                parameters = tuple(
+                    replace(made[name], value=value, u=noise * own, dof=None, prior=None)
+                    for name, value, own in zip(names, off.tolist(), u.tolist(), strict=True)
+                )
+                assert made.site is not None
+                site = replace(made.site, gravity_u=0.0)
+                drawn.append(replace(made, parameters=parameters, covariance=noise**2 * C, site=site))
+            again = [replace(run, calibration=each) for run, each in zip(runs, drawn, strict=True)]
+            mean = mean_of_launches(again)
+            budget = next(each for each in mean.budget if each.name == source)
+            errors.append([mean[name].value for name in names])
+            variances.append([budget.contributions.get(name, 0.0) ** 2 for name in names])
+        ratio = np.sqrt(np.mean(np.square(errors), axis=0) / np.mean(variances, axis=0))
+        assert np.median(ratio) == pytest.approx(1.0, abs=0.05), source
+        assert np.all(np.abs(ratio - 1.0) < 0.15), source
 
 
 def test_type_b_of_gravity_and_time_base(tmp_path: Path) -> None:
