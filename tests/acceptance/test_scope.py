@@ -15,7 +15,7 @@ from tests.support.calibrated import calibration, warmed
 from tests.views.test_certificate import CERTIFICATE, LABORATORY, RECORDED, files
 from tests.views.test_report import Page
 from tumble.acceptance.certificate import read_certificate
-from tumble.acceptance.scope import CMC, OUTSIDE, STATEMENT, Capability, within_scope
+from tumble.acceptance.scope import CMC, OUTSIDE, Capability, statement_of_scope, within_scope
 from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.result.coverage import expanded
@@ -94,7 +94,9 @@ def test_certificate_verdict_and_dcc_are_by_the_capability(tmp_path: Path) -> No
     reasons = write_report(file, tmp_path / "c.html", certificate=tmp_path / "certificate.toml")
     assert reasons == ["c.json: periodic check: conditional pass: accel.bias.x"]
     page = Page.of(tmp_path / "c.html")
-    assert STATEMENT in page.whole
+    assert statement_of_scope({"a": CMC, "b": OUTSIDE}) in page.whole
+    assert CMC not in statement_of_scope({"b": OUTSIDE})
+    assert statement_of_scope({}) == "What is not in the table of results is outside the scope"
     rows = {row["parameter"]: row for row in page.table("parameter", "U (95 %)", "scope")}
     assert [rows[name]["scope"] for name in ("accel.bias.x", "accel.bias.y", "gyro.scale.x", "accel.scale.x")] == [
         CMC,
@@ -108,7 +110,7 @@ def test_certificate_verdict_and_dcc_are_by_the_capability(tmp_path: Path) -> No
         "2.00",
     )
     exported = export_calibration(file, "dcc", certificate=tmp_path / "certificate.toml").content.decode()
-    assert STATEMENT in exported
+    assert statement_of_scope({"a": CMC, "b": OUTSIDE}) in exported
     assert float(re.findall(r"<si:valueExpandedMU>(.*?)<", exported)[1]) == pytest.approx(MILLI_G, rel=1e-2)
     without = tmp_path / "without"
     without.mkdir()

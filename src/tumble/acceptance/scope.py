@@ -35,11 +35,11 @@ from tumble.sensors.parameters import beyond_linear, group_of, groups, meant_by,
 
 CMC, OUTSIDE = "CMC", "not accredited"
 """What is said of a U that is the CMC, and of a quantity outside the scope."""
-STATEMENT = (
-    f"“{CMC}”: the U of the measurement is smaller than the calibration and measurement capability of the "
-    f"accreditation, which is stated in its place (ILAC-P14:09/2020). “{OUTSIDE}”: outside the scope of the "
-    "accreditation, as is all that is not in the table of results"
-)
+_STATEMENTS = {
+    CMC: f"“{CMC}”: the U of the measurement is smaller than the calibration and measurement capability of the "
+    "accreditation, which is stated in its place (ILAC-P14:09/2020). ",
+    OUTSIDE: f"“{OUTSIDE}”: outside the scope of the accreditation, as is all that is not in the table of results",
+}
 
 
 class Capability(BaseModel):
@@ -74,6 +74,12 @@ class Capability(BaseModel):
         """The CMC, SI, for a parameter; None for what the entry is not about."""
         inside = self._si(self.min, -math.inf) <= parameter.value <= self._si(self.max, math.inf)
         return self._si(self.cmc) if inside and meant_by(self.quantity, parameter.name) else None
+
+
+def statement_of_scope(said: Mapping[str, str]) -> str:
+    """What the words in the column of the scope mean, and what is outside of it in any case."""
+    words = "".join(text for word, text in _STATEMENTS.items() if word in said.values())
+    return words if OUTSIDE in said.values() else f"{words}What is not in the table of results is outside the scope"
 
 
 def within_scope(calibration: Calibration, scope: Sequence[Capability]) -> tuple[Calibration, Mapping[str, str]]:

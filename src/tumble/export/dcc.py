@@ -25,7 +25,7 @@ from scipy.special import chdtri, fdtri
 
 from tumble.acceptance.certificate import RELATES, STATES, Certificate, Party, check_certificate, judged_by
 from tumble.acceptance.conformity import RULE, Verdict, verdicts
-from tumble.acceptance.scope import STATEMENT, within_scope
+from tumble.acceptance.scope import statement_of_scope, within_scope
 from tumble.errors import InputError
 from tumble.export.exported import UNITS, Exported, example, models, one_line, origin, shown
 from tumble.export.larger_model import NOT_IN_MATRIX, not_held
@@ -119,7 +119,7 @@ def dcc(calibration: Calibration, certificate: Certificate) -> Exported:
         ET.register_namespace(prefix, address)
     root = ET.Element(f"{{{_DCC}}}digitalCalibrationCertificate", {"schemaVersion": VERSION})
     root.set(f"{{{_XSI}}}schemaLocation", f"{_DCC} {_DCC}/v{VERSION}/dcc.xsd")
-    _add(root, "administrativeData", _administrative(calibration, certificate))
+    _add(root, "administrativeData", _administrative(calibration, certificate, scope))
     _add(root, "measurementResults", {"measurementResult": _results(calibration, certificate, known, judged, scope)})
     ET.indent(root)
     return Exported(content=ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n", losses=losses)
@@ -153,11 +153,11 @@ def _text(text: str | None) -> dict[str, Any] | None:
 # -------------------- who, what, when --------------------
 
 
-def _administrative(calibration: Calibration, certificate: Certificate) -> dict[str, Any]:
+def _administrative(calibration: Calibration, certificate: Certificate, scope: Mapping[str, str]) -> dict[str, Any]:
     name, _, release = calibration.provenance.get("software", "tumble 0").partition(" ")
     begin, end = certificate.days(calibration)
     traced = (*certificate.traceability, *calibration.circumstances.equipment)
-    said = (RELATES, *([STATEMENT] if certificate.laboratory.scope else []), *certificate.remarks)
+    said = (RELATES, *([statement_of_scope(scope)] if certificate.laboratory.scope else []), *certificate.remarks)
     statements: list[dict[str, Any]] = [{"declaration": _text(each)} for each in said]
     if traced:
         statements.append(

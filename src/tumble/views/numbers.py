@@ -162,8 +162,8 @@ def degrees(parameter: Parameter) -> str:
 
 
 def unit_text(unit: str) -> str:
-    """An SI unit with its exponents above the line: m/s²."""
-    return unit.translate({ord("^"): None} | dict(zip(map(ord, "24"), "²⁴", strict=True)))
+    """An SI unit with its exponents above the line and products with a dot: m/s², rad·s/m."""
+    return unit.translate({ord("^"): None, ord("*"): "·"} | dict(zip(map(ord, "24"), "²⁴", strict=True)))
 
 
 def device_name(serial: str, model: str | None) -> str:

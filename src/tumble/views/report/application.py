@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 
 import numpy as np
 
@@ -86,7 +86,7 @@ def application(calibration: Calibration) -> Section:
         least = "by least squares, matrix⁺ being the pseudo-inverse:"
         which = f"One of more sensors {least}" if triads else f"{meant}. A reading is corrected {least}"
         blocks += [Text(text=which), Formula(name="apply_redundant")]
-    blocks += _what_a_reading_is(calibration)
+    blocks += _what_a_reading_is(calibration, known or models)
     left = left_by_matrix(calibration)
     if left is not None:
         linear = f"This is the linear model, {left_said(left)}; the whole correction is at the end of the section."
@@ -107,7 +107,8 @@ def application(calibration: Calibration) -> Section:
     return section("How to apply it", *blocks, *(_whole_correction(calibration) if left is not None else ()))
 
 
-def _what_a_reading_is(calibration: Calibration) -> list[Block]:
+def _what_a_reading_is(calibration: Calibration, kinds: Container[str]) -> list[Block]:
+    """What the readings of these kinds of sensors are made from."""
     rows = [
         {
             "column of the log": column,
@@ -117,6 +118,7 @@ def _what_a_reading_is(calibration: Calibration) -> list[Block]:
             "offset (raw)": significant(offset, 10),
         }
         for kind, readings in calibration.readings.items()
+        if kind in kinds
         for column, scale, offset in zip(readings.columns, readings.scale, readings.offset, strict=True)
     ]
     if not rows:

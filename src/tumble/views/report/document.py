@@ -12,7 +12,7 @@ from typing import Literal
 from tumble.acceptance.certificate import RELATES, STATES, Certificate, Party, check_certificate, recorded_on
 from tumble.acceptance.conformity import RESULTS, RULE, Result, Verdict, verdicts
 from tumble.acceptance.limits import Limits
-from tumble.acceptance.scope import STATEMENT, within_scope
+from tumble.acceptance.scope import statement_of_scope, within_scope
 from tumble.documents import check_regular
 from tumble.errors import InputError
 from tumble.result import further
@@ -108,7 +108,7 @@ def document(
         facts=facts,
         created=max(calibration.provenance.get("created", "") for calibration in calibrations),
         parts=tuple(parts),
-        statements=_statements(certificate, judged=acceptance is not None),
+        statements=_statements(certificate, sources[0].scope, judged=acceptance is not None),
         signatures=tuple(signed_by),
         closing=f"End of {closing}",
         number="" if certificate is None else certificate.number,
@@ -299,12 +299,13 @@ def letterhead(laboratory: Party) -> Letterhead:
     return Letterhead(name=laboratory.name, lines=tuple(lines), logo=picture, logo_type=kind)
 
 
-def _statements(certificate: Certificate | None, *, judged: bool) -> tuple[str, ...]:
-    """What stands above the signatures: by which rule limits were `judged`, traceability, what it all relates to."""
+def _statements(certificate: Certificate | None, said: Mapping[str, str], *, judged: bool) -> tuple[str, ...]:
+    """What stands above the signatures: by which rule limits were `judged`, traceability, what is `said` of the scope,
+    and what it all relates to."""
     rule = f"{RULE[0].upper()}{RULE[1:]}." if judged else ""
     if certificate is None:
         return (*([rule] if rule else []), "The results relate only to the item named above.")
     rule += f" Agreed beforehand: {certificate.agreed}." if judged and certificate.agreed else ""
     traced = f"Traceability: {'; '.join(certificate.traceability)}." if certificate.traceability else ""
-    scope = f"{STATEMENT}." if certificate.laboratory.scope else ""
+    scope = f"{statement_of_scope(said)}." if certificate.laboratory.scope else ""
     return tuple(each for each in (rule, traced, scope, *certificate.remarks, RELATES) if each)

@@ -151,7 +151,9 @@ def frame(name: str, accel: SensorModel, gyro: SensorModel | None) -> str:
                 direction = FRONT @ (leaning / np.linalg.norm(leaning))
                 _arrow(axes, direction, colour, 1.6)
                 mark = "xyz"[int(np.argmax(np.abs(nominal)))] if len(model.matrix) == 3 else str(p)
-                axes.annotate(mark, direction[:2], (5, -7), textcoords="offset points", color=colour, fontsize=8)
+                x, y = direction[:2] / max(float(np.hypot(*direction[:2])), 1e-9)
+                beside: dict[str, Any] = {"ha": "center", "va": "center", "color": colour, "fontsize": 8}
+                axes.annotate(mark, 0.85 * direction[:2], (7.0 * y, -7.0 * x), textcoords="offset points", **beside)
         for axes in figure.axes:
             axes.set_axis_off()
 

@@ -249,7 +249,7 @@ def _fit_table(fits: Mapping[str, Fit]) -> Table | None:
     ]
     caption = (
         "Probability: of a larger chi-square by chance alone. Scatter added: what the residuals show beyond the noise "
-        "within rests; it is in every uncertainty."
+        "within rests; it is in every uncertainty. Noise within rests: the residuals if nothing were added."
     )
     return table(rows, words=("residuals of",), caption=caption) if rows else None
 
