@@ -83,7 +83,7 @@ def programmed(setup: Setup) -> Course:
     """The course of a programme with its own turns alone in the log."""
     course = course_of(setup)
     own = np.array([setup.programme.moves[k].axis is not None for k in course.first])
-    return replace(course, first=course.first[own], moves=course.moves[own], seconds=course.seconds[own])
+    return replace(course, **{name: getattr(course, name)[own] for name in ("first", "moves", "seconds", "still")})
 
 
 # -------------------- published figures --------------------
@@ -216,7 +216,8 @@ def way_of(scenario: Scenario) -> Itinerary:
 def course_along(way: Itinerary) -> Course:
     """The course of a simulated session."""
     seconds = way.rests[1:, 0] - way.rests[:-1, 1]
-    return Course(attitudes=way.attitudes, first=np.arange(len(seconds)), moves=way.moves, seconds=seconds)
+    course = Course.of(way.attitudes, np.arange(len(seconds)), way.moves, SETUP)
+    return replace(course, seconds=seconds)
 
 
 def test_a_degree_of_the_table_changes_the_bound_by_less_than_a_hundredth() -> None:

@@ -9,10 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tumble.inference.joint import joint
 from tumble.planning.bounds import bound, stated
 from tumble.planning.expected_sizes import _expected_scatter, _expected_size
 from tumble.planning.setup import Setup
 from tumble.recording.session import USUAL_CLOCK_U
+from tumble.sensors.parameters import positions_by_group
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.scenario import scenario_of
 
 
 @settings(deadline=None)
@@ -56,3 +60,23 @@ def test_the_time_base_is_in_the_scale_factors_of_the_gyros_together() -> None:
     more = np.outer(of_scale, of_scale) * USUAL_CLOCK_U**2
     u = np.sqrt(np.diag(usual.covariance))
     np.testing.assert_allclose((usual.covariance - exact.covariance - more) / np.outer(u, u), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "setup",
+    [Setup.of(grade="mems", rest=20.0, terms="full"), Setup.of(programme="cube-26", terms="full")],
+    ids=["mems on the rough table", "navigation in a cube"],
+)
+def test_plan_states_what_calibrate_will(setup: Setup) -> None:
+    """Eight instruments: the rms u of each group of the linear model to 10 %. Positions come in the order of the
+    programme, as `stated` takes them."""
+    setup = replace(setup, programme=replace(setup.programme, ordered=True), clock_u=0.0)
+    variances = []
+    for seed in range(8):
+        rng = np.random.default_rng(100 + seed)
+        estimate = joint(simulate_observations(scenario_of(setup, rng), rng))
+        variances.append(np.diag(estimate.covariance))
+    said, mean = stated(setup), np.mean(variances, axis=0)
+    assert estimate.names[: said.linear] == said.names[: said.linear]
+    for group, members in positions_by_group(said.names[: said.linear]).items():
+        assert said.rms(group) == pytest.approx(float(np.sqrt(mean[members].mean())), rel=0.1), group

@@ -84,12 +84,11 @@ def test_what_a_candidate_shows_has_the_states_of_in_run_biases(gyros: bool) -> 
 
 def added(course: Course, attitude: np.ndarray, move: np.ndarray) -> Course:
     """A course with one more rest."""
-    return Course(
-        attitudes=np.concatenate([course.attitudes, attitude[None]]),
-        first=np.append(course.first, len(course.attitudes) - 1),
-        moves=np.concatenate([course.moves, move[None]]),
-        seconds=np.append(course.seconds, np.linalg.norm(move) / SETUP.turn_rate),
+    attitudes, first = (
+        np.concatenate([course.attitudes, attitude[None]]),
+        np.append(course.first, len(course.attitudes) - 1),
     )
+    return Course.of(attitudes, first, np.concatenate([course.moves, move[None]]), SETUP)
 
 
 def test_next_positions_come_best_first_and_equally_good_ones_once() -> None:

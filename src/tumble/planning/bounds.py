@@ -65,14 +65,35 @@ KEPT = 1e-3
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Course:
-    """Where a device rests and how it gets there: attitudes (N, 3, 3), body → geographic, of the rests in order, and
-    the turns that a log has between a rest `first` (K,) and the next: rotation vectors `moves` (K, 3), geographic, rad,
-    and `seconds` (K,)."""
+    """Where a device rests and how it gets there: attitudes (N, 3, 3), body → geographic, of the rests in order, when
+    these begin and end (N,), s, and the turns that a log has between a rest `first` (K,) and the next: rotation vectors
+    `moves` (K, 3), geographic, rad, and `seconds` (K,), with so long before and after each that nothing turns and is
+    the turn's, `still` (K,) s."""
 
     attitudes: Array
+    start: Array
+    stop: Array
     first: IntArray
     moves: Array
     seconds: Array
+    still: Array
+
+    @staticmethod
+    def of(attitudes: Array, first: IntArray, moves: Array, setup: Setup) -> Course:
+        """The course with the rests and turns of a set-up, all at its rate."""
+        seconds = np.linalg.norm(moves, axis=1) / setup.turn_rate
+        moved = np.zeros(len(attitudes))
+        moved[first + 1] = seconds
+        start = setup.rest * np.arange(len(attitudes)) + np.cumsum(moved)
+        return Course(
+            attitudes=attitudes,
+            start=start,
+            stop=start + setup.rest,
+            first=first,
+            moves=moves,
+            seconds=seconds,
+            still=np.zeros(len(first)),
+        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
@@ -148,9 +169,9 @@ class TypePrior(Protocol):
 def stated(setup: Setup, *, gyros: bool = True, device_type: TypePrior | None = None) -> Bound:
     """The same with what `calibrate` does not know of a recording by a set-up's programme: what it will state on the
     average over instruments, or with what others of its type say. Raises InputError."""
-    course, margin = course_of(setup), USUAL.margin_of(setup.rest)
-    still = np.full(len(course.first), 0.5 * setup.ramp + margin)
-    seen = view(course, replace(setup, rest=setup.rest - 2.0 * margin), gyros=gyros, still=still)
+    margin = USUAL.margin_of(setup.rest)
+    course = course_of(replace(setup, rest=setup.rest - 2.0 * margin))
+    seen = view(replace(course, still=course.still + 0.5 * setup.ramp + margin), setup, gyros=gyros)
     problem, components = expected(seen.problem, seen.rows, seen.components)
     by_type = np.zeros((0, len(problem.instrument.names)))
     if device_type is not None:
@@ -272,9 +293,8 @@ def course_of(setup: Setup) -> Course:
 def course_through(attitudes: Array, moves: Array, setup: Setup) -> Course:
     """The course through attitudes (N, 3, 3) by rotation vectors (N − 1, 3) at the rate of a set-up; where nothing
     moves the log has no turn."""
-    seconds = np.linalg.norm(moves, axis=1) / setup.turn_rate
-    first = np.flatnonzero(seconds > 0.0)
-    return Course(attitudes=attitudes, first=first, moves=moves[first], seconds=seconds[first])
+    first = np.flatnonzero(np.linalg.norm(moves, axis=1) > 0.0)
+    return Course.of(attitudes, first, moves[first], setup)
 
 
 # What the likelihood sees of it
@@ -320,11 +340,10 @@ def begun(rest: Array, states: int) -> Array:
     return out
 
 
-def view(course: Course, setup: Setup, *, gyros: bool, still: Array | None = None) -> View:
-    """The rows at perfect sensors and the attitudes of the course, with `still` (K,) s before and after the turns that
-    belong to them. Raises InputError."""
+def view(course: Course, setup: Setup, *, gyros: bool) -> View:
+    """The rows at perfect sensors and the attitudes of the course. Raises InputError."""
     instrument = instrument_of(setup, gyros)
-    observations, about = observed(course, setup, instrument, still)
+    observations, about = observed(course, setup, instrument)
     problem = Problem.of(observations, instrument=instrument, usual=setup.further)
     point = Point(values=np.zeros(len(instrument.names)), gravity=setup.gravity, attitudes=course.attitudes)
     return View(problem=problem, rows=linearise(problem, point, about), components=components_of(setup.noise))
@@ -342,12 +361,10 @@ def components_of(noise: NoiseModel) -> Components:
     )
 
 
-def observed(
-    course: Course, setup: Setup, instrument: Instrument, still: Array | None = None
-) -> tuple[Observations, TurnsAbout | None]:
+def observed(course: Course, setup: Setup, instrument: Instrument) -> tuple[Observations, TurnsAbout | None]:
     """What perfect sensors observe on a course, with the covariances of white noise, and its turns about the parameters
-    of an instrument, where it has gyros; with `still` (K,) s before and after the turns that belong to them. Raises
-    InputError for values that make no sense, and where there is no noise."""
+    of an instrument, where it has gyros. Raises InputError for values that make no sense, and where there is no
+    noise."""
     check_setup(setup, 1)
     noise, gyros = setup.noise, instrument.gyro is not None
     for sensors, level in (
@@ -356,17 +373,17 @@ def observed(
     ):
         if level == 0.0 and (gyros or sensors == "accelerometers"):
             raise InputError(f"noise: expected {sensors} with noise, found none; without it there is no bound")
-    begin, earth, g = begins(course, setup), np.array(earth_rate(setup.latitude)), setup.gravity
+    earth, g = np.array(earth_rate(setup.latitude)), setup.gravity
     turns = about = None
     if gyros and len(course.first) > 0:
         start, end = course.attitudes[course.first], course.attitudes[course.first + 1]
         vector = inertial_turns(start, end, course.moves, course.seconds, setup.latitude)
-        moments, grown = steady_moments(vector, course.seconds, start, setup, own_axes(instrument), still)
+        moments, grown = steady_moments(vector, course.seconds, start, setup, own_axes(instrument), course.still)
         ends = (g * start[:, 1], g * end[:, 1]), (earth @ start, earth @ end)
         exact = (instrument.all_coefficients(np.zeros(len(instrument.names))), 0.0)
         growing = grown if warms(instrument) else None
         about = TurnsAbout.from_moments(moments, instrument.accel, exact, (np.eye(3), np.eye(3)), ends, growing)
-        T = course.seconds if still is None else course.seconds + 2.0 * still
+        T = course.seconds + 2.0 * course.still
         rotation = (noise.gyro_white**2 * T + TURN_FLOOR**2)[:, None, None] * np.eye(3)
         turns = white_turns(course.first, T, rotation, noise.accel_white**2 * T + VELOCITY_FLOOR**2, moments)
     observations = Observations(
@@ -374,8 +391,8 @@ def observed(
         gyro_block=instrument.gyro,
         site=Site(latitude=setup.latitude, height=0.0, gravity=g, gravity_u=setup.gravity_u),
         rests=Rests.of_white_noise(
-            begin,
-            begin + setup.rest,
+            course.start,
+            course.stop,
             accel=g * course.attitudes[:, 1],
             gyro=(earth @ course.attitudes)[:, : 3 if gyros else 0],
             densities=(noise.accel_white, noise.gyro_white),
@@ -387,10 +404,3 @@ def observed(
         usual=setup.further,
     )
     return observations, about
-
-
-def begins(course: Course, setup: Setup, ramp: float = 0.0) -> Array:
-    """When the rests of a course begin (N,), s, moves taking as long as they do and a `ramp`, s."""
-    moved = np.zeros(len(course.attitudes))
-    moved[course.first + 1] = course.seconds + ramp
-    return np.asarray(setup.rest * np.arange(len(moved)) + np.cumsum(moved))

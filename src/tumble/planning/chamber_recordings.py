@@ -17,19 +17,21 @@ where it begins.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from tumble.inference.likelihood import Point, Problem, Rows, instruments_of
 from tumble.inference.linearisation import linearise
-from tumble.planning.bounds import Course, begins, instrument_of, observed
+from tumble.inference.turns_about import TurnsAbout
+from tumble.planning.bounds import Course, instrument_of, observed
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme
 from tumble.reduction.blocks.tuning import USUAL
 from tumble.reduction.observations import Observations, Together
 from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.together import MOST_PARTS, SHORTEST_PART, WARMED, held
+from tumble.sensors.instrument import Instrument
 from tumble.units import Array
 
 TYPICAL = 0.5
@@ -67,23 +69,36 @@ def problem_of(
 ) -> tuple[Problem, Rows, Point]:
     """The sessions as one problem, its rows, and the point at which they are."""
     recorded = [_recorded(*each, setup, parts=len(sessions) > 1) for each in zip(sessions, courses, strict=True)]
-    before = np.cumsum([0, *(len(course.attitudes) for course, _, _ in recorded)])
-    course = Course(  # one after the other, without a turn from one to the next
-        attitudes=np.concatenate([each.attitudes for each, _, _ in recorded]),
-        first=np.concatenate([each[0].first + n for each, n in zip(recorded, before, strict=False)]).astype(np.int64),
-        moves=np.concatenate([each.moves for each, _, _ in recorded]),
-        seconds=np.concatenate([each.seconds for each, _, _ in recorded]),
+    counts, bare = [len(each.attitudes) for each in recorded], replace(instrument_of(setup, gyros), further=())
+    joined = {each.name: np.concatenate([getattr(one, each.name) for one in recorded]) for each in fields(Course)}
+    joined["first"] += np.repeat(np.cumsum([0, *counts[:-1]]), [len(each.first) for each in recorded])
+    course = Course(**joined)  # one after the other, without a turn from one to the next
+    file = np.repeat(np.arange(len(sessions)), counts)
+    temperatures = [session.course(own.stop[-1]) for session, own in zip(sessions, recorded, strict=True)]
+    thermometers = Thermometers.of({i: (time, kelvin[:, None]) for i, (time, kelvin) in enumerate(temperatures)})
+    together = Together(
+        names=tuple(session.name for session in sessions),
+        session=file,
+        number=np.concatenate([np.arange(count) for count in counts]),
     )
-    bare = replace(instrument_of(setup, gyros), further=())
-    starts, stops = [start for _, start, _ in recorded], [stop for _, _, stop in recorded]
-    observations = _warmed(observed(course, setup, bare)[0], setup, sessions, starts, stops)
-    instrument, own = instruments_of(observations)
-    lasts = course.seconds > NO_TIME  # those between the parts of a rest are of no duration
-    fresh, about = observed(
-        course, setup, instrument, np.where(lasts, 0.5 * setup.ramp + USUAL.margin_of(setup.rest), 0.0)
-    )
-    turns = None if fresh.turns is None else replace(fresh.turns, duration=np.where(lasts, fresh.turns.duration, 0.0))
-    problem = Problem.of(held(replace(observations, turns=turns)), instrument=instrument, own=own, usual=setup.further)
+
+    def seen(instrument: Instrument) -> tuple[Observations, TurnsAbout | None]:
+        observations, about = observed(course, setup, instrument)
+        rests, turns = observations.rests, observations.turns
+        kelvin = thermometers.means(file, course.start, course.stop).kelvin
+        if turns is not None:  # those between the parts of a rest are of no duration
+            turns = replace(turns, duration=np.where(course.seconds > NO_TIME, turns.duration, 0.0))
+        return replace(
+            observations,
+            rests=replace(rests, file=file, temperatures=kelvin),
+            turns=turns,
+            thermometers=thermometers,
+            together=together if len(sessions) > 1 else None,
+        ), about
+
+    instrument, own = instruments_of(seen(bare)[0])
+    observations, about = seen(instrument)
+    problem = Problem.of(held(observations), instrument=instrument, own=own, usual=setup.further)
     values, of_each = np.zeros(len(instrument.names)), np.zeros((len(problem.parts), len(problem.own_known)))
     if problem.lag is not None:
         values[problem.lag] = TYPICAL * setup.further["temperature.lag"]
@@ -91,10 +106,12 @@ def problem_of(
     return problem, _with_lag(problem.warmed(point), linearise(problem, point, about)), point
 
 
-def _recorded(session: ChamberSession, course: Course, setup: Setup, *, parts: bool) -> tuple[Course, Array, Array]:
-    """A session as its log has it: the course with rests cut off at both ends and, in `parts` where several sessions
-    are one estimate, those that warm divided, which nothing turns between; and when each begins and ends (N,), s."""
-    start, margin = begins(course, setup, setup.ramp), USUAL.margin_of(setup.rest)
+def _recorded(session: ChamberSession, course: Course, setup: Setup, *, parts: bool) -> Course:
+    """A session as its log has it: the course with moves that are reached and left in a ramp, rests cut off at both
+    ends, which the turns have, and, in `parts` where several sessions are one estimate, rests that warm divided, which
+    nothing turns between."""
+    moved, margin = np.isin(np.arange(len(course.attitudes)), course.first + 1), USUAL.margin_of(setup.rest)
+    start = course.start + setup.ramp * np.cumsum(moved)
     time, kelvin = session.course(float(start[-1]) + setup.rest)
     begin, end = start + margin, start + setup.rest - margin
     change = np.abs(np.interp(end, time, kelvin) - np.interp(begin, time, kelvin))
@@ -104,51 +121,17 @@ def _recorded(session: ChamberSession, course: Course, setup: Setup, *, parts: b
     moves, seconds = np.zeros((count.sum() - 1, 3)), np.full(count.sum() - 1, NO_TIME)
     at = last[course.first]
     moves[at], seconds[at] = course.moves, course.seconds
-    still = np.setdiff1d(last[:-1], at)
-    first = np.setdiff1d(np.arange(len(seconds)), still)
+    first = np.setdiff1d(np.arange(len(seconds)), np.setdiff1d(last[:-1], at))
     edges = [np.linspace(a, b, n + 1) for a, b, n in zip(begin, end, count, strict=True)]
-    attitudes = np.repeat(course.attitudes, count, axis=0)
-    return (
-        Course(attitudes=attitudes, first=first, moves=moves[first], seconds=seconds[first]),
-        np.concatenate([each[:-1] for each in edges]),
-        np.concatenate([each[1:] for each in edges]),
+    return Course(
+        attitudes=np.repeat(course.attitudes, count, axis=0),
+        start=np.concatenate([each[:-1] for each in edges]),
+        stop=np.concatenate([each[1:] for each in edges]),
+        first=first,
+        moves=moves[first],
+        seconds=seconds[first],
+        still=np.where(seconds[first] > NO_TIME, 0.5 * setup.ramp + margin, 0.0),
     )
-
-
-def _warmed(
-    observations: Observations,
-    setup: Setup,
-    sessions: Sequence[ChamberSession],
-    starts: Sequence[Array],
-    stops: Sequence[Array],
-) -> Observations:
-    """The observations of sessions with times of their own and temperatures."""
-    start, stop, counts, rests = (
-        np.concatenate(starts),
-        np.concatenate(stops),
-        list(map(len, starts)),
-        observations.rests,
-    )
-    file = np.repeat(np.arange(len(sessions)), counts)
-    courses = [session.course(own[-1]) for session, own in zip(sessions, stops, strict=True)]
-    thermometers = Thermometers.of({i: (time, kelvin[:, None]) for i, (time, kelvin) in enumerate(courses)})
-    longer = (setup.rest / (stop - start))[:, None, None]
-    together = Together(
-        names=tuple(session.name for session in sessions),
-        session=file,
-        number=np.concatenate([np.arange(count) for count in counts]),
-    )
-    rests = replace(
-        rests,
-        file=file,
-        start=start,
-        stop=stop,
-        accel_covariance=longer * rests.accel_covariance,
-        gyro_covariance=longer * rests.gyro_covariance,
-        temperatures=thermometers.means(file, start, stop).kelvin,
-    )
-    several = together if len(sessions) > 1 else None
-    return replace(observations, rests=rests, thermometers=thermometers, together=several)
 
 
 def _with_lag(problem: Problem, rows: Rows) -> Rows:

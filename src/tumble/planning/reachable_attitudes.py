@@ -152,12 +152,8 @@ class Places:
         one, two, three = (np.flatnonzero(kind) for kind in (turned, half, by_hand))
         others, moves = np.concatenate([one, two, three]), np.concatenate([vectors[one], -vectors[two], vectors[three]])
         ends = np.stack([np.full(len(others), place), others], axis=1)[:, ::sense]
-        course = Course(  # one leg after the other as if in one long course
-            attitudes=self.attitudes[ends.ravel()],
-            first=2 * np.arange(len(others)),
-            moves=moves,
-            seconds=np.linalg.norm(moves, axis=1) / self.setup.turn_rate,
-        )
+        # one leg after the other as if in one long course
+        course = Course.of(self.attitudes[ends.ravel()], 2 * np.arange(len(others)), moves, self.setup)
         self._legs[place, sense] = Ways(
             places=others[:, None],
             moves=moves[:, None],

@@ -83,15 +83,16 @@ def _gauss() -> tuple[Array, Array, Array]:
 
 
 def steady_moments(
-    vector: Array, T: Array, start: Array, setup: Setup, own: OwnAxes, still: Array | None = None
+    vector: Array, T: Array, start: Array, setup: Setup, own: OwnAxes, still: Array
 ) -> tuple[Moments, tuple[Array, Array]]:
     """Moments of turns through rotation vectors (K, 3), body, inertial, in T (K,) s from attitudes (K, 3, 3); with
     `still` (K,) s before and after them in which nothing turns. And Φ and Ψ weighted with the time from the middle, as
     `tumble.reduction.turns.moments.growing_moments` has them."""
     K = len(T)
-    lasts = T[:, None] if still is None else np.stack([still, T, still], axis=1)
+    at_once = not still.any()
+    lasts = T[:, None] if at_once else np.stack([still, T, still], axis=1)
     nodes, weights, _ = _gauss()
-    moves = np.ones((K, 1)) if still is None else np.broadcast_to([0.0, 1.0, 0.0], (K, 3))
+    moves = np.ones((K, 1)) if at_once else np.broadcast_to([0.0, 1.0, 0.0], (K, 3))
     turned = (np.cumsum(moves, axis=1) - moves)[:, :, None] + moves[:, :, None] * nodes
     passed = (np.cumsum(lasts, axis=1) - lasts)[:, :, None] + lasts[:, :, None] * nodes
     C = rotation_matrix(turned.reshape(K, -1, 1) * vector[:, None])
