@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from tumble.diagnosis.accelerometer_unit import times_wrong
+from tumble.diagnosis.channels import times_wrong
 from tumble.diagnosis.observability import rough_directions
 from tumble.earth import EARTH_RATE
 from tumble.programme.positions import from_attitudes, programme
@@ -98,30 +98,26 @@ class _Carrying:
         """Angles (K,), rad, by which gyros with another matrix miss the vertical."""
         return _misses(self.observations, SensorModel(matrix=matrix, bias=self.stated.bias), self.vertical)
 
-    def other_units(self) -> Iterator[tuple[str, Array]]:
-        """Other units than the stated one (of raw channels: of the scale), and the matrices (3, n) in these."""
-        channels = self.channels
+    def other_units(self, of: Literal["gyro", "time"] = "gyro") -> Iterator[tuple[str, Array]]:
+        """Other units of the gyros than the stated one (of raw channels: of the scale), or of the times those in which
+        they are those of a log, and the matrices (3, n) in these."""
+        channels, log = self.channels, self.log
+        if of == "time":
+            seconds = float(self.observations.rests.stop.max())
+            for name, factor in {} if log.time is None or log.clock else TIME_UNITS.items():
+                longer = factor / log.time_factor
+                if _RATES[0] < self.rate / longer < _RATES[1] and seconds * longer > _SHORTEST_LOG:
+                    yield name, self.stated.matrix / longer
+            return
         for name, unit in GYRO_UNITS.items():
             larger = unit.per_second(self.rate) / channels.unit.per_second(self.rate)
             allowed = name in GyroTable.SCALE_PER if channels.raw else unit.kind != "raw"
             if allowed and unit != channels.unit and not (channels.raw and unit.kind != channels.unit.kind):
                 yield name, self.stated.matrix / larger
 
-    def fitting_unit(self) -> str | None:
+    def fitting_unit(self, of: Literal["gyro", "time"]) -> str | None:
         """The first other unit that explains what the gyros miss."""
-        return next((name for name, matrix in self.other_units() if self.explained(matrix) < np.inf), None)
-
-    def fitting_time_unit(self) -> str | None:
-        """The first other unit of the times that explains what the gyros miss, and in which they are those of a log."""
-        if self.log.time is None or self.log.clock:
-            return None
-        seconds = float(self.observations.rests.stop.max())
-        for name, factor in TIME_UNITS.items():
-            longer = factor / self.log.time_factor
-            possible = _RATES[0] < self.rate / longer < _RATES[1] and seconds * longer > _SHORTEST_LOG
-            if possible and self.explained(self.stated.matrix / longer) < np.inf:
-                return name
-        return None
+        return next((name for name, matrix in self.other_units(of) if self.explained(matrix) < np.inf), None)
 
     def fitting_columns(self) -> str | None:
         """The simplest exchange of columns and signs among those that explain what is missed nearly as well as the
@@ -161,7 +157,7 @@ def fitting_unit(observations: Observations, session: Session, rate: float, of: 
     carrying = _Carrying.of(observations, session, rate)
     if carrying is None or not carrying.evident:
         return None
-    return carrying.fitting_unit() if of == "gyro" else carrying.fitting_time_unit()
+    return carrying.fitting_unit(of)
 
 
 def misses_by_unit(observations: Observations, session: Session, rate: float) -> dict[str, float]:
@@ -183,11 +179,11 @@ def _not_carried(carrying: _Carrying) -> list[str]:
         "the gyros do not carry the vertical from rest to rest: they miss it by "
         f"{miss.max() / DEGREE:.0f}° at worst and by {np.median(miss) / DEGREE:.0f}° at the median of {len(miss)} turns"
     )
-    if (unit := carrying.fitting_unit()) is not None:
+    if (unit := carrying.fitting_unit("gyro")) is not None:
         if channels.raw:
             return [f'{lost}; the scale of [log.gyro] is not per that unit; scale_per = "{unit}" would fit']
         return [f'{lost}; the unit of [log.gyro] is not "{channels.unit_name}", "{unit}" would fit']
-    if (unit := carrying.fitting_time_unit()) is not None:
+    if (unit := carrying.fitting_unit("time")) is not None:
         return [f'{lost}; log.time_unit = "{unit}" would fit']
     if (columns := carrying.fitting_columns()) is not None:
         return [f"{lost}; {columns}"]

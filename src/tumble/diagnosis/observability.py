@@ -14,7 +14,7 @@ import numpy as np
 
 from tumble.inference.estimate import SEEN
 from tumble.reduction.rests.rests import sphere_through
-from tumble.sensors.model import Block
+from tumble.sensors.model import Block, beyond_turning
 from tumble.sensors.parameters import within_kind
 from tumble.units import Array
 
@@ -47,7 +47,7 @@ def undetermined(readings: Array, *, block: Block) -> Refusal | None:
     ones, or all of them in one plane. None where they can. For the directions a sphere about the readings is good
     enough."""
     directions = rough_directions(readings @ np.linalg.inv(block.axes).T)
-    rows = _direction_rows(block, directions)
+    rows = rows_of_rests(block, directions)[:, 0]
     _, s, Vt = np.linalg.svd(rows, full_matrices=len(rows) < 9)
     if len(s) == 9 and s[8] * LARGEST_CONDITION > s[0]:
         return None
@@ -58,7 +58,7 @@ def undetermined(readings: Array, *, block: Block) -> Refusal | None:
         f", only {distinct} of them distinct," if distinct < len(readings) else ""
     )
     missing = in_words(null, [within_kind(name) for name in block.names])
-    cube = {standing(u): _direction_rows(block, u[None]) for u in faces_and_edges()}
+    cube = {standing(u): rows_of_rests(block, u[None])[0] for u in faces_and_edges()}
     helpful, _ = most_telling(null, cube)
     reason = (
         f"{counted} determine {rank} of the 9 parameters (rank {rank}){_plane_in_words(directions)}; undetermined: "
@@ -75,11 +75,12 @@ def rough_directions(readings: Array) -> Array:
     return np.asarray(out / np.where(length > 0.0, length, 1.0))
 
 
-def _direction_rows(block: Block, directions: Array) -> Array:
-    """What positions with the true vector along `directions` (N, 3) in the body say of the nine parameters, biases in
-    parts of the modulus: rows (N, 9) of Eq. (13) of the turntable paper."""
-    homogeneous = np.concatenate([directions, np.ones((len(directions), 1))], axis=1)
-    return np.asarray(np.einsum("ip,pqm,iq->im", directions @ block.axes.T, block.jacobian(np.zeros(9)), homogeneous))
+def rows_of_rests(block: Block, directions: Array, modulus: float = 1.0) -> Array:
+    """What rests with a vector of this length along `directions` (N, 3) in the body say of the parameters of a block,
+    whatever the exact directions: (N, n − 2, m), of a triad the rows of Eq. (13) of the turntable paper."""
+    homogeneous = np.concatenate([modulus * directions, np.ones((len(directions), 1))], axis=1)
+    jacobian = block.jacobian(np.zeros(len(block.names)))
+    return np.asarray(np.einsum("ipr,pqm,iq->irm", beyond_turning(block.axes, directions), jacobian, homogeneous))
 
 
 def _distinct(directions: Array) -> int:

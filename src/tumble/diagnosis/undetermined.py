@@ -9,13 +9,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from tumble.diagnosis.misfit import Said
-from tumble.diagnosis.observability import faces_and_edges, most_telling, standing
+from tumble.diagnosis.observability import faces_and_edges, most_telling, rows_of_rests, standing
 from tumble.inference.estimate import DETERMINED, SEEN, Estimate
 from tumble.inference.sources import common_covariances
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.rotation import onto_body, skew, tangent_basis
-from tumble.sensors.model import beyond_turning
 from tumble.sensors.parameters import LINEAR, group_name, group_of, limits_of, sensor_kind, within_kind
 from tumble.units import DEGREE, Array
 
@@ -175,7 +174,9 @@ def _most_helpful(estimate: Estimate, observations: Observations, unseen: Array)
     (q, m) are combinations of parameters."""
     m = len(observations.accel_block.names)
     if np.abs(unseen[:, :m]).max(initial=0.0) > SEEN:
-        rests = {standing(u): _rest_rows(observations, u) for u in faces_and_edges()}
+        block, g = observations.accel_block, observations.site.gravity
+        spread = limits_of(block.names)
+        rests = {standing(u): rows_of_rests(block, u[None], g)[0] * spread for u in faces_and_edges()}
         what, (helpful, others) = "rests", most_telling(unseen[:, :m], rests)
     else:
         turns = {
@@ -188,16 +189,6 @@ def _most_helpful(estimate: Estimate, observations: Observations, unseen: Array)
         f"{what} that would help, the most helpful first: {', '.join(helpful)}" if helpful else "",
         f"the others no further {what} would show to the method {estimate.method}" if others else "",
     )
-
-
-def _rest_rows(observations: Observations, vertical: Array) -> Array:
-    """What one more rest would say about the accelerometer parameters, whatever the exact vertical, in units of their
-    spreads: (n − 2, m), m/s²."""
-    block, g = observations.accel_block, observations.site.gravity
-    derivative = block.jacobian(np.zeros(len(block.names)))
-    free = beyond_turning(block.axes, vertical)
-    rows = np.einsum("pr,pqm,q->rm", free, derivative, np.append(g * vertical, 1.0))
-    return np.asarray(rows * limits_of(block.names))
 
 
 def _turn_rows(observations: Observations, axis: int, up: int) -> Array:

@@ -34,6 +34,9 @@ SEEN = 1e-3
 FIT_SIGMAS = 5.0
 """A rest or turn further than this from the fit does not fit."""
 
+KEPT = 1e-3
+"""Learned fraction from which a session, or a programme, says anything of a group."""
+
 
 Verdict = Literal["accepted", "accepted with scatter", "not accepted"]
 
@@ -171,6 +174,18 @@ class GroupFinding:
     prior: float
     prior_widened: float
     learned: tuple[float, ...]
+
+    @staticmethod
+    def of(name: str, usual: Array, size: Array, variance: Array) -> GroupFinding:
+        """Of a group whose parameters (k,) have these variances beside a prior of a size, where another is usual."""
+        learned = np.clip(1.0 - variance / size**2, 0.0, 1.0)
+        return GroupFinding(
+            name=name,
+            kept=bool(learned.max() > KEPT),
+            prior=float(usual[0]),
+            prior_widened=float(size[0] / usual[0]),
+            learned=tuple(learned.tolist()),
+        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -31,7 +31,7 @@ from tumble.inference.estimate import (
 from tumble.inference.fits import TOTAL, chi_squares, left_out, sigmas
 from tumble.inference.hyperparameters import SCATTER, Components
 from tumble.inference.integral import POINTS, Posterior, posterior
-from tumble.inference.lag import KEPT, maximum_with_lag
+from tumble.inference.lag import maximum_with_lag
 from tumble.inference.likelihood import NO_PRIOR, Linearised, Prior, Problem, instruments_of
 from tumble.inference.linearisation import at_reference
 from tumble.inference.maximum import MAX_ITERATIONS, Maximum, without_outliers
@@ -246,11 +246,4 @@ def _findings(fitted: Maximum) -> Iterator[GroupFinding]:
     for group in instrument.further:
         own = instrument.members[group.name]
         size = usual[own] if group.variable == "lag" else sized[own]
-        learned = np.clip(1.0 - known[own] / size**2, 0.0, 1.0)
-        yield GroupFinding(
-            name=group.name,
-            kept=bool(learned.max() > KEPT),
-            prior=float(usual[own][0]),
-            prior_widened=float(size[0] / usual[own][0]),
-            learned=tuple(learned.tolist()),
-        )
+        yield GroupFinding.of(group.name, usual[own], size, known[own])

@@ -28,7 +28,6 @@ RESOLVED, HALVINGS = 0.2, 10
 the next, and how often steps beside likelier ones are halved at most."""
 LAG_ROUNDS = 3
 """Solutions with a lag of which each shows the one before to be wrong, at most."""
-KEPT = 1e-3  # learned fraction of a group that the session says anything of
 
 
 def maximum_with_lag(problem: Problem, at: At, iterations: int) -> tuple[Maximum, Array]:

@@ -59,9 +59,6 @@ from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import positions_by_group
 from tumble.units import Array, BoolArray, IntArray
 
-KEPT = 1e-3
-"""Learned fraction from which a programme says anything of a group."""
-
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Course:
@@ -256,16 +253,9 @@ def over_session(problem: Problem, told: Told, root: Array) -> Array:
 
 def findings(problem: Problem, variance: Array) -> Iterator[GroupFinding]:
     """What a programme finds out about each group beyond the linear model, of the size that it has in a problem."""
+    sizes, usual = problem.measured[1][1:], problem.usual[1][1:]
     for name, members in problem.instrument.members.items():
-        size, usual = problem.measured[1][1:][members], float(problem.usual[1][1:][members][0])
-        learned = np.clip(1.0 - variance[members] / size**2, 0.0, 1.0)
-        yield GroupFinding(
-            name=name,
-            kept=bool(learned.max() > KEPT),
-            prior=usual,
-            prior_widened=float(size[0]) / usual,
-            learned=tuple(learned.tolist()),
-        )
+        yield GroupFinding.of(name, usual[members], sizes[members], variance[members])
 
 
 def instrument_of(setup: Setup, gyros: bool) -> Instrument:

@@ -15,9 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tumble.brief import Brief
-from tumble.diagnosis.accelerometer_unit import accelerometer_faults
 from tumble.diagnosis.carried_vertical import sense_faults
-from tumble.diagnosis.channels import channel_faults, dead_zones, mixed_rows, normalised
+from tumble.diagnosis.channels import accelerometer_faults, channel_faults, dead_zones, mixed_rows, normalised
 from tumble.diagnosis.verdict import no_rests
 from tumble.files import FilePath
 from tumble.inference.estimate import Outcome
