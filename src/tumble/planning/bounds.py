@@ -81,11 +81,11 @@ class Course:
         seconds = np.linalg.norm(moves, axis=1) / setup.turn_rate
         moved = np.zeros(len(attitudes))
         moved[first + 1] = seconds
-        start = setup.rest * np.arange(len(attitudes)) + np.cumsum(moved)
+        start = np.asarray(setup.rest * np.arange(len(attitudes)) + np.cumsum(moved), dtype=float)
         return Course(
             attitudes=attitudes,
             start=start,
-            stop=start + setup.rest,
+            stop=np.asarray(start + setup.rest),
             first=first,
             moves=moves,
             seconds=seconds,
