@@ -388,6 +388,10 @@ def with_figures(text: str, results: Mapping[str, Results]) -> str:
 def figure(name: str, results: Mapping[str, Results]) -> str:
     """A figure by its name: set | program | kind or all | score, or set | made | what is said of the run."""
     of_set, *keys = (word.strip() for word in name.split("|"))
+    if of_set == "real":
+        from evidence.real.page import real_figure
+
+        return real_figure(keys)
     if keys[0] == "made":
         return str(results[of_set].made[keys[1]])
     value: Any = results[of_set].scores()
@@ -399,8 +403,12 @@ def figure(name: str, results: Mapping[str, Results]) -> str:
 
 def written_by_hand() -> list[Path]:
     """Pages that may hold figures."""
-    made = {ROOT / "docs/evidence/simulated.md"}
-    return [path for path in sorted([ROOT / "README.md", *ROOT.glob("docs/**/*.md")]) if path not in made]
+    made = {ROOT / "docs/evidence/simulated.md", ROOT / "docs/evidence/real.md"}
+    return [
+        path
+        for path in sorted([ROOT / "README.md", *ROOT.glob("paper/*.md"), *ROOT.glob("docs/**/*.md")])
+        if path not in made
+    ]
 
 
 def write() -> None:

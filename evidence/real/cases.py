@@ -66,10 +66,13 @@ def xsens(source: Source) -> Iterator[Case]:
 
 
 def imucal(source: Source) -> Iterator[Case]:
-    """Six faces and a full turn about each axis: one recording cut into its sections, one whole."""
+    """Six faces and a full turn about each axis: one recording cut into its sections, which are set ten seconds apart,
+    and one whole."""
     folder = data_folder() / source.name
     log = pl.read_csv(folder / "annotated_session.csv").sort("samples")
-    time, part = (log["samples"].to_numpy() + 1) / 204.8, log["part"].to_numpy()
+    part = log["part"].to_numpy()
+    cuts = np.cumsum(np.concatenate([[False], part[1:] != part[:-1]]))
+    time = (log["samples"].to_numpy() + 1) / 204.8 + 10.0 * cuts
     accel = log.select("acc_x", "acc_y", "acc_z").to_numpy() / 2048.0 * G0
     gyro = log.select("gyr_x", "gyr_y", "gyr_z").to_numpy() / 16.4 * DEGREE
     cut = case(source, "annotated", "1", time, accel, gyro, "six faces by hand")

@@ -137,7 +137,7 @@ SOURCES = (
     ),
     Source(
         name="wrona",
-        title="Wrona: readings of an accelerometer in 186 positions, and what Magneto makes of them",
+        title="Wrona: readings of an accelerometer in 178 positions, and what Magneto makes of them",
         licence=NO_LICENCE,
         repository="michaelwro/accelerometer-calibration",
         commit="8c80fa685c77086857b498792cb6c9fc2445ed6f",

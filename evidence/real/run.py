@@ -31,12 +31,13 @@ import numpy as np
 from evidence import programs as benchmark
 from evidence.case import Case, Estimate, Kind, Refusal
 from evidence.real.cases import READERS, cases, missing
-from evidence.real.scores import GROUPS, folds, prediction, repeatability
+from evidence.real.page import FIRST, RESULTS, real_page
+from evidence.real.scores import folds, prediction, repeatability
 from evidence.score import row_of
 
 FOLDER = Path(__file__).parents[1]
 CACHE = FOLDER / "cache" / "real"
-RESULTS = FOLDER / "results" / "real.json"
+SCORES = ("force", "shape", "tilt")
 CHIPS = (1, 6)
 """Of the eight of the array, one of either side of the board."""
 
@@ -162,7 +163,7 @@ def predictions(of: Mapping[tuple[str, str], Fit], programs: Iterable[str],
     for trained, unseen in pairs:
         for program in programs:
             told = of[trained, program].predicted.get(unseen, {})
-            numbers = {name: rounded(told[name]) for name in ("force", "tilt") if told.get(name) is not None}
+            numbers = {name: rounded(told[name]) for name in SCORES if told.get(name) is not None}
             counts = {name: told[name] for name in ("rests", "turns") if name in told}
             yield {"fitted": trained, "predicted": unseen, "program": program, **counts, **numbers}
 
@@ -209,26 +210,19 @@ def computed(names: Sequence[str], workers: int, chips: Sequence[int] = CHIPS) -
         for program in programs:
             fit = of[case.name, program]
             found = fit.found
-            refusal = isinstance(found, Refusal)
             rows.append({
                 "case": case.name, "kind": case.kind, "program": program,
                 "accel": fit.gives("accel"), "gyro": fit.gives("gyro"),
                 "said": (found.reason if isinstance(found, Refusal) else found.verdict)[:300],
-                "estimate": not refusal, "seconds": round(found.seconds, 2),
+                "estimate": not isinstance(found, Refusal),
             })  # fmt: skip
-    repeated = {}
-    for program in programs:
-        devices: dict[str, list[Estimate]] = {}
-        for case in real:
-            part = of[case.name, program].accepted_part()
-            if part is not None and "mimu4444" in case.device:
-                devices.setdefault(case.device, []).append(part)
-        made = repeatability(devices.values())
-        repeated[program] = {
-            group: {"deviation": rounded(made.deviation[group]), "degrees": made.degrees[group],
-                    "over_u": rounded(made.over_u[group])}
-            for group in GROUPS if group in made.deviation
-        }  # fmt: skip
+    devices: dict[str, dict[str, list[Estimate | None]]] = {}
+    for case in real:
+        if "mimu4444" in case.device:
+            for program in programs:
+                of_device = devices.setdefault(program, {}).setdefault(case.device, [])
+                of_device.append(of[case.name, program].accepted_part())
+    repeated = {program: repeated_of(devices[program], devices[FIRST]) for program in devices}
     truths = [
         row_of(case, program, of[case.name, program].found).content()
         for case in whole if case.truth is not None for program in programs
@@ -239,8 +233,34 @@ def computed(names: Sequence[str], workers: int, chips: Sequence[int] = CHIPS) -
         "rows": rows,
         "predictions": list(predictions(of, programs, pairs)),
         "repeatability": repeated,
+        "seconds": {
+            program: round(float(np.median([of[case.name, program].found.seconds for case in real])), 3)
+            for program in programs
+        },
         "simulated_by_others": truths,
     }
+
+
+def repeated_of(
+    devices: Mapping[str, Sequence[Estimate | None]], first: Mapping[str, Sequence[Estimate | None]]
+) -> dict[str, Any]:
+    """By group, the repeatability of a program over sessions, None where it stands by nothing, and its standard
+    deviation over that of the first program in the sessions that both have."""
+    made = repeatability([one for one in sessions if one is not None] for sessions in devices.values())
+    both = [
+        [(one, other) for one, other in zip(devices[name], first[name], strict=True) if one and other]
+        for name in devices
+    ]  # fmt: skip
+    own, others = (repeatability([[pair[side] for pair in pairs] for pairs in both]) for side in (0, 1))
+    return {
+        group: {
+            "deviation": rounded(deviation), "degrees": made.degrees[group], "over_u": rounded(made.over_u[group]),
+            "over_first": rounded(own.deviation[group] / others.deviation[group])
+            if own.degrees.get(group) and own.degrees[group] == others.degrees.get(group) and own.deviation[group]
+            else None,
+        }
+        for group, deviation in made.deviation.items()
+    }  # fmt: skip
 
 
 def recordings(real: Sequence[Case]) -> list[dict[str, Any]]:
@@ -285,8 +305,6 @@ def main() -> None:
     parser.add_argument("--chips", type=int, nargs="+", default=CHIPS, help="of the array (default 1 and 6)")
     parser.add_argument("--page", action="store_true", help="only write the page of the results that are there")
     given = parser.parse_args()
-    from evidence.real.page import real_page
-
     if not given.page:
         results = computed(given.sources, given.workers, given.chips)
         if given.sources:

@@ -4,6 +4,8 @@ Prediction of rests and turns that a program has not seen: the length of the cor
 the corrected rates of a turn carry the vertical of the rest before it into that of the rest after it.
 
     force   rms over rests of ‖f‖ − g, m/s², f the corrected mean reading
+    shape   the same of ‖f − c‖ − g, c the three biases that fit the unseen rests best: what scale factors and axes
+            miss, where biases have changed since
     tilt    rms over turns of the angle between Rᵀ u₀ and u₁, rad; u from the program's own accelerometers, R the
             integral of the corrected rates, the bias of the gyros read anew in the rests on both sides of the turn
 
@@ -38,6 +40,7 @@ class Prediction:
 
     rests: int
     force: float | None
+    shape: float | None
     turns: int
     tilt: float | None
 
@@ -46,7 +49,7 @@ def prediction(estimate: Estimate, unseen: Case) -> Prediction:
     """How well what a program stands by predicts a recording that it was not made from."""
     rests = found(unseen)
     if not estimate.gives("accel"):
-        return Prediction(rests=len(rests.accel), force=None, turns=0, tilt=None)
+        return Prediction(rests=len(rests.accel), force=None, shape=None, turns=0, tilt=None)
     force, rates = estimate.corrected(rests.accel, rests.gyro)
     length = np.linalg.norm(force, axis=1)
     tilts: Array = np.zeros(0)
@@ -55,9 +58,24 @@ def prediction(estimate: Estimate, unseen: Case) -> Prediction:
     return Prediction(
         rests=len(length),
         force=float(np.sqrt(np.mean((length - unseen.gravity) ** 2))),
+        shape=shape_of(force, unseen.gravity),
         turns=len(tilts),
         tilt=float(np.sqrt(np.mean(tilts**2))) if len(tilts) else None,
     )
+
+
+def shape_of(force: Array, gravity: float) -> float | None:
+    """The rms of ‖f − c‖ − g over rests (n, 3) with the best c, of n − 3 degrees of freedom; None of three rests."""
+    if len(force) < 4:
+        return None
+    c = np.zeros(3)
+    for _ in range(10):
+        left = force - c
+        length = np.linalg.norm(left, axis=1)
+        step, *_ = np.linalg.lstsq(left / length[:, None], length - gravity, rcond=None)
+        c = c + step
+    missed = np.linalg.norm(force - c, axis=1) - gravity
+    return float(np.sqrt((missed**2).sum() / (len(force) - 3)))
 
 
 def tilts_of(estimate: Estimate, unseen: Case, rests: Rests, up: Array, still: Array) -> Array:

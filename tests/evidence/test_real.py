@@ -16,8 +16,8 @@ from evidence.case import NAMES, Array, Case, Estimate, matrix_of
 from evidence.peers.rests import found
 from evidence.real import get
 from evidence.real.cases import cases, normal_gravity, psins_truth
-from evidence.real.page import ratio, real_page
-from evidence.real.run import RESULTS, content_of, found_from
+from evidence.real.page import RESULTS, ratio, real_page
+from evidence.real.run import content_of, found_from
 from evidence.real.scores import FEWEST, folds, prediction, repeatability
 from tests.support import ROOT
 
@@ -94,6 +94,20 @@ def test_what_is_wrong_with_a_calibration_is_in_its_prediction() -> None:
     assert 0.003 < scaled.tilt < 0.03
     shifted = prediction(replace(exact, gyro_bias=exact.gyro_bias + 0.05), case)
     assert shifted.tilt == pytest.approx(0.0, abs=3e-5)
+
+
+def test_the_shape_of_an_ellipsoid_knows_no_bias() -> None:
+    truth = device(1)
+    case, exact = turned_about(truth, 12), perfect(truth)
+    assert exact.accel is not None
+    assert exact.accel_bias is not None
+    shifted = prediction(replace(exact, accel_bias=exact.accel_bias + 0.02), case)
+    assert shifted.force is not None
+    assert shifted.force > 5e-3
+    assert shifted.shape == pytest.approx(0.0, abs=5e-5)
+    stretched = prediction(replace(exact, accel=exact.accel * np.array([1.001, 1.0, 1.0])), case)
+    assert stretched.shape is not None
+    assert 5e-4 < stretched.shape < 9.81e-3
 
 
 def test_sensors_that_the_program_does_not_stand_by_predict_nothing() -> None:
