@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import tracemalloc
@@ -459,3 +460,15 @@ def test_intervals_are_the_normal_68_percent() -> None:
     assert norm.cdf(1.0) - norm.cdf(-1.0) == pytest.approx(0.6827, abs=1e-4)
     assert adev.high[0, 0] / adev.deviation[0, 0] - 1.0 == pytest.approx(relative, rel=0.01)
     assert 1.0 - adev.low[0, 0] / adev.deviation[0, 0] == pytest.approx(relative, rel=0.01)
+
+
+def test_the_page_shows_what_the_study_wrote() -> None:
+    module = study("noise_processes")
+    content = json.loads((ROOT / "studies/noise_processes.json").read_text(encoding="utf-8"))
+    page = (ROOT / "docs/evidence/noise.md").read_text(encoding="utf-8")
+    results = [module.Result(**each) for each in content["sums"]]
+    assert [each.name for each in results] == [each.name for each in module.CASES]
+    assert module.answer(results)[0]
+    assert f"--seed {content['seed']}" in page
+    for each in results:
+        assert each.row in page.splitlines()
