@@ -82,7 +82,8 @@ SQUARED = 10.0
 UNSEEN = 0.2
 """rad: a heading that the gyros know to no better."""
 TO_AND_FRO = 6
-"""Linearisations after which a heading that still moves is one that the gyros do not know either."""
+"""Linearisations after which a heading that still moves is one that the gyros do not know either, and weights that still
+change go half the way."""
 PLACE_UNKNOWN = 1e-3
 """Normal gravity is known to a third of that anywhere."""
 SENSED = 0.2
@@ -283,6 +284,9 @@ def maximum(
             shown = residuals(best.problem, at.noise, best.told.weights, best.left)
             kept = weighted(problem, at.noise, student(shown)).kept
         weights_settled = all(np.all(np.abs(a**2 - b**2) < SETTLED) for a, b in zip(kept, at.noise.kept, strict=True))
+        if len(increments) >= TO_AND_FRO:  # rows that have the blame by turns share it
+            rest, turn = (np.sqrt(0.5 * (a**2 + b**2)) for a, b in zip(kept, at.noise.kept, strict=True))
+            kept = rest, turn
         ended = negligible(best.problem, best.step) and about is at.about and gain < enough and weights_settled
         if ended or len(increments) >= iterations:
             status = Status.converged if ended else Status.ran_out

@@ -162,15 +162,14 @@ def observations_for_calibration(observed: Observed, *, biases_jump: bool = Fals
     """The observations of the positions of a session's programme, or of all rests where it has none, without the gyros
     where these are spoiled, as they are where their biases jump unless what is made of them can do with that; or why
     there is nothing to calibrate with. Raises ProgrammeError for a recording that does not go through the programme."""
-    matched, every = _matched(observed), observed.observations
+    matched = _matched(observed)
     if isinstance(matched, Outcome):
         return matched
     reduction, match, torn = matched
     if biases_jump and observed.gyro_bias_faults:
         reduction = without_jump(reduction, match, observed.segmentation.jump, observed.session.gyro_block)
-    if every is None or match.rests != observed.segmentation.rests or reduction is not observed.reduction:
-        every = _observed_again(observed, reduction, match)
-    every = replace(every, programme=match.programme, position=match.position, notes=(*every.notes, *torn))
+    every = _observed_again(observed, reduction, match)
+    every = replace(every, notes=(*every.notes, *torn))
     spoiled = observed.gyro_faults or (observed.gyro_bias_faults and not biases_jump)
     return every.of_accelerometers() if spoiled else every
 
@@ -187,8 +186,10 @@ def observations_in_parts(observed: Observed) -> tuple[Observations, IntArray] |
 
 
 def _observed_again(observed: Observed, reduction: Reduction, match: Match) -> Observations:
-    """The observations of other rests and turns."""
+    """The observations of these rests and turns, made anew where they are others."""
     session, before = observed.session, observed.observations
+    if before is not None and match.rests == observed.segmentation.rests and reduction is observed.reduction:
+        return replace(before, programme=match.programme, position=match.position)
     arrays = None if before is None or observed.gyro_bias_faults else before.arrays
     return observe(reduction, match, session.accel_block, session.gyro_block, session.site, arrays)
 
