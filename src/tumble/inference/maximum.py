@@ -82,8 +82,8 @@ SQUARED = 10.0
 UNSEEN = 0.2
 """rad: a heading that the gyros know to no better."""
 TO_AND_FRO = 6
-"""Linearisations after which a heading that still moves is one that the gyros do not know either, and weights that still
-change go half the way."""
+"""Linearisations after which a heading that still moves is one that the gyros do not know either, and weights of rows
+go half the way."""
 PLACE_UNKNOWN = 1e-3
 """Normal gravity is known to a third of that anywhere."""
 SENSED = 0.2
