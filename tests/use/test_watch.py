@@ -79,7 +79,7 @@ def test_the_first_rest_is_judged_as_a_field_check_of_it_alone() -> None:
 
 
 def test_all_rests_together_say_what_a_field_check_of_one_session_says() -> None:
-    """Rest by rest, in-run biases carried along, without wandering: Eq. (2), and not a second mechanism."""
+    """Rest by rest, in-run biases carried along, without the wandering: not a second mechanism."""
     observations = only_rests(seen(25, turns=False))
     calibration = device()[1]
     chain = None

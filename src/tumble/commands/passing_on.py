@@ -36,6 +36,7 @@ def report(calibrations: tuple[Path, ...], out: Path, limits: Path | None, certi
 @ask.option("--imu", "px4, ardupilot, also thermal: of the N-th IMU, from 1.", metavar="N", type=int)
 @ask.option("--sensor-ids", "px4-thermal: the numbers in CAL_ACC0_ID and CAL_GYRO0_ID.", metavar="ACCEL,GYRO")
 @ask.option("--full-scale", "firmware: range in fixed point, g and °/s.  [default: 16,2000]", metavar="ACCEL,GYRO")
+@ask.option("--counts", "iNav, Betaflight, …: counts a g and a °/s; default: the recording's.", metavar="ACCEL,GYRO")
 @ask.force()
 def export(
     calibration: Path,
@@ -43,6 +44,7 @@ def export(
     out: Path,
     sensor_ids: str | None,
     full_scale: str | None,
+    counts: str | None,
     force: bool,
     **given: Any,
 ) -> None:
@@ -52,6 +54,7 @@ def export(
     """
     from tumble.export import export_calibration
     from tumble.export.autopilots import sensor_ids_of
+    from tumble.export.counts import counts_of
     from tumble.export.firmware import full_scale_of
     from tumble.files import whole_file
 
@@ -59,7 +62,8 @@ def export(
         raise InputError(f"{out}: expected a new file, found one that exists; give --force to replace it")
     ids = None if sensor_ids is None else sensor_ids_of(sensor_ids)
     scales = None if full_scale is None else full_scale_of(full_scale)
-    exported = export_calibration(calibration, to, sensor_ids=ids, full_scale=scales, **given)
+    in_counts = None if counts is None else counts_of(counts)
+    exported = export_calibration(calibration, to, sensor_ids=ids, full_scale=scales, counts=in_counts, **given)
     with whole_file(out) as temporary:
         temporary.write_bytes(exported.content)
     tell.say(f"written to {out}")

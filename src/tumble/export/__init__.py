@@ -43,6 +43,12 @@ FORMATS: Mapping[str, Target] = {
     "px4-thermal": Target(module="autopilots", function="px4_thermal", takes=("imu", "sensor-ids"), ending=".params"),
     "ardupilot": Target(module="autopilots", function="ardupilot", takes=("imu",), ending=".parm"),
     "ardupilot-thermal": Target(module="autopilots", function="ardupilot_thermal", takes=("imu",), ending=".parm"),
+    "inav": Target(module="counts", function="inav", takes=("counts",)),
+    "betaflight": Target(module="counts", function="betaflight", takes=("counts",)),
+    "slimevr": Target(module="counts", function="slimevr", takes=("counts",), ending=".h"),
+    "m5unified": Target(module="counts", function="m5unified", takes=("counts",), ending=".h"),
+    "iio": Target(module="counts", function="iio", takes=("counts",), ending=".sh"),
+    "realsense": Target(module="json_files", function="realsense", ending=".json"),
     "imucal": Target(module="json_files", function="imucal"),
     "depthai": Target(module="json_files", function="depthai"),
     "matlab-imu": Target(module="json_files", function="matlab_imu"),
@@ -68,12 +74,14 @@ def export_calibration(
     imu: int | None = None,
     sensor_ids: tuple[int, int] | None = None,
     full_scale: tuple[float, float] | None = None,
+    counts: tuple[float, float] | None = None,
 ) -> Exported:
     """A calibration, or that of a file, in one of the `FORMATS`. `kalibr` takes the noise densities of the device or a
     session whose longest rest shows them, else those of the calibration's rests; `dcc` needs the administrative data of
     a certificate or their file; the formats of PX4 and ArduPilot take the number of the IMU whose parameters are to be
     written, from 1, where the recording does not say it; `px4-thermal` the device ids of accelerometer and gyro,
-    likewise; `firmware` the range of readings in fixed point, g and °/s.
+    likewise; `firmware` the range of readings in fixed point, g and °/s; formats in counts how many a g and a °/s are,
+    where the recording was not in counts.
 
     Where the accelerometers or the gyros alone are accepted, they are written, and the others named as absent. Raises
     InputError for a calibration that was not accepted or that the format has no place for.
@@ -102,6 +110,7 @@ def export_calibration(
     if certificate is not None and not isinstance(certificate, Certificate):
         certificate = read_certificate(Path(certificate))
     given = {"noise": noise, "certificate": certificate, "imu": imu, "sensor-ids": sensor_ids, "full-scale": full_scale}
+    given["counts"] = counts
     target = FORMATS[to]
     for what, value in given.items():
         if value is not None and what not in target.takes:

@@ -15,6 +15,12 @@ DepthAI (Luxonis OAK cameras), an `ImuCalibrationParams`:
 so A = M⁻¹ and b = −M⁻¹ bias; m/s² and rad/s. `noise` has a name alone: its numbers, whose units DepthAI does not state,
 are those of a new object, zero.
 
+RealSense, the table of Intel's rs-imu-calibration, rows from left to right:
+
+    corrected = scale_and_alignmentᵀ raw − bias
+
+so scale_and_alignment = M⁻ᵀ and bias = M⁻¹ b; m/s² and rad/s. The program itself leaves the gyros' matrix at 1.
+
 MATLAB, from which `loadparams` takes the parameters of an `imuSensor`, to simulate this device:
 
     reading = 1/100 AxesMisalignment true + ConstantBias
@@ -24,7 +30,8 @@ less acceleration, −f: at rest with Z down +9.81. What it gives, with the othe
 M f + b; so its ConstantBias is −b. Temperatures of the simulation and noise are left as they are.
 
 Source: imucal, documentation of FerrarisCalibrationInfo; depthai-core, ImuParameters.hpp (members, and [1 | 0] where
-nothing is known) and CalibrationHandler; MathWorks, documentation of accelparams, gyroparams, imuSensor and loadparams.
+nothing is known) and CalibrationHandler; librealsense, tools/rs-imu-calibration/rs-imu-calibration.py (check_X, and the
+JSON that it writes); MathWorks, documentation of accelparams, gyroparams, imuSensor and loadparams.
 """
 
 from __future__ import annotations
@@ -98,6 +105,25 @@ def depthai(calibration: Calibration) -> Exported:
         both = np.column_stack([model.inverse(), -model.inverse() @ model.bias])
         content[name] = [[float(f"{np.float32(number):.9g}") for number in row] for row in both]
     return _written(content, losses, indent=1)
+
+
+def realsense(calibration: Calibration) -> Exported:
+    """The JSON file of a calibration as rs-imu-calibration writes it."""
+    known = triads(calibration, "realsense", needed=())
+    losses = (
+        *(f"{words}: not known, 1 and 0 in this file" for kind, words in WORDS.items() if kind not in known),
+        *not_held(calibration),
+        SINGLE_PRECISION,
+        NO_UNCERTAINTY,
+    )
+    kinds: tuple[tuple[str, SensorKind], ...] = (("accelerometer", "accel"), ("gyroscope", "gyro"))
+    imu: dict[str, Any] = {}
+    for name, kind in kinds:
+        A = (model := known.get(kind, UNKNOWN)).inverse()
+        imu[name] = {"scale_and_alignment": A.T.ravel().tolist(), "bias": (A @ model.bias).tolist()}
+    comment = "; ".join([*origin(calibration), *examples(known), *losses])
+    content = {"comment": comment, "device_type": one_line(calibration.model or "D435i"), "imus": [imu]}
+    return _written(content, losses, indent=4)
 
 
 def matlab_imu(calibration: Calibration) -> Exported:

@@ -2,21 +2,21 @@
 rests before it have said, and a sequential test of whether the bias of a sensor has moved.
 
 The state x is the deviation, from the calibration, of gravity and the parameters at its reference temperature, with
-what turning on has changed, P at the first rest as in `tumble.use.check` Eq. (1); and of the in-run bias of every
-sensor, a Gauss–Markov process of the usual σ and τ. Biases and scale factors go on to wander at random, in an hour by
-as much as is usual of a drift, d · 1 h; in a pause Δt, however long, by no more than turning on changes, s:
+what turning on has changed, of the standard deviation s of `tumble.use.check` Eq. (1); of the in-run bias of every
+sensor, a Gauss–Markov process of the usual σ and τ; and of how far biases and scale factors have wandered since,
+another one, of the size s too, and so fast that within an hour it changes by what is usual of a drift d:
 
-    x_{k+1} = F x_k + n,   F = diag(1, e^{−Δt/τ}),   var n = min(d² · 1 h · Δt, s²), (1 − e^{−2Δt/τ}) σ²          (1)
+    x_{k+1} = F x_k + n,   F = diag(1, e^{−Δt/τ}, e^{−Δt/τ_s}),   τ_s = 2 s²/(d² · 1 h)                           (1)
 
-This is as much as any process makes of the increments that has this rate and returns to a mean, so that a bias which
-stays where it was turned on and one which does not are both as predicted. A rest leaves d = R x + n of
+So a bias that stays where it was turned on, and one that goes about as far within the day, are both as predicted; one
+that leaves what turning on changes is not, however slowly. A rest leaves d = R x + n of
 `tumble.methods.field_check` Eq. (1), and with the x̂ and P that are known before it
 
     z = L⁻¹ (d − R x̂),   G = L⁻¹ R,   L Lᵀ = 1 + R P Rᵀ,   x̂ ← x̂ + P Gᵀ z,   P ← A P,   A = 1 − P Gᵀ G       (2)
 
-are of unit variance, and independent from rest to rest, as long as nothing has changed. The first rest is judged as a
-field check of it alone; all together, with the information Γ = Σ Φᵀ Gᵀ G Φ and γ = Σ Φᵀ Gᵀ z about x at the first, Φ
-the product of all F A before, as a field check of all of them in one session, but for the wandering.
+are of unit variance, and independent from rest to rest, as long as nothing has changed. Without the wandering the
+first rest is judged as a field check of it alone; all together, with the information Γ = Σ Φᵀ Gᵀ G Φ and
+γ = Σ Φᵀ Gᵀ z about x at the first, Φ the product of all F A before, as a field check of all of them in one session.
 
 A change of a bias by a from some rest on is seen in the next ones as μ = G m, m the mean of what x̂ errs by: a in that
 bias at the first, then F A m, for what is learned takes it up. The logarithm of the likelihood ratio of a rest is
@@ -116,14 +116,18 @@ class RestChain:
         in_run = np.array([getattr(components, f"{kind}_in_run") for kind in kinds])
         self._in_run, self._time = in_run**2, np.array([getattr(components, f"{kind}_time") for kind in kinds])
         drifts = [drift.get(f"{group_name(name)}.drift", 0.0) for name in instrument.names[: instrument.linear_count]]
-        self._wanders = np.zeros(1 + len(instrument.names))  # d² · 1 h
-        self._wanders[1 : 1 + len(drifts)] = np.array(drifts) ** 2 * HOUR
-        self._turned_on = known.turned_on
+        self._turned_on, linear = known.turned_on, 1 + np.arange(len(drifts))
         self._turned_on_doubt = known.turned_on * np.sqrt(known.turned_on_inverse_degrees)
+        rate, self._columns = np.array(drifts) ** 2 * HOUR, np.concatenate([1 + self._biases, linear])
+        moves = rate > 0.0
+        time = np.where(moves, 2.0 * self._turned_on[linear] / np.where(moves, rate, 1.0), 1.0)
+        self._time = np.concatenate([self._time, np.maximum(time, 1.0)])
+        self._steady = np.concatenate([self._in_run, np.where(moves, self._turned_on[linear], 0.0)])
+        self._steady_doubt = np.concatenate([0.0 * self._in_run, np.where(moves, self._turned_on_doubt[linear], 0.0)])
         back = np.linalg.inv(known.to_temperature)
         calibrated = back @ known.calibrated @ back.T
-        self._P = block_diag(calibrated + np.diag(self._turned_on), np.diag(self._in_run))
-        self._D = block_diag(known.doubt_of(calibrated) + np.diag(self._turned_on_doubt), np.zeros((len(in_run),) * 2))
+        self._P = block_diag(calibrated + np.diag(self._turned_on), np.diag(self._steady))
+        self._D = block_diag(known.doubt_of(calibrated) + np.diag(self._turned_on_doubt), np.diag(self._steady_doubt))
         self._doubt, n = self._D.copy(), len(self._P)
         self._x, self._Phi = np.zeros(n), np.eye(n)
         self._information, self._score = np.zeros((n, n)), np.zeros(n)
@@ -157,7 +161,7 @@ class RestChain:
         still = replace(known.components, accel_in_run=0.0, gyro_in_run=0.0)
         left = left_by(observations, replace(known, components=still))
         at_reference = left.R @ known.to_temperature
-        R = np.concatenate([at_reference, at_reference[:, 1 + self._biases]], axis=1)
+        R = np.concatenate([at_reference, at_reference[:, self._columns]], axis=1)
         S = np.eye(len(R)) + R @ self._P @ R.T
         L = np.linalg.cholesky(S)
         both = np.linalg.solve(L, np.column_stack([R, left.d - R @ self._x]))
@@ -211,18 +215,13 @@ class RestChain:
 
     def _wait(self, seconds: float) -> None:
         """The processes go on for some time, Eq. (1)."""
-        rho = np.exp(-max(seconds, 0.0) / self._time)
+        rho, anew = np.exp(-max(seconds, 0.0) / self._time), 0.0 if np.isfinite(seconds) else 1.0
         F = np.concatenate([np.ones(len(self._turned_on)), rho])
-        if np.isfinite(seconds):
-            wandered = np.minimum(self._wanders * max(seconds, 0.0), self._turned_on)
-        else:
-            wandered = self._turned_on
+        fresh = np.concatenate([anew * self._turned_on, (1.0 - rho**2) * self._steady])
+        unsure = np.concatenate([anew * self._turned_on_doubt, (1.0 - rho**2) * self._steady_doubt])
         self._x = F * self._x
-        self._P = F[:, None] * self._P * F + np.diag(np.concatenate([wandered, (1.0 - rho**2) * self._in_run]))
-        self._D = F[:, None] * self._D * F
-        if not np.isfinite(seconds):
-            at = np.arange(len(self._turned_on))
-            self._D[at, at] += self._turned_on_doubt
+        self._P = F[:, None] * self._P * F + np.diag(fresh)
+        self._D = F[:, None] * self._D * F + np.diag(unsure)
         self._Phi, self._mean = F[:, None] * self._Phi, F[:, None] * self._mean
 
     def _along(self, G: Array, z: Array, of: Array) -> tuple[Array, Array, Array]:
