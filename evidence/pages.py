@@ -29,7 +29,7 @@ ROOT = Path(__file__).parents[1]
 OURS = "tumble joint"
 PICTURES = ROOT / "docs" / "pictures"
 ASKED = {"rms": 1.15, "beyond_3": 0.01, "covered": 0.92}
-"""What is asked of z and of 95 % intervals of what is accepted without a remark."""
+"""What is asked of z and of 95 % intervals."""
 GOOD = "accept"
 FIGURE = re.compile(r"(?<!`)(<!-- figure: ([^>]*?) -->)(.*?)(<!-- end -->)", re.S)
 WORDS = {
@@ -105,6 +105,10 @@ def simulated_page(results: Results) -> str:
         "its grade, a driver and a clock. A program gets readings in SI, gravity to 1 mGal, the latitude, and nothing "
         "else. Seeds are none of those of the tests.",
         "## Where tumble loses",
+        f"The method `joint`: what is silently wrong; verdicts that are not what is expected; u, where rms is above "
+        f"{ASKED['rms']}, more than {share(ASKED['beyond_3'])} are beyond 3 u or fewer than {share(ASKED['covered'])} "
+        "are covered, by more than the standard error over sessions; and programs that leave smaller errors, by more "
+        "than two standard errors.",
         losses(results, kinds),
         "## By kind of session",
         "The method `joint`. As expected: a good recording is accepted without a remark, one that scatters with the "
@@ -130,8 +134,11 @@ def simulated_page(results: Results) -> str:
         "## Limits",
         "What is simulated is what was thought of: the sizes of everything beyond the linear model are those that data "
         "sheets state, normally distributed, and tumble's own priors are of such sheets too. Recordings of real "
-        "devices are on pages of their own. Programs of others are rewritten from what they publish, with their "
-        "defaults; where one states no rule for finding rests it is given one (`evidence/peers/`).",
+        "devices are on pages of their own. What is compared are parameters: a program of the linear model alone has "
+        "in its biases and scale factors what the terms beyond do to them at the forces of the recording, which a "
+        "matrix and a bias are right to have where nothing else is corrected. Programs of others are rewritten from "
+        "what they publish, with their defaults; where one states no rule for finding rests it is given one "
+        "(`evidence/peers/`).",
     )
 
 
@@ -165,26 +172,11 @@ def losses(results: Results, kinds: Sequence[Kind]) -> str:
             said = f"{kind.expected} is expected, {verdicts(score)} are accepted, accepted with scatter, not"
             out.append(f"Verdicts: `{kind.name}`, {len(wrong)} of {score.sessions} are not what is expected: {said}.")
     for kind in kinds:
-        clean = [row for row in rows[kind.name] if row.verdict == "accepted"]
-        score = score_of(clean)
-        short = [
-            words
-            for words, misses in (
-                (f"rms {number(score.rms)}", score.rms is not None and score.rms > ASKED["rms"]),
-                (
-                    f"{share(score.beyond_3)} beyond 3 u",
-                    score.beyond_3 is not None and score.beyond_3 > ASKED["beyond_3"],
-                ),
-                (f"{share(score.covered)} covered", score.covered is not None and score.covered < ASKED["covered"]),
-            )
-            if misses
-        ]
-        if short:
-            out.append(f"u: `{kind.name}`, {len(clean)} accepted without a remark: {', '.join(short)}.")
-        scattering = score_of([row for row in rows[kind.name] if row.verdict == "with scatter"])
-        if scattering.largest is not None and scattering.largest > 4.0:
-            beyond = f"{share(scattering.beyond_3)} beyond 3 u, the largest {number(scattering.largest, 1)}"
-            out.append(f"u with a remark: `{kind.name}`, {scattering.sessions} accepted with scatter: {beyond}.")
+        for verdict, words in (("accepted", "accepted without a remark"), ("with scatter", "accepted with scatter")):
+            some = [row for row in rows[kind.name] if row.verdict == verdict and row.z]
+            short = falls_short(some)
+            if short:
+                out.append(f"u: `{kind.name}`, {len(some)} of {len(rows[kind.name])}, {words}: {', '.join(short)}.")
     good = {kind.name for kind in kinds if kind.expected == GOOD}
     ours = {row.case: row for row in results.rows if row.program == OURS}
     for program, some in by(results.rows, "program").items():
@@ -197,6 +189,31 @@ def losses(results: Results, kinds: Sequence[Kind]) -> str:
                         f"`{kind_name}`, {ratio[2]} sessions."
                     )
     return "\n".join(f"* {line}" for line in out) or "Nowhere, in what is asked here."
+
+
+def falls_short(rows: Sequence[Row]) -> list[str]:
+    """In which of what is asked of u rows fall short, by more than the standard error over sessions."""
+    if len(rows) < 2:
+        return []
+    square, beyond, covered = (
+        np.array([value(row) for row in rows])
+        for value in (
+            lambda row: np.mean(np.square(list(row.z.values()))),
+            lambda row: np.mean(np.abs(list(row.z.values())) > 3.0),
+            lambda row: row.covered / row.intervals if row.intervals else 1.0,
+        )
+    )
+    error = [each.std(ddof=1) / np.sqrt(len(each)) for each in (square, beyond, covered)]
+    rms = float(np.sqrt(square.mean()))
+    return [
+        words
+        for words, misses in (
+            (f"rms {number(rms)}", rms - 0.5 * error[0] / rms > ASKED["rms"]),
+            (f"{share(float(beyond.mean()))} beyond 3 u", beyond.mean() - error[1] > ASKED["beyond_3"]),
+            (f"{share(float(covered.mean()))} covered", covered.mean() + error[2] < ASKED["covered"]),
+        )
+        if misses
+    ]
 
 
 def kind_table(results: Results, kinds: Sequence[Kind]) -> str:
@@ -348,9 +365,9 @@ def draw_programs(results: Results, path: Path) -> None:
         axes.set_xscale("log")
         axes.axvline(1.0, color="0.4", linewidth=0.7)
         axes.set_title(f"{group.split('.')[0]} {WORDS[group]}", fontsize=7.5)
-        low, high = axes.get_xlim()
-        axes.set_xlim(min(low, 0.7), max(high, 15.0))
-        axes.xaxis.set_minor_formatter("")
+        axes.set_xlim(0.4, 2000.0)
+        axes.set_xticks([1.0, 10.0, 100.0, 1000.0], ["1", "10", "100", "1000"])
+        axes.minorticks_off()
     panels[0].set_yticks(-np.arange(len(others)), others)
     panels[0].set_ylim(-len(others) + 0.4, 0.6)
     figure.supxlabel("errors over those of tumble joint (logarithmic)", fontsize=7.5)

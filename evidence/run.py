@@ -43,9 +43,14 @@ from evidence.simulated.kinds import KINDS, SEALED, SHORT, simulated
 FOLDER = Path(__file__).parent
 RESULTS = FOLDER / "results"
 CACHE = FOLDER / "cache"
-SESSIONS = 10
+SESSIONS = 6
 """Of every kind in the published table."""
+FEWER = {"tumble staged": 2, "imu_tk": 2, "imu-calib": 2}
+"""Sessions of every kind, at most, of programs that take long."""
 LIBRARIES = ("numpy", "scipy", "polars")
+MAKING = tuple(f"simulated/{name}.py" for name in ("motion", "device", "driver"))
+DECIDES = (*MAKING, "peers", "case.py", "score.py", "programs.py", "tumble_methods.py")
+"""What rows depend on in this folder."""
 JUDGES = ("tumble joint", "tumble staged")
 """Programs whose verdicts are on the whole recording."""
 
@@ -56,8 +61,13 @@ class Entry:
 
     name: str
     kind: str
+    index: int
     key: str
     make: Callable[[], Case]
+
+    def of(self, programs: Sequence[str]) -> list[str]:
+        """The programs that are to have it."""
+        return [name for name in programs if name not in FEWER or self.index < FEWER[name]]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -104,13 +114,14 @@ class Results:
 def simulated_entries(series: str, sessions: int) -> list[Entry]:
     """Sessions of all kinds."""
     making = _digest(
-        *(FOLDER / "simulated" / f"{name}.py" for name in ("motion", "device", "driver")),
+        *(FOLDER / name for name in MAKING),
         inspect.getsource(simulated_kinds.simulated),
     )
     return [
         Entry(
             name=f"{kind.name} {index}",
             kind=kind.name,
+            index=index,
             key=hashlib.sha256(f"{making} {kind!r} {series} {index}".encode()).hexdigest(),
             make=_Simulated(kind.name, index, series),
         )
@@ -201,7 +212,7 @@ def run(
     from tumble.campaigns.cluster import executor_for
     from tumble.campaigns.engine import Job
 
-    missing = [(entry, [name for name in programs if not _cached(entry, name).exists()]) for entry in entries]
+    missing = [(entry, [name for name in entry.of(programs) if not _cached(entry, name).exists()]) for entry in entries]
     pending = [(entry, names) for entry, names in missing if names]
     job = Job(
         definition={"what": "evidence"},
@@ -225,7 +236,7 @@ def run(
             say(f"{done} of {len(pending)} cases")
     all_rows, seconds = [], dict[str, list[float]]()
     for entry in entries:
-        for name in programs:
+        for name in entry.of(programs):
             content = json.loads(_cached(entry, name).read_text(encoding="utf-8"))
             all_rows.append(Row.from_content(content["row"]))
             seconds.setdefault(name, []).append(content["seconds"])
@@ -256,7 +267,7 @@ def made_by(name: str, entries: Sequence[Entry], programs: Sequence[str]) -> dic
     """What was run, when, where, of which state of the sources."""
     said = subprocess.run(["git", "rev-parse", "HEAD"], cwd=FOLDER, capture_output=True, text=True, check=False)
     changed = subprocess.run(
-        ["git", "status", "--porcelain", "--", "src", "evidence/*.py"], cwd=FOLDER.parent,
+        ["git", "status", "--porcelain", "--", "src", *(f"evidence/{name}" for name in DECIDES)], cwd=FOLDER.parent,
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     info = Path("/proc/cpuinfo")

@@ -140,7 +140,7 @@ KINDS = (
     Kind(name="wrong-hemisphere", words="a latitude of the wrong sign, navigation unit", expected="name the cause",
          says="latitude", handling=TABLE, sensors=NAVIGATION, driver=EXACT, south=True),
     Kind(name="memory", words="accelerometers read 0.1 % of the force again over 60 s, navigation unit",
-         expected="name the cause", says="memory|hysteresis", handling=TABLE,
+         expected="name the cause", says="memory|hysteresis|remember", handling=TABLE,
          sensors=Sensors(grade="navigation", rate=50.0, remembers=(1e-3, 60.0)), driver=EXACT),
     # drivers and files
     Kind(name="dead-zone", words="gyros below 0.15 °/s are written as 0", expected="name the cause",
