@@ -183,6 +183,17 @@ def test_results_say_of_what_they_are_and_are_read_again(tmp_path: Path) -> None
     assert found.text() == (tmp_path / "short.json").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize("index", [0, 1])
+def test_a_wrong_hemisphere_is_named_at_middle_latitudes_without_a_programme(index: int) -> None:
+    """Where the horizontal part of the Earth's rate is as large as the vertical one, which g-sensitivity can take."""
+    case = simulated(named("wrong-hemisphere"), index, "test")
+    assert case.latitude is not None
+    for latitude, accepted in ((case.latitude, False), (-case.latitude, True)):
+        row = row_of(case, "joint", programs.named("tumble joint").calibrate(replace(case, latitude=latitude)))
+        assert ("latitude" in row.said) != accepted
+        assert (row.verdict == "accepted") == accepted
+
+
 # -------------------- the drift watch --------------------
 
 

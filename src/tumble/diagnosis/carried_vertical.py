@@ -309,16 +309,16 @@ def upside_down(observations: Observations, session: Session) -> list[str]:
 
 
 def _earth_reversed(observations: Observations, vertical: Array) -> bool:
-    """Whether ω = bias + s Ω sin B û at rest says s = −1 and nothing near +1. The horizontal part of the Earth's rate
-    and gyros of lesser grades are noise to it."""
+    """Whether û·ω = û·bias + s Ω sin B at rest says s = −1 and nothing near +1. The horizontal part of the Earth's
+    rate is in none of it; gyros of lesser grades, and what they feel of specific force, are noise to it."""
     block, latitude = observations.gyro_block, observations.site.latitude
-    if block is None or latitude is None or len(vertical) < 4:
+    if block is None or latitude is None or len(vertical) < 6:
         return False
-    rate = block.nominal().apply(observations.rests.gyro)
-    rate, known = rate - rate.mean(axis=0), EARTH_RATE * np.sin(latitude) * (vertical - vertical.mean(axis=0))
-    square = float((known**2).sum())
-    if square == 0.0:
+    rate = np.einsum("ij,ij->i", block.nominal().apply(observations.rests.gyro), vertical)
+    rows = np.column_stack([vertical, np.full(len(vertical), EARTH_RATE * np.sin(latitude))])
+    found, _, rank, _ = np.linalg.lstsq(rows, rate)
+    if rank < 4:
         return False
-    slope = float((rate * known).sum()) / square
-    u = float(np.sqrt(((rate - slope * known) ** 2).sum() / (3 * len(rate) - 4) / square))
+    scatter = ((rate - rows @ found) ** 2).sum() / (len(rate) - 4)
+    slope, u = float(found[3]), float(np.sqrt(scatter * np.linalg.inv(rows.T @ rows)[3, 3]))
     return slope + 6.0 * u < 0.0 and abs(slope + 1.0) < 3.0 * u + 0.1
