@@ -26,21 +26,19 @@ import formulas_against_simulation as simulation
 import numpy as np
 from accuracy_formulas import scalar_scale_error
 
-from tumble.earth import earth_rate, normal_gravity
+from tumble.earth import normal_gravity
 from tumble.inference.estimate import Outcome
 from tumble.methods.paper.accelerometers import by_modulus as scalar
 from tumble.methods.paper.accelerometers import by_vector as sequential
 from tumble.methods.paper.accelerometers import check_for_vector as check_positions
 from tumble.methods.paper.four_stages import (
     PaperMethod,
-    ProgrammeCourse,
     accelerometer_pass,
+    course_of_programme,
     gyro_bias_pass,
     gyro_matrix_pass,
 )
-from tumble.methods.paper.gyros import RecordedTurn, known_turns, programme_matrix
 from tumble.planning.setup import Setup
-from tumble.programme.positions import Programme
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Launch, Parameter
 from tumble.rotation import rotation_matrix
@@ -123,23 +121,8 @@ SETUP = Setup(
 # -------------------- the methods --------------------
 
 
-def course_of(programme: Programme) -> ProgrammeCourse:
-    """The course of launches that record nothing but the known turns."""
-    series, k = [], 0
-    for moves in known_turns(programme):
-        turns = [RecordedTurn(turn=k + i, first=move, last=move + 1, counts=True) for i, move in enumerate(moves)]
-        series.append(tuple(turns))
-        k += len(turns)
-    return ProgrammeCourse(
-        nominal=np.array([position.vertical_b for position in programme.positions]),
-        series=tuple(series),
-        duration=np.full(k, math.pi / SETUP.turn_rate),
-        earth_rate=np.array(earth_rate(LATITUDE)),
-        matrix=programme_matrix(programme)[0],
-    )
-
-
-COURSE = course_of(SETUP.programme)
+COURSE = course_of_programme(SETUP.programme, turn_rate=SETUP.turn_rate, latitude=LATITUDE)
+"""The course of launches that record nothing but the known turns."""
 
 
 def passes(

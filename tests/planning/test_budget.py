@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from tests.support import ROOT
-from tests.support.formula_setup import GRAVITY, SEED, SETUP, SILENT, SIMULATION
+from tests.support.formula_setup import GRAVITY, SEED, SETUP, SILENT, SIMULATION, indirect_coefficients
 from tumble.errors import InputError, ProgrammeError
-from tumble.planning.budget import GROUPS, budget, indirect_coefficients
+from tumble.planning.budget import GROUPS, budget
 from tumble.planning.error_propagation import BUDGETED_METHODS, BudgetedMethod
 from tumble.planning.setup import NAMES, Setup
 from tumble.programme.positions import ANY_MOVE, Programme, programme

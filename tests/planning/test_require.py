@@ -10,10 +10,10 @@ from accuracy_formulas import axis_angle_rms, up_down_rms
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.formula_setup import AXIS, BIAS, SCALE, SETUP, SILENT
+from tests.support.formula_setup import AXIS, BIAS, SCALE, SETUP, SILENT, indirect_coefficients
 from tumble.errors import InputError
 from tumble.planning.bounds import bound
-from tumble.planning.budget import GROUPS, budget, indirect_coefficients
+from tumble.planning.budget import GROUPS, budget
 from tumble.planning.error_propagation import BUDGETED_METHODS, BudgetedMethod
 from tumble.planning.requirements import require
 from tumble.planning.setup import Setup, Terms

@@ -6,6 +6,7 @@ turns; it uses none of the formulas.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -13,9 +14,10 @@ import numpy as np
 
 from tests.support import study
 from tumble.earth import normal_gravity
-from tumble.planning.setup import Setup
+from tumble.planning.budget import MEMBERS, pipeline_of
+from tumble.planning.setup import NAMES, Setup
 from tumble.programme.positions import programme
-from tumble.sensors.grades import NoiseModel
+from tumble.sensors.grades import NoiseModel, spread_of
 from tumble.units import ARCSEC, DEGREE
 
 SIMULATION = study("formulas_against_simulation")
@@ -34,3 +36,22 @@ SILENT = replace(SETUP, noise=NoiseModel())
 BIAS, SCALE, AXIS = 2e-3 / GRAVITY, 1e-4, 25.0 * ARCSEC
 NINE = np.array([position.matrix for position in programme("nine").positions])
 SEED = 20190211
+
+
+def indirect_coefficients(setup: Setup) -> dict[str, tuple[float, float]]:
+    """c₁ (per rad) and c₂ (per rad²) of "gyro.scale" and "gyro.axis": relative errors c₁ σ after the first pass of the
+    indirect method with the programme's matrix and c₂ σ² after the second, when σ, rad, is the rms error per axis of
+    the mounting and of the positions each, and accelerometers and gyro biases are perfect. §7.
+
+    They depend on the ratio of scale-factor to axis errors in `setup.gyro`: axis angles suffer from scale factors."""
+    pipeline = pipeline_of(replace(setup, table_error=math.sqrt(3.0), mounting_error=math.sqrt(3.0)), "scalar")
+    once, twice = pipeline.by_table + pipeline.by_mounting, pipeline.twice[2]
+    out = {}
+    for group in ("gyro.scale", "gyro.axis"):
+        of = np.ix_(MEMBERS[group], np.arange(12, len(NAMES)))
+        c1, c2 = (
+            math.sqrt((matrix[of] @ pipeline.spread[12:] ** 2).mean()) / spread_of(setup, group)
+            for matrix in (once, twice)
+        )
+        out[group] = (c1, c2)
+    return out

@@ -16,12 +16,11 @@ from tests.support.preintegrated import preintegrate
 from tumble.earth import earth_rate, normal_gravity
 from tumble.methods.paper.four_stages import (
     PaperMethod,
-    ProgrammeCourse,
     accelerometer_pass,
+    course_of_programme,
     gyro_bias_pass,
     gyro_matrix_pass,
 )
-from tumble.methods.paper.gyros import RecordedTurn, known_turns, programme_matrix
 from tumble.programme.positions import programme
 from tumble.reduction.noise.coloured_noise import WHITE
 from tumble.reduction.turns.turns import Turns
@@ -45,25 +44,8 @@ SIZES = np.concatenate(
 """Standard deviations of the parameters in §6.5, accelerometers and gyros."""
 
 
-def course_of_launches() -> ProgrammeCourse:
-    """The course of a recording of the nine known turns only."""
-    series, k = [], 0
-    for moves in known_turns(PROGRAMME):
-        turns = []
-        for move in moves:
-            turns.append(RecordedTurn(turn=k, first=move, last=move + 1, counts=True))
-            k += 1
-        series.append(tuple(turns))
-    return ProgrammeCourse(
-        nominal=np.array([p.vertical_b for p in PROGRAMME.positions]),
-        series=tuple(series),
-        duration=np.full(k, TURN_SECONDS),
-        earth_rate=EARTH,
-        matrix=programme_matrix(PROGRAMME)[0],
-    )
-
-
-COURSE = course_of_launches()
+COURSE = course_of_programme(PROGRAMME, turn_rate=np.pi / TURN_SECONDS, latitude=LATITUDE)
+"""The course of a recording of the nine known turns only."""
 
 
 @dataclass(frozen=True, kw_only=True)

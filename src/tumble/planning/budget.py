@@ -227,23 +227,6 @@ def _rms(variance: Array) -> float:
     return math.sqrt(float(variance.mean()))
 
 
-def indirect_coefficients(setup: Setup) -> dict[str, tuple[float, float]]:
-    """c₁ (per rad) and c₂ (per rad²) of "gyro.scale" and "gyro.axis": relative errors c₁ σ after the first pass of the
-    indirect method with the programme's matrix and c₂ σ² after the second, when σ, rad, is the rms error per axis of
-    the mounting and of the positions each, and accelerometers and gyro biases are perfect. §7.
-
-    They depend on the ratio of scale-factor to axis errors in `setup.gyro`: axis angles suffer from scale factors."""
-    check_setup(setup, 1)
-    pipeline = pipeline_of(replace(setup, table_error=math.sqrt(3.0), mounting_error=math.sqrt(3.0)), "scalar")
-    once, twice = pipeline.by_table + pipeline.by_mounting, pipeline.twice[2]
-    out = {}
-    for group in ("gyro.scale", "gyro.axis"):
-        of = np.ix_(MEMBERS[group], np.arange(12, len(NAMES)))
-        c1, c2 = (_rms(matrix[of] @ pipeline.spread[12:] ** 2) / spread_of(setup, group) for matrix in (once, twice))
-        out[group] = (c1, c2)
-    return out
-
-
 # -------------------- what a method leaves of the parameters --------------------
 
 

@@ -22,17 +22,14 @@ from typing import Literal
 
 import numpy as np
 
-from tumble.earth import EARTH_RATE, earth_rate
+from tumble.earth import EARTH_RATE
 from tumble.errors import ProgrammeError
 from tumble.methods.least_squares import solved
 from tumble.methods.paper.accelerometers import by_modulus, by_vector, check_for_vector, scalar_rows
-from tumble.methods.paper.four_stages import ProgrammeCourse, differences
+from tumble.methods.paper.four_stages import ProgrammeCourse, course_of_programme, differences
 from tumble.methods.paper.gyros import (
-    RecordedTurn,
     carried_attitudes,
     invariant_bias,
-    known_turns,
-    programme_matrix,
     scalar_bias,
     triad,
     vertical_bias,
@@ -89,22 +86,15 @@ def plan_of(programme: Programme, method: BudgetedMethod, *, turn_rate: float, l
             f"programme {programme.name}: expected positions that determine nine accelerometer parameters, "
             f"found {rank}; take rough-table, nine or cube-26"
         )
+    course = course_of_programme(programme, turn_rate=turn_rate, latitude=latitude)
     moves = [m.angle * m.axis for m in programme.moves if m.axis is not None and m.angle is not None]
-    series, first = list[tuple[RecordedTurn, ...]](), list[int]()
-    for known in known_turns(programme):
-        series.append(
-            tuple(RecordedTurn(turn=len(first) + t, first=i, last=i + 1, counts=True) for t, i in enumerate(known))
-        )
-        first += known
-    vectors = np.array(moves).reshape(-1, 3)
-    course = ProgrammeCourse(
-        nominal=nominal[:, 1],
-        series=tuple(series),
-        duration=np.linalg.norm(vectors, axis=1) / turn_rate,
-        earth_rate=np.array(earth_rate(latitude)),
-        matrix=programme_matrix(programme)[0],
+    return Plan(
+        method=method,
+        course=course,
+        nominal=nominal,
+        first=np.array([turn.first for series in course.series for turn in series], dtype=np.int64),
+        moves=np.array(moves).reshape(-1, 3),
     )
-    return Plan(method=method, course=course, nominal=nominal, first=np.array(first, dtype=np.int64), moves=vectors)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -24,7 +24,7 @@ The stages take any leading axes. Source: Vodicheva & Parysheva 2019; the turnta
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -53,7 +53,7 @@ from tumble.reduction.turns.turns import Turns
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, Block, SensorModel, triad_model, triad_parameters
 from tumble.sensors.parameters import group_name, units_of
-from tumble.units import Array
+from tumble.units import Array, IntArray
 
 MAX_PASSES = 30
 NEGLIGIBLE = 1e-2
@@ -158,8 +158,9 @@ def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCours
             "programme; take the programme rough-table or the method staged"
         )
     check_directions(programme)
-    series = _recorded(observations, programme)
-    if observations.site.latitude is None:
+    turns, latitude = observations.turns, observations.site.latitude
+    series = _series(programme, position, [] if turns is None else turns.first.tolist())
+    if latitude is None:
         raise SessionError(
             f"[site]: expected latitude_deg, from which the method {method.name} has the Earth's rate, found none; "
             "give it or take the method staged"
@@ -167,33 +168,40 @@ def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCours
     return ProgrammeCourse(
         nominal=nominal,
         series=series,
-        duration=np.empty(0) if observations.turns is None else observations.turns.duration,
-        earth_rate=np.array(earth_rate(observations.site.latitude)),
+        duration=np.empty(0) if turns is None else turns.duration,
+        earth_rate=np.array(earth_rate(latitude)),
         matrix=programme_matrix(programme)[0],
     )
 
 
-def _recorded(observations: Observations, programme: Programme) -> tuple[Series, ...]:
-    """The recorded turns of every series of known turns, from the first rest in its first position on."""
-    assert observations.position is not None
-    between = {} if observations.turns is None else {int(a): k for k, a in enumerate(observations.turns.first)}
-    course = []
+def course_of_programme(programme: Programme, *, turn_rate: float, latitude: float) -> ProgrammeCourse:
+    """The course of a recording of a programme's known turns alone, at this rate, rad/s."""
+    known = [k for series in known_turns(programme) for k in series]
+    angles = np.array([programme.moves[k].angle for k in known], dtype=float)
+    return ProgrammeCourse(
+        nominal=np.array([position.vertical_b for position in programme.positions]),
+        series=_series(programme, np.arange(len(programme.positions)), known),
+        duration=np.abs(angles) / turn_rate,
+        earth_rate=np.array(earth_rate(latitude)),
+        matrix=programme_matrix(programme)[0],
+    )
+
+
+def _series(programme: Programme, position: IntArray, first: Sequence[int]) -> tuple[Series, ...]:
+    """The recorded turns of every series of known turns, from the first rest in its first position on, of rests at
+    these positions (N,) and turns after these rests (K,)."""
+    between, course = {rest: turn for turn, rest in enumerate(first)}, []
     for moves in known_turns(programme):
-        rests = np.flatnonzero((observations.position >= moves[0]) & (observations.position <= moves[-1] + 1))
+        rests = np.flatnonzero((position >= moves[0]) & (position <= moves[-1] + 1)).tolist()
         for rest in rests[:-1]:
-            if int(rest) not in between:
+            if rest not in between:
                 raise ProgrammeError(
                     f"programme {programme.name}: expected the turn from rest {rest + 1} to rest {rest + 2} in the "
                     "log, found the end of a file; record every series in one file or take the method staged"
                 )
         course.append(
             tuple(
-                RecordedTurn(
-                    turn=between[int(a)],
-                    first=int(a),
-                    last=int(b),
-                    counts=bool(observations.position[a] != observations.position[b]),
-                )
+                RecordedTurn(turn=between[a], first=a, last=b, counts=bool(position[a] != position[b]))
                 for a, b in pairwise(rests)
             )
         )
