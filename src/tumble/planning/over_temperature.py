@@ -27,12 +27,10 @@ from tumble.inference.variables import both_ways, over_a_range
 from tumble.planning.bounds import Course, bound_of, by_clock, components_of, course_of, findings, over_session
 from tumble.planning.chamber_recordings import ChamberSession, problem_of
 from tumble.planning.expected_sizes import expected
-from tumble.planning.setup import Setup, time_of, with_all_groups
+from tumble.planning.setup import Setup, time_of, wanted_accuracies, with_all_groups
 from tumble.sensors.parameters import (
     THERMAL,
-    group_of,
     positions_by_group,
-    quantity_of,
     to_temperature,
     variable_of,
 )
@@ -194,17 +192,7 @@ def covariance_of(problem: Problem, rows: Rows, components: Components, clock_u:
 def wanted_over_temperature(texts: Sequence[str]) -> dict[str, float]:
     """Wanted accuracies, SI, by group, from texts such as "accel.bias=0.1mg" or "accel.bias.t1=1ug/K". Raises
     InputError, one line."""
-    wanted: dict[str, float] = {}
-    for text in texts:
-        name, _, value = text.partition("=")
-        try:
-            wanted[name] = quantity_of(group_of(name), value)
-        except KeyError:
-            known = ", ".join((*CHANGING, *(f"{group}.t1" for group in CHANGING)))
-            raise InputError(f"--want {text}: expected a group such as {known} before '=', found {name!r}") from None
-        except ValueError as error:
-            raise InputError(f"--want {text}: {error}") from None
-    return wanted
+    return wanted_accuracies(texts, (*CHANGING, *(f"{group}.t1" for group in CHANGING)), others=True)
 
 
 # The chamber

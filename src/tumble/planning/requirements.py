@@ -31,9 +31,9 @@ from tumble.planning.budget import (
     size_of,
     total_of,
 )
-from tumble.planning.setup import Setup, check_setup, expect
+from tumble.planning.setup import Setup, check_setup, expect, wanted_accuracies
 from tumble.sensors.grades import spread_of
-from tumble.units import Array, engineering, quantity
+from tumble.units import Array, engineering
 
 REST_SHARE = 0.25
 """Part of the permitted variance that `require` gives to the noise of rests; table and mounting get the others."""
@@ -165,14 +165,7 @@ def wanted_of(texts: Sequence[str], relative_percent: float | None, setup: Setup
         raise InputError(f"--relative: expected more than 0 %, found {relative_percent:g}")
     spreads = {group: spread_of(setup, group) for group in GROUPS}
     wanted = {} if relative_percent is None else {g: 1e-2 * relative_percent * s for g, s in spreads.items()}
-    for text in texts:
-        group, _, value = text.partition("=")
-        if group not in UNITS:
-            raise InputError(f"--want {text}: expected one of {', '.join(GROUPS)} before '=', found {group!r}")
-        try:
-            wanted[group] = quantity(value, UNITS[group])
-        except ValueError as error:
-            raise InputError(f"--want {text}: {error}") from None
+    wanted |= wanted_accuracies(texts, GROUPS)
     if not wanted:
         raise InputError("expected --want GROUP=VALUE or --relative PERCENT, found neither")
     return wanted

@@ -10,7 +10,7 @@ What is usual stands in `tumble.usual_setup` alone.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from typing import Literal
@@ -26,7 +26,7 @@ from tumble.recording.session import USUAL_CLOCK_U
 from tumble.sensors.grades import GRADES, NoiseModel, Spread
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import usual_sizes
+from tumble.sensors.parameters import named_group, quantity_of, usual_sizes
 from tumble.units import DEGREE
 from tumble.usual_setup import (
     BY_HAND,
@@ -177,6 +177,23 @@ def check_setup(setup: Setup, iterations: int) -> None:
     for kind in ("accel", "gyro"):
         for what in ("bias", "scale", "axis"):
             expect(f"{kind}.{what}", getattr(getattr(setup, kind), what), least="more than 0")
+
+
+def wanted_accuracies(texts: Sequence[str], known: Sequence[str], *, others: bool = False) -> dict[str, float]:
+    """Wanted rms errors, SI, by group of parameters, from texts such as "accel.scale=3.5ppm", of the groups that are
+    `known`, or with `others` of any. Raises InputError, one line."""
+    wanted = dict[str, float]()
+    for text in texts:
+        name, _, value = text.partition("=")
+        group = named_group(name)
+        if group is None or not (others or name in known):
+            which = "a group such as" if others else "one of"
+            raise InputError(f"--want {text}: expected {which} {', '.join(known)} before '=', found {name!r}")
+        try:
+            wanted[name] = quantity_of(group, value)
+        except ValueError as error:
+            raise InputError(f"--want {text}: {error}") from None
+    return wanted
 
 
 LEAST_GRAVITY, MOST_GRAVITY = 1.0, 100.0  # m/s²
