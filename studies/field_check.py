@@ -21,7 +21,7 @@ from tumble.inference.joint import joint
 from tumble.methods.field_check import CheckResult, field_check
 from tumble.planning.setup import Setup
 from tumble.result.calibration import Calibration
-from tumble.result.parts import Parameter
+from tumble.result.parts import CalibratedDevice, Parameter
 from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import HandHeld, Scenario, scenario_of
@@ -79,8 +79,7 @@ def calibration_of(estimate: Estimate, scenario: Scenario) -> Calibration:
     degrees = estimate.degrees
     assert degrees is not None
     return Calibration(
-        serial=scenario.serial,
-        model=None,
+        device=CalibratedDevice(serial=scenario.serial),
         method=estimate.method,
         frame="accelerometer",
         parameters=tuple(

@@ -40,7 +40,7 @@ from tumble.methods.paper.four_stages import (
 )
 from tumble.planning.setup import Setup
 from tumble.result.calibration import Calibration
-from tumble.result.parts import Launch, Parameter
+from tumble.result.parts import CalibratedDevice, Launch, Parameter
 from tumble.rotation import rotation_matrix
 from tumble.run.launches import difference_percent
 from tumble.sensors.grades import NoiseModel
@@ -227,8 +227,7 @@ def calibration_of(found: Sets, method: str, rows: range) -> Calibration:
         return Parameter(name=name, value=value, u=u, unit=unit, run_to_run=run_to_run)
 
     return Calibration(
-        serial="BChE-501",
-        model="simulated, seven launches on one table",
+        device=CalibratedDevice(serial="BChE-501", model="simulated, seven launches on one table"),
         method=method,
         frame="accelerometer",
         parameters=tuple(parameter(i, values[:, i].mean(), spread[i] / math.sqrt(LAUNCHES), spread[i]) for i in rows),

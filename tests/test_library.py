@@ -27,6 +27,7 @@ from matplotlib.figure import Figure
 import tumble
 import tumble.types
 from tests.support import ROOT
+from tests.support.calibrated import of_device
 from tumble.cli import main
 from tumble.errors import InputError, MissingExtraError
 from tumble.inference.estimate import Outcome
@@ -189,7 +190,7 @@ def test_no_dataclass_with_arrays_compares_them() -> None:
 
 
 def test_results_can_be_compared(calibration: tumble.Calibration) -> None:
-    again, other = replace(calibration), replace(calibration, serial="another")
+    again, other = replace(calibration), of_device(calibration, serial="another")
     assert calibration == again
     assert calibration != other
     assert len({calibration, again, other}) == 2
@@ -234,7 +235,11 @@ class Text(HTMLParser):
 
 def test_html_is_escaped(calibration: tumble.Calibration) -> None:
     page = Text()
-    evil = replace(calibration, serial="<script>alert(1)</script>", outcome=Outcome(reasons=("a < b & c",)))
+    evil = replace(
+        calibration,
+        device=replace(calibration.device, serial="<script>alert(1)</script>"),
+        outcome=Outcome(reasons=("a < b & c",)),
+    )
     page.feed(evil._repr_html_())
     assert "script" not in page.tags
     assert "a < b & c" in page.said
@@ -320,7 +325,7 @@ def test_a_calibration_equals_its_copy_and_its_file(calibration: tumble.Calibrat
     for copy in (pickle.loads(pickle.dumps(calibration)), tumble.read_calibration(tmp_path / "c.json")):
         assert copy == calibration
         assert hash(copy) == hash(calibration)
-    assert calibration != replace(calibration, serial="another")
+    assert calibration != of_device(calibration, serial="another")
 
 
 def test_a_refused_calibration_says_why_it_has_no_parameters(calibration: tumble.Calibration) -> None:

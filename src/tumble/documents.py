@@ -10,8 +10,9 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Iterable, Mapping
+from dataclasses import is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, get_args, get_origin, get_type_hints
 
 from tumble.errors import InputError, did_you_mean
 
@@ -172,15 +173,15 @@ def validated(
     raise error(f"{where}: {said}" if where else said)
 
 
-def faults_of(error: ValidationError, content: Any, model: type[BaseModel]) -> list[str]:
+def faults_of(error: ValidationError, content: Any, model: type[Any]) -> list[str]:
     """Every fault of a document once. What is expected of a key is the description of its field; where that has one,
     it is named in place of the elements of its list."""
     faults: dict[tuple[int | str, ...], str] = {}
     for fault in error.errors(include_url=False):
         kind, value, expected = fault["type"], content, ""
         key: tuple[int | str, ...] = ()
-        table: type[BaseModel] = model  # the innermost one of the way, and the one behind its last key, if that is one
-        inner: type[BaseModel] | None = model
+        table: type[Any] = model  # the innermost one of the way, and the one behind its last key, if that is one
+        inner: type[Any] | None = model
         for part in fault["loc"]:
             if isinstance(part, int):
                 if (inner is None and expected) or not isinstance(value, list | tuple) or part >= len(value):
@@ -189,9 +190,9 @@ def faults_of(error: ValidationError, content: Any, model: type[BaseModel]) -> l
                 key, value = (*key, part), value[part]
                 continue
             known = isinstance(value, Mapping) and part in value
-            if inner is not None and part in inner.model_fields:
-                table, field = inner, inner.model_fields[part]
-                expected, inner = field.description or "", table_behind(field.annotation)
+            if inner is not None and part in (described := keys_of(inner)):
+                table, (annotation, expected) = inner, described[part]
+                inner = table_behind(annotation)
             elif inner is not None or not (known or kind == "missing"):  # an unknown key, or the choice of a union
                 value = key[-1] if part == "[key]" else value
                 break
@@ -200,7 +201,7 @@ def faults_of(error: ValidationError, content: Any, model: type[BaseModel]) -> l
         if kind == "extra_forbidden":
             unknown = str(fault["loc"][-1])
             where = f"in [{place}]" if key else "at the top level"
-            hint = did_you_mean(unknown, (inner or table).model_fields)
+            hint = did_you_mean(unknown, keys_of(inner or table))
             faults[(*key, unknown)] = f"unknown key '{unknown}' {where}{hint}"
         elif kind == "value_error":
             said = str(fault["ctx"]["error"])  # of a table it may begin with one of its keys
@@ -213,13 +214,25 @@ def faults_of(error: ValidationError, content: Any, model: type[BaseModel]) -> l
     return list(faults.values())
 
 
-def table_behind(annotation: Any) -> type[BaseModel] | None:
-    """The model that the values of a key are, or are lists of; None where they are none."""
+def keys_of(table: type[Any]) -> dict[str, tuple[Any, str]]:
+    """The keys of a model or a dataclass that describes a table: their types, and what is expected of them."""
+    if is_dataclass(table):
+        hints = get_type_hints(table, include_extras=True)
+        aliases = {n: next((a.alias for a in get_args(h) if getattr(a, "alias", None)), n) for n, h in hints.items()}
+        return {aliases[name]: (hint, "") for name, hint in hints.items()}
+    return {name: (field.annotation, field.description or "") for name, field in table.model_fields.items()}
+
+
+def table_behind(annotation: Any) -> type[Any] | None:
+    """The model or dataclass that the values of a key are, or are lists of, or stand as; None where they are none."""
     from pydantic import BaseModel
 
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+    annotation = getattr(annotation, "table", annotation)
+    if isinstance(annotation, type) and (issubclass(annotation, BaseModel) or is_dataclass(annotation)):
         return annotation
-    return next((table for part in get_args(annotation) if (table := table_behind(part)) is not None), None)
+    stands_as = [part for part in get_args(annotation) if hasattr(part, "table")]
+    parts = stands_as or (() if get_origin(annotation) is Mapping else get_args(annotation))
+    return next((table for part in parts if (table := table_behind(part)) is not None), None)
 
 
 def as_written(value: Any) -> str:

@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from tumble.errors import InputError
+
 FilePath = str | os.PathLike[str]
 """What every public function takes as the path of a file or folder."""
 
@@ -57,6 +59,15 @@ _NUMBER = re.compile(r"\(os error (\d+)\)")
 
 def _said(error: OSError) -> str:
     return os.strerror(error.errno) if error.errno else str(error)
+
+
+def ending_in(path: Path, *endings: str) -> str:
+    """The ending of a file that is to be written, in small letters. Raises InputError for another than these."""
+    ending, (*others, last) = path.suffix.lower(), endings
+    if ending not in endings:
+        found = path.suffix or "no ending"
+        raise InputError(f"{path}: expected a file that ends in {', '.join(others)} or {last}, found {found!r}")
+    return ending
 
 
 def plain_name(word: str) -> str:

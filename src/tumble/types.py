@@ -54,6 +54,8 @@ from tumble.reduction.turns.moments import OwnAxes as OwnAxes
 from tumble.reduction.turns.turns import TurnReadings as TurnReadings
 from tumble.reduction.turns.turns import Turns as Turns
 from tumble.reduction.turns.turns import TurnSamples as TurnSamples
+from tumble.result.parts import CalibratedDevice as CalibratedDevice
+from tumble.result.parts import CalibratedTemperature as CalibratedTemperature
 from tumble.result.parts import Readings as Readings
 from tumble.result.parts import SensorsAtRest as SensorsAtRest
 from tumble.result.parts import SourceContributions as SourceContributions

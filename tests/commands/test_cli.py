@@ -230,7 +230,7 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["programme", "nin"], "found 'nin'; did you mean 'nine'?"),
         (["programme", "--attitude", "NUX"], 'expected three of N S E W U D, where body X, Y, Z point, found "NUX"'),
         (["programme", "nine", "--rest", "-1"], "rest: expected a positive number"),
-        (["programme", "nine", "-o", "x.xyz"], "expected a name that ends in .html, .pdf or .svg"),
+        (["programme", "nine", "-o", "x.xyz"], "expected a file that ends in .html, .pdf or .svg"),
         (["budget", "--table-error", "-1"], "expected 0 or more"),
         (["budget", "--rest", "nan"], "expected more than 0"),
         (["budget", "--programme", "cube-14", "--method", "sequential"], "take rough-table or nine, or another method"),

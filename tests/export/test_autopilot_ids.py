@@ -4,7 +4,6 @@ that IMU, in logs of three."""
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from tests.recording.test_formats import ulog_message
-from tests.support.calibrated import calibration
+from tests.support.calibrated import calibration, of_device
 from tumble.cli import main
 from tumble.drafting.new_session import Given, new_session
 from tumble.errors import InputError
@@ -126,7 +125,7 @@ def test_another_imu_than_was_recorded_is_refused(to: str, imu: int, px4: tuple[
 
 def test_ids_with_the_highest_bit_are_written_with_a_sign() -> None:
     imu = {"accel": AutopilotSensor(number=1, id=ACCEL_IDS[2]), "gyro": AutopilotSensor(number=1, id=5)}
-    content = export_calibration(replace(calibration(), imu=imu), "px4").content
+    content = export_calibration(of_device(calibration(), imu=imu), "px4").content
     assert f"CAL_ACC0_ID\t{ACCEL_IDS[2] - 2**32}\t6" in content.decode()
     assert "have to be" not in content.decode()
 
@@ -160,7 +159,7 @@ def test_ids_of_an_ardupilot_log_are_those_among_its_parameters(tmp_path: Path) 
         "accel": AutopilotSensor(number=3, id=2753028),
         "gyro": AutopilotSensor(number=3, id=2752772),
     }
-    found = values(export_calibration(replace(calibration(), imu=third.imu), "ardupilot").content)
+    found = values(export_calibration(of_device(calibration(), imu=third.imu), "ardupilot").content)
     assert (found["INS_ACC3_ID"], found["INS_GYR3_ID"]) == (2753028, 2752772)
 
 

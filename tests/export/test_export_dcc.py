@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 from tests.support import ROOT
-from tests.support.calibrated import HEXAD, calibration
+from tests.support.calibrated import HEXAD, calibration, of_device
 from tests.support.exports import CERTIFICATE
 from tumble.acceptance.certificate import read_certificate
 from tumble.cli import main
@@ -92,9 +92,9 @@ def schema() -> Any:
         calibration(),
         replace(calibration(), site=SITE),
         calibration(accel=HEXAD),
-        replace(calibration(with_gyro=False), model=None),
+        of_device(calibration(with_gyro=False), model=None),
         replace(calibration(), covariance=None, parameters=tuple(replace(p, u=None) for p in calibration().parameters)),
-        replace(calibration(), serial="<A> & \u0007 0007 "),
+        of_device(calibration(), serial="<A> & \u0007 0007 "),
     ],
     ids=["triads", "with gravity", "six sensors", "accelerometers", "no uncertainties", "odd serial"],
 )
@@ -248,7 +248,7 @@ def full(folder: Path) -> bytes:
     circumstances = Circumstances(
         date="2026-05-04T09:30:00",
         operator="O. O.",
-        air=AirConditions(temperature=22.5, temperature_u=0.5, humidity=40.0, pressure=1008.0),
+        conditions=AirConditions(temperature_degC=22.5, temperature_u=0.5, humidity_percent=40.0, pressure_hPa=1008.0),
         equipment=("turntable T-12, no. 7",),
     )
     made = replace(calibration(), site=SITE, circumstances=circumstances)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tests.support.calibrated import HEXAD, calibration, values_of, warmed
+from tests.support.calibrated import HEXAD, calibration, of_device, values_of, warmed
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import export_calibration
@@ -171,7 +171,7 @@ def test_px4_is_given_the_ids_it_finds_the_numbers_by() -> None:
 
 def test_the_numbers_are_those_of_the_sensors_that_were_recorded() -> None:
     third = {kind: AutopilotSensor(number=3, id=2**31 + 2**20) for kind in ("accel", "gyro")}
-    made = replace(warmed(calibration()), imu=third)
+    made = of_device(warmed(calibration()), imu=third)
     px4, ardupilot = (parameters(made, to) for to in AUTOPILOTS)
     assert {name for name in px4 if name.startswith("CAL_")} == {
         *(f"CAL_ACC2_{axis}{what}" for axis in "XYZ" for what in ("OFF", "SCALE")),
@@ -180,7 +180,7 @@ def test_the_numbers_are_those_of_the_sensors_that_were_recorded() -> None:
     assert px4["TC_A0_ID"] == px4["TC_G0_ID"] == 2**20 - 2**31
     assert {name for name in ardupilot if "TCAL" in name and "TCAL3_" not in name} == set()
     assert {"INS_ACC3OFFS_X", "INS_GYR3OFFS_X", "INS_ACC3_CALTEMP", "INS_TCAL3_ENABLE"} <= set(ardupilot)
-    fourth = replace(made, imu={"accel": AutopilotSensor(number=4, id=None)})
+    fourth = of_device(made, imu={"accel": AutopilotSensor(number=4, id=None)})
     with pytest.raises(InputError, match="expected one of the first 3 IMUs, found a recording of IMU 4"):
         export_calibration(fourth, "ardupilot-thermal")
 

@@ -10,7 +10,6 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -19,7 +18,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tests.support.calibrated import calibration, warmed
+from tests.support.calibrated import calibration, of_device, warmed
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import export_calibration
@@ -113,7 +112,7 @@ CASES = [
 
 
 def made_for(thermal: bool) -> Calibration:
-    made = replace(calibration(), imu=IDS)
+    made = of_device(calibration(), imu=IDS)
     return warmed(made) if thermal else made
 
 

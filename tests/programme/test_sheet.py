@@ -468,7 +468,7 @@ def test_a_sheet_as_pdf_is_the_same_bytes_and_takes_any_name(tmp_path: Path) -> 
 def test_another_ending_is_one_line_and_writes_nothing(tmp_path: Path, file: str, said: str) -> None:
     with pytest.raises(InputError) as caught:
         write_sheet(tmp_path / file, programme("nine"))
-    assert "expected a name that ends in .html, .pdf or .svg" in str(caught.value)
+    assert "expected a file that ends in .html, .pdf or .svg" in str(caught.value)
     assert said in str(caught.value)
     assert not list(tmp_path.iterdir())
 

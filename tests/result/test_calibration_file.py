@@ -26,7 +26,7 @@ from tumble.planning.setup import Setup
 from tumble.recording.session import AirConditions, AutopilotSensor, Circumstances, Site
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import Calibration, read_calibration
-from tumble.result.parts import Launch, Member, Parameter
+from tumble.result.parts import CalibratedDevice, CalibratedTemperature, Launch, Member, Parameter
 from tumble.run.calibrate import calibrate
 from tumble.run.observed import inspect_session
 from tumble.sensors.grades import GRADES
@@ -176,23 +176,26 @@ def test_the_provenance_names_the_log_the_software_and_the_time(content: Any, se
 
 def test_all_that_a_calibration_can_hold_is_read_as_it_was_written(calibration: Calibration, tmp_path: Path) -> None:
     """Circumstances, sensors of an autopilot, temperature, sessions together, launches, and notes of a field check."""
-    air = AirConditions(temperature=21.5, temperature_u=0.3, humidity=40.0, pressure=990.0)
-    recorded = Circumstances(date="2026-03-01T12:00:00+05:00", operator="A. Name", air=air, equipment=("table, 2025",))
+    air = AirConditions(temperature_degC=21.5, temperature_u=0.3, humidity_percent=40.0, pressure_hPa=990.0)
+    recorded = Circumstances(
+        date="2026-03-01T12:00:00+05:00", operator="A. Name", conditions=air, equipment=("table, 2025",)
+    )
     further = tuple(
         Parameter(name=name, value=1e-4, u=1e-5, unit=group_of(name).unit)
         for name in ("accel.bias.x.t1", "accel.bias.x.t2", "gyro.bias.z.hysteresis", "temperature.lag")
     )
     parameters = (*calibration.parameters, *further)
     warm = tuple(replace(rest, temperature=20.0 + i) for i, rest in enumerate(calibration.rests))
+    sensors = {"accel": AutopilotSensor(number=2, id=2753028), "gyro": AutopilotSensor(number=1, id=None)}
     whole = replace(
         calibration,
         parameters=parameters,
         covariance=np.diag([(p.u or 0.0) ** 2 for p in parameters]),
         rests=warm,
         circumstances=recorded,
-        imu={"accel": AutopilotSensor(number=2, id=2753028), "gyro": AutopilotSensor(number=1, id=None)},
+        device=replace(calibration.device, imu=sensors),
         sample_rate=399.7,
-        reference_temperature=25.0,
+        temperature=CalibratedTemperature(reference=25.0),
         notes=("no calibration of its own: that of 2026-03-01, updated by a field check of 4 rests (again)",),
         together=(
             Member(
@@ -591,7 +594,7 @@ def test_the_file_is_utf_8_whatever_the_locale(
     monkeypatch.setattr("locale.getpreferredencoding", lambda *_: "ascii")
     monkeypatch.setattr("locale.getencoding", lambda: "ascii")
     outcome = replace(calibration.outcome, reasons=("off by 5° – 7″",))
-    replace(calibration, serial="№ 7", outcome=outcome).write(tmp_path / "calibration.json")
+    replace(calibration, device=CalibratedDevice(serial="№ 7"), outcome=outcome).write(tmp_path / "calibration.json")
     assert "off by 5° – 7″" in (tmp_path / "calibration.json").read_bytes().decode("utf-8")
     assert read_calibration(tmp_path / "calibration.json").serial == "№ 7"
 

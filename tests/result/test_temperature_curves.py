@@ -100,7 +100,7 @@ def test_the_range_is_in_the_file_of_launches_and_survives_where_rests_do_not(tm
     launches.write(tmp_path / "launches.json")
     kept = json.loads((tmp_path / "launches.json").read_text())["temperature"]["range"]
     assert kept == list(made.temperature_range or ())
-    updated = replace(made, rests=(), measured_between=made.temperature_range)
+    updated = replace(made, rests=(), temperature=replace(made.temperature, range=made.temperature_range))
     updated.write(tmp_path / "updated.json")
     assert measured_range(read_calibration(tmp_path / "updated.json")) == measured_range(made)
 

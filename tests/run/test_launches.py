@@ -16,7 +16,7 @@ from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import read_calibration
 from tumble.result.coverage import expanded
-from tumble.result.parts import Parameter
+from tumble.result.parts import CalibratedTemperature, Parameter
 from tumble.run.calibrate import calibrate
 from tumble.run.launches import Run, mean_of_launches
 from tumble.run.type_spread import KnownLaunches, TypeSpread
@@ -138,7 +138,10 @@ def test_launches_at_other_temperatures_meet_at_their_mean(runs: list[Run]) -> N
         covariance = np.zeros((22, 22))
         covariance[:21, :21], covariance[21, 21] = run.calibration.covariance[:21, :21], 1e-10
         made = replace(
-            run.calibration, parameters=(*linear, more), covariance=covariance, reference_temperature=celsius
+            run.calibration,
+            parameters=(*linear, more),
+            covariance=covariance,
+            temperature=CalibratedTemperature(reference=celsius),
         )
         return replace(run, calibration=made)
 
@@ -182,10 +185,10 @@ def test_what_launches_do_not_share_is_not_that_of_the_first(runs: list[Run]) ->
         second.calibration,
         readings={kind: replace(each, columns=("a", "b", "c")) for kind, each in second.calibration.readings.items()},
         programme="nine",
-        measured_between=(1.0, 2.0),
+        temperature=CalibratedTemperature(range=(1.0, 2.0)),
         sample_rate=2.0 * (first.calibration.sample_rate or 0.0),
     )
     mean = mean_of_launches([replace(first), replace(second, calibration=other)])
-    assert (mean.readings, mean.programme, mean.measured_between) == ({}, None, None)
+    assert (mean.readings, mean.programme, mean.temperature.range) == ({}, None, None)
     assert mean.sample_rate == pytest.approx(1.5 * (first.calibration.sample_rate or 0.0))
     assert mean_of_launches(runs).readings == first.calibration.readings

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from tumble.recording.arrays import session_of_arrays
 from tumble.recording.log import open_log
 from tumble.recording.session_file import description_of, read_session
 from tumble.result.calibration import Calibration, read_calibration
+from tumble.result.correction import reference_of_parameter
 from tumble.result.parts import SensorsAtRest
 from tumble.result.temperature_curves import measured_range, model_at
 from tumble.simulation.session import read_truth, simulate_session
@@ -122,8 +124,10 @@ def made(folder: Path) -> Calibration:
 def test_the_calibration_names_the_thermometer_of_each_sensor(folder: Path, made: Calibration, tmp_path: Path) -> None:
     assert read_session(folder).log.columns[-2:] == ("T_accel", "T_gyro")
     assert made.outcome.accepted
-    assert dict(made.thermometers) == {"accel": 3 * ("T_accel",), "gyro": 3 * ("T_gyro",)}
-    true = truth_at(read_truth(folder / "truth.json"), made.reference_temperature, made.reference_of)
+    assert dict(made.temperature.thermometers) == {"accel": 3 * ("T_accel",), "gyro": 3 * ("T_gyro",)}
+    true = truth_at(
+        read_truth(folder / "truth.json"), made.reference_temperature, partial(reference_of_parameter, made)
+    )
     z = [(p.value - true[p.name]) / p.u for p in made.parameters if p.u and p.name in true]
     assert np.sqrt(np.mean(np.square(z))) < 1.8  # chi-square of 33: one in 10⁹
     made.write(tmp_path / "calibration.json")
@@ -137,8 +141,8 @@ def test_the_calibration_names_the_thermometer_of_each_sensor(folder: Path, made
     assert rest.gyro is not None
     assert rest.gyro.temperature[0] - rest.accel.temperature[0] > 3.0
     of_gyros = [r.gyro.temperature for r in made.rests if r.gyro is not None]
-    np.testing.assert_allclose(made.references["gyro"], np.mean(of_gyros, axis=0))
-    assert made.references["gyro"][0] - made.references["accel"][0] > 1.0
+    np.testing.assert_allclose(made.temperature.references["gyro"], np.mean(of_gyros, axis=0))
+    assert made.temperature.references["gyro"][0] - made.temperature.references["accel"][0] > 1.0
     own = [[getattr(r, kind).temperature[0] for r in again.rests] for kind in ("accel", "gyro")]
     found = measured_range(again)
     assert found is not None
@@ -188,7 +192,12 @@ def of_six() -> tuple[Calibration, Array, list[Array], list[Array]]:
     accel = np.column_stack([each[j][0][:, j] for j in range(3)])
     gyro = np.column_stack([each[3 + j][1][:, j] for j in range(3)])
     thermometers = {"accel": tuple(SIX[:3]), "gyro": tuple(SIX[3:])}
-    return replace(made, thermometers=thermometers), celsius, [accel, gyro], [force, rate]
+    return (
+        replace(made, temperature=replace(made.temperature, thermometers=thermometers)),
+        celsius,
+        [accel, gyro],
+        [force, rate],
+    )
 
 
 def test_readings_are_corrected_at_the_temperature_of_each_sensor(tmp_path: Path) -> None:
@@ -232,7 +241,7 @@ def test_autopilots_say_which_thermometers_they_have_no_place_for() -> None:
         accel, gyro = (replace(zero, temperature=3 * (celsius,)) for celsius in each)
         rests.append(replace(rest, accel=accel, gyro=gyro))
     thermometers = {"accel": 3 * ("Ta",), "gyro": 3 * ("Tg",)}
-    made = replace(made, rests=tuple(rests), thermometers=thermometers)
+    made = replace(made, rests=tuple(rests), temperature=replace(made.temperature, thermometers=thermometers))
     losses = {to: export_calibration(made, to).losses for to in ("px4-thermal", "ardupilot-thermal")}
     assert not any("thermometers" in said for said in losses["px4-thermal"])
     (said,) = (said for said in losses["ardupilot-thermal"] if "thermometers" in said)

@@ -6,13 +6,14 @@ import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tumble.inference.estimate import Outcome
 from tumble.recording.session_file import write_session
 from tumble.result.calibration import Calibration
-from tumble.result.parts import Parameter, RestResult
+from tumble.result.parts import CalibratedDevice, CalibratedTemperature, Parameter, RestResult
 from tumble.sensors.frames import Frame
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import units_of
@@ -48,8 +49,7 @@ def calibration(
     count = len(blocks[0].names)
     models = [blocks[0].model(values[:count]), blocks[1].model(values[count:]) if with_gyro else None]
     return Calibration(
-        serial=serial,
-        model="test",
+        device=CalibratedDevice(serial=serial, model="test"),
         method="staged",
         frame="accelerometer",
         parameters=tuple(
@@ -62,6 +62,11 @@ def calibration(
         outcome=Outcome(),
         provenance={"log_sha256": f"{seed:064x}", "software": "tumble 0.1.0", "created": "2026-05-04T12:00:00+00:00"},
     )
+
+
+def of_device(calibration: Calibration, **changes: Any) -> Calibration:
+    """The calibration, as that of a device with these changes."""
+    return replace(calibration, device=replace(calibration.device, **changes))
 
 
 SLOPES = {
@@ -103,7 +108,7 @@ def warmed(
         parameters=(*made.parameters, *more),
         covariance=covariance,
         rests=rests,
-        reference_temperature=float(degrees.mean()),
+        temperature=CalibratedTemperature(reference=float(degrees.mean())),
     )
 
 

@@ -13,7 +13,7 @@ from tests.support.calibrated import HEXAD, calibration, session_of
 from tumble.errors import InputError
 from tumble.inference.estimate import GroupFinding
 from tumble.result.calibration import Calibration
-from tumble.result.parts import Parameter
+from tumble.result.parts import CalibratedTemperature, Parameter
 from tumble.sensors.instrument import Instrument, readings
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import ParameterGroup, Variable, group_of
@@ -59,7 +59,7 @@ def larger(
             for g in instrument.further
         ),
         axes={kind: tuple(map(tuple, axes.tolist())) for kind, axes in zip(("accel", "gyro"), nominal, strict=True)},
-        reference_temperature=20.0,
+        temperature=CalibratedTemperature(reference=20.0),
     )
     return found, instrument, values
 

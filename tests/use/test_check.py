@@ -15,6 +15,7 @@ import pytest
 from click.testing import CliRunner
 from scipy import stats
 
+from tests.support.calibrated import of_device
 from tumble.cli import main
 from tumble.errors import CalibrationError, InputError
 from tumble.inference.estimate import Outcome
@@ -30,7 +31,7 @@ from tumble.registry.adding import Particulars, add, submission
 from tumble.registry.series import device_launches
 from tumble.registry.store.connect import open_registry
 from tumble.result.calibration import Calibration, read_calibration
-from tumble.result.parts import Launch, Member, Parameter
+from tumble.result.parts import CalibratedDevice, CalibratedTemperature, Launch, Member, Parameter
 from tumble.run.calibrate import calibrate
 from tumble.run.type_spread import KnownLaunches
 from tumble.sensors.grades import TURN_ON, spread_of
@@ -61,8 +62,7 @@ def device() -> tuple[Scenario, Calibration]:
     scenario = scenario_of(Setup.of(grade="mems", positions=18), rng)
     estimate = joint(simulate_observations(scenario, rng))
     template = Calibration(
-        serial=scenario.serial,
-        model=None,
+        device=CalibratedDevice(serial=scenario.serial),
         method="joint",
         frame="accelerometer",
         parameters=(),
@@ -172,8 +172,11 @@ def test_parameters_are_taken_to_the_temperature_of_the_check() -> None:
     observations, calibration = seen(3), device()[1]
     warm = np.full((3, 1), 40.0 + ZERO_CELSIUS)
     here = replace(observations, rests=replace(observations.rests, temperatures=warm))
-    cold = replace(calibration, reference_temperature=20.0)
-    known, same = (known_before(c, here, "mems", {}) for c in (cold, replace(calibration, reference_temperature=40.0)))
+    cold = replace(calibration, temperature=CalibratedTemperature(reference=20.0))
+    known, same = (
+        known_before(c, here, "mems", {})
+        for c in (cold, replace(calibration, temperature=CalibratedTemperature(reference=40.0)))
+    )
     i = 1 + known.instrument.names.index("accel.bias.x")
     more = known.covariance[i, i] - same.covariance[i, i]
     assert np.sqrt(more) == pytest.approx(np.hypot(20.0 * 0.3 * MG, 20.0**2 * 0.3 * MG / 60.0), rel=1e-6)
@@ -196,7 +199,9 @@ def test_curvatures_of_the_calibration_are_used() -> None:
     covariance = np.zeros((m + n, m + n))
     covariance[:m, :m], covariance[m:, m:] = calibration.covariance, (1e-3 * MG) ** 2 * np.eye(n)
     parameters = (*calibration.parameters, *more)
-    warmed = replace(calibration, parameters=parameters, covariance=covariance, reference_temperature=20.0)
+    warmed = replace(
+        calibration, parameters=parameters, covariance=covariance, temperature=CalibratedTemperature(reference=20.0)
+    )
     known = known_before(warmed, here, "mems", {})
     by_name = dict(zip(known.instrument.names, known.values.tolist(), strict=True))
     assert by_name["accel.bias.x"] - calibration["accel.bias.x"].value == pytest.approx(6.0 * MG)
@@ -220,11 +225,11 @@ def test_a_session_is_checked_and_the_calibration_updated(folder: Path) -> None:
     assert "another log" in refused.stderr
 
 
-OF_THE_DEVICE = {"serial", "model", "axes", "readings", "thermometers", "imu", "frame"}
-OF_THE_CALIBRATION = {"absent", "method", "outcome", "fits", "mag", "measured_between", "groups"}
+OF_THE_DEVICE = {"format", "device", "axes", "readings", "frame"}
+OF_THE_CALIBRATION = {"absent", "method", "outcome", "fits", "mag", "groups"}
 """On which the updated uncertainties still rest."""
 OF_THE_CHECK = {
-    "parameters", "covariance", "accel", "gyro", "prediction", "reference_temperature", "references", "site",
+    "parameters", "covariance", "accel", "gyro", "prediction", "temperature", "site",
     "circumstances", "sample_rate", "notes", "provenance",
 }  # fmt: skip
 OF_SESSIONS_THAT_ARE_NOT_THERE = {"iterations", "rests", "turns", "programme", "launches", "clock_u", "together"} | {
@@ -247,7 +252,7 @@ def test_every_field_of_an_updated_calibration_is_carried_along_or_made_on_purpo
     session = replace(read_session(folder / "again"), circumstances=now)
     updated = check_calibration(before, session).updated()
     assert updated.circumstances == now
-    for name in (*OF_THE_DEVICE, *OF_THE_CALIBRATION - {"measured_between", "groups"}):
+    for name in (*OF_THE_DEVICE, *OF_THE_CALIBRATION - {"groups"}):
         assert getattr(updated, name) == getattr(before, name), name
     for name in OF_SESSIONS_THAT_ARE_NOT_THERE:
         assert not getattr(updated, name), name
@@ -302,7 +307,7 @@ def test_accelerometers_alone_are_checked(folder: Path) -> None:
 def test_another_device_and_a_refused_calibration_are_refused(folder: Path) -> None:
     calibration = read_calibration(folder / "calibration.json")
     with pytest.raises(InputError, match="expected a session of device 'other'"):
-        check_calibration(replace(calibration, serial="other"), folder / "again")
+        check_calibration(of_device(calibration, serial="other"), folder / "again")
     with pytest.raises(CalibrationError, match="expected an accepted one"):
         check_calibration(replace(calibration, outcome=Outcome(reasons=("no",))), folder / "again")
 

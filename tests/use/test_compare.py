@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 from scipy.special import ndtr
 
-from tests.support.calibrated import FRAMES, HEXAD, calibration
+from tests.support.calibrated import FRAMES, HEXAD, calibration, of_device
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
@@ -196,7 +196,7 @@ def test_devices_with_nothing_in_common_and_blocks_that_cannot_be_converted_are_
 
 def test_the_command_says_different_devices_and_ends_with_1_where_they_differ(tmp_path: Path) -> None:
     made = calibration()
-    other = replace(moved(made, {"accel.bias.x": 20.0}), serial="B-1")
+    other = of_device(moved(made, {"accel.bias.x": 20.0}), serial="B-1")
     near = moved(made, {"accel.bias.x": 1.0})
     for name, content in (("made", made), ("other", other), ("near", near)):
         content.write(tmp_path / f"{name}.json")
@@ -257,7 +257,10 @@ def test_a_common_error_of_the_time_base_hides_no_step_of_a_scale_factor() -> No
     assert found.probability is not None
     assert found.probability < 1e-100
     assert any("the same error of the time base" in remark for remark in found.remarks)
-    of_its_own = (replace(second, clock_u=10e-6), replace(second, serial="another device"))
+    of_its_own = (
+        replace(second, clock_u=10e-6),
+        of_device(second, serial="another device"),
+    )
     for other in of_its_own:
         alone = next(d for d in compare_calibrations(first, other).differences if d.name == "gyro.scale.y")
         assert alone.u == pytest.approx(np.hypot(20e-6, 1.2e-6) * np.sqrt(2.0))
@@ -364,7 +367,7 @@ def test_what_priors_leave_open_of_a_device_is_no_part_of_a_difference() -> None
     assert found.covariance is not None
     np.testing.assert_allclose(found.covariance, expected, rtol=1e-9)
     assert [d.u for d in found.differences] == pytest.approx(np.sqrt(np.diag(expected)))
-    other = compare_calibrations(first, replace(second, serial="another device"))
+    other = compare_calibrations(first, of_device(second, serial="another device"))
     assert other.covariance is not None
     np.testing.assert_allclose(other.covariance, of_first + of_second)
 

@@ -20,7 +20,7 @@ from tumble.inference.prediction import Prediction
 from tumble.recording.log import open_log
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import Calibration
-from tumble.result.parts import Parameter, RestResult, SensorsAtRest
+from tumble.result.parts import CalibratedTemperature, Parameter, RestResult, SensorsAtRest
 from tumble.sensors.model import Block
 from tumble.units import G_STANDARD, ZERO_CELSIUS, Array
 from tumble.use.apply import apply_to_session
@@ -275,7 +275,9 @@ def test_the_covariance_turns_with_the_frame() -> None:
 def test_the_noise_of_the_angular_acceleration_is_in_the_covariance() -> None:
     """White noise of the gyros alone, through the corrector itself: 5 % of 20,000 samples' variance."""
     made, instrument, values = larger(leave=("accel.delay",))
-    made = replace(noisy(made), covariance=np.zeros((len(made.parameters),) * 2), reference_temperature=None)
+    made = replace(
+        noisy(made), covariance=np.zeros((len(made.parameters),) * 2), temperature=CalibratedTemperature(reference=None)
+    )
     corrector, count = Corrector(made, sample_rate=1000.0), 20_000
     rng, still = np.random.default_rng(3), (np.array([[0.0, 0.0, 9.8]]), np.zeros((1, 3)))
     accel, gyro = read(instrument, values, *still)

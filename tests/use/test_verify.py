@@ -20,7 +20,7 @@ from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
 from tumble.result.calibration import Calibration, read_calibration
-from tumble.result.parts import Parameter, Readings
+from tumble.result.parts import CalibratedDevice, Parameter, Readings
 from tumble.rotation import rotation_matrix
 from tumble.run.calibrate import calibrate
 from tumble.run.case import relate
@@ -105,8 +105,7 @@ def calibrated(positions: Positions, *, site: Site = SITE) -> tuple[Calibration,
         for name, value, u, unit in zip(estimate.names, estimate.values, estimate.u, estimate.units, strict=True)
     )
     made = Calibration(
-        serial="S",
-        model=None,
+        device=CalibratedDevice(serial="S"),
         method="staged",
         frame="accelerometer",
         parameters=parameters,

@@ -16,7 +16,7 @@ import polars as pl
 import pytest
 from click.testing import CliRunner
 
-from tests.support.calibrated import calibration, warmed
+from tests.support.calibrated import calibration, of_device, warmed
 from tests.views.test_report import Page, opened, pdf_text
 from tumble.acceptance.certificate import Party, read_certificate
 from tumble.acceptance.conformity import judge_value
@@ -72,7 +72,7 @@ country = "RU"
 RECORDED = Circumstances(
     date="2025-03-04T09:30:00",
     operator="O. O.",
-    air=AirConditions(temperature=22.5, temperature_u=0.5, humidity=40.0, pressure=1008.0),
+    conditions=AirConditions(temperature_degC=22.5, temperature_u=0.5, humidity_percent=40.0, pressure_hPa=1008.0),
     equipment=("turntable T-12, no. 7",),
 )
 
@@ -413,7 +413,7 @@ def test_a_logo_that_is_none_and_another_device_as_found_are_refused(tmp_path: P
     with pytest.raises(InputError, match=r"logo\.svg: expected a picture in SVG, found another file"):
         write_report(path, tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
     (tmp_path / "lab" / "logo.svg").write_text(LOGO, "utf-8")
-    replace(read_calibration(path), serial="B").write(tmp_path / "before.json", force=True)
+    of_device(read_calibration(path), serial="B").write(tmp_path / "before.json", force=True)
     with pytest.raises(InputError, match="as_found: expected a calibration of device 'A-0007' in the frame"):
         write_report(path, tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
 

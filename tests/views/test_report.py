@@ -816,7 +816,7 @@ def test_a_report_of_what_is_not_accepted_is_written_and_says_so(tmp_path: Path)
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["{file}", "-o", "report.txt"], "report.txt: expected a name that ends in .html or .pdf, found '.txt'"),
+        (["{file}", "-o", "report.txt"], "report.txt: expected a file that ends in .html or .pdf, found '.txt'"),
         (["{file}", "-o", "report"], "found 'no ending'"),
         (["none.json", "-o", "report.html"], "none.json: cannot be read: No such file or directory"),
         (["{file}", "-o", "no/report.html"], "report.html: cannot be written: No such file or directory"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -81,9 +82,6 @@ def calibrate(
     """
     from tumble.recording.session_file import read_session
     from tumble.run.launches import calibrate_launches
-    from tumble.run.together import calibrate_together
-    from tumble.simulation.session import read_truth
-    from tumble.simulation.temperature_profile import truth_at
     from tumble.views.calibration import calibration_blocks
 
     methods = tuple(dict.fromkeys(method))
@@ -108,13 +106,19 @@ def calibrate(
             f"--together: expected the method {ask.METHOD_NAMES[0]!r} with all terms and no iterations, found others"
         )
     excluded = () if without is None else _numbers(without)
-    true = None if truth is None else read_truth(truth)
+    true, known = None, None
+    if truth is not None:
+        from tumble.simulation.session import read_truth
+
+        true = read_truth(truth)
     is_log = any(value is not None for value in options.values()) or (
         len(sessions) == 1 and sessions[0].is_file() and sessions[0].suffix != ".toml"
     )
     with _session_of(sessions, ask.given_of(options)) if is_log else nullcontext(sessions) as folders:
         described = [read_session(folder).without(excluded) for folder in folders]
         if together:
+            from tumble.run.together import calibrate_together
+
             results = [calibrate_together(described, frame=frame, progress=tell.with_progress)]
         else:
             alike = None if known_launches is None else _of_type(known_launches, described[0].device.model, frame)
@@ -131,7 +135,11 @@ def calibrate(
         result, *others = results
         target = out or Path(described[0].name) / "calibration.json"
         result.write(target, force=force)
-    known = None if true is None else truth_at(true, result.reference_temperature, result.reference_of)
+    if true is not None:
+        from tumble.result.correction import reference_of_parameter
+        from tumble.simulation.temperature_profile import truth_at
+
+        known = truth_at(true, result.reference_temperature, partial(reference_of_parameter, result))
     tell.show(
         as_json,
         lambda: result.content() | ({"others": [other.content() for other in others]} if others else {}),

@@ -295,7 +295,7 @@ class Thermal:
     def _shared(self, kinds: Sequence[SensorKind]) -> list[str]:
         """What is lost because sensors of these kinds have one temperature in the target: by what they differ at rests
         other than in the mean, which their references contain."""
-        thermometers = self.calibration.thermometers
+        thermometers = self.calibration.temperature.thermometers
         names = dict.fromkeys(chain(*(thermometers.get(kind, ()) for kind in kinds)))
         if len(names) < 2:
             return []
@@ -324,7 +324,7 @@ def thermal(calibration: Calibration, target: str, pilot: Autopilot) -> Thermal:
     for kinds in ([kind for kind in kinds if kind in own] for kinds in pilot.thermometers):
         seen |= {kind: len(own[kind]) * (float(np.mean(own[kinds[0]])),) for kind in kinds}  # that of the first
     slopes = {kind: coefficients(calibration, kind, "bias") for kind in held.known}
-    at_target = replace(calibration, references=seen)
+    at_target = replace(calibration, temperature=replace(calibration.temperature, references=seen))
     return Thermal(pilot=pilot, held=held, calibration=at_target, measured=measured, slopes=slopes)
 
 

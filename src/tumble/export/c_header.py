@@ -244,7 +244,7 @@ def _function(
         scale = scale / np.linalg.norm(model.matrix, axis=1)[:, None]
         tables |= {"bias_slope": bias[:, 0], "bias_curve": bias[:, 1]}
         tables |= {"scale_slope": scale[:, 0], "scale_curve": scale[:, 1]}
-        apart = len(set(at.thermometers.get(kind, ()))) > 1
+        apart = len(set(at.temperature.thermometers.get(kind, ()))) > 1
         tables |= {"reference": references(at, kind)} if apart else {}
         reference = "reference[j]" if apart else f"({number}){float(references(at, kind)[0])!r}"
         warm = _WARM.format(type=number, n=n, reference=reference, own="[j]" if apart else "")

@@ -279,11 +279,11 @@ def _results(
 
 def _conditions(calibration: Calibration) -> list[dict[str, Any]]:
     """Gravity and the air, as far as they are known."""
-    air, site = calibration.circumstances.air, calibration.site
+    air, site = calibration.circumstances.conditions, calibration.site
     stated: list[tuple[str, str | None, float | None, float | None, str]] = [
-        ("temperature", "basic_temperature", air.temperature, air.temperature_u, "degC"),
-        ("relative humidity", "basic_humidityRelative", air.humidity, None, "%"),
-        ("air pressure", None, air.pressure, None, "hPa"),
+        ("temperature", "basic_temperature", air.temperature_degC, air.temperature_u, "degC"),
+        ("relative humidity", "basic_humidityRelative", air.humidity_percent, None, "%"),
+        ("air pressure", None, air.pressure_hPa, None, "hPa"),
     ]
     if site is not None:
         name = "gravity at the place, the unit of the result" if site.gravity_is_unit else "local gravity"

@@ -157,11 +157,18 @@ def open_log(session: Session) -> Log:
             "this process was forked from one that had read logs, whose threads it lacks: it would wait for ever; "
             "start workers anew: multiprocessing.get_context('spawn') or 'forkserver'"
         )
-    sources = tuple(source_of(file, session.log.dialect) for file in session.log.files)
+    spec, heads = session.log, list[Array]()
+    sources = tuple(source_of(file, spec.dialect) for file in spec.files)
     for source in sources:
-        _check_columns(source, session.log)
-    heads = [_head(source, session.log) for source in sources]
-    grids = tuple(_grid(source, session.log, head) for source, head in zip(sources, heads, strict=True))
+        _check_columns(source, spec)
+    for source in sources:
+        # the first times of a file, as it has them; of one without, the first numbers of a sensor
+        heads.append(source.head(spec.time or spec.accel.columns[0], HEAD_ROWS, clock=spec.clock))
+        if not len(heads[-1]):
+            raise LogError(f"{source.path}: expected a log, found no rows; the file is empty")
+        if len(heads[-1]) < _SHORTEST_ROWS:
+            raise LogError(f"{source.path}: expected at least {_SHORTEST_ROWS} samples, found {len(heads[-1])}")
+    grids = [_grid(source, spec, head) for source, head in zip(sources, heads, strict=True)]
     intervals = [grid.interval for grid in grids]
     for source, interval in zip(sources, intervals, strict=True):
         if abs(interval / intervals[0] - 1.0) > _RATE_TOLERANCE:
@@ -175,8 +182,8 @@ def open_log(session: Session) -> Log:
             f"{sources[0].path}: expected samples from {_SHORTEST_INTERVAL:g} to {_LONGEST_INTERVAL:g} s apart, found "
             f"{intervals[0]:.3g} s; check log.time, log.time_unit or log.rate_hz"
         )
-    rate = 1.0 / intervals[0] if session.log.rate is None else session.log.rate
-    return Log(session=session, rate=rate, _sources=sources, _grids=grids, _first_stamp=float(heads[0][0]))
+    rate = 1.0 / intervals[0] if spec.rate is None else spec.rate
+    return Log(session=session, rate=rate, _sources=sources, _grids=tuple(grids), _first_stamp=float(heads[0][0]))
 
 
 def one_ahead(parts: Iterator[T]) -> Iterator[T]:
@@ -200,16 +207,6 @@ def _check_columns(source: LogSource, spec: LogSpec) -> None:
             raise LogError(f"{source.path}: expected a column '{column}', found {shown[:200]}{hint}")
         if names.count(column) > 1:
             raise LogError(f"{source.path}: expected one column '{column}', found {names.count(column)}; rename one")
-
-
-def _head(source: LogSource, spec: LogSpec) -> Array:
-    """The first times of a file, as it has them; of one without, the first numbers of a sensor."""
-    head = source.head(spec.time or spec.accel.columns[0], HEAD_ROWS, clock=spec.clock)
-    if not len(head):
-        raise LogError(f"{source.path}: expected a log, found no rows; the file is empty")
-    if len(head) < _SHORTEST_ROWS:
-        raise LogError(f"{source.path}: expected at least {_SHORTEST_ROWS} samples, found {len(head)}")
-    return head
 
 
 def _grid(source: LogSource, spec: LogSpec, head: Array) -> Grid:

@@ -10,7 +10,7 @@ import polars as pl
 from polars.io.plugins import register_io_source
 
 from tumble.errors import InputError
-from tumble.files import whole_file
+from tumble.files import ending_in, whole_file
 
 FORMATS = (".csv", ".parquet")
 
@@ -20,9 +20,7 @@ def write_tables(path: Path, tables: Iterator[pl.DataFrame]) -> None:
     the way, of the tables too, leaves what was there before.
 
     Raises InputError for a name that ends otherwise than in .csv or .parquet, and for columns that CSV cannot hold."""
-    ending = path.suffix.lower()
-    if ending not in FORMATS:
-        raise InputError(f"{path}: expected a file name that ends in {' or '.join(FORMATS)}, found another")
+    ending = ending_in(path, *FORMATS)
     failed: list[BaseException] = []
     first = next(tables)
     unwritten = [name for name, kind in first.schema.items() if kind.is_nested() or kind in (pl.Binary, pl.Object)]

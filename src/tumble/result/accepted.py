@@ -107,7 +107,10 @@ def _alone(calibration: Calibration, kind: SensorKind) -> Calibration:
         launches=tuple(replace(launch, **estimates(launch)) for launch in calibration.launches),
         groups=tuple(group for group in calibration.groups if sensor_kind(group.name) != other),
         prediction=None if prediction is None or kind == "gyro" else replace(prediction, rate_u=None),
-        references=of_kind(calibration.references),
-        thermometers=of_kind(calibration.thermometers),
-        imu=of_kind(calibration.imu),
+        device=replace(calibration.device, imu=of_kind(calibration.imu)),
+        temperature=replace(
+            calibration.temperature,
+            references=of_kind(calibration.temperature.references),
+            thermometers=of_kind(calibration.temperature.thermometers),
+        ),
     )

@@ -1,62 +1,62 @@
-"""The calibration of a device: data, the file that keeps them, and what they correct.
+"""The calibration of a device: its data, and what a user asks of them, by the functions beside it.
 
-What the file has of it stands in `tumble.result.file`; `Calibration.tables` and `calibration_of` are the way there and
-back. It is written whole or not at all.
+`tumble.result.file` reads and writes it by this description, `correction` corrects readings, `frames` turns it into
+other frames, `uncertainty_budget` says what u is made of.
 """
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import AfterValidator, ConfigDict, Field
 
-from tumble.documents import json_of, text_of_document
-from tumble.errors import CalibrationError, InputError, MissingExtraError
-from tumble.files import FilePath, whole_file
-from tumble.inference.estimate import Fit, GroupFinding, HyperparameterEstimate, Integral, Outcome, ProcessBias
+from tumble.errors import InputError, MissingExtraError
+from tumble.files import FilePath
+from tumble.inference.estimate import GroupFinding, HyperparameterEstimate, Integral, ProcessBias
 from tumble.inference.prediction import Prediction
-from tumble.recording.session import (
-    UNKNOWN,
-    AutopilotSensor,
-    Circumstances,
-    Site,
-    circumstances_content,
-    circumstances_from,
-    sensors_content,
-    sensors_from,
-)
-from tumble.result.correction import corrected_readings
+from tumble.recording.session import UNKNOWN, AutopilotSensor
+from tumble.result.correction import compensator_of, corrected_readings
 from tumble.result.coverage import with_degrees
-from tumble.result.file import (
-    FORMAT,
-    AutopilotTable,
-    CalibrationFile,
-    CircumstancesContent,
-    DeviceContent,
-    IncrementTable,
-    IterationTable,
-    LaunchTable,
-    OutcomeTable,
-    SensorTable,
-    TemperatureContent,
-    no_calibration,
-    parsed,
+from tumble.result.file import content_of, parsed, text_of, text_of_calibration, write_calibration
+from tumble.result.frames import calibration_in
+from tumble.result.parts import (
+    LEAST,
+    MOST_LAUNCHES,
+    MOST_PARAMETERS,
+    CalibratedDevice,
+    CalibratedTemperature,
+    Covariance,
+    Fits,
+    Increments,
+    Judged,
+    Launch,
+    Member,
+    Name,
+    Parameter,
+    Parameters,
+    Place,
+    Positive,
+    Readings,
+    Recorded,
+    Rests,
+    Sensors,
+    Size,
+    SourceContributions,
+    Turns,
+    checked_result,
+    checked_sizes,
 )
-from tumble.result.frames import Turned, increments_in, turned, with_spread
-from tumble.result.parts import Launch, Member, Parameter, Readings, RestResult, SourceContributions, TurnResult
 from tumble.result.shown import views
 from tumble.result.uncertainty_budget import BudgetLine, uncertainty_budget
 from tumble.sensors.compensation import Compensator
-from tumble.sensors.frames import frame_of, triad_axes
-from tumble.sensors.model import Block, SensorKind, SensorModel
-from tumble.sensors.parameters import group_name, sensor_kind, within_group, within_kind
+from tumble.sensors.model import SensorKind
 from tumble.units import Array
 
 if TYPE_CHECKING:
@@ -66,110 +66,117 @@ if TYPE_CHECKING:
 
     from tumble.recording.arrays import Temperatures
 
-SensingAxes = tuple[tuple[float, ...], ...]
+
+def _of_unit_length(axis: tuple[float, ...]) -> tuple[float, ...]:
+    if not abs(float(np.linalg.norm(axis)) - 1.0) < 1e-6:
+        raise ValueError("expected a unit vector, found one of another length")
+    return axis
+
+
+def _check_scales(readings: Readings) -> Readings:
+    seen = all(abs(scale) >= LEAST for scale in readings.scale)
+    if not len(readings.columns) == len(readings.scale) == len(readings.offset) or not seen:
+        raise ValueError("expected a scale, not zero, and an offset for every column, found others")
+    if len(readings.row_u) not in (0, len(readings.columns)):
+        raise ValueError("expected row_u for every column or none, found others")
+    return readings
+
+
+_Direction = Annotated[tuple[float, ...], Field(min_length=3, max_length=3), AfterValidator(_of_unit_length)]
+SensingAxes = tuple[_Direction, ...]
 """Sensing directions, a row a sensor."""
+_OfParameters, _OfSessions = Field(max_length=MOST_PARAMETERS), Field(max_length=MOST_LAUNCHES)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Calibration(Mapping[str, Parameter]):
-    """The result for one device, a mapping of the names of its parameters to them. `covariance` is in the order of
-    `parameters`; `accel` and `gyro` are None where a parameter they need is unobservable. Two are equal whose files
-    are. `fits` are chi-square, degrees of freedom and estimated scatter; `programme`
-    is the name of the programme, `readings` what the readings of "accel" and "gyro" are."""
+    """The result for one device, a mapping of the names of its parameters to them, and the description of its file.
+    Two are equal whose files are."""
 
-    serial: str
-    model: str | None
-    method: str
-    frame: str
-    parameters: tuple[Parameter, ...]
-    covariance: Array | None
-    accel: SensorModel | None
-    gyro: SensorModel | None
-    outcome: Outcome
-    mag: SensorModel | None = None
+    __pydantic_config__ = ConfigDict(extra="ignore", strict=True, allow_inf_nan=False)
+
+    format: Literal[1] = 1
+    """That of the file."""
+    device: CalibratedDevice
+    method: Name
+    frame: Name
+    parameters: Parameters
+    covariance: Covariance | None
+    """In the order of the parameters."""
+    site: Place | None = None
+    rests: Rests = ()
+    turns: Turns = ()
+    fits: Fits = field(default_factory=dict)
+    """Chi-square, degrees of freedom and estimated scatter, by what they judge."""
+    accel: Sensors | None
+    """None where a parameter that they need is unobservable, as the gyros."""
+    gyro: Sensors | None
+    mag: Sensors | None = None
     """The magnetometer, in its own frame, fixed as that of the accelerometers, and in the unit of `mag.bias.x`."""
-    iterations: tuple[Mapping[str, float], ...] = ()
-    rests: tuple[RestResult, ...] = ()
-    turns: tuple[TurnResult, ...] = ()
-    fits: Mapping[str, Fit] = field(default_factory=dict)
-    site: Site | None = None
-    programme: str | None = None
-    readings: Mapping[str, Readings] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    launches: tuple[Launch, ...] = ()
-    provenance: Mapping[str, str] = field(default_factory=dict)
-    groups: tuple[GroupFinding, ...] = ()
+    outcome: Judged
+    groups: Annotated[tuple[Annotated[GroupFinding, checked_sizes("prior", "prior_widened")], ...], _OfParameters] = ()
     """What the session says of the groups of parameters beyond the linear model."""
-    hyperparameters: tuple[HyperparameterEstimate, ...] = ()
+    hyperparameters: Annotated[
+        tuple[Annotated[HyperparameterEstimate, checked_sizes("value", "low", "high", "usual")], ...], _OfParameters
+    ] = ()
     """What the model did not know about itself: scatter, in-run biases, sizes of groups."""
     integral: Integral | None = None
     """How the posterior was integrated over them."""
-    process_bias: tuple[ProcessBias, ...] = ()
+    process_bias: Annotated[tuple[Annotated[ProcessBias, checked_sizes("u", "next_u")], ...], _OfParameters] = ()
     """The biases as the means of their processes, what the next minute's are about; the parameters are those of the
     session. In the frame of the accelerometers alone."""
-    budget: tuple[SourceContributions, ...] = ()
+    budget: Annotated[tuple[Annotated[SourceContributions, checked_sizes("u")], ...], _OfParameters] = ()
     """What the u of every parameter is made of, by source; empty in a frame it was not made in."""
-    prediction: Prediction | None = None
+    prediction: Annotated[Prediction, checked_sizes("force_u", "rate_u")] | None = None
     """What corrected readings are known to."""
     axes: Mapping[str, SensingAxes] = field(default_factory=dict)
     """Nominal sensing directions (n, 3) of "accel" and "gyro"."""
-    reference_temperature: float | None = None
-    """°C, at which parameters that change with temperature have their values; of several thermometers the mean."""
-    references: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    """The same of each sensor of "accel" and "gyro", by its own thermometer."""
-    thermometers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """The column of the thermometer of each sensor of "accel" and "gyro", where there are such."""
-    measured_between: tuple[float, float] | None = None
-    """°C, the range of rests that are not here, as those of a calibration that a check has updated."""
-    circumstances: Circumstances = UNKNOWN
-    """When, by whom, with what and in what air it was recorded."""
-    imu: Mapping[str, AutopilotSensor] = field(default_factory=dict)
-    """Which "accel" and "gyro" of an autopilot were recorded, where they are of one."""
-    sample_rate: float | None = None
+    temperature: CalibratedTemperature = field(default_factory=CalibratedTemperature)
+    iterations: tuple[Increments, ...] = ()
+    """What each has added to the parameters."""
+    sample_rate: Positive | None = None
     """Samples a second of the recording."""
-    clock_u: float = 0.0
+    clock_u: Size = 0.0
     """Relative standard uncertainty of the time base as it is in the scale factors of the gyros."""
-    together: tuple[Member, ...] = ()
-    """The sessions, where several are in one estimate."""
+    circumstances: Annotated[Recorded, Field(alias="session")] = UNKNOWN
+    """When, by whom, with what and in what air it was recorded."""
+    programme: str | None = None
+    """Its name."""
+    readings: Mapping[str, Annotated[Readings, AfterValidator(_check_scales)]] = field(default_factory=dict)
+    """What the readings of "accel" and "gyro" are."""
+    notes: tuple[str, ...] = ()
     absent: tuple[str, ...] = ()
     """In sentences, the sensors of the device that are not in this calibration, and why."""
+    launches: Annotated[tuple[Annotated[Launch, AfterValidator(checked_result)], ...], _OfSessions] = ()
+    together: Annotated[tuple[Member, ...], _OfSessions] = ()
+    """The sessions, where several are in one estimate."""
+    provenance: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def serial(self) -> str:
+        """The serial number of the device."""
+        return self.device.serial
+
+    @property
+    def model(self) -> str | None:
+        """The type of the device."""
+        return self.device.model
+
+    @property
+    def imu(self) -> Mapping[str, AutopilotSensor]:
+        """Which "accel" and "gyro" of an autopilot were recorded, where they are of one."""
+        return self.device.imu
+
+    @property
+    def reference_temperature(self) -> float | None:
+        """°C, at which parameters that change with temperature have their values; of several thermometers the mean."""
+        return self.temperature.reference
 
     @property
     def compensator(self) -> Compensator:
         """What corrects readings: the whole model. Gyros alone feel the specific force of accelerometers as they are.
         Raises CalibrationError without any sensors."""
-        if self.accel is None and self.gyro is None:
-            raise CalibrationError("calibration: expected one with accelerometers or gyros, found none")
-        as_they_are = np.array(self.axes.get("accel", np.eye(3)))
-        perfect = SensorModel(matrix=as_they_are, bias=np.zeros(len(as_they_are)))
-        accel = self._block("accel", perfect if self.accel is None else self.accel)
-        gyro = None if self.gyro is None else self._block("gyro", self.gyro)
-        values = {p.name: p.value for p in self.parameters if sensor_kind(p.name) != "mag"}
-        models = perfect if self.accel is None else self.accel, self.gyro
-        references = {str(block.kind): self._references(block) for block in (accel, gyro) if block is not None}
-        known = references if self.reference_temperature is not None else {}
-        return Compensator.of((accel, gyro), models, values, known)
-
-    def _references(self, block: Block) -> Array:
-        """The reference temperature (n,), °C, of each channel of a block."""
-        return np.array(self.references.get(block.kind, block.size * (self.reference_temperature or 0.0,)))
-
-    def reference_of(self, name: str) -> float:
-        """The temperature, °C, by the thermometer of its sensor, at which a parameter has its value; 0 where there is
-        none."""
-        kind, sensor = sensor_kind(name), within_group(name).partition(".")[0]
-        model = {"accel": self.accel, "gyro": self.gyro}.get(kind)
-        if kind not in self.references or model is None:
-            return self.reference_temperature or 0.0
-        block = self._block("accel" if kind == "accel" else "gyro", model)
-        channel = dict(zip(block.sensors, block.channels.tolist(), strict=True)).get(sensor)
-        return (self.reference_temperature or 0.0) if channel is None else float(self._references(block)[channel])
-
-    def _block(self, kind: SensorKind, model: SensorModel) -> Block:
-        axes = np.array(self.axes[kind]) if kind in self.axes else _nominal_axes(model)
-        numbers = {column: t for t, column in enumerate(dict.fromkeys(chain(*self.thermometers.values())))}
-        own = tuple(numbers[column] for column in self.thermometers.get(kind, ()))
-        return Block(kind=kind, axes=axes, thermometers=own)
+        return compensator_of(self)
 
     @property
     def temperature_range(self) -> tuple[float, float] | None:
@@ -178,7 +185,7 @@ class Calibration(Mapping[str, Parameter]):
         every = chain(self.rests, *(launch.rests for launch in self.launches))
         by_sensor = list(zip(*(rest.temperatures for rest in every if rest.temperature is not None), strict=False))
         if not by_sensor:
-            return self.measured_between
+            return self.temperature.range
         low, high = max(map(min, by_sensor)), min(map(max, by_sensor))
         return (low, high) if low <= high else None
 
@@ -296,12 +303,7 @@ class Calibration(Mapping[str, Parameter]):
         `compensator`), and InputError for another number of sensors than the calibration has, numbers that are not
         finite, intervals that are not positive, columns of a frame whose names say another unit, and temperatures that
         are not in kelvin."""
-        judged = (self.outcome.accel,) if gyro is None else (self.outcome.accel, self.outcome.gyro)
-        if not any(judged):
-            reasons = "; ".join(self.outcome.reasons)
-            raise CalibrationError(f"calibration: expected accepted accelerometers or gyros, found: {reasons}")
-        force, rate = corrected_readings(self.compensator, accel, gyro, dt=dt, temperature=temperature)
-        return (np.full_like(force, np.nan) if self.accel is None else force), rate
+        return corrected_readings(self, accel, gyro, dt=dt, temperature=temperature)
 
     def in_frame(self, frame: str) -> Calibration:
         """This calibration of triads in the frame `accelerometer`, `paper` or `symmetric`, with covariance, iterations
@@ -310,182 +312,24 @@ class Calibration(Mapping[str, Parameter]):
 
         Raises CalibrationError for the case, which only the session gives, where a parameter of accelerometers or
         gyros is missing, and for more than three of them."""
-        if frame == self.frame:
-            return self
-        missing = tuple(name for name in self.outcome.unobservable if sensor_kind(name) != "mag")
-        missing = missing or (() if self.accel is not None else ("those of accelerometers",))
-        if missing:
-            raise CalibrationError(f"frame {frame!r}: expected all parameters, found {', '.join(missing)} missing")
-        try:
-            return self._turned(frame)
-        except InputError as error:
-            raise CalibrationError(str(error)) from error
-
-    def _turned(self, frame: str) -> Calibration:
-        """A complete calibration of triads in another frame."""
-        assert self.accel is not None
-        accel = Block(kind="accel", axes=triad_axes(self.accel.matrix))
-        gyro = None if self.gyro is None else Block(kind="gyro", axes=triad_axes(self.gyro.matrix))
-
-        def in_frame(result: Calibration | Launch) -> Turned:
-            frames = frame_of(self.frame), frame_of(frame)
-            return turned((accel, gyro), frames, result.parameters, result.covariance)
-
-        mean, launches = in_frame(self), [in_frame(launch) for launch in self.launches]
-        return replace(
-            self,
-            frame=frame,
-            parameters=with_spread(mean, launches),
-            covariance=mean.covariance,
-            accel=mean.framed.accel,
-            gyro=mean.framed.gyro,
-            process_bias=(),
-            budget=(),
-            iterations=tuple(increments_in(mean, [p.name for p in self.parameters], step) for step in self.iterations),
-            launches=tuple(
-                replace(launch, parameters=each.parameters, covariance=each.covariance)
-                for launch, each in zip(self.launches, launches, strict=True)
-            ),
-        )
+        return calibration_in(self, frame)
 
     def write(self, path: FilePath, *, force: bool = False) -> None:
         """Write the calibration file, whole or not at all. An existing calibration file is replaced only if it came
         from the same log by the same method, if neither its accelerometers nor its gyros were accepted, or with
         `force`; a file that is none is not replaced."""
-        path = Path(path)
-        if path.exists():
-            if not os.access(path, os.W_OK):
-                raise CalibrationError(f"{path}: cannot be replaced: it is read-only; choose another --out")
-            if path.stat().st_size:  # an empty file holds nothing of anyone's
-                self._check_replaceable(path, force)
-        try:
-            text = self.text()
-        except ValueError:
-            raise CalibrationError(
-                f"{self.serial}: expected an estimate in numbers, found one beyond measure: the recording contradicts "
-                "itself; look for a stretch of it in another unit, and leave it out with [[exclude]]"
-            ) from None
-        try:
-            with whole_file(path) as temporary:
-                temporary.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise CalibrationError(f"{path}: cannot be written: {error.strerror}; choose another --out") from error
-
-    def _check_replaceable(self, path: Path, force: bool) -> None:
-        try:
-            old = json_of(text_of_document(path))
-            same = old["method"] == self.method and old["provenance"]["log_sha256"] == self.provenance["log_sha256"]
-            of_use = any(not old["outcome"][kind]["reasons"] and old[kind] is not None for kind in ("accel", "gyro"))
-        except (OSError, ValueError, KeyError, TypeError, InputError) as error:
-            raise CalibrationError(
-                f"{path}: expected a calibration to replace, found another file; remove it, or choose another --out"
-            ) from error
-        if of_use and not same and not force:
-            raise CalibrationError(
-                f"{path}: holds a calibration from another log or by another method; give --force to replace it, or "
-                "--out for another file"
-            )
+        write_calibration(self, path, force=force)
 
     def text(self) -> str:
         """The text of the calibration file."""
-        return json.dumps(self.content(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        return text_of_calibration(self)
 
     def content(self) -> dict[str, Any]:
         """What the calibration file holds, as JSON has it."""
-        return self.tables().model_dump(mode="json", warnings=False)
-
-    def tables(self) -> CalibrationFile:
-        """What the calibration file holds, as `tumble.result.file` describes it."""
-        lag = [p.value for p in self.parameters if p.name == "temperature.lag"]
-        return CalibrationFile.model_construct(
-            **_same(self, CalibrationFile),
-            format=FORMAT,
-            device=DeviceContent.model_construct(
-                serial=self.serial, model=self.model, imu=AutopilotTable.model_validate(sensors_content(self.imu))
-            ),
-            accel=self._sensor_table("accel", self.accel, "m/s^2"),
-            gyro=self._sensor_table("gyro", self.gyro, "rad/s"),
-            mag=self._sensor_table("mag", self.mag, self["mag.bias.x"].unit if self.mag is not None else ""),
-            outcome=OutcomeTable.model_validate(self.outcome.content(), strict=False),
-            temperature=TemperatureContent.model_construct(
-                reference=self.reference_temperature,
-                range=self.temperature_range,
-                thermometers=self.thermometers,
-                references=self.references,
-                lag=lag[0] if lag else None,
-            ),
-            iterations=tuple(
-                IterationTable.model_construct(
-                    parameters=tuple(IncrementTable.model_construct(name=n, increment=v) for n, v in step.items())
-                )
-                for step in self.iterations
-            ),
-            session=_circumstances_table(self.circumstances),
-            launches=tuple(
-                LaunchTable.model_construct(
-                    **_same(launch, LaunchTable),
-                    circumstances=_circumstances_table(launch.circumstances),
-                )
-                for launch in self.launches
-            ),
-        )
-
-    def _sensor_table(self, kind: str, model: SensorModel | None, unit: str) -> SensorTable | None:
-        """The model of a kind of sensor, and beside it the values of the groups beyond it."""
-        if model is None:
-            return None
-        further: dict[str, Any] = {}
-        for group in self.groups:
-            members = [p for p in self.parameters if group_name(p.name) == group.name]
-            if group.kept and sensor_kind(group.name) == kind and members:
-                values = {within_group(p.name) or within_kind(p.name): p.value for p in members}
-                further[within_kind(group.name)] = values
-        return SensorTable.model_construct(matrix=model.matrix.tolist(), bias=model.bias.tolist(), unit=unit, **further)
+        return content_of(self)
 
 
 _COLUMNS = ("name", "value", "u", "unit", "deviation", "run_to_run", "k", "dof", "prior", "learned")
-_OTHERWISE = {
-    "covariance",
-    "accel",
-    "gyro",
-    "mag",
-    "outcome",
-    "iterations",
-    "launches",
-    "circumstances",
-}
-"""What a calibration and its file have under one name but in another form."""
-
-
-def _same(result: Calibration | Launch, table: type[CalibrationFile | LaunchTable]) -> dict[str, Any]:
-    """What a result has in common with its table, and its covariance."""
-    names = {each.name for each in fields(result)} & set(table.model_fields) - _OTHERWISE
-    same = {name: getattr(result, name) for name in names}
-    return same | {"covariance": None if result.covariance is None else result.covariance.tolist()}
-
-
-def _read(table: CalibrationFile | LaunchTable, result: type[Calibration | Launch]) -> dict[str, Any]:
-    """What a result and each of its launches have of their tables."""
-    names = {each.name for each in fields(result)} & set(type(table).model_fields) - _OTHERWISE
-    size = len(table.parameters)
-    return {name: getattr(table, name) for name in names} | {
-        "parameters": with_degrees(table.parameters, table.fits),
-        "covariance": None if table.covariance is None else np.array(table.covariance, float).reshape(size, size),
-    }
-
-
-def _circumstances_table(circumstances: Circumstances) -> CircumstancesContent:
-    return CircumstancesContent.model_validate(circumstances_content(circumstances), strict=False)
-
-
-def _nominal_axes(model: SensorModel) -> Array:
-    """Nominal axes of a model of which they are not known: the body axes of a triad, else the axes themselves."""
-    if len(model.bias) == 3:
-        try:
-            return triad_axes(model.matrix)
-        except InputError:  # three that are skew
-            pass
-    return np.asarray(model.matrix / np.linalg.norm(model.matrix, axis=1, keepdims=True))
 
 
 def read_calibration(path: FilePath) -> Calibration:
@@ -517,38 +361,42 @@ def text_and_name(given: Calibration | FilePath) -> tuple[str, str]:
     return text_of(Path(given)), str(given)
 
 
-def text_of(path: Path) -> str:
-    """The text of a calibration file, not yet looked at."""
-    try:
-        return text_of_document(path)
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:  # not UTF-8
-        raise no_calibration(str(path), error) from error
+def _check_sensors(calibration: Calibration) -> None:
+    """Raises ValueError where parts of a calibration are of another number of sensors."""
+    for kind in ("accel", "gyro"):
+        counts = dict(_sensors(calibration, kind))
+        if len(set(counts.values())) > 1:
+            (first, expected), *others = counts.items()
+            key, found = next((key, found) for key, found in others if found != expected)
+            raise ValueError(f"{key}: expected {expected} sensors, as {first} has, found {found}")
+
+
+def _sensors(calibration: Calibration, kind: SensorKind) -> Iterator[tuple[str, int]]:
+    """How many sensors of a kind each part of a calibration has, by its key."""
+    model = calibration.accel if kind == "accel" else calibration.gyro
+    if model is not None:
+        yield f"{kind}.bias", len(model.bias)
+    if kind in calibration.axes:
+        yield f"axes.{kind}", len(calibration.axes[kind])
+    if kind in calibration.readings:
+        yield f"readings.{kind}", len(calibration.readings[kind].columns)
+    launches = [(f"launches[{number}].rests", launch.rests) for number, launch in enumerate(calibration.launches, 1)]
+    for place, rests in (("rests", calibration.rests), *launches):
+        for number, rest in enumerate(rests, 1):
+            at_rest = rest.accel if kind == "accel" else rest.gyro
+            if at_rest is not None:
+                yield f"{place}[{number}].{kind}", len(at_rest.mean)
+    for key in ("thermometers", "references"):
+        of_sensors = getattr(calibration.temperature, key).get(kind)
+        if of_sensors is not None:
+            yield f"temperature.{key}.{kind}", len(of_sensors)
 
 
 def calibration_of(text: str, name: str) -> Calibration:
     """The calibration of the text of a file; in messages the file is called `name`."""
-    file = parsed(text, name)
-    temperature = file.temperature
-    accel, gyro, mag = (None if table is None else table.model for table in (file.accel, file.gyro, file.mag))
-    return Calibration(
-        **_read(file, Calibration),
-        serial=file.device.serial,
-        model=file.device.model,
-        imu=sensors_from(file.device.imu.model_dump()),
-        accel=accel,
-        gyro=gyro,
-        mag=mag,
-        outcome=file.outcome.outcome,
-        reference_temperature=temperature.reference,
-        thermometers=temperature.thermometers,
-        references=temperature.references,
-        measured_between=temperature.range,
-        iterations=tuple({p.name: p.increment for p in step.parameters} for step in file.iterations),
-        circumstances=circumstances_from(file.session.model_dump()),
-        launches=tuple(
-            Launch(**_read(launch, Launch), circumstances=circumstances_from(launch.circumstances.model_dump()))
-            for launch in file.launches
-        ),
+    read = parsed(Calibration, text, name, lambda made: _check_sensors(checked_result(made)))
+    return replace(
+        read,
+        parameters=with_degrees(read.parameters, read.fits),
+        launches=tuple(replace(x, parameters=with_degrees(x.parameters, x.fits)) for x in read.launches),
     )

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tumble.errors import CalibrationError, InputError
 from tumble.result.coverage import degrees_through
-from tumble.result.parts import Parameter, learned_fraction
-from tumble.sensors.frames import Frame, Framed, carried_further, convert
+from tumble.result.parts import Launch, Parameter, learned_fraction
+from tumble.sensors.frames import Frame, Framed, carried_further, convert, frame_of, triad_axes
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import LINEAR, group_name
+from tumble.sensors.parameters import LINEAR, group_name, sensor_kind
 from tumble.units import Array
+
+if TYPE_CHECKING:
+    from tumble.result.calibration import Calibration
 
 _VARIABLES = ("time", "temperature", "temperature²")
 _LINEAR = frozenset(group.name for group in LINEAR)
@@ -79,7 +84,43 @@ def turned(
     return Turned(framed=framed, carry=carry, parameters=linear + after, covariance=covariance)
 
 
-def with_spread(mean: Turned, launches: list[Turned]) -> tuple[Parameter, ...]:
+def calibration_in(calibration: Calibration, frame: str) -> Calibration:
+    """A calibration in another frame, see `Calibration.in_frame`."""
+    if frame == calibration.frame:
+        return calibration
+    missing = tuple(name for name in calibration.outcome.unobservable if sensor_kind(name) != "mag")
+    missing = missing or (() if calibration.accel is not None else ("those of accelerometers",))
+    if missing or calibration.accel is None:
+        raise CalibrationError(f"frame {frame!r}: expected all parameters, found {', '.join(missing)} missing")
+
+    def in_frame(result: Calibration | Launch) -> Turned:
+        return turned((accel, gyro), frames, result.parameters, result.covariance)
+
+    try:
+        frames = frame_of(calibration.frame), frame_of(frame)
+        accel = Block(kind="accel", axes=triad_axes(calibration.accel.matrix))
+        gyro = None if calibration.gyro is None else Block(kind="gyro", axes=triad_axes(calibration.gyro.matrix))
+        mean, launches = in_frame(calibration), [in_frame(launch) for launch in calibration.launches]
+    except InputError as error:
+        raise CalibrationError(str(error)) from error
+    return replace(
+        calibration,
+        frame=frame,
+        parameters=_with_spread(mean, launches),
+        covariance=mean.covariance,
+        accel=mean.framed.accel,
+        gyro=mean.framed.gyro,
+        process_bias=(),
+        budget=(),
+        iterations=tuple(_increments_in(mean, list(calibration), step) for step in calibration.iterations),
+        launches=tuple(
+            replace(launch, parameters=each.parameters, covariance=each.covariance)
+            for launch, each in zip(calibration.launches, launches, strict=True)
+        ),
+    )
+
+
+def _with_spread(mean: Turned, launches: list[Turned]) -> tuple[Parameter, ...]:
     """The parameters of the mean with the standard deviation from launch to launch."""
     if not launches:
         return mean.parameters
@@ -89,7 +130,7 @@ def with_spread(mean: Turned, launches: list[Turned]) -> tuple[Parameter, ...]:
     )
 
 
-def increments_in(mean: Turned, names: Sequence[str], step: Mapping[str, float]) -> dict[str, float]:
+def _increments_in(mean: Turned, names: Sequence[str], step: Mapping[str, float]) -> dict[str, float]:
     """The increments of an iteration of the parameters of these names, in the new frame."""
     before = np.array([step.get(name, 0.0) for name in names])
     linear = len(before) - len(mean.carry)

@@ -1,36 +1,77 @@
-"""What a calibration consists of: parameters, rests, turns, readings, launches, sessions together.
+"""What a calibration consists of: parameters, sensor models, rests, turns, readings, launches, sessions together.
 
-Each is a plain dataclass; the annotations beyond the types are what `tumble.result.file` holds a file to.
+Each is a plain dataclass; the annotations beyond the types are what a calibration file is held to, and how what is no
+plain dataclass stands in it (`as_table`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from datetime import date, datetime
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from itertools import pairwise
 from math import erfc, inf, isfinite, sqrt
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol, TypeVar
 
-from pydantic import AfterValidator, Field, PlainSerializer
+import numpy as np
+from pydantic import AfterValidator, Field, GetCoreSchemaHandler, PlainSerializer
+from pydantic_core import core_schema
 from scipy.special import stdtrit
 
 from tumble.documents import shown
-from tumble.inference.estimate import Fit
+from tumble.inference.estimate import Fit, Outcome
 from tumble.inference.sources import Source
-from tumble.recording.session import UNKNOWN, Circumstances, Site
-from tumble.recording.session.log_tables import LONGEST_NAME
+from tumble.recording.session import (
+    UNKNOWN,
+    AutopilotSensor,
+    Circumstances,
+    IsoDate,
+    Site,
+    sensors_content,
+    sensors_from,
+)
+from tumble.recording.session.document import ImuTable
+from tumble.recording.session.log_tables import name_of
+from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import is_parameter
 from tumble.units import Array
 
-MOST_PARAMETERS = 1000
+MOST_PARAMETERS, MOST_RESTS, MOST_LAUNCHES = 1000, 100_000, 1000
 LARGEST, LEAST = 1e60, 1e-60
 """No number of a file is larger, and no uncertainty that is not zero is smaller."""
 
 
-def _is_name(text: str) -> str:
-    if not text.strip() or not text.isprintable() or len(text) > LONGEST_NAME:
-        raise ValueError(f"expected 1 to {LONGEST_NAME} printable characters, found {shown(text[:40])}")
-    return text
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AsTable:
+    """How a type that is no plain dataclass stands in the file: as a `table`, of which it is `read`."""
+
+    table: Any
+    read: Callable[[Any], Any]
+    write: Callable[[Any], Any]
+
+    def __get_pydantic_core_schema__(self, _: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        """That of the table."""
+        written, table = (
+            core_schema.plain_serializer_function_ser_schema(self.write),
+            handler.generate_schema(self.table),
+        )
+        return core_schema.no_info_after_validator_function(self.read, table, serialization=written)
+
+
+def checked_sizes(*names: str) -> AfterValidator:
+    """Checks that fields which are standard uncertainties or sizes of something may be such."""
+
+    def check(part: Any) -> Any:
+        for name in names:
+            is_size(getattr(part, name) or 0.0)
+        return part
+
+    return AfterValidator(check)
+
+
+_LEAST_SINGULAR_VALUE = 1e-9
+_CORRELATION_ROUNDING = 1e-9
+"""What numbers of 17 digits, and sums of as many terms as 1000 parameters make, are off: 1000² · 2⁻⁵² = 2e-10."""
 
 
 def is_size(number: float) -> float:
@@ -40,20 +81,12 @@ def is_size(number: float) -> float:
     return number
 
 
-def _is_date(text: str) -> str:
-    try:
-        datetime.fromisoformat(text) if "T" in text else date.fromisoformat(text)
-    except ValueError:
-        raise ValueError(f"expected a date, or a date with a time, found {shown(text)}") from None
-    return text
-
-
-Name = Annotated[str, AfterValidator(_is_name)]
+Name = Annotated[str, AfterValidator(name_of)]
 Size = Annotated[float, AfterValidator(is_size)]
 Positive = Annotated[float, Field(gt=0.0), AfterValidator(is_size)]
 Count = Annotated[int, Field(ge=0, le=10**9)]
-IsoDate = Annotated[str, AfterValidator(_is_date)]
 Vector = Annotated[tuple[float, ...], Field(max_length=MOST_PARAMETERS)]
+Matrix = Annotated[tuple[Vector, ...], Field(max_length=MOST_PARAMETERS)]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -92,10 +125,6 @@ def _is_known(parameter: Parameter) -> Parameter:
         raise ValueError(
             f"expected parameters that this version of tumble knows, found {shown(parameter.name)}: without it "
             "readings would be corrected wrongly; read the file with the version that wrote it"
-        )
-    if not isfinite(parameter.value) or not 0.0 <= (parameter.u or 0.0) < inf:
-        raise ValueError(
-            f"{parameter.name}: expected a finite value and a u of 0 or more, found {parameter.value} and {parameter.u}"
         )
     is_size(parameter.u or 0.0)
     return parameter
@@ -203,19 +232,225 @@ class TurnResult:
     sigmas: float
 
 
+# -------------------- what stands in the file as a table of its own --------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SensorTable:
+    """The linear model of a kind of sensor, reading = matrix @ true + bias; beside it the file has, by name, the values
+    of the groups beyond it."""
+
+    matrix: Matrix
+    bias: Vector
+    unit: str = ""
+
+
+def _model_of(table: SensorTable) -> SensorModel:
+    if {len(row) for row in table.matrix} != {3} or len(table.matrix) != len(table.bias):
+        raise ValueError("expected a matrix of three columns, with a row for each bias, found another")
+    matrix = np.array(table.matrix, float)
+    if np.linalg.svd(matrix, compute_uv=False)[-1] < _LEAST_SINGULAR_VALUE or len(table.bias) < 3:
+        raise ValueError("expected a matrix that can be inverted, found a singular one")
+    return SensorModel(matrix=matrix, bias=np.array(table.bias, float))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class JudgementTable:
+    """A verdict on a kind of sensors or a group of parameters, and the sentences it is of."""
+
+    verdict: Any = None
+    reasons: tuple[str, ...]
+    remarks: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class OutcomeTable:
+    """Whether the values can be used, and if not, why; of the accelerometers and the gyros too, and of the groups of
+    their parameters that are judged otherwise than they."""
+
+    accepted: Any = None
+    verdict: str | None = None
+    reasons: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
+    unobservable: tuple[str, ...] = ()
+    accel: JudgementTable | None = None
+    gyro: JudgementTable | None = None
+    groups: Mapping[str, JudgementTable] = field(default_factory=dict)
+
+
+def _outcome_of(table: OutcomeTable) -> Outcome:
+    if table.verdict is None:
+        return Outcome(reasons=table.reasons, unobservable=table.unobservable)
+    if table.accel is None or table.gyro is None:
+        raise ValueError("expected outcomes of accelerometers and of gyros beside the verdict, found none")
+    return Outcome.from_content(asdict(table))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class IncrementTable:
+    """What an iteration has added to a parameter."""
+
+    name: str
+    increment: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class IterationTable:
+    """What an iteration has added."""
+
+    parameters: tuple[IncrementTable, ...]
+
+
+class RecordedImu(ImuTable, extra="ignore"):
+    """Which sensors of an autopilot, where they are of one."""
+
+
+def _known_content(circumstances: Circumstances) -> dict[str, Any]:
+    """The circumstances that are known."""
+    content = asdict(circumstances)
+    content["conditions"] = {key: value for key, value in content["conditions"].items() if value is not None}
+    return {key: value for key, value in content.items() if value}
+
+
+def fit_content(fit: Fit) -> dict[str, Any]:
+    """A fit as the file has it."""
+    content = {"chi_square": fit.chi_square, "degrees": fit.degrees, "probability": fit.probability}
+    return content | {"scatter": fit.scatter, "unit": fit.unit}
+
+
+def _check_site(site: Site) -> Site:
+    if not 1.0 <= site.gravity <= 100.0:
+        raise ValueError(f"expected a gravity from 1 to 100 m/s^2, found {site.gravity:g}")
+    return site
+
+
+def _square(rows: tuple[tuple[float, ...], ...]) -> Array:
+    if any(len(row) != len(rows) for row in rows):
+        raise ValueError("expected as many columns as rows, found others")
+    return np.array(rows, float).reshape(len(rows), len(rows))
+
+
+Sensors = Annotated[
+    SensorModel,
+    AsTable(
+        table=SensorTable,
+        read=_model_of,
+        write=lambda model: {"matrix": model.matrix.tolist(), "bias": model.bias.tolist(), "unit": ""},
+    ),
+]
+Judged = Annotated[Outcome, AsTable(table=OutcomeTable, read=_outcome_of, write=Outcome.content)]
+Recorded = Annotated[Circumstances, PlainSerializer(_known_content)]
+Increments = Annotated[
+    Mapping[str, float],
+    AsTable(
+        table=IterationTable,
+        read=lambda step: {p.name: p.increment for p in step.parameters},
+        write=lambda step: {"parameters": [{"name": name, "increment": value} for name, value in step.items()]},
+    ),
+]
+Imu = Annotated[
+    Mapping[str, AutopilotSensor],
+    AsTable(table=RecordedImu, read=lambda table: sensors_from(table.model_dump()), write=sensors_content),
+]
+Covariance = Annotated[Array, AsTable(table=Matrix, read=_square, write=lambda array: array.tolist())]
+Place = Annotated[Site, checked_sizes("gravity_u"), AfterValidator(_check_site)]
+Fits = Mapping[str, Annotated[Fit, checked_sizes("chi_square", "scatter"), PlainSerializer(fit_content)]]
+Rests = Annotated[tuple[RestResult, ...], Field(max_length=MOST_RESTS)]
+Turns = Annotated[tuple[TurnResult, ...], Field(max_length=MOST_RESTS)]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CalibratedDevice:
+    """The device: its serial number and its type, and which "accel" and "gyro" of an autopilot were recorded, where
+    they are of one."""
+
+    serial: Name
+    model: Name | None = None
+    imu: Imu = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CalibratedTemperature:
+    """At which temperatures, °C, parameters that change with it have their values."""
+
+    reference: float | None = None
+    """Of several thermometers the mean."""
+    range: tuple[float, float] | None = None
+    """Of rests that are not here, as those of a calibration that a check has updated."""
+    thermometers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """The column of the thermometer of each sensor of "accel" and "gyro", where there are such."""
+    references: Mapping[str, Vector] = field(default_factory=dict)
+    """The reference of each sensor of "accel" and "gyro", by its own thermometer."""
+
+
+class _Result(Protocol):
+    """What a calibration and each of its launches have."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]: ...
+    @property
+    def covariance(self) -> Array | None: ...
+    @property
+    def rests(self) -> tuple[RestResult, ...]: ...
+    @property
+    def turns(self) -> tuple[TurnResult, ...]: ...
+
+
+_R = TypeVar("_R", bound=_Result)
+
+
+def checked_result(result: _R) -> _R:
+    """The result. Raises ValueError, with the key, for a covariance that no parameters have, or turns between no
+    rests."""
+    for name, count in Counter(parameter.name for parameter in result.parameters).items():
+        if count > 1:
+            raise ValueError(f"parameters: expected every name once, found {name!r} twice")
+    for number, (rest, following) in enumerate(pairwise(result.rests), 2):
+        if not rest.file <= following.file < MOST_RESTS:
+            raise ValueError(f"rests[{number}].file: expected {rest.file} or a later file, found {following.file}")
+    for number, turn in enumerate(result.turns, 1):
+        if result.rests and not turn.first < turn.last < len(result.rests):
+            raise ValueError(
+                f"turns[{number}]: expected two of {len(result.rests)} rests, in their order and counted from 0, "
+                f"found {turn.first} and {turn.last}"
+            )
+    if result.covariance is None or not result.covariance.size:
+        return result
+    if len(result.covariance) != len(result.parameters):
+        found = f"one of {len(result.covariance)} for {len(result.parameters)} parameters"
+        raise ValueError(f"covariance: expected a row and a column for each parameter, found {found}")
+    for number, variance in enumerate(np.diag(result.covariance).tolist(), 1):
+        if variance < 0.0 or 0.0 < variance < LEAST**2:
+            least = "no variance below 0" if variance < 0.0 else f"zero or a variance of at least {LEAST**2:g}"
+            raise ValueError(f"covariance[{number}][{number}]: expected {least}, found {variance:g}")
+    u = np.sqrt(np.diag(result.covariance))
+    exact, size = u == 0.0, np.where(u == 0.0, 1.0, u)
+    correlation = result.covariance / size[:, None] / size
+    strongest = float(np.abs(correlation).max())
+    if result.covariance[exact].any() or result.covariance[:, exact].any():
+        raise ValueError("covariance: expected zeros beside a variance of 0, found others")
+    if np.abs(correlation - correlation.T).max() > _CORRELATION_ROUNDING:
+        raise ValueError("covariance: expected a symmetric matrix, found another")
+    if strongest > 1.0 + _CORRELATION_ROUNDING:
+        raise ValueError(f"covariance: expected correlations from -1 to 1, found one of {strongest:.3g} in size")
+    if np.linalg.eigvalsh(correlation)[0] < -_CORRELATION_ROUNDING:
+        raise ValueError("covariance: expected correlations that can be together, found a negative variance of a sum")
+    return result
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Launch:
     """One of several sessions behind a calibration."""
 
+    parameters: Parameters
+    covariance: Covariance | None
+    site: Place | None = None
+    rests: Rests = ()
+    turns: Turns = ()
+    fits: Fits = field(default_factory=dict)
     session: str
-    parameters: tuple[Parameter, ...]
-    covariance: Array | None
-    log_sha256: str
-    site: Site | None = None
-    rests: tuple[RestResult, ...] = ()
-    turns: tuple[TurnResult, ...] = ()
-    fits: Mapping[str, Fit] = field(default_factory=dict)
-    circumstances: Circumstances = UNKNOWN
+    log_sha256: str = ""
+    circumstances: Recorded = UNKNOWN
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -14,6 +14,7 @@ from itertools import chain
 import numpy as np
 
 from tumble.result.calibration import Calibration
+from tumble.result.correction import reference_of_parameter
 from tumble.result.parts import RestResult, stated_factor
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array
@@ -54,11 +55,11 @@ def temperature_of(rest: RestResult, kind: str) -> float:
 
 def own_thermometers(calibration: Calibration) -> list[str]:
     """Which thermometer the temperature of each sensor is that of, where there are several."""
-    if len(set(chain(*calibration.thermometers.values()))) < 2:
+    if len(set(chain(*calibration.temperature.thermometers.values()))) < 2:
         return []
     said = []
-    for kind, own in calibration.thermometers.items():
-        celsius = calibration.references.get(kind, ())
+    for kind, own in calibration.temperature.thermometers.items():
+        celsius = calibration.temperature.references.get(kind, ())
         at = [f"{name} ({T:.1f} degC)" for name, T in zip(own, celsius, strict=False)] or list(own)
         said.append(
             f"{kind} that of {at[0]}" if len(set(own)) == 1 else f"{kind} those of {', '.join(at)}, one a sensor"
@@ -100,7 +101,7 @@ def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
     places = {p.name: i for i, p in enumerate(calibration.parameters)}
     powers = [(0, name), *((d, f"{name}.{ending}") for d, ending in enumerate(_ENDINGS, 1))]
     known = [(d, places[each]) for d, each in powers if each in places]
-    warmer = temperature - calibration.reference_of(name)
+    warmer = temperature - reference_of_parameter(calibration, name)
     P = np.stack([warmer**d for d, _ in known], axis=1)
     own = [i for _, i in known]
     parameters, expanded = [calibration.parameters[i] for i in own], None

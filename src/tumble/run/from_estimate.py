@@ -20,7 +20,15 @@ from tumble.reduction.rests.matching import left_out
 from tumble.reduction.rests.warming import OVER_TEMPERATURE
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import MANY_DEGREES, with_degrees
-from tumble.result.parts import Parameter, Readings, RestResult, SensorsAtRest, TurnResult
+from tumble.result.parts import (
+    CalibratedDevice,
+    CalibratedTemperature,
+    Parameter,
+    Readings,
+    RestResult,
+    SensorsAtRest,
+    TurnResult,
+)
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.case import CaseAlignment, estimate_in
 from tumble.sensors.frames import Frame, convert
@@ -50,17 +58,26 @@ def result_of(
     learned, limited = learned_in(estimate), tuple(over_temperature(estimate, observations))
     estimate, case = estimate_in(frame, estimate, observations)
     if frame != "accelerometer":  # nothing of a systematic calibration that lacks one of the parameters
-        framed = [block for kind, block in blocks.items() if kind == "accel" or estimate.gyro is not None]
-        names = [name for block in framed for name in block.names]
-        known = set(names) <= set(systematic) and (frame != "case" or case is not None)
-        systematic = _systematic_in(frame, systematic, observations, names, case) if known else {}
+        kept = [block for kind, block in blocks.items() if kind == "accel" or estimate.gyro is not None]
+        names = [name for block in kept for name in block.names]
+        known, given, systematic = set(names) <= set(systematic), systematic, {}
+        if known and (frame != "case" or case is not None):
+            framed = convert(
+                observations.accel_block,
+                observations.gyro_block if len(names) > len(observations.accel_block.names) else None,
+                source="accelerometer",
+                values=np.array([given[name] for name in names]),
+                covariance=None,
+                target=frame,
+                alignment=None if case is None else case.alignment,
+            )
+            systematic = dict(zip(framed.names, framed.values.tolist(), strict=True))
     seen = np.flatnonzero(estimate.observable)
     faces = faces_alone(estimate, outcome.unobservable)
     missing = set() if faces else {sensor_kind(name) for name in outcome.unobservable}
     thermometers = None if observations.rests.temperatures is None else session.log.temperature
     return Calibration(
-        serial=session.device.serial,
-        model=session.device.model,
+        device=device_of(session),
         method=estimate.method,
         frame=frame if complete else "accelerometer",
         parameters=with_degrees(parameters_of(estimate, seen, systematic, learned), estimate.fits),
@@ -89,10 +106,11 @@ def result_of(
         budget=contributions_of(estimate.budget, estimate.names),
         prediction=estimate.prediction,
         axes={kind: tuple(map(tuple, block.axes.tolist())) for kind, block in blocks.items()},
-        reference_temperature=reference_of(observations),
-        thermometers={} if thermometers is None else {kind: thermometers.names(kind) for kind in blocks},
-        references=references_of(observations),
-        imu=session.device.imu,
+        temperature=CalibratedTemperature(
+            reference=reference_of(observations),
+            thermometers={} if thermometers is None else {kind: thermometers.names(kind) for kind in blocks},
+            references=references_of(observations),
+        ),
         clock_u=session.log.time_base_u,
         absent=(f"{', '.join(outcome.unobservable)}: not determined by six faces, taken as 0",) if faces else (),
     )
@@ -103,8 +121,7 @@ def without_result(
 ) -> Calibration:
     """A calibration that says why there is none; `bridged` are notes of the gaps of its log."""
     return Calibration(
-        serial=session.device.serial,
-        model=session.device.model,
+        device=device_of(session),
         method=method,
         frame="accelerometer",
         parameters=(),
@@ -117,6 +134,11 @@ def without_result(
         notes=bridged,
         provenance=provenance,
     )
+
+
+def device_of(session: Session) -> CalibratedDevice:
+    """The device of a session."""
+    return CalibratedDevice(serial=session.device.serial, model=session.device.model, imu=session.device.imu)
 
 
 def parameters_of(
@@ -170,27 +192,6 @@ def references_of(observations: Observations) -> dict[str, tuple[float, ...]]:
     return {block.kind: tuple(celsius[block.thermometer].tolist()) for block in blocks if block is not None}
 
 
-def _systematic_in(
-    frame: Frame,
-    systematic: Mapping[str, float],
-    observations: Observations,
-    names: Sequence[str],
-    case: CaseAlignment | None,
-) -> Mapping[str, float]:
-    """Values of the systematic calibration of these parameters, accelerometers first, in another frame."""
-    gyros = len(names) > len(observations.accel_block.names)
-    framed = convert(
-        observations.accel_block,
-        observations.gyro_block if gyros else None,
-        source="accelerometer",
-        values=np.array([systematic[name] for name in names]),
-        covariance=None,
-        target=frame,
-        alignment=None if case is None else case.alignment,
-    )
-    return dict(zip(framed.names, framed.values.tolist(), strict=True))
-
-
 def readings_of_session(session: Session) -> dict[str, Readings]:
     """What the readings of a session are."""
     given = {"accel": session.log.accel, "gyro": session.log.gyro, "mag": session.log.magnetometer}
@@ -220,22 +221,15 @@ def rest_results(estimate: Estimate, observations: Observations) -> tuple[RestRe
             "put the device down in others too (`tumble programme` lists them)"
         )
     celsius = None if rests.temperatures is None else rests.temperatures - ZERO_CELSIUS
-    numbers: dict[str, list[list[list[float]]]] = {}  # by kind of the mean, the noise and the drift at each rest
+    sensors: dict[str, list[SensorsAtRest | None]] = {kind: [None] * len(rests) for kind in ("accel", "gyro")}
     for block, mean, noise, drift in (
         (observations.accel_block, rests.accel, rests.accel_noise, rests.accel_drift),
         (observations.gyro_block, rests.gyro, rests.gyro_noise, rests.gyro_drift),
     ):
         if block is not None and mean.shape[1]:
-            none = np.empty((len(rests), 0))
-            warm = none if celsius is None else celsius[:, block.thermometer]
-            numbers[block.kind] = [values.tolist() for values in (mean, noise, drift, warm)]
-
-    def sensors(kind: str, i: int) -> SensorsAtRest | None:
-        if kind not in numbers:
-            return None
-        mean, noise, drift, temperature = (tuple(values[i]) for values in numbers[kind])
-        return SensorsAtRest(mean=mean, noise=noise, drift=drift, temperature=temperature)
-
+            warm = np.empty((len(rests), 0)) if celsius is None else celsius[:, block.thermometer]
+            at_rest = zip(*(map(tuple, values.tolist()) for values in (mean, noise, drift, warm)), strict=True)
+            sensors[block.kind] = [SensorsAtRest(mean=m, noise=n, drift=d, temperature=t) for m, n, d, t in at_rest]
     positions = None if observations.programme is None else observations.programme.positions
     at = observations.position
     return tuple(
@@ -246,8 +240,8 @@ def rest_results(estimate: Estimate, observations: Observations) -> tuple[RestRe
             residual=float(estimate.rest_residual[i]),
             sigmas=float(estimate.rest_sigmas[i]),
             attitude=None if positions is None or at is None else positions[int(at[i])].attitude,
-            accel=sensors("accel", i),
-            gyro=sensors("gyro", i),
+            accel=sensors["accel"][i],
+            gyro=sensors["gyro"][i],
             temperature=None if rests.temperature is None else float(rests.temperature[i]) - ZERO_CELSIUS,
         )
         for i in range(len(rests))

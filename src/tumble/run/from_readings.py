@@ -44,7 +44,7 @@ from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
 from tumble.result.calibration import Calibration
-from tumble.result.parts import Parameter, Readings
+from tumble.result.parts import CalibratedDevice, Parameter, Readings
 from tumble.run.calibrate import Terms, provenance_of
 from tumble.run.case import estimate_in
 from tumble.run.from_estimate import learned_in, parameters_of
@@ -408,8 +408,7 @@ def _calibration(
         row_u=tuple((positions.row_u / np.abs(nominal.scale)).tolist()) if row_known else (),
     )
     return Calibration(
-        serial=serial,
-        model=None,
+        device=CalibratedDevice(serial=serial),
         method="ellipsoid",
         frame="accelerometer" if estimate is None else frame,
         parameters=parameters,

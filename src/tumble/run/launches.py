@@ -28,8 +28,9 @@ from tumble.recording.log import Log
 from tumble.recording.session import AirConditions, Circumstances, Session
 from tumble.recording.session_file import session_from
 from tumble.result.calibration import Calibration
+from tumble.result.correction import reference_of_parameter
 from tumble.result.coverage import by_gravity, degrees_of_mean, shared_gravity
-from tumble.result.parts import Launch, Parameter, learned_fraction
+from tumble.result.parts import CalibratedTemperature, Launch, Parameter, learned_fraction
 from tumble.result.shared_errors import by_priors
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.calibrate import DEFAULT_METHOD, Method, Terms, calibrate, provenance_of
@@ -118,17 +119,18 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
 
     # at one reference temperature
     reference = _mean_where_known([launch.reference_temperature for launch in launches])
-    sizes = [{kind: len(celsius) for kind, celsius in launch.references.items()} for launch in launches]
+    sizes = [{kind: len(celsius) for kind, celsius in launch.temperature.references.items()} for launch in launches]
     references = {
-        kind: tuple(np.mean([launch.references[kind] for launch in launches], axis=0).tolist())
+        kind: tuple(np.mean([launch.temperature.references[kind] for launch in launches], axis=0).tolist())
         for kind in (sizes[0] if all(each == sizes[0] for each in sizes) else ())
     }
     values, covariances = [], []
     for launch in launches:
         move, C = np.eye(len(names)), launch.covariance_of(names)
         if reference is not None:
-            there = replace(launch, reference_temperature=reference, references=references)
-            move = to_temperature(names, np.array([there.reference_of(n) - launch.reference_of(n) for n in names]))
+            there = replace(launch, temperature=CalibratedTemperature(reference=reference, references=references))
+            warmer = [reference_of_parameter(there, name) - reference_of_parameter(launch, name) for name in names]
+            move = to_temperature(names, np.array(warmer))
         values.append(move @ [launch[n].value for n in names])
         covariances.append(move @ (np.zeros_like(move) if C is None else C) @ move.T)
     mean, spread = np.mean(values, axis=0), np.std(values, axis=0, ddof=1)
@@ -199,8 +201,7 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
     by_name = dict(zip(names, mean.tolist(), strict=True))
     alike_in_all: dict[str, Any] = {key: _common_items([getattr(x, key) for x in launches]) for key in _OF_THE_DEVICE}
     return Calibration(
-        serial=first.serial,
-        model=first.model,
+        device=replace(first.device, imu=_common_items([launch.imu for launch in launches])),
         method=first.method,
         frame=first.frame,
         parameters=tuple(parameters),
@@ -226,8 +227,11 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
         groups=_groups(launches, parameters),
         budget=contributions_of(budget, names),
         prediction=_prediction(runs, names, mean, covariance),
-        reference_temperature=reference,
-        references=references,
+        temperature=CalibratedTemperature(
+            reference=reference,
+            thermometers=_common_items([launch.temperature.thermometers for launch in launches]),
+            references=references,
+        ),
         circumstances=circumstances_of_all([launch.circumstances for launch in launches]),
         sample_rate=_mean_where_known([launch.sample_rate for launch in launches]),
         clock_u=clock_u,
@@ -235,7 +239,7 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
     )
 
 
-_OF_THE_DEVICE = ("readings", "axes", "thermometers", "imu")
+_OF_THE_DEVICE = ("readings", "axes")
 _OF_A_LAUNCH = ("parameters", "covariance", "site", "circumstances", "rests", "turns", "fits")
 
 
@@ -249,7 +253,7 @@ def circumstances_of_all(each: Sequence[Circumstances]) -> Circumstances:
     return Circumstances(
         date=max((one.date for one in each if one.date is not None), default=None),
         operator=_common([one.operator for one in each]),
-        air=_common([one.air for one in each]) or AirConditions(),
+        conditions=_common([one.conditions for one in each]) or AirConditions(),
         equipment=tuple(dict.fromkeys(item for one in each for item in one.equipment)),
     )
 

@@ -30,15 +30,14 @@ _MARGIN = 1e-9  # s, of the ends of a rest
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class QuietRecord:
-    """Samples at rest, SI: accelerometers (m, n), gyros (m, n) or (m, 0), `rate` in Hz, where they are from in words,
-    and the columns they came from."""
+    """Samples at rest of a session, SI: accelerometers (m, n), gyros (m, n) or (m, 0), `rate` in Hz, and where they are
+    from in words."""
 
+    session: Session
     accel: Array
     gyro: Array
     rate: float
     source: str
-    accel_columns: tuple[str, ...]
-    gyro_columns: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
@@ -64,34 +63,33 @@ def noise(*recordings: Session | FilePath, layout: Mapping[str, Any] | None = No
     >>> found.source, [panel.title for panel in found.panels]
     ('the longest rest, 0.0–39.0 s', ['accelerometers', 'gyros'])
     """
-    records = [_record_of(recording, layout) for recording in recordings]
+    records = []
+    for recording in recordings:
+        if isinstance(recording, Session) or is_session(Path(recording)):
+            records.append(longest_rest(session_from(recording)))
+        elif layout is not None:
+            records.append(whole_log(Path(recording), layout))
+        else:
+            without = "expected a session, or `layout`, the table [log], with a log; found neither"
+            raise InputError(f"{recording}: {without}")
     if not records:
         raise InputError("noise: expected a recording, found none")
-    source = (
-        records[0].source if len(records) == 1 else f"{len(records)} records: " + "; ".join(r.source for r in records)
-    )
+    several = f"{len(records)} records: " if len(records) > 1 else ""
+    source = several + "; ".join(record.source for record in records)
     return RecordedNoise(panels=noise_panels(records), rate=records[0].rate, source=source)
-
-
-def _record_of(recording: Session | FilePath, layout: Mapping[str, Any] | None) -> QuietRecord:
-    if isinstance(recording, Session) or is_session(Path(recording)):
-        return longest_rest(session_from(recording))
-    if layout is None:
-        raise InputError(f"{recording}: expected a session, or `layout`, the table [log], with a log; found neither")
-    return whole_log(Path(recording), layout)
 
 
 def noise_panels(records: Sequence[QuietRecord]) -> tuple[Panel, ...]:
     """Allan deviation and noise processes of the accelerometers and of the gyros, by all records together."""
-    panels = []
-    for title, unit, kind in (("accelerometers", "m/s^2", "accel"), ("gyros", "rad/s", "gyro")):
-        samples = [getattr(record, kind) for record in records]
-        if samples[0].shape[1]:
-            every = [allan_deviation(s, record.rate) for s, record in zip(samples, records, strict=True)]
-            deviation, columns = pooled(every), getattr(records[0], f"{kind}_columns")
-            panels.append(
-                Panel(title=title, unit=unit, channels=columns, deviation=deviation, parameters=identify(deviation))
-            )
+    panels, log = [], records[0].session.log
+    for title, unit, kind, channels in (
+        ("accelerometers", "m/s^2", "accel", log.accel),
+        ("gyros", "rad/s", "gyro", log.gyro),
+    ):
+        if channels is not None:
+            deviation = pooled([allan_deviation(getattr(record, kind), record.rate) for record in records])
+            noise, columns = identify(deviation), channels.columns
+            panels.append(Panel(title=title, unit=unit, channels=columns, deviation=deviation, parameters=noise))
     return tuple(panels)
 
 
@@ -119,7 +117,8 @@ def longest_rest(session: Session, *, progress: Progress = Log.chunks) -> QuietR
                 f"{session.name}: expected a rest to take the noise from, found none; see `tumble inspect`"
             )
         rest = max(observed.segmentation.rests, key=lambda rest: rest.stop - rest.start)
-        width, first, tables = 1 + sum(_sensors(session)), 0, list[Array]()
+        gyros = () if session.log.gyro is None else session.log.gyro.columns
+        width, first, tables = 1 + len(session.log.accel.columns) + len(gyros), 0, list[Array]()
         for file, last, rows in pieces:
             if file == rest.file and last > rest.start and (not tables or tables[-1][-1, 0] <= rest.stop):
                 store.seek(first * width * 8)
@@ -148,18 +147,6 @@ def _samples(chunk: Chunk) -> Array:
     return chunk.accel if chunk.gyro is None else np.hstack([chunk.accel, chunk.gyro])
 
 
-def _sensors(session: Session) -> tuple[int, int]:
-    """How many accelerometers and gyros there are."""
-    return len(session.log.accel.columns), len(session.log.gyro.columns) if session.log.gyro else 0
-
-
 def _record(session: Session, samples: Array, rate: float, source: str) -> QuietRecord:
-    accel, gyro = np.hsplit(samples, [_sensors(session)[0]])
-    return QuietRecord(
-        accel=np.ascontiguousarray(accel),
-        gyro=np.ascontiguousarray(gyro),
-        rate=rate,
-        source=source,
-        accel_columns=session.log.accel.columns,
-        gyro_columns=session.log.gyro.columns if session.log.gyro else (),
-    )
+    accel, gyro = map(np.ascontiguousarray, np.hsplit(samples, [len(session.log.accel.columns)]))
+    return QuietRecord(session=session, accel=accel, gyro=gyro, rate=rate, source=source)

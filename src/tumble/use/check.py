@@ -44,6 +44,7 @@ from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration, calibration_from
+from tumble.result.correction import reference_of_parameter
 from tumble.result.coverage import by_gravity, shared_gravity
 from tumble.result.parts import learned_fraction
 from tumble.run.calibrate import grade_of, provenance_of
@@ -262,8 +263,8 @@ def known_before(
     # at the temperature of the session
     now, J = references_of(observations), np.eye(len(whole))
     if calibration.reference_temperature is not None and now:
-        here = replace(calibration, references=now)
-        warmer = [here.reference_of(name) - calibration.reference_of(name) for name in names]
+        here = replace(calibration, temperature=replace(calibration.temperature, references=now))
+        warmer = [reference_of_parameter(here, name) - reference_of_parameter(calibration, name) for name in names]
         J[1:, 1:] = to_temperature(names, np.array(warmer))
     # s² and 1/ν_s of another power-on, Eq. (2); a single launch is as far from the mean of all as the one checked,
     # while u of several together has what they change by
@@ -325,12 +326,9 @@ def _updated(check: FieldCheck, reasons: tuple[str, ...]) -> Calibration:
     )
     return Calibration(
         # the device and its sensors
-        serial=before.serial,
-        model=before.model,
+        device=before.device,
         axes=before.axes,
         readings=before.readings,
-        thermometers=before.thermometers,
-        imu=before.imu,
         frame=before.frame,
         # what still rests on the calibration
         absent=before.absent,
@@ -339,7 +337,6 @@ def _updated(check: FieldCheck, reasons: tuple[str, ...]) -> Calibration:
         fits=before.fits,
         groups=tuple(group for group in before.groups if variable_of(group.name) != "time"),
         mag=before.mag,
-        measured_between=before.temperature_range,
         # what the check says
         parameters=(*parameters, *(before.parameters[i] for i in others)),
         covariance=block_diag(result.covariance[np.ix_(at, at)], before.covariance[np.ix_(others, others)]),
@@ -348,8 +345,12 @@ def _updated(check: FieldCheck, reasons: tuple[str, ...]) -> Calibration:
         prediction=None
         if before.site is None
         else prediction(instrument, result.values, result.covariance, gravity=before.site.gravity, rate=at_rate),
-        reference_temperature=check.temperature if warm else None,
-        references=check.references if warm else {},
+        temperature=replace(
+            before.temperature,
+            reference=check.temperature if warm else None,
+            range=before.temperature_range,  # on which it still rests
+            references=check.references if warm else {},
+        ),
         site=before.site if before.site == check.site else None,
         circumstances=check.circumstances,
         sample_rate=check.sample_rate,

@@ -28,8 +28,9 @@ from scipy.special import chdtrc, fdtrc, stdtr
 from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.files import FilePath
-from tumble.result.calibration import Calibration, calibration_from, text_of
+from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.coverage import UNLEARNED, apart, expanded_of, welch_satterthwaite
+from tumble.result.file import text_of
 from tumble.result.further import remarks as remarks_of
 from tumble.result.parts import Parameter
 from tumble.result.shared_errors import shared_errors

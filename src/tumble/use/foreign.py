@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,8 @@ import numpy as np
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Outcome
-from tumble.result.calibration import Calibration, text_of
+from tumble.result.calibration import Calibration
+from tumble.result.file import text_of
 from tumble.result.parts import Parameter
 from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
 from tumble.sensors.parameters import group_of
@@ -74,8 +76,7 @@ def foreign_calibration(path: FilePath, gyro: FilePath | None, like: Calibration
             values |= dict(zip(block.names, block.parameters(model).tolist(), strict=True))
     values = {name: value for name, value in values.items() if not (of_kalibr and ".bias." in name)} | further
     return Calibration(
-        serial=like.serial,
-        model=like.model,
+        device=replace(like.device, imu={}),
         method=KALIBR if of_kalibr else IMU_TK,
         frame="accelerometer",
         parameters=tuple(

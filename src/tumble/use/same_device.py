@@ -29,7 +29,7 @@ def check_device(calibration: Calibration, session: Session) -> None:
     compensator = calibration.compensator
     for made, now in ((compensator.accel, session.accel_block), (compensator.gyro, session.gyro_block)):
         if made is not None and now is not None and not np.array_equal(made.thermometer, now.thermometer):
-            then = ", ".join(calibration.thermometers.get(made.kind, ())) or "one for all sensors"
+            then = ", ".join(calibration.temperature.thermometers.get(made.kind, ())) or "one for all sensors"
             raise InputError(
                 f"{session.name}: log.temperature.columns: expected a thermometer for each sensor {made.kind} as in "
                 f"the calibration, {then}, found {', '.join(known.names(made.kind))}"

@@ -7,7 +7,8 @@ launch to launch, the mean increments of the iterations, and the difference of t
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -44,7 +45,6 @@ from tumble.views.numbers import (
     to_digits_of,
     with_expanded,
 )
-from tumble.views.render.notebook import fragment
 from tumble.views.render.terminal import text_of
 from tumble.views.report.recording import checked, recordings, rests_said, tables_of
 from tumble.views.uncertainty_budget import budget_blocks
@@ -300,8 +300,21 @@ def as_text(calibration: Calibration) -> str:
 
 
 def as_html(calibration: Calibration) -> str:
-    """The same as HTML, everything escaped."""
-    return fragment(_short(calibration))
+    """The same as HTML, without a template, everything escaped."""
+
+    def each(tag: str, texts: Iterable[str]) -> str:
+        return "".join(f"<{tag}>{escape(text)}</{tag}>" for text in texts)
+
+    def html(block: Block) -> str:
+        if isinstance(block, Text):
+            return f"<p><b>{escape(block.text)}</b></p>"
+        if isinstance(block, Items):
+            return f"<ul>{each('li', block.items)}</ul>"
+        assert isinstance(block, Table)
+        rows = "".join(f"<tr>{each('td', row)}</tr>" for row in block.rows)
+        return f"<table><thead><tr>{each('th', block.columns)}</tr></thead><tbody>{rows}</tbody></table>"
+
+    return f"<div>{''.join(map(html, _short(calibration)))}</div>"
 
 
 def _short(calibration: Calibration) -> list[Block]:

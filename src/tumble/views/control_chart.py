@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tumble.acceptance.conformity import RESULTS, RULE
-from tumble.errors import InputError, needs_extra
-from tumble.files import whole_file
+from tumble.errors import needs_extra
+from tumble.files import ending_in, whole_file
 from tumble.registry.monitor import Monitored
 from tumble.registry.trend import YEAR, Trend
 from tumble.registry.types import STATES
@@ -76,9 +76,7 @@ def write_chart(path: Path, found: Monitored) -> None:
     """Write the control charts of the parameters of a device.
 
     Raises InputError for another ending than .html and .svg, MissingExtraError without matplotlib."""
-    ending = path.suffix.lower()
-    if ending not in FORMATS:
-        raise InputError(f"{path}: expected a file that ends in {' or '.join(FORMATS)}, found {path.suffix!r}")
+    ending = ending_in(path, *FORMATS)
     with needs_extra("a control chart", "report", "matplotlib"):
         text = _svg(found) if ending == ".svg" else _page(found)
     with whole_file(path) as temporary:

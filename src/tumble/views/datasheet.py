@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tumble.documents import plain
-from tumble.errors import InputError, needs_extra
-from tumble.files import whole_file
+from tumble.errors import needs_extra
+from tumble.files import ending_in, whole_file
 from tumble.sensors.parameters import group_name, shown_in
 from tumble.views.blocks import Block, Document, Facts, Part, Table, Text, section, table
 from tumble.views.render.data import Content, fields
@@ -111,10 +111,7 @@ def _escaped(text: str) -> str:
 def write_datasheet(sheet: Datasheet, out: Path, created: str) -> None:
     """Write a data sheet, `created` at a time in ISO 8601, as Markdown, HTML or PDF by the ending of the file. Raises
     InputError for another, MissingExtraError without the extra for the last two."""
-    ending = out.suffix.lower()
-    if ending not in ENDINGS:
-        found = out.suffix or "no ending"
-        raise InputError(f"{out}: expected a name that ends in {', '.join(ENDINGS)}, found {found!r}")
+    ending = ending_in(out, *ENDINGS)
     blocks = datasheet_blocks(sheet)
     if ending == ".md":
         content = f"# Data sheet: {_escaped(sheet.model)}\n\n{markdown(blocks)}".encode()

@@ -8,7 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from tumble.errors import InputError, needs_extra
-from tumble.files import FilePath, whole_file
+from tumble.files import FilePath, ending_in, whole_file
 from tumble.programme.positions import Programme
 from tumble.programme.sheet import SIGNATURES, form_of, sheet_drawing, sheet_page
 from tumble.programme.sheet_pictures import legend, picture
@@ -52,12 +52,7 @@ def write_sheet(
     >>> tumble.write_sheet("sheet.svg", tumble.programme_of("nine"), rest=30.0)
     """
     path = Path(path)
-    ending = path.suffix.lower()
-    if ending not in ENDINGS:
-        raise InputError(
-            f"{path}: expected a name that ends in {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}, found "
-            f"{path.suffix or 'no ending'!r}"
-        )
+    ending = ending_in(path, *ENDINGS)
     pace = {"rest": rest, "rate": rate, "move": move}
     if ending == ".svg":
         content = sheet_drawing(programme, **pace).encode()

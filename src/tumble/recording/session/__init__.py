@@ -10,11 +10,13 @@ import datetime as dt
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+from pydantic import AfterValidator, Field
 
 from tumble.brief import Brief
+from tumble.documents import shown
 from tumble.errors import InputError
 from tumble.recording.text.dialect import Dialect
 from tumble.sensors.model import Block
@@ -241,15 +243,26 @@ UNIX_TIMES = (946_684_800.0, 4_102_444_800.0)
 """Seconds since 1970 at the beginning of 2000 and of 2100, between which times of a log are taken for such."""
 
 
+def _is_date(text: str) -> str:
+    try:
+        (dt.datetime if "T" in text else dt.date).fromisoformat(text)
+    except ValueError:
+        raise ValueError(f"expected a date, or a date with a time, found {shown(text)}") from None
+    return text
+
+
+IsoDate = Annotated[str, AfterValidator(_is_date)]
+"""A date or a date with a time by ISO 8601."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AirConditions:
-    """Temperature (°C) with its standard uncertainty, relative humidity (%) and air pressure (hPa); None where not
-    known."""
+    """Temperature with its standard uncertainty (K), relative humidity and air pressure; None where not known."""
 
-    temperature: float | None = None
-    temperature_u: float | None = None
-    humidity: float | None = None
-    pressure: float | None = None
+    temperature_degC: float | None = None  # noqa: N815
+    temperature_u: Annotated[float, Field(ge=0.0)] | None = None
+    humidity_percent: float | None = None
+    pressure_hPa: float | None = None  # noqa: N815
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -258,47 +271,13 @@ class Circumstances:
     where its times are absolute, and never the time of computing; who recorded it; the air; and the equipment with its
     traceability, in words."""
 
-    date: str | None = None
+    date: IsoDate | None = None
     operator: str | None = None
-    air: AirConditions = AirConditions()
+    conditions: AirConditions = AirConditions()
     equipment: tuple[str, ...] = ()
 
 
 UNKNOWN = Circumstances()
-
-_AIR = {
-    "temperature": "temperature_degC",
-    "temperature_u": "temperature_u",
-    "humidity": "humidity_percent",
-    "pressure": "pressure_hPa",
-}
-"""Keys of the conditions in session.toml and in the calibration file."""
-
-
-def circumstances_content(given: Circumstances) -> dict[str, Any]:
-    """Circumstances under the keys of [session], those that are known."""
-    air = {key: getattr(given.air, name) for name, key in _AIR.items()}
-    values = {
-        "date": given.date,
-        "operator": given.operator,
-        "conditions": {key: value for key, value in air.items() if value is not None},
-        "equipment": list(given.equipment),
-    }
-    return {key: value for key, value in values.items() if value}
-
-
-def circumstances_from(content: Mapping[str, Any]) -> Circumstances:
-    """Circumstances from the keys of [session]. Raises ValueError for a date that is none."""
-    stated, date = content.get("conditions", {}), content.get("date")
-    air = {name: float(stated[key]) for name, key in _AIR.items() if stated.get(key) is not None}
-    if isinstance(date, str):
-        date = (dt.datetime if "T" in date else dt.date).fromisoformat(date)
-    return Circumstances(
-        date=None if date is None else date.isoformat(),
-        operator=content.get("operator"),
-        air=AirConditions(**air),
-        equipment=tuple(str(each) for each in content.get("equipment", ())),
-    )
 
 
 def date_of_unix(seconds: float) -> str | None:

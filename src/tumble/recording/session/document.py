@@ -18,13 +18,14 @@ from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
 from tumble.errors import ProgrammeError
 from tumble.programme import positions as programme
 from tumble.recording.session import (
+    AirConditions,
+    Circumstances,
     Device,
     Exclusion,
     ListedPosition,
     ProgrammeSpec,
     Session,
     Site,
-    circumstances_from,
     sensors_from,
 )
 from tumble.recording.session.log_tables import LogTable, SessionTable, check_span, key, name_of, one_of, visible
@@ -162,6 +163,14 @@ class CircumstancesTable(SessionTable):
         default_factory=list, description="a list of strings"
     )
 
+    def si(self) -> Circumstances:
+        return Circumstances(
+            date=None if self.date is None else self.date.isoformat(),
+            operator=self.operator,
+            conditions=AirConditions(**self.conditions.model_dump()),
+            equipment=tuple(self.equipment),
+        )
+
 
 class ExcludeTable(SessionTable):
     """[[exclude]]"""
@@ -253,6 +262,6 @@ class SessionDocument(SessionTable):
             log=self.log.si(place),
             programme=None if self.programme is None else self.programme.si(),
             excluded=tuple(table.si() for table in self.exclude),
-            circumstances=circumstances_from(self.session.model_dump()),
+            circumstances=self.session.si(),
             description=self.model_dump(exclude_unset=True, exclude_none=True),
         )

@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tumble.errors import InputError, needs_extra
-from tumble.files import whole_file
+from tumble.errors import needs_extra
+from tumble.files import ending_in, whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,9 +62,7 @@ def write_picture(
     """Write a picture of this size in inches that `draw` fills, by the ending of the file.
 
     Raises MissingExtraError, saying `what` it is, without matplotlib, InputError for another ending."""
-    ending = path.suffix.lower()
-    if ending not in (".svg", ".png", ".pdf"):
-        raise InputError(f"{path}: expected a file that ends in .svg, .png or .pdf, found {path.suffix!r}")
+    ending = ending_in(path, ".svg", ".png", ".pdf")
     with needs_extra(what, "report", "matplotlib"):
         from matplotlib import rc_context
         from matplotlib.figure import Figure

@@ -248,14 +248,14 @@ def _front(first: Calibration, titles: Sequence[str]) -> tuple[tuple[str, str], 
         *(recording.site_facts(recordings[0].site) if first.site is not None else ()),
         ("temperature", recording.temperature(recordings)),
     ]
-    given, air = first.circumstances, first.circumstances.air
-    if air.temperature is not None:
+    given, air = first.circumstances, first.circumstances.conditions
+    if air.temperature_degC is not None:
         u = "" if air.temperature_u is None else f", U = {significant(2.0 * air.temperature_u, 2)} °C (k = 2)"
-        rows.append(("air temperature", f"{fixed(air.temperature, 1)} °C{u}"))
-    if air.humidity is not None:
-        rows.append(("relative humidity", f"{significant(air.humidity, 3)} %"))
-    if air.pressure is not None:
-        rows.append(("air pressure", f"{significant(air.pressure, 5)} hPa"))
+        rows.append(("air temperature", f"{fixed(air.temperature_degC, 1)} °C{u}"))
+    if air.humidity_percent is not None:
+        rows.append(("relative humidity", f"{significant(air.humidity_percent, 3)} %"))
+    if air.pressure_hPa is not None:
+        rows.append(("air pressure", f"{significant(air.pressure_hPa, 5)} hPa"))
     if given.operator is not None:
         rows.append(("operator", given.operator))
     return (*rows, *((("equipment", "; ".join(given.equipment)),) if given.equipment else ()))

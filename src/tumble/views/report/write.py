@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tumble.errors import InputError, needs_extra
-from tumble.files import FilePath, whole_file
+from tumble.files import FilePath, ending_in, whole_file
 from tumble.result.calibration import Calibration, calibration_of, read_calibration, text_and_name
 
 if TYPE_CHECKING:
@@ -40,9 +40,7 @@ def write_report(
     """
     given = [calibrations] if isinstance(calibrations, Calibration | str | os.PathLike) else calibrations
     out = Path(out)
-    ending = out.suffix.lower()
-    if ending not in ENDINGS:
-        raise InputError(f"{out}: expected a name that ends in .html or .pdf, found {out.suffix or 'no ending'!r}")
+    ending = ending_in(out, *ENDINGS)
     from tumble.acceptance.certificate import judged_by, read_certificate
     from tumble.acceptance.limits import limits_of
 
