@@ -198,7 +198,9 @@ def _calibrated(
                 if made_alone.outcome.accel.accepted and not lost:
                     because = (f"{why}; the accelerometers are estimated alone" for why in made.outcome.gyro.reasons)
                     estimate, made, faults = alone, made_alone, (*because, *faults)
-        made = replace(with_magnetometer(made, session, estimate[1]), sample_rate=observed.rate)
+        if session.log.magnetometer is not None:
+            made = with_magnetometer(made, session.log.magnetometer, estimate[1])
+        made = replace(made, sample_rate=observed.rate)
         if others is not None and estimate[0].of_type:
             made = replace(made, provenance={**made.provenance, "type": others.model})
         if faults:

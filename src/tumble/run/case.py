@@ -231,14 +231,11 @@ def _levelled(attitude: Array, vertical: Array) -> Array:
 
 
 def estimate_in(frame: Frame, estimate: Estimate, observations: Observations) -> tuple[Estimate, CaseAlignment | None]:
-    """An estimate in the frame of the accelerometers as one in another frame, with the alignment of the case where
-    that is the frame. Where an accelerometer parameter is not observable no frame is fixed: it stays as it is.
+    """An estimate in the frame of the accelerometers, of which all parameters are observable, as one in another frame,
+    with the alignment of the case where that is the frame.
 
     Raises InputError, one line, where the session does not give the case."""
     accel, found = observations.accel_block, None
-    count = len(accel.names)
-    if frame == "accelerometer" or not estimate.observable[:count].all():
-        return estimate, None
     if frame == "case":
         found = case_of(observations, _verticals_of_rests(estimate, observations), estimate.gyro)
     linear = len(estimate.names) if estimate.instrument is None else estimate.instrument.linear_count

@@ -56,7 +56,9 @@ def result_of(
     blocks = {b.kind: b for b in (observations.accel_block, observations.gyro_block) if b is not None}
     complete = bool(estimate.observable[: len(observations.accel_block.names)].all())
     learned, limited = learned_in(estimate), tuple(over_temperature(estimate, observations))
-    estimate, case = estimate_in(frame, estimate, observations)
+    case = None
+    if frame != "accelerometer" and complete:
+        estimate, case = estimate_in(frame, estimate, observations)
     if frame != "accelerometer":  # nothing of a systematic calibration that lacks one of the parameters
         kept = [block for kind, block in blocks.items() if kind == "accel" or estimate.gyro is not None]
         names = [name for block in kept for name in block.names]

@@ -381,7 +381,8 @@ def _calibration(
     known = fit is not None and fit.covariance is not None
     if estimate is not None:
         learned = learned_in(estimate)
-        estimate, _ = estimate_in(frame, estimate, _rests(positions, nominal, np.zeros((3, 3))))
+        if frame != "accelerometer":
+            estimate, _ = estimate_in(frame, estimate, _rests(positions, nominal, np.zeros((3, 3))))
         named = replace(
             estimate,
             names=tuple(f"{sensor}.{name.partition('.')[2]}" for name in estimate.names),

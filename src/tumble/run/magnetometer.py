@@ -21,7 +21,7 @@ from tumble.diagnosis.carried_vertical import signed_permutations
 from tumble.inference.sources import UncertaintyBudget, source
 from tumble.methods.magnetometer import NAMES as MAGNETOMETER_NAMES
 from tumble.methods.magnetometer import magnetometer
-from tumble.recording.session import Channels, Session
+from tumble.recording.session import Channels
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Parameter
@@ -73,12 +73,10 @@ def exchanged_columns(
     )
 
 
-def with_magnetometer(calibration: Calibration, session: Session, observations: Observations) -> Calibration:
-    """A calibration with the parameters of the session's magnetometer, where it has one; where that cannot be
-    calibrated, without them, and a note says why."""
-    spec, covariance = session.log.magnetometer, calibration.covariance
-    if spec is None:
-        return calibration
+def with_magnetometer(calibration: Calibration, spec: Channels, observations: Observations) -> Calibration:
+    """A calibration with the parameters of the session's magnetometer; where that cannot be calibrated, without them,
+    and a note says why."""
+    covariance = calibration.covariance
     fit = magnetometer(observations, spec.unit_name)
     if fit.reasons or fit.values is None or fit.covariance is None or covariance is None:
         why = "; ".join(fit.reasons) or "magnetometer: nothing says how well it is known"
