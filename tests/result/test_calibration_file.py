@@ -26,6 +26,7 @@ from tumble.planning.setup import Setup
 from tumble.recording.session import AirConditions, AutopilotSensor, Circumstances, Site
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import Calibration, read_calibration
+from tumble.result.file import json_schema
 from tumble.result.parts import CalibratedDevice, CalibratedTemperature, Launch, Member, Parameter
 from tumble.run.calibrate import calibrate
 from tumble.run.observed import inspect_session
@@ -265,6 +266,16 @@ def test_a_refused_recording_has_its_reasons_in_the_file_and_no_values(session: 
     assert content["parameters"] == content["rests"] == content["iterations"] == []
     assert content["accel"] is content["gyro"] is content["covariance"] is None
     assert content["provenance"]["log_sha256"]
+
+
+def test_the_description_of_the_file_has_the_keys_that_are_written_and_documented(content: Any) -> None:
+    described = json_schema(Calibration)
+    page = (Path(__file__).parents[2] / "docs/reference/conventions.md").read_text(encoding="utf-8")
+    assert set(described["properties"]) == set(content)
+    assert [key for key in content if f"`{key}`" not in page[page.index("## The calibration file") :]] == []
+    assert {"device", "method", "frame", "parameters", "covariance", "accel", "gyro", "outcome"} == set(
+        described["required"]
+    )
 
 
 # -------------------- read again --------------------
