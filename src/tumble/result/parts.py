@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from math import erfc, inf, isfinite, sqrt
-from typing import Annotated, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import numpy as np
 from pydantic import AfterValidator, Field, GetCoreSchemaHandler, PlainSerializer
@@ -35,6 +35,9 @@ from tumble.recording.session.log_tables import name_of
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import is_parameter
 from tumble.units import Array
+
+if TYPE_CHECKING:
+    from tumble.result.calibration import Calibration
 
 MOST_PARAMETERS, MOST_RESTS, MOST_LAUNCHES = 1000, 100_000, 1000
 LARGEST, LEAST = 1e60, 1e-60
@@ -383,20 +386,7 @@ class CalibratedTemperature:
     """The reference of each sensor of "accel" and "gyro", by its own thermometer."""
 
 
-class _Result(Protocol):
-    """What a calibration and each of its launches have."""
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]: ...
-    @property
-    def covariance(self) -> Array | None: ...
-    @property
-    def rests(self) -> tuple[RestResult, ...]: ...
-    @property
-    def turns(self) -> tuple[TurnResult, ...]: ...
-
-
-_R = TypeVar("_R", bound=_Result)
+_R = TypeVar("_R", bound="Calibration | Launch")
 
 
 def checked_result(result: _R) -> _R:
