@@ -42,24 +42,19 @@ def in_parts(reduction: Reduction, match: Match) -> tuple[Match, IntArray]:
     for i, span in enumerate(match.rests):
         file = by_file[span.file]
         warmth = None if file.temperature is None else file.temperature[span.first : span.last]
-        for first, last in _cuts(span, warmth):
+        count = 1
+        if warmth is not None:
+            tenths = [part.mean(axis=0) for part in np.array_split(warmth, min(10, len(warmth)))]
+            change = max(warming_of(warmth), float(np.ptp(tenths, axis=0).max()))
+            most = min(MOST_PARTS, int((span.stop - span.start) / SHORTEST_PART))
+            count = max(1, min(int(np.ceil(change / WARMED)), most))
+        for first, last in pairwise(np.linspace(span.first, span.last, count + 1).round().astype(int).tolist()):
             edges = span.start if first == span.first else file.edges[first], file.edges[last]
             stop = span.stop if last == span.last else float(edges[1])
             spans.append(replace(span, first=first, last=last, start=float(edges[0]), stop=stop))
             number.append(i)
     position = None if match.position is None else match.position[number]
     return replace(match, rests=tuple(spans), position=position), np.array(number, dtype=np.int64)
-
-
-def _cuts(span: RestSpan, warmth: Array | None) -> list[tuple[int, int]]:
-    """The blocks of the parts of a rest with temperatures (K, T) of its blocks."""
-    count = 1
-    if warmth is not None:
-        parts = [part.mean(axis=0) for part in np.array_split(warmth, min(10, len(warmth)))]
-        change = max(warming_of(warmth), float(np.ptp(parts, axis=0).max()))
-        most = min(MOST_PARTS, int((span.stop - span.start) / SHORTEST_PART))
-        count = max(1, min(int(np.ceil(change / WARMED)), most))
-    return list(pairwise(np.linspace(span.first, span.last, count + 1).round().astype(int).tolist()))
 
 
 def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequence[IntArray]) -> Observations:

@@ -25,8 +25,8 @@ LEAST = 0.03
 
 
 def mission_blocks(found: Mission, *, every: bool = False) -> list[Block]:
-    """What becomes of heading, tilt and position, before and after calibration, and the parts of the variance at the
-    end, with `every` at each of the marks."""
+    """What remains at the end and what most of it is from; what becomes of heading, tilt and position, before and after
+    calibration; and the parts of the variance at the end, with `every` at each of the marks."""
     shown = []
     for k in found.marks:
         row = {"after": f"{found.times[k]:g} s"}
@@ -35,24 +35,19 @@ def mission_blocks(found: Mission, *, every: bool = False) -> list[Block]:
             row[f"{quantity} uncalibrated"] = _in_unit(i, found.before[k, i])
         shown.append(row)
     caption = "Standard uncertainties without aid; tilt and position are those of both horizontal directions together."
+    end = found.marks[-1]
+    largest = [found.sources[int(np.argmax(found.after_parts[:, end, i]))] for i in (0, 2)]
+    heading, tilt, position, _ = (_in_unit(i, u) for i, u in enumerate(found.after[end]))
+    headline = (
+        f"{found.serial} on the trajectory {found.trajectory}, after {found.times[end]:g} s without aid: heading known "
+        f"to {heading}, tilt to {tilt}, position to {position}, mostly from the {' and '.join(dict.fromkeys(largest))}."
+    )
     blocks: list[Block] = [
-        Text(text=_headline(found)),
+        Text(text=headline),
         table(shown, words=(), caption=caption),
         *(_parts(found, k) for k in (found.marks if every else found.marks[-1:])),
     ]
     return [*blocks, *texts(f"{remark[0].upper()}{remark[1:]}." for remark in found.remarks)]
-
-
-def _headline(found: Mission) -> str:
-    """What remains at the end of the trajectory, and what most of it is from."""
-    k = found.marks[-1]
-    largest = [found.sources[int(np.argmax(found.after_parts[:, k, i]))] for i in (0, 2)]
-    mostly = largest[0] if largest[0] == largest[1] else f"{largest[0]} and {largest[1]}"
-    heading, tilt, position, _ = (_in_unit(i, u) for i, u in enumerate(found.after[k]))
-    return (
-        f"{found.serial} on the trajectory {found.trajectory}, after {found.times[k]:g} s without aid: heading known "
-        f"to {heading}, tilt to {tilt}, position to {position}, mostly from the {mostly}."
-    )
 
 
 def _parts(found: Mission, k: int) -> Block:

@@ -78,38 +78,22 @@ def noise_blocks(noise: RecordedNoise, *, filters: bool = False) -> list[Block]:
         Text(text=noise.source),
         table(rows, words=("sensor", "noise", "symbol", "unit"), columns=_COLUMNS),
     ]
-    blocks += texts(_choices(noise))
-    if filters:
-        every = [
-            {
-                "filter": v.filter,
-                "parameter": v.parameter,
-                "at rest": f"{v.measured:.2g}",
-                "value": f"{v.value:.2g}",
-                "unit": v.unit,
-            }
-            for v in filter_values(noise.panels, noise.rate)
-        ]
-        blocks.append(table(every, words=("filter", "parameter", "unit")))
-        reasons: dict[str, list[str]] = {}
-        for v in filter_values(noise.panels, noise.rate):
-            reasons.setdefault(v.why, []).append(v.filter)
-        blocks += texts(f"{', '.join(dict.fromkeys(who))}: {why}." for why, who in reasons.items())
-    return blocks
-
-
-def _choices(noise: RecordedNoise) -> list[str]:
-    """Where another sum of processes is nearly as good, and where none fits."""
-    said = []
-    for panel in noise.panels:
+    for panel in noise.panels:  # where another sum of processes is nearly as good, and where none fits
         for channel, p in zip(panel.channels, panel.parameters, strict=True):
             if p.runner_up and p.margin < CLOSE:
-                said.append(f"{channel}: {p.runner_up} would do nearly as well; a longer record tells.")
+                blocks.append(Text(text=f"{channel}: {p.runner_up} would do nearly as well; a longer record tells."))
             if p.probability < MISFIT:
-                said.append(
-                    f"{channel}: no sum of processes fits (vibration, a filter?); u is enlarged by what is left."
-                )
-    return said
+                none = "no sum of processes fits (vibration, a filter?); u is enlarged by what is left."
+                blocks.append(Text(text=f"{channel}: {none}"))
+    if filters:
+        values, reasons = [], dict[str, list[str]]()
+        for v in filter_values(noise.panels, noise.rate):
+            sizes = {"at rest": f"{v.measured:.2g}", "value": f"{v.value:.2g}", "unit": v.unit}
+            values.append({"filter": v.filter, "parameter": v.parameter} | sizes)
+            reasons.setdefault(v.why, []).append(v.filter)
+        blocks.append(table(values, words=("filter", "parameter", "unit")))
+        blocks += texts(f"{', '.join(dict.fromkeys(who))}: {why}." for why, who in reasons.items())
+    return blocks
 
 
 def noise_data(noise: RecordedNoise) -> Content:

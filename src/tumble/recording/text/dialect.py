@@ -124,7 +124,7 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
     if first is None:
         return None
     width = Counter(width for i, width in rows.items() if i >= first).most_common(1)[0][0]
-    above = [_uncommented(line, dialect) for line in lines[:first]]
+    above = [line.lstrip().lstrip(dialect.comment) if dialect.is_comment(line) else line for line in lines[:first]]
     below = [dialect.cells(lines[i]) for i, columns in rows.items() if i >= first and columns == width][:FIRST_ROWS]
     named = {i: n for i, line in enumerate(above) if (n := _names(dialect.cells(line), below, dialect)) is not None}
     names, used = tuple(str(i + 1) for i in range(width)), set[int]()
@@ -167,12 +167,6 @@ def _grouped(names: tuple[str, ...], above: Sequence[str]) -> tuple[str, ...] | 
 def _plain(name: str) -> str:
     """A name without its unit."""
     return re.sub(r"\s*[\[(].*", "", name).lower()
-
-
-def _uncommented(line: str, dialect: Dialect) -> str:
-    if dialect.comment is None or not dialect.is_comment(line):
-        return line
-    return line.lstrip().lstrip(dialect.comment)
 
 
 def _names(cells: Sequence[str], rows: Sequence[Sequence[str]], dialect: Dialect) -> tuple[str, ...] | None:

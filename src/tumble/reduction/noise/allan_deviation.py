@@ -63,20 +63,14 @@ def allan_deviation(samples: Array, rate: float) -> AllanDeviation:
         raise InputError(
             f"Allan deviation: expected at least {MIN_SAMPLES} samples at rest, found {count}; record longer"
         )
-    sizes = _cluster_sizes(count)
+    octaves = np.arange(int(SIZES_PER_OCTAVE * np.log2(count // MIN_CLUSTERS)) + 1) / SIZES_PER_OCTAVE
+    sizes = np.unique(np.round(2.0**octaves)).astype(np.int64)  # in samples: 1 … count/4
     sums = np.column_stack([_kernels.allan_sums(_integral(c), sizes) for c in columns.T])
     terms = count + 1 - 2 * sizes
     deviation = np.sqrt(sums / (2.0 * terms * sizes.astype(float) ** 2)[:, None])
     tau = sizes / rate
     degrees = np.column_stack([_degrees(count + 1, sizes, _exponents(tau, d)) for d in deviation.T])
     return _with_interval(tau, deviation, degrees, (count,))
-
-
-def _cluster_sizes(count: int) -> IntArray:
-    """Cluster sizes in samples: 1 … count/4, four an octave."""
-    octaves = np.log2(count // MIN_CLUSTERS)
-    steps = np.arange(int(SIZES_PER_OCTAVE * octaves) + 1)
-    return np.unique(np.round(2.0 ** (steps / SIZES_PER_OCTAVE))).astype(np.int64)
 
 
 def _integral(column: Array) -> Array:

@@ -181,26 +181,15 @@ def _step(values: Array, channel: ChannelState) -> float:
     if len(differences) >= LEAST_DIFFERENCES:
         candidates = [channel.step, *np.quantile(differences, [0.0, 0.05, 0.2, 0.5])]
         for candidate in sorted({float(c) for c in candidates if np.isfinite(c)}, reverse=True):
-            step = _refined(differences, candidate)
-            if _on_grid(differences, step):
+            step = candidate
+            for steps in (1.5, 4.5, 16.5, GRID_STEPS + 0.5):  # fitted to differences of ever more steps
+                near = differences[differences < steps * step]
+                count = np.round(near / step)
+                step = float(count @ near / (count @ count)) if count.any() else step
+            count = differences[differences < (GRID_STEPS + 0.5) * step] / step
+            on_grid = np.abs(count - np.round(count)) < ON_GRID
+            smaller = float(np.mean(count < 0.5)) if len(count) else 1.0
+            if len(count) >= LEAST_DIFFERENCES and float(np.mean(on_grid)) >= GRID_SHARE and smaller < 0.05:
                 return step
     coarse = 2 * channel.repeats > channel.samples and np.isfinite(channel.step)
     return channel.step if coarse else 0.0
-
-
-def _refined(differences: Array, step: float) -> float:
-    """A step fitted to differences of ever more steps."""
-    for steps in (1.5, 4.5, 16.5, GRID_STEPS + 0.5):
-        near = differences[differences < steps * step]
-        count = np.round(near / step)
-        if count.any():
-            step = float(count @ near / (count @ count))
-    return step
-
-
-def _on_grid(differences: Array, step: float) -> bool:
-    """Whether nearly all differences are whole numbers of steps."""
-    count = differences[differences < (GRID_STEPS + 0.5) * step] / step
-    off = np.abs(count - np.round(count))
-    smaller = float(np.mean(count < 0.5)) if len(count) else 1.0
-    return len(count) >= LEAST_DIFFERENCES and float(np.mean(off < ON_GRID)) >= GRID_SHARE and smaller < 0.05
