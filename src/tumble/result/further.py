@@ -18,7 +18,7 @@ from tumble.result.calibration import Calibration
 from tumble.result.coverage import without_expanded
 from tumble.result.parts import Parameter
 from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind, shown_in
-from tumble.units import G_STANDARD, engineering, two_digits
+from tumble.units import G_STANDARD, Array, engineering, two_digits
 
 WIDENED = 1.05
 """From here on a prior counts as widened."""
@@ -177,57 +177,36 @@ def other_factors(parameters: Sequence[Parameter]) -> bool:
     return any(p.k is None or abs(p.k - 2.0) > OTHER_THAN_TWO for p in parameters if p.u)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class LeftByMatrix:
-    """What matrix and bias alone leave of a vector that the whole model corrects, over all attitudes: root mean square
-    and largest, of the specific force at 1 g, m/s², and of the rate, rad/s, at `at_rate` about all axes in 1 g; of the
-    rate None without gyros. Lever arms, delays and temperatures are not in it: they need a motion or a warming."""
-
-    force_rms: float
-    force: float
-    rate_rms: float | None
-    rate: float | None
-    at_rate: float | None
-
-
-def left_by_matrix(calibration: Calibration) -> LeftByMatrix | None:
-    """What matrix and bias alone leave; None where they are the whole model, or there are no accelerometers."""
-    if calibration.accel is None or calibration.compensator.linear:
-        return None
-    compensator, at_rate = calibration.compensator, None
+def left_by_matrix(calibration: Calibration) -> str:
+    """What matrix and bias alone leave of a vector that the whole model corrects, over all attitudes, in a line: of the
+    specific force at 1 g, and of the rate that the prediction is at, about all axes in 1 g. Lever arms, delays and
+    temperatures are not in it: they need a motion or a warming. Nothing where matrix and bias are the whole model, or
+    there are no accelerometers."""
+    if calibration.accel is None or (compensator := calibration.compensator).linear:
+        return ""
+    at_rate = None
+    if compensator.gyro is not None and calibration.prediction is not None:
+        at_rate = calibration.prediction.at_rate
     up = np.concatenate([np.eye(3), -np.eye(3), directions()])
     true = G_STANDARD * up
     force = np.linalg.norm(compensator.force(compensator.model("accel").predict(true)) - true, axis=1)
-    rate = None
-    if compensator.gyro is not None and calibration.prediction is not None:
-        at_rate = calibration.prediction.at_rate
+    rate = np.zeros(1)
     if at_rate is not None:
         turning = at_rate * up[:, [1, 2, 0]]
         rate = np.linalg.norm(compensator.rate(compensator.model("gyro").predict(turning), true) - turning, axis=1)
-    return LeftByMatrix(
-        force_rms=float(np.sqrt(np.mean(force**2))),
-        force=float(force.max()),
-        rate_rms=None if rate is None else float(np.sqrt(np.mean(rate**2))),
-        rate=None if rate is None else float(rate.max()),
-        at_rate=at_rate,
-    )
-
-
-def left_said(left: LeftByMatrix) -> str:
-    """What matrix and bias alone leave, in a line."""
-    if max(left.force, left.rate or 0.0) < NOTHING:
+    if max(force.max(), rate.max()) < NOTHING:
         return "with matrix and bias alone: exact at the reference temperature"
 
-    def shown(unit: str, largest: float, rms: float) -> str:
-        size, per = engineering(unit, largest)
-        return f"up to {two_digits(largest / size)} {per} (rms {two_digits(rms / size)} {per})"
+    def shown(unit: str, left: Array) -> str:
+        size, per = engineering(unit, float(left.max()))
+        rms = float(np.sqrt(np.mean(left**2)))
+        return f"up to {two_digits(float(left.max()) / size)} {per} (rms {two_digits(rms / size)} {per})"
 
-    said = f"with matrix and bias alone: off by {shown('m/s^2', left.force, left.force_rms)} at 1 g"
-    if left.rate is None or left.rate_rms is None or left.at_rate is None:
+    said = f"with matrix and bias alone: off by {shown('m/s^2', force)} at 1 g"
+    if at_rate is None:
         return said
-    turned, per = engineering("rad/s", left.at_rate)
-    rate = two_digits(left.at_rate / turned)
-    return f"{said}, and by {shown('rad/s', left.rate, left.rate_rms)} at {rate} {per} in 1 g"
+    size, per = engineering("rad/s", at_rate)
+    return f"{said}, and by {shown('rad/s', rate)} at {two_digits(at_rate / size)} {per} in 1 g"
 
 
 def remarks(calibration: Calibration) -> tuple[str, ...]:

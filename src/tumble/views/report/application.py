@@ -7,7 +7,7 @@ from collections.abc import Container, Iterator, Mapping
 import numpy as np
 
 from tumble.result.calibration import Calibration
-from tumble.result.further import SENSORS, further_parameters, left_by_matrix, left_said
+from tumble.result.further import SENSORS, further_parameters, left_by_matrix
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import group_name, variable_of
 from tumble.units import Array
@@ -88,8 +88,8 @@ def application(calibration: Calibration) -> Section:
         blocks += [Text(text=which), Formula(name="apply_redundant")]
     blocks += _what_a_reading_is(calibration, known or models)
     left = left_by_matrix(calibration)
-    if left is not None:
-        linear = f"This is the linear model, {left_said(left)}; the whole correction is at the end of the section."
+    if left:
+        linear = f"This is the linear model, {left}; the whole correction is at the end of the section."
         blocks.append(Text(text=linear))
     if not known:
         blocks.append(Text(text="No matrix can be given: a parameter it needs was not determined."))
@@ -104,7 +104,7 @@ def application(calibration: Calibration) -> Section:
             Text(text="Test vector: with these numbers, this reading gives this true value."),
             _test_vector(reading, model.apply(reading), unit),
         ]
-    return section("How to apply it", *blocks, *(_whole_correction(calibration) if left is not None else ()))
+    return section("How to apply it", *blocks, *(_whole_correction(calibration) if left else ()))
 
 
 def _what_a_reading_is(calibration: Calibration, kinds: Container[str]) -> list[Block]:

@@ -20,7 +20,6 @@ from tumble.result.further import (
     described,
     further_parameters,
     left_by_matrix,
-    left_said,
     linear_parameters,
     other_factors,
     predicted,
@@ -135,10 +134,10 @@ def result(
         ]
     if calibration.prediction is not None:
         left = left_by_matrix(calibration)
-        alone = "" if left is None else f", with the whole correction; {left_said(left)}"
+        alone = f", with the whole correction; {left}" if left else ""
         blocks.append(Text(text=f"Known to (standard uncertainty): {predicted(calibration.prediction)}{alone}."))
         correction = "Matrix and bias: true = matrix⁻¹ · (reading − bias)."
-        if left is not None:
+        if left:
             correction += f" The whole correction takes from a reading besides: {terms_of(calibration)}."
         numbers = "Numbers, formulas and test vectors are in the section “How to apply it”."
         blocks.append(Text(text=f"{correction} {numbers}", tone="small"))
