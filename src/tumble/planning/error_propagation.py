@@ -17,27 +17,28 @@ those of the Earth's rate, and integrate to
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from tumble.earth import EARTH_RATE
 from tumble.errors import ProgrammeError
-from tumble.methods.least_squares import solved
-from tumble.methods.paper.accelerometers import by_modulus, by_vector, check_for_vector, scalar_rows
-from tumble.methods.paper.four_stages import ProgrammeCourse, course_of_programme, differences
-from tumble.methods.paper.gyros import (
-    carried_attitudes,
-    invariant_bias,
-    scalar_bias,
-    triad,
-    vertical_bias,
+from tumble.methods.paper.accelerometers import check_for_vector, scalar_rows
+from tumble.methods.paper.four_stages import (
+    SCALAR,
+    SEQUENTIAL,
+    PaperMethod,
+    ProgrammeCourse,
+    course_of_programme,
+    differences,
+    one_pass,
 )
+from tumble.methods.paper.gyros import carried_attitudes, invariant_bias, scalar_bias, triad
 from tumble.planning.setup import NAMES
 from tumble.programme.positions import Programme
 from tumble.rotation import rotation_matrix, rotation_vector_near
-from tumble.sensors.model import ACCEL_ANGLES, SensorModel, triad_model, triad_parameters
+from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, SensorModel, triad_model, triad_parameters
 from tumble.units import Array, IntArray
 
 BudgetedMethod = Literal["sequential", "scalar", "staged"]
@@ -45,10 +46,10 @@ BudgetedMethod = Literal["sequential", "scalar", "staged"]
 BUDGETED_METHODS: tuple[BudgetedMethod, ...] = ("sequential", "scalar", "staged")
 """The methods whose errors are predicted, of instruments with the linear model."""
 
-_ACCELEROMETERS: Mapping[BudgetedMethod, Callable[[Array, Array, Array], SensorModel]] = {
-    "sequential": by_vector,
-    "scalar": by_modulus,
-    "staged": by_modulus,
+_METHODS: Mapping[BudgetedMethod, PaperMethod] = {
+    "sequential": SEQUENTIAL,
+    "scalar": replace(SCALAR, gyro_bias=lambda rate, force, earth, _: scalar_bias(rate, force, earth)),
+    "staged": replace(SCALAR, gyro_bias=lambda rate, force, earth, _: invariant_bias(rate, force, earth)),
 }
 
 STEP = 1e-4
@@ -144,19 +145,11 @@ def observed(
 def estimated(plan: Plan, seen: Observed, rows: Array | None = None) -> Array:
     """The parameters (..., 21) that one pass makes of what is seen; those of gyros that the programme does not give are
     zero. `rows` (..., 2K, 9) are those that the turns are solved with, of the programme where None."""
-    accel = _ACCELEROMETERS[plan.method](seen.force, plan.course.nominal, np.array(1.0))
-    corrected, earth = accel.apply(seen.force), plan.course.earth_rate
-    if plan.method == "sequential":
-        bias = vertical_bias(seen.rate, corrected, earth, plan.course.nominal)
-    else:
-        bias = (scalar_bias if plan.method == "scalar" else invariant_bias)(seen.rate, corrected, earth)
-    x = np.zeros((*bias.shape[:-1], 9))
-    if len(plan.first):
-        model = SensorModel(matrix=np.eye(3), bias=bias)
-        y = differences(plan.course, seen.rate, corrected, seen.turn(model), model)
-        x = solved(plan.course.matrix if rows is None else rows, y)
-    b, k, angles = triad_parameters(accel)
-    return np.concatenate([b, k, angles[..., ACCEL_ANGLES], bias, x], axis=-1)
+    start, turn = (PERFECT_TRIAD, PERFECT_TRIAD), seen.turn if len(plan.first) else None
+    models = one_pass(_METHODS[plan.method], plan.course, (seen.force, seen.rate), turn, np.array(1.0), start, rows)
+    (b, k, angles), of_gyro = (triad_parameters(model) for model in models)
+    parts = [b, k, angles[..., ACCEL_ANGLES], *of_gyro]
+    return np.concatenate([np.broadcast_to(each, (*b.shape[:-1], each.shape[-1])) for each in parts], axis=-1)
 
 
 def logged_rows(plan: Plan, X: Array, attitudes: Array) -> Array | None:
@@ -165,8 +158,9 @@ def logged_rows(plan: Plan, X: Array, attitudes: Array) -> Array | None:
     if plan.method != "staged" or not len(plan.first):
         return None
     course, seen = plan.course, observed(plan, X[..., None, :], attitudes[..., None, :, :, :])
-    corrected = _ACCELEROMETERS[plan.method](seen.force, course.nominal, np.array(1.0)).apply(seen.force)
-    model = SensorModel(matrix=np.eye(3), bias=invariant_bias(seen.rate, corrected, course.earth_rate))
+    rests = seen.force, seen.rate
+    accel, model = one_pass(_METHODS[plan.method], course, rests, None, np.array(1.0), (PERFECT_TRIAD, PERFECT_TRIAD))
+    corrected = accel.apply(seen.force)
     attitude, C, level = triad(corrected, model.apply(seen.rate)), seen.turn(model), corrected.copy()
     for series in course.series:
         L = carried_attitudes(series, attitude, C, course.duration, course.earth_rate)

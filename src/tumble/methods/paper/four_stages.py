@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -63,11 +64,13 @@ NEGLIGIBLE = 1e-2
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PaperMethod:
     """What tells the pipelines apart. `accelerometers(readings, nominal, gravity)` is stages 1 and 2, and
-    `check(nominal)` raises ProgrammeError where the rests, with nominal verticals (N, 3), are not enough."""
+    `check(nominal)` raises ProgrammeError where the rests, with nominal verticals (N, 3), are not enough;
+    `gyro_bias(rates, force, earth_rate, nominal)` is stage 3."""
 
     name: str
     accelerometers: Callable[[Array, Array, Array], SensorModel]
     check: Callable[[Array], None]
+    gyro_bias: Callable[[Array, Array, Array, Array], Array] = vertical_bias
 
 
 SEQUENTIAL = PaperMethod(name="sequential", accelerometers=by_vector, check=check_for_vector)
@@ -111,16 +114,42 @@ def accelerometer_pass(
     return before.composed(method.accelerometers(before.apply(readings), course.nominal, gravity))
 
 
-def gyro_bias_pass(course: ProgrammeCourse, rates: Array, force: Array, before: SensorModel) -> SensorModel:
+def gyro_bias_pass(
+    course: ProgrammeCourse, rates: Array, force: Array, before: SensorModel, method: PaperMethod = SEQUENTIAL
+) -> SensorModel:
     """Stage 3: the gyro model with the biases of this pass, from rates (..., N, 3) and calibrated specific forces."""
-    bias = vertical_bias(before.apply(rates), force, course.earth_rate, course.nominal)
+    bias = method.gyro_bias(before.apply(rates), force, course.earth_rate, course.nominal)
     return before.composed(SensorModel(matrix=np.eye(3), bias=bias))
 
 
-def gyro_matrix_pass(course: ProgrammeCourse, rates: Array, force: Array, C: Array, before: SensorModel) -> SensorModel:
-    """Stage 4: the gyro model after a pass, with turns C (..., K, 3, 3) integrated about the model `before`."""
-    x = solved(course.matrix, differences(course, rates, force, C, before))
+def gyro_matrix_pass(
+    course: ProgrammeCourse, rates: Array, force: Array, C: Array, before: SensorModel, rows: Array | None = None
+) -> SensorModel:
+    """Stage 4: the gyro model after a pass, with turns C (..., K, 3, 3) integrated about the model `before`; `rows`
+    (..., 2T, 9) are those that they are solved with, of the programme where None."""
+    x = solved(course.matrix if rows is None else rows, differences(course, rates, force, C, before))
     return before.composed(triad_model(np.zeros_like(x[..., :3]), x[..., :3], x[..., 3:]))
+
+
+def one_pass(
+    method: PaperMethod,
+    course: ProgrammeCourse,
+    rests: tuple[Array, Array],
+    turn: Callable[[SensorModel], Array] | None,
+    gravity: Array,
+    before: tuple[SensorModel, SensorModel],
+    rows: Array | None = None,
+) -> tuple[SensorModel, SensorModel]:
+    """The models of accelerometers and gyros after all stages, from readings at rest (..., N, 3) of both and from
+    turns, which `turn` integrates about a model; after those of the rests without, and of accelerometers alone where
+    there are no rates."""
+    force, rates = rests
+    accel, gyro = accelerometer_pass(method, course, force, gravity, before[0]), before[1]
+    if not rates.shape[-2]:
+        return accel, gyro
+    corrected = accel.apply(force)
+    gyro = gyro_bias_pass(course, rates, corrected, gyro, method)
+    return accel, gyro if turn is None else gyro_matrix_pass(course, rates, corrected, turn(gyro), gyro, rows)
 
 
 def differences(course: ProgrammeCourse, rates: Array, force: Array, C: Array, model: SensorModel) -> Array:
@@ -237,13 +266,13 @@ class _Turned:
     turns: Turns
     about: SensorModel
 
-    def rotations(self, model: SensorModel) -> Array:
-        """C (..., K, 3, 3) about `model`, where rates compensated by `about` are (I + E) ω + δ: exp([−(M : E + B δ)×])
-        C."""
+    def rotations(self, error: Array, model: SensorModel) -> Array:
+        """C (..., K, 3, 3) about `model`, with errors (..., K, 3) of the turns, where rates compensated by `about` are
+        (I + E) ω + δ: exp([−(M : E + B δ)×]) C."""
         E = np.linalg.solve(self.about.matrix, model.matrix) - np.eye(3)
         δ = np.linalg.solve(self.about.matrix, (model.bias - self.about.bias)[..., None])[..., 0]
         turned = np.einsum("kipq,...pq->...ki", self.turns.M, E) + np.einsum("kip,...p->...ki", self.turns.B, δ)
-        return np.asarray(rotation_matrix(-turned) @ self.turns.C)
+        return np.asarray(rotation_matrix(error) @ rotation_matrix(-turned) @ self.turns.C)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -324,15 +353,8 @@ class _SessionData:
         """Values (..., m) after all stages of a pass over data (..., d) that starts from values (..., m); after the
         stages of the rests where the turns are not integrated."""
         force, rate, turning, gravity = self.readings(data)
-        accel, gyro = self.models(values)
-        accel = accelerometer_pass(self.method, self.course, force, gravity, accel)
-        if len(self.blocks) == 2:
-            corrected = accel.apply(force)
-            gyro = gyro_bias_pass(self.course, rate, corrected, gyro)
-            if turned is not None:
-                C = rotation_matrix(turning) @ turned.rotations(gyro)
-                gyro = gyro_matrix_pass(self.course, rate, corrected, C, gyro)
-        return self.values(accel, gyro)
+        turn = None if turned is None else partial(turned.rotations, turning)
+        return self.values(*one_pass(self.method, self.course, (force, rate), turn, gravity, self.models(values)))
 
     def residuals(self, data: Array, values: Array, turned: _Turned | None) -> Array:
         """What is left at values (..., m): |w| − g of every rest, û·ω − Ω sin B of every rest, y of every turn."""
@@ -341,7 +363,7 @@ class _SessionData:
         corrected = accel.apply(force)
         parts = [np.linalg.norm(corrected, axis=-1) - gravity[..., None]]
         if turned is not None:
-            C = rotation_matrix(turning) @ turned.rotations(gyro)
+            C = turned.rotations(turning, gyro)
             parts.append((unit_vector(corrected) * gyro.apply(rate)).sum(axis=-1) - self.course.earth_rate[1])
             parts.append(differences(self.course, rate, corrected, C, gyro))
         return np.concatenate(parts, axis=-1)
