@@ -5,12 +5,16 @@ columns are named and nothing else: the array with 24 accelerometers and 24 gyro
 every two sessions the mean of chi-square over degrees of freedom is given by group: differences of values over the
 variances of both, and with their covariances.
 
-    python studies/array_sessions.py FOLDER            the folder that holds exp_1.parquet, exp_3.parquet, exp_5.parquet
+    python studies/array_sessions.py            the three arrays and each chip of each
+    python studies/array_sessions.py --short    chips 3 and 5 of two sessions, for a look
+
+exp_1.parquet, exp_3.parquet and exp_5.parquet are in the folder mimu4444 of TUMBLE_DATA.
 """
 
 from __future__ import annotations
 
 import itertools
+import os
 import sys
 import tempfile
 from pathlib import Path
@@ -73,27 +77,28 @@ def repeats(first: Calibration, second: Calibration) -> dict[str, tuple[int, flo
 
 
 def main() -> None:
-    folder = Path(sys.argv[1])
-    logs = {number: folder / f"exp_{number}.parquet" for number in (1, 3, 5)}
-    arrays = {}
+    short = "--short" in sys.argv
+    folder = Path(os.environ.get("TUMBLE_DATA") or Path(__file__).parents[2] / "shared" / "data") / "mimu4444"
+    logs = {number: folder / f"exp_{number}.parquet" for number in ((3, 5) if short else (1, 3, 5))}
+    wholes, refused = {}, list[str]()
     for number, log in logs.items():
-        arrays[number] = calibrated(log, tuple(CHIPS))
-        said = {"whole array": arrays[number].outcome}
-        said |= {f"chip {chip}": calibrated(log, (chip,)).outcome for chip in CHIPS}
-        for what, outcome in said.items():
-            print(
-                f"session {number}, {what}: {outcome.verdict}; {'; '.join((*outcome.reasons, *outcome.remarks))}",
-                flush=True,
-            )
-    print(
-        "\n| group | N | "
-        + " | ".join(f"{a} and {b}" for a, b in itertools.combinations(logs, 2))
-        + " |\n|---|---|---|---|---|"
-    )
-    pairs = [repeats(arrays[a], arrays[b]) for a, b in itertools.combinations(logs, 2)]
+        parts = [] if short else [("whole array", tuple(CHIPS))]
+        for what, chips in (*parts, *((f"chip {chip}", (chip,)) for chip in ((3, 5) if short else CHIPS))):
+            made = calibrated(log, chips)
+            wholes.setdefault(number, made)
+            said = "; ".join((*made.outcome.reasons, *made.outcome.remarks))
+            print(f"session {number}, {what}: {made.outcome.verdict}" + (f"; {said}" if said else ""), flush=True)
+            refused += [] if made.outcome.accepted else [f"session {number}, {what}"]
+    between = list(itertools.combinations(logs, 2))
+    print("\n| group | N | " + " | ".join(f"{a} and {b}" for a, b in between) + " |")
+    print("|---|---|" + "---|" * len(between))
+    pairs = [repeats(wholes[a], wholes[b]) for a, b in between]
     for group in pairs[0]:
         cells = [f"{pair[group][1]:.2f} ({pair[group][2]:.2f})" for pair in pairs if group in pair]
         print(f"| {group} | {pairs[0][group][0]} | " + " | ".join(cells) + " |")
+    print(f"\nIs any session of the board refused, or a chip of it? {', '.join(refused) or 'No.'}")
+    if refused:
+        sys.exit(1)
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ ANSWERS = {
     "bench_endurance.py": "Does the bench last a day? Yes",
     "bench_in_real_time.py": "at the pace of reality, however long its rests are? Yes.",
     "bench_interruptions.py": "on when the bench is killed? No.",
+    "array_sessions.py": "Is any session of the board refused, or a chip of it? No.",
     "aliased_turns.py": "Does u contain what instantaneous samples do to jerky turns? Yes",
     "choice_of_positions.py": "lead to the paper's nine? Yes, up to signs",
     "coverage_of_limits.py": "Does a device at its limit pass in 2.5 % at most? Yes",
@@ -49,6 +50,8 @@ ANSWERS = {
     "which_method_when.py": "Which method, when? joint wherever there are gyros and turns",
 }
 """What the last line of a study says."""
+ON_RECORDINGS = {"array_sessions.py"}
+"""Studies that want the recordings."""
 FALLS_SHORT = {
     "metropolis.py": "u of accelerometers alone agrees with a sampler within 15 %, not 5 %",
 }
@@ -81,8 +84,10 @@ def _known(request: pytest.FixtureRequest) -> None:
 
 @pytest.mark.usefixtures("_known")
 @pytest.mark.parametrize("path", [p for p in STUDIES if p.name not in PICTURES], ids=lambda path: path.stem)
-def test_study_ends_with_its_answer(path: Path, tmp_path: Path) -> None:
+def test_study_ends_with_its_answer(path: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     environment = os.environ | {"PYTHONIOENCODING": "utf-8"}
+    if path.name in ON_RECORDINGS:
+        environment["TUMBLE_DATA"] = str(request.getfixturevalue("data"))
     done = subprocess.run(
         [sys.executable, "-W", "error", str(path), "--short"],
         capture_output=True,
