@@ -70,7 +70,9 @@ GYRO_UNITS = {
     "V": Unit(factor=1.0, kind="raw"),
 }
 
-MAGNETIC_UNITS = ("nT", "uT", "gauss", "mgauss", "T")
+TESLA = {"nT": 1e-9, "uT": 1e-6, "gauss": 1e-4, "mgauss": 1e-7, "T": 1.0}
+"""1 of each unit of a magnetic field, T."""
+MAGNETIC_UNITS = tuple(TESLA)
 """Units of a magnetometer. Nothing else is measured in them, so that they are not converted."""
 
 TEMPERATURE_UNITS = {"degC": (1.0, 0.0), "K": (1.0, -ZERO_CELSIUS), "degF": (5.0 / 9.0, -160.0 / 9.0)}

@@ -25,6 +25,8 @@ from tumble.export import export_calibration
 from tumble.export.upload import ParameterChange, upload
 from tumble.recording.session import AutopilotSensor
 from tumble.result.calibration import Calibration
+from tumble.result.parts import Parameter
+from tumble.sensors.model import SensorModel
 
 mavutil = pytest.importorskip("pymavlink.mavutil")
 PX4, ARDUPILOT = 12, 3
@@ -269,3 +271,25 @@ def test_the_command_shows_each_parameter_and_keeps_the_values_before(tmp_path: 
     assert f"CAL_ACC0_XOFF\t{before(values)['CAL_ACC0_XOFF']:.9g}\t{values['CAL_ACC0_XOFF']:.9g}" in done.stdout
     assert "9 of 11 parameters changed and read back" in done.stderr
     assert (tmp_path / "calibration.before.params").exists()
+
+
+@pytest.mark.parametrize(("kind", "target"), [(PX4, "px4"), (ARDUPILOT, "ardupilot")])
+def test_a_magnetometer_is_written_where_that_is_asked_for(kind: int, target: str, tmp_path: Path) -> None:
+    """No calibration knows which of the autopilot's magnetometers it is of."""
+    bare = made_for(thermal=False)
+    assert bare.covariance is not None
+    field = Parameter(name="mag.bias.x", value=3.0, u=0.5, unit="uT")
+    mag = SensorModel(matrix=np.diag([1.1, 0.95, 1.0]), bias=np.array([3.0, -20.0, 8.0]))
+    covariance = np.pad(bare.covariance, (0, 1))
+    covariance[-1, -1] = 0.25
+    made = replace(bare, parameters=(*bare.parameters, field), covariance=covariance, mag=mag)
+    values = wanted(made, target)
+    of_field = {name for name in values if name.startswith(("CAL_MAG", "COMPASS"))}
+    assert len(of_field) >= 9
+    there = before(values)
+    with Peer(kind, there) as peer:
+        done = upload(made, f"udp:{peer.port}", backup=tmp_path / "a.params", patience=PATIENCE)
+        assert {name: peer.values[name] for name in of_field} == {name: there[name] for name in of_field}
+        assert any("--magnetometer" in loss for loss in done.losses)
+        upload(made, f"udp:{peer.port}", magnetometer=True, backup=tmp_path / "b.params", patience=PATIENCE)
+        assert peer.values == values

@@ -15,8 +15,17 @@ from tumble.commands import ask, tell
 @ask.option("--backup", "File for the values before.  [default: CALIBRATION.before.params]", type=ask.FILE)
 @click.option("--thermal", is_flag=True, help="Curves over temperature too.")
 @ask.option("--imu", "Of the N-th IMU, from 1, where the calibration does not say which.", metavar="N", type=int)
+@click.option("--magnetometer", is_flag=True, help="Its parameters too, as the autopilot's first one.")
 @click.option("--dry-run", is_flag=True, help="Compare, and write nothing.")
-def upload(calibration: Path, mavlink: str, backup: Path | None, thermal: bool, imu: int | None, dry_run: bool) -> None:
+def upload(
+    calibration: Path,
+    mavlink: str,
+    backup: Path | None,
+    thermal: bool,
+    imu: int | None,
+    magnetometer: bool,
+    dry_run: bool,
+) -> None:
     """Write CALIBRATION, a calibration file, into PX4 or ArduPilot over MAVLink.
 
     Refused while it is armed, and where it has other sensors. What it has is kept in a backup file first; what was
@@ -30,6 +39,7 @@ def upload(calibration: Path, mavlink: str, backup: Path | None, thermal: bool, 
         backup=backup or calibration.with_name(f"{calibration.stem}.before.params"),
         thermal=thermal,
         imu=imu,
+        magnetometer=magnetometer,
         dry_run=dry_run,
     )
     for loss in done.losses:

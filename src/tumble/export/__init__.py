@@ -119,5 +119,5 @@ def export_calibration(
             raise InputError(f"export: expected --{what} with {' or '.join(takers)} and only there, found it with {to}")
     function: Callable[..., Exported] = getattr(import_module(f"tumble.export.{target.module}"), target.function)
     exported = function(calibration, *(given[what] for what in target.takes))
-    without = () if calibration.mag is None else (NO_MAGNETOMETER,)
+    without = () if calibration.mag is None or exported.magnetometer else (NO_MAGNETOMETER,)
     return replace(exported, losses=(*calibration.absent, *exported.losses, *without))

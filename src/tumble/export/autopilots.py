@@ -24,17 +24,29 @@ calibrations of other ids than INS_ACC_ID and INS_GYR_ID for none. Over temperat
 with both temperatures kept within TMIN … TMAX; C1 is INS_TCAL1_ACC1_X. CALTEMP is the calibration's reference, so that
 a curve about T₀ is turned into one about 35 degC.
 
+A magnetometer, in the units of the autopilot, Gauss or thousandths, has a symmetric matrix:
+
+    PX4        field = S (reading − OFF),   S = (XSCALE, XODIAG, YODIAG; ·, YSCALE, ZODIAG; ·, ·, ZSCALE)
+    ArduPilot  field = SCALE · S (reading + OFS),   S likewise of DIA and ODI
+
+so that of M⁻¹ = R S, R a rotation, S is held; the calibration's frame of the magnetometer, which is fixed by its first
+channels, is turned by R. What an autopilot's own procedure refuses (PX4: offsets beyond 1.3 Gauss, scales beyond 0.1
+to 3; ArduPilot: offsets beyond COMPASS_OFFS_MAX, 1800, DIA beyond 0.2 to 5, ODI beyond 1) is not written, and that is
+said.
+
 The biases of a calibration are polynomials of the second degree at most, so a cubic holds them whole; TMIN and TMAX are
 the ends of what was measured. Scale factors have one value each, that at the reference temperature.
 
-Source: PX4, parameter reference, and libraries sensor_calibration and temperature_compensation; QGroundControl,
-"Parameters file format". ArduPilot, parameter reference, and library AP_InertialSensor.
+Source: PX4, parameter reference, libraries sensor_calibration and temperature_compensation, commander's
+mag_calibration.cpp; QGroundControl,
+"Parameters file format". ArduPilot, parameter reference, libraries AP_InertialSensor and AP_Compass
+(AP_Compass_Backend::correct_field, CompassCalibrator::fit_acceptable).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -42,7 +54,17 @@ from itertools import chain
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.export.exported import NO_UNCERTAINTY, SINGLE_PRECISION, Exported, commented, example, origin, shown, triads
+from tumble.export.exported import (
+    NO_UNCERTAINTY,
+    SINGLE_PRECISION,
+    Exported,
+    ExportedParameter,
+    commented,
+    example,
+    origin,
+    shown,
+    triads,
+)
 from tumble.export.larger_model import not_held, session_rate
 from tumble.recording.session import AutopilotSensor
 from tumble.result.calibration import Calibration
@@ -57,7 +79,7 @@ from tumble.result.temperature_curves import (
 )
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import group_name
-from tumble.units import DEGREE, G_STANDARD, Array
+from tumble.units import DEGREE, G_STANDARD, TESLA, Array
 
 Sensors = Mapping[SensorKind, AutopilotSensor]
 Row = tuple[str, str, bool]
@@ -77,6 +99,25 @@ _NOTHING = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Compass:
+    """What an autopilot calls the parameters of its first magnetometer, with the axis: offset, diagonal and what is
+    beside it; what 1 of its unit is, T; the sign of its offsets; how long they may be, between what the diagonal may
+    be, and how large what is beside it; further ones with their values; and the parameter of its device."""
+
+    offset: str
+    factor: str
+    across: str
+    unit: str
+    worth: float
+    sign: float
+    most: float
+    factors: tuple[float, float]
+    most_across: float
+    id: str
+    further: tuple[tuple[str, float], ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Autopilot:
     """What an autopilot calls its parameters, and how its temperature curves are: `words` for the kinds of sensors, the
     `stem` of their names for the number of an IMU, and what comes behind it; how many IMUs it calibrates, `most`, and
@@ -92,6 +133,7 @@ class Autopilot:
     most: int
     most_thermal: int
     thermometers: tuple[tuple[SensorKind, ...], ...]
+    compass: Compass
     about: float | None = None
     worth: float = 1.0
     real: str = "{name},{value}"
@@ -117,6 +159,18 @@ PX4 = Autopilot(
     most=4,
     most_thermal=3,
     thermometers=(("accel",), ("gyro",)),
+    compass=Compass(
+        offset="CAL_MAG0_{}OFF",
+        factor="CAL_MAG0_{}SCALE",
+        across="CAL_MAG0_{}ODIAG",
+        unit="gauss",
+        worth=TESLA["gauss"],
+        sign=1.0,
+        most=1.3,
+        factors=(0.1, 3.0),
+        most_across=math.inf,
+        id="CAL_MAG0_ID",
+    ),
     real="1\t1\t{name}\t{value}\t9",  # MAV_PARAM_TYPE_REAL32
     whole="1\t1\t{name}\t{value}\t6",  # MAV_PARAM_TYPE_INT32
     heading=("", "Vehicle-Id Component-Id Name Value Type"),
@@ -130,9 +184,34 @@ ARDUPILOT = Autopilot(
     most=5,
     most_thermal=5,
     thermometers=(("accel", "gyro"),),
+    compass=Compass(
+        offset="COMPASS_OFS_{}",
+        factor="COMPASS_DIA_{}",
+        across="COMPASS_ODI_{}",
+        unit="mgauss",
+        worth=TESLA["mgauss"],
+        sign=-1.0,
+        most=1800.0,
+        factors=(0.2, 5.0),
+        most_across=1.0,
+        id="COMPASS_DEV_ID",
+        further=(("COMPASS_SCALE", 1.0),),
+    ),
     about=35.0,
     worth=1e-6,
 )
+
+
+PILOTS: Mapping[str, Autopilot] = {"px4": PX4, "ardupilot": ARDUPILOT}
+
+
+def parameter_lines(pilot: Autopilot, parameters: Iterable[ExportedParameter]) -> list[str]:
+    """The lines of a file that the autopilot's ground station loads."""
+    lines = [f"# {pilot.heading[-1]}"] if pilot.heading else []
+    for p in parameters:
+        text = f"{p.value:.0f}" if p.whole else np.format_float_positional(np.float32(p.value), trim="0")
+        lines.append((pilot.whole if p.whole else pilot.real).format(name=p.name, value=text))
+    return lines
 
 
 # -------------------- what is left of a calibration, and how much that loses --------------------
@@ -472,12 +551,56 @@ def _written(
             )
     elif "gyro" in held.known:
         caveats.append("gyro offsets are estimated anew at every start unless INS_GYR_CAL is 0")
-    losses = (*first_losses, *held.losses, *caveats, *last_losses)
-    lines = [
-        (pilot.whole if whole else pilot.real).format(name=name, value=value)
-        for name, value, whole in [*parameters, *rows]
+    compass, told_of_it, lost = _compass(pilot, calibration)
+    losses = (*first_losses, *held.losses, *lost, *caveats, *last_losses)
+    ids = {pilot.name(pilot.id, kind, sensors) for kind in held.known}
+    every = tuple(
+        ExportedParameter(
+            name=name,
+            value=float(value),
+            whole=whole,
+            identity=name in ids,
+            magnetometer=(name, value, whole) in compass,
+        )
+        for name, value, whole in [*parameters, *compass, *rows]
+    )
+    comments = [*origin(calibration, magnetometer=True), *told, *told_of_it, *losses, *pilot.heading[:1]]
+    file = commented(comments, parameter_lines(pilot, every), losses)
+    return replace(file, parameters=every, magnetometer=True)
+
+
+def _compass(pilot: Autopilot, calibration: Calibration) -> tuple[list[Row], list[str], list[str]]:
+    """The parameters of the calibration's magnetometer, what is told of them, and why there are none."""
+    model, compass = calibration.mag, pilot.compass
+    if model is None:
+        return [], [], []
+    U, sizes, V = np.linalg.svd(model.inverse())
+    S, R = V.T @ np.diag(sizes) @ V, U @ V
+    offset = compass.sign * model.bias * TESLA[calibration["mag.bias.x"].unit] / compass.worth
+    diagonal, across = np.diag(S), S[[0, 0, 1], [1, 2, 2]]
+    low, high = compass.factors
+    reason = ""
+    if np.linalg.det(R) < 0.0:
+        reason = "its channels are left-handed: name the columns of the session in the order X, Y, Z"
+    elif np.linalg.norm(offset) > compass.most:
+        reason = f"its offsets are {np.linalg.norm(offset):.4g} {compass.unit} long, more than {compass.most:g}"
+    elif diagonal.min() < low or diagonal.max() > high or np.abs(across).max() > compass.most_across:
+        reason = f"its matrix has {shown(diagonal.round(4))} and {shown(across.round(4))}, beyond {low:g} to {high:g}"
+        reason += "" if math.isinf(compass.most_across) else f" and {compass.most_across:g}"
+    if reason:
+        return [], [], [f"magnetometer: not in this file, for the autopilot takes it for damaged: {reason}"]
+    angle = math.acos(min(1.0, 0.5 * (float(np.trace(R)) - 1.0))) / DEGREE
+    rows = [
+        *_reals([compass.offset.format(axis) for axis in "XYZ"], offset),
+        *_reals([compass.factor.format(axis) for axis in "XYZ"], diagonal),
+        *_reals([compass.across.format(axis) for axis in "XYZ"], across),
+        *(row for name, value in compass.further for row in _reals([name], np.array([value]))),
     ]
-    return commented([*origin(calibration), *told, *losses, *pilot.heading], lines, losses)
+    told = [
+        f"magnetometer: taken for the first; {compass.id} has to be that of this sensor already, in the axes that were "
+        f"recorded; turned by {angle:.2g} deg so that its matrix is symmetric"
+    ]
+    return rows, told, []
 
 
 def sensor_ids_of(text: str) -> tuple[int, int]:

@@ -27,11 +27,26 @@ SINGLE_PRECISION = "the target computes in single precision: 7 digits of each nu
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class ExportedParameter:
+    """A parameter of an autopilot: its value as the autopilot keeps it, whether that is a whole number, whether it says
+    which sensor there is, and whether it is of a magnetometer."""
+
+    name: str
+    value: float
+    whole: bool = False
+    identity: bool = False
+    magnetometer: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Exported:
-    """The bytes of a file, and in sentences what its format cannot hold."""
+    """The bytes of a file, and in sentences what its format cannot hold; of an autopilot the `parameters` in it; and
+    whether a magnetometer has its place."""
 
     content: bytes
     losses: tuple[str, ...]
+    parameters: tuple[ExportedParameter, ...] = ()
+    magnetometer: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -97,8 +112,8 @@ def triads(
     return known
 
 
-def origin(calibration: Calibration) -> list[str]:
-    """Where the numbers come from, line by line."""
+def origin(calibration: Calibration, *, magnetometer: bool = False) -> list[str]:
+    """Where the numbers come from, line by line, of a format that has a place for a magnetometer or not."""
     made = calibration.provenance
     device = calibration.serial if calibration.model is None else f"{calibration.serial} ({calibration.model})"
     lines = [
@@ -112,7 +127,7 @@ def origin(calibration: Calibration) -> list[str]:
             scale, offset = (" ".join(f"{number:g}" for number in row) for row in (readings.scale, readings.offset))
             lines.append(f"{kind} readings in {UNITS[kind]} are (raw - offset) / scale: offset {offset}, scale {scale}")
     lines += calibration.absent
-    lines += [NO_MAGNETOMETER] if calibration.mag is not None else []
+    lines += [NO_MAGNETOMETER] if calibration.mag is not None and not magnetometer else []
     return [one_line(line) for line in lines]
 
 

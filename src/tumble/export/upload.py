@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import struct
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ import numpy as np
 
 from tumble.errors import InputError, needs_extra
 from tumble.export import export_calibration
-from tumble.export.exported import Exported
+from tumble.export.autopilots import PILOTS, parameter_lines
 from tumble.files import FilePath
 from tumble.result.calibration import Calibration, calibration_from
 
@@ -35,6 +35,7 @@ ARMED = 128
 """MAV_MODE_FLAG_SAFETY_ARMED of base_mode."""
 REAL, INTEGERS = 9, (1, 2, 3, 4, 5, 6)
 """MAV_PARAM_TYPE of single precision, and of whole numbers of 8 to 32 bits."""
+_BACKUP = "# values before an upload of tumble; load this file to have them back"
 TRIES = 12
 """Of a request that is not answered, each for `patience` seconds."""
 
@@ -66,6 +67,7 @@ def upload(
     backup: FilePath,
     thermal: bool = False,
     imu: int | None = None,
+    magnetometer: bool = False,
     dry_run: bool = False,
     progress: Callable[[ParameterChange], None] = lambda _: None,
     patience: float = 0.5,
@@ -84,6 +86,8 @@ def upload(
         Curves over temperature too.
     imu
         The number of the IMU, from 1, where the calibration does not know it.
+    magnetometer
+        Its parameters too, as those of the autopilot's first one: no calibration knows which one that is.
     dry_run
         Compare, and write nothing.
     progress
@@ -112,7 +116,11 @@ def upload(
     with _Link(link, patience) as pilot:
         target = AUTOPILOTS[pilot.kind] + ("-thermal" if thermal else "")
         exported = export_calibration(calibration, target, imu=imu)
-        wanted = _parameters(exported)
+        parameters = [p for p in exported.parameters if magnetometer or not p.magnetometer]
+        losses = exported.losses
+        if len(parameters) < len(exported.parameters):
+            losses += ("the magnetometer was left as it is: --magnetometer writes it, as the autopilot's first",)
+        wanted = {p.name: p.value if p.whole else float(np.float32(p.value)) for p in parameters}
         before = {name: pilot.read(name) for name in wanted}
         missing = [name for name, value in before.items() if value is None]
         if missing:
@@ -121,19 +129,21 @@ def upload(
                 f"{' and others' if len(missing) > 5 else ''}; is it another release, or is the link too bad?"
             )
         there = {name: value for name, value in before.items() if value is not None}
-        for name, value in wanted.items():
-            if _is_id(name) and there[name] != value:
+        for p in parameters:
+            if p.identity and there[p.name] != p.value:
                 raise InputError(
-                    f"{link}: expected the sensors that were calibrated, {name} {value:.0f}, found {there[name]:.0f}; "
-                    "connect that device, or calibrate this one"
+                    f"{link}: expected the sensors that were calibrated, {p.name} {p.value:.0f}, found "
+                    f"{there[p.name]:.0f}; connect that device, or calibrate this one"
                 )
         order = sorted(wanted, key=lambda name: name.endswith("ENABLE"))
         changes = tuple(ParameterChange(name=name, before=there[name], after=wanted[name]) for name in order)
         if not dry_run:
-            with path.open("xb") as file:
-                file.write(_backup(exported, there))
+            kept = [replace(p, value=there[p.name]) for p in parameters]
+            lines = parameter_lines(PILOTS[AUTOPILOTS[pilot.kind]], kept)
+            with path.open("x", encoding="utf-8") as file:
+                file.writelines(f"{line}\n" for line in (_BACKUP, *lines))
             _write(pilot, [c for c in changes if c.before != c.after], path, progress)
-    return Upload(autopilot=target, changes=changes, backup=None if dry_run else path, losses=exported.losses)
+    return Upload(autopilot=target, changes=changes, backup=None if dry_run else path, losses=losses)
 
 
 def _write(
@@ -269,38 +279,3 @@ class _Link:
         if kind in INTEGERS and AUTOPILOTS[self.kind] == "px4":
             return float(struct.unpack("<f", struct.pack("<i", int(value)))[0])
         return value
-
-
-def _rows(exported: Exported) -> list[tuple[str, str, str, str]]:
-    """The lines of an export with a parameter in them: what is before its name, the name, its value, what is behind."""
-    rows = []
-    for line in exported.content.decode().splitlines():
-        if line and not line.startswith("#"):
-            fields = line.split("\t")
-            name, value = fields[2:4] if len(fields) == 5 else line.split(",")
-            before, _, rest = line.partition(name)
-            rows.append((before + name, name, value, rest.partition(value)[2]))
-    return rows
-
-
-def _parameters(exported: Exported) -> dict[str, float]:
-    """The parameters of an export, as single precision keeps them; whole numbers as they are."""
-    return {
-        name: float(value) if value.lstrip("-").isdigit() else float(np.float32(value))
-        for _, name, value, _ in _rows(exported)
-    }
-
-
-def _backup(exported: Exported, values: Mapping[str, float]) -> bytes:
-    """A file like the export with other values."""
-    lines = ["# values before an upload of tumble; load this file to have them back"]
-    for head, name, value, tail in _rows(exported):
-        whole = value.lstrip("-").isdigit() and values[name].is_integer()
-        text = f"{values[name]:.0f}" if whole else np.format_float_positional(np.float32(values[name]), trim="0")
-        lines.append(head + ("\t" if tail else ",") + text + tail)
-    return "\n".join([*lines, ""]).encode()
-
-
-def _is_id(name: str) -> bool:
-    """Whether a parameter says which sensor it is, rather than which one a curve is for."""
-    return name.startswith(("CAL_", "INS")) and name.endswith("_ID")

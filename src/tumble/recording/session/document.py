@@ -30,14 +30,13 @@ from tumble.recording.session import (
 )
 from tumble.recording.session.log_tables import LogTable, SessionTable, check_span, key, name_of, one_of, visible
 from tumble.sensors.parameters import prior_of
-from tumble.units import DEGREE, G_STANDARD
+from tumble.units import DEGREE, G_STANDARD, TESLA
 
 LEAST_GRAVITY_U = 1e-15
 """m/s²: a smaller uncertainty than no gravimeter reaches is zero, or a mistake."""
 UNKNOWN_SITE_GRAVITY_U = 0.03
 """Standard uncertainty of standard gravity as a value of local gravity at an unknown place on Earth, m/s²."""
 
-_TESLA = {"nT": 1e-9, "uT": 1e-6, "gauss": 1e-4, "mgauss": 1e-7, "T": 1.0}
 _FIELD_ON_EARTH = (1.5e-5, 8e-5)  # T, at the ground: 22 to 67 µT, and magnetic rock
 
 
@@ -65,7 +64,7 @@ class SiteTable(SessionTable):
             return
         if unit is None:
             raise ValueError("site.field: expected only with [log.magnetometer], found no magnetometer")
-        low, high = (limit / _TESLA[unit] for limit in _FIELD_ON_EARTH)
+        low, high = (limit / TESLA[unit] for limit in _FIELD_ON_EARTH)
         if not low <= self.field <= high:
             raise ValueError(
                 f"site.field: expected the field on Earth, from {low:g} to {high:g} {unit}, the unit of "
