@@ -144,10 +144,11 @@ def _unit(number: int, truth: Mapping[str, float], estimates: Sequence[Estimate]
 
 def studied(units: Sequence[Unit], n: int, part: float, *, outliers: bool = False) -> dict[str, object]:
     """Every unit by half its rests beside n others: coverage of 95 % and rms of (value − truth)/u of the linear
-    parameters and of the groups; u over that of all the rests without the type, by group, root mean square; how many
-    units are named unlike the type. With one accelerometer parameter of each, as it is estimated, OFFSET standard
-    deviations off the mean of its type: how many are named for that."""
-    z: dict[str, list[float]] = {}
+    parameters and of the groups, and without the type; u over that of all the rests without the type, by group, root
+    mean square; how many units are named unlike the type. With one accelerometer parameter of each, as it is estimated,
+    OFFSET standard deviations off the mean of its type: how many are named for that, and how many the best test
+    finds."""
+    z: dict[str, list[tuple[float, float]]] = {}
     gain: dict[str, list[tuple[float, float, float]]] = {}
     named = found = judged = 0
     for number, each in enumerate(units):
@@ -172,7 +173,8 @@ def studied(units: Sequence[Unit], n: int, part: float, *, outliers: bool = Fals
             if variable_of(parameter) == "time" or not made.observable[i]:
                 continue
             kind = group_name(parameter)
-            z.setdefault(kind, []).append((made.values[i] - truth[parameter]) / made.u[i])
+            both = [(x.values[i] - truth[parameter]) / x.u[i] for x in (made, estimate)]
+            z.setdefault(kind, []).append((both[0], both[1]))
             gain.setdefault(kind, []).append((made.u[i], each.whole.u[i], each.half.u[i]))
     linear = [g for g in z if g.split(".")[1] in ("bias", "scale", "axis")]
     linear_z = np.concatenate([z[g] for g in linear])
@@ -183,7 +185,9 @@ def studied(units: Sequence[Unit], n: int, part: float, *, outliers: bool = Fals
         best = {"best test": power(n, judged), "of one parameter alone": power(n, 1, share=1)}
         return out | {"offset": OFFSET, "found": found / len(units), "parameters": judged, **best}
     for what, all_z in (("linear", linear_z), ("further", further_z)):
-        out |= {f"{what} coverage": float(np.mean(np.abs(all_z) < k)), f"{what} rms": float(np.sqrt(np.mean(all_z**2)))}
+        for by, own in (("", all_z[:, 0]), (" without type", all_z[:, 1])):
+            out |= {f"{what} coverage{by}": float(np.mean(np.abs(own) < k))}
+            out |= {f"{what} rms{by}": float(np.sqrt(np.mean(own**2)))}
     ratios = {g: np.sqrt(np.mean(np.square(gain[g]), axis=0)) for g in gain}
     out["u over all rests"] = {g: float(u[0] / u[1]) for g, u in ratios.items()}
     out["without type"] = {g: float(u[2] / u[1]) for g, u in ratios.items()}

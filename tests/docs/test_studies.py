@@ -33,6 +33,7 @@ ANSWERS = {
     "formulas_against_simulation.py": "Do the formulas predict the simulation? yes",
     "joint_bound.py": "Does the joint estimate reach the bound? yes",
     "kalman_filter.py": "Does the Kalman filter win? In accuracy",
+    "log_guesses.py": "Is a wrong guess said? Yes",
     "metropolis.py": "Is the posterior what a sampler finds? ",
     "noise_processes.py": "Are the right processes named, and are the intervals honest? Yes",
     "over_temperature.py": "Is u over temperature honest, and does a warm-up cost little? Yes",

@@ -164,7 +164,10 @@ CASES: dict[str, Case] = {
     "ArduPilot, text": Case(write=d.dataflash_as_text, said=("message IMU.0",)),
     "Betaflight": Case(
         write=d.betaflight,
-        said=("gyros: gyroADC[0], gyroADC[1], gyroADC[2] in deg/s", "2048 counts per g as in data sheets"),
+        said=(
+            "gyros: gyroADC[0], gyroADC[1], gyroADC[2] in deg/s (a guess): one deg/s reads",
+            "2048 counts per g as in data sheets",
+        ),
         worth=(2048.0 * G, DEG),
         within=2.0,
     ),
@@ -174,12 +177,12 @@ CASES: dict[str, Case] = {
     "Xsens MT Manager": Case(write=d.xsens, said=("ticks of 0.0001 s", GOOD)),
     "Movella DOT": Case(
         write=d.movella_dot,
-        said=("in us (by its steps)", "in deg/s, not rad/s"),
+        said=("in us (by its steps)", "in deg/s (a guess): one deg/s reads"),
         worth=(1.0, DEG),
     ),
     "increments of angle": Case(
         write=d.named(["t", "dv_x", "dv_y", "dv_z", "dth_x", "dth_y", "dth_z"], accel=1.0 / d.RATE, gyro=1.0 / d.RATE),
-        said=("m/s (", "in rad, not rad/s"),
+        said=("m/s (", "in rad (a guess): one deg/s reads"),
     ),
     "SBG": Case(write=d.named(SBG, time=1e6), said=("in us (by its name)",)),
     "vehicle": Case(
@@ -212,7 +215,7 @@ CASES: dict[str, Case] = {
     ),
     "g and deg/s without a word": Case(
         write=d.named(d.NAMES, accel=G, gyro=DEG),
-        said=("deg/s, not rad/s",),
+        said=("deg/s (a guess): one deg/s reads",),
         worth=(G, DEG),
     ),
     "counts of 2 g and 250 deg/s": Case(
@@ -257,7 +260,7 @@ CASES: dict[str, Case] = {
     "BNO055": Case(
         write=q.bno055,
         said=(
-            "in cm/s^2 (one g reads 979.",
+            "in cm/s^2 (a guess): one g reads 979.",
             "mg would fit too (-2.1%)",
             "16 counts per deg/s as in data sheets",
             "16.4 counts would fit too",
@@ -267,14 +270,18 @@ CASES: dict[str, Case] = {
         worth=(100.0, 16.0 * DEG),
     ),
     "cm/s^2 without a word": Case(
-        write=q.scaled(100.0, DEG), said=("in cm/s^2 (one g reads", "in deg/s they miss the"), worth=(100.0, DEG)
+        write=q.scaled(100.0, DEG),
+        said=("in cm/s^2 (a guess): one g reads", "in deg/s (a guess): one deg/s reads"),
+        worth=(100.0, DEG),
     ),
     "mm/s^2 and mdeg/s without a word": Case(
-        write=q.scaled(1e3, 1e3 * DEG), said=("in mm/s^2 (one g reads", "in mdeg/s they miss"), worth=(1e3, 1e3 * DEG)
+        write=q.scaled(1e3, 1e3 * DEG),
+        said=("in mm/s^2 (a guess): one g reads", "in mdeg/s (a guess): one deg/s reads"),
+        worth=(1e3, 1e3 * DEG),
     ),
     "mdeg/s without a word": Case(
         write=q.scaled(1.0, 1e3 * DEG),
-        said=("in mdeg/s they miss the vertical by 1.8° after a turn, in arcsec, the next, by",),
+        said=("in mdeg/s (a guess): one deg/s reads", "guessed: next would be"),
         worth=(1.0, 1e3 * DEG),
     ),
     # which column is what
@@ -340,12 +347,16 @@ CASES: dict[str, Case] = {
     # programs of others
     "quaternions, magnetometers, a thermometer, no names": Case(
         write=p.everything_without_names,
-        said=("accel: columns 9, 10, 11, by", "gyro: columns 13, 14, 15, by", "in deg/s, not rad/s"),
+        said=("accel: columns 9, 10, 11, by", "gyro: columns 13, 14, 15, by", "in deg/s (a guess): one deg/s reads"),
         worth=(G, DEG),
     ),
     "ticks of 25 us": Case(
         write=p.ticks(4e4),
-        said=("column 'tick' counts samples or ticks", "rate_hz = 50 from the turns", "in deg/s, not rad/s"),
+        said=(
+            "column 'tick' counts samples or ticks",
+            "rate_hz = 50 from the turns",
+            "in deg/s (a guess): one deg/s reads",
+        ),
         worth=(1.0, DEG),
     ),
     # several files

@@ -61,7 +61,7 @@ CASES: dict[str, tuple[r.Write, float, Sequence[str]]] = {
         ("all of the log is 4 s by its times, too short to turn and rest in",),
     ),
 }  # fmt: skip
-DOUBTED = ("steps of 13000 us, gyros that do not fit",)
+DOUBTED = ("steps of 13000 us, gyros that do not fit", "steps of 0.05 s, gyros at twice their rate")
 
 
 @pytest.mark.parametrize("name", CASES)

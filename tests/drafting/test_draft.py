@@ -394,7 +394,7 @@ def test_gyros_that_nothing_turned_have_the_unit_in_which_they_read_the_earth(
     logs = still_gyros(tmp_path, worth, 3e-6 * np.array([1.0, -1.0, 1.0]))
     made = CliRunner().invoke(main, ["new", str(tmp_path / "s"), *logs, *latitude])
     assert read_session(tmp_path / "s").log.gyro.unit_name == unit  # type: ignore[union-attr]
-    assert f"gyros: in {unit}: at rest they read 15." in made.output
+    assert f"gz in {unit} (a guess): at rest they read 15." in made.output
     assert "a guess" in made.output
 
 

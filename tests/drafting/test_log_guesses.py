@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,15 +11,17 @@ import pytest
 
 from tumble.drafting.dialects.named_values import cells
 from tumble.drafting.dialects.respelled import respelled
+from tumble.drafting.draft import Draft
 from tumble.drafting.found_log import samples_in
-from tumble.drafting.hypotheses.rests_and_turns import accel_scale
+from tumble.drafting.hypotheses.cost import ranked
+from tumble.drafting.hypotheses.shown import WIDTHS, Shown, length_and_zero
 from tumble.drafting.new_session import Given, new_session
 from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column
 from tumble.errors import InputError, LogError
 from tumble.files import OutputFolder
-from tumble.recording.columns.names import ACCEL, GYRO, columns_by_name, is_no_sensor
+from tumble.recording.columns.names import ACCEL, GYRO, Sensors, columns_by_name, is_no_sensor
 from tumble.recording.columns.numbers import columns_by_data
-from tumble.recording.columns.scales import matched, step_in_deg_s
+from tumble.recording.columns.scales import step_in_deg_s
 from tumble.recording.text.dialect import Dialect, is_clock, top_of
 from tumble.recording.text.text_log import seconds_of
 from tumble.units import G_STANDARD, Array
@@ -93,11 +96,10 @@ def test_what_memory_was_filled_with_is_no_sample(read: Array) -> None:
 
 def test_a_converter_has_its_zero_in_the_middle_where_it_writes_nothing_negative() -> None:
     zero = np.array([20.0, 850.0, 1020.0])
-    signed, unsigned = accel_scale(2048.0 * FACES + zero), accel_scale(250.0 * FACES + 520.0)
-    assert signed is not None
-    assert unsigned is not None
-    assert signed[1] == [20.0, 850.0, 1020.0]
-    assert unsigned[1] == [512.0] * 3
+    assert length_and_zero(2048.0 * FACES + zero)[2] == [20.0, 850.0, 1020.0]
+    length, u, middle, _ = length_and_zero(250.0 * FACES + 520.0)
+    assert middle == [512.0] * 3
+    assert length == pytest.approx(250.0, rel=2.0 * u)
 
 
 @pytest.mark.parametrize(
@@ -113,9 +115,11 @@ def test_a_converter_has_its_zero_in_the_middle_where_it_writes_nothing_negative
     ],
 )
 def test_readings_of_one_g_tell_a_unit_from_counts(found: float, unit: str | None, doubted: bool) -> None:
-    match = matched(ACCEL, found, whole=True)
-    assert (match.unit, match.doubted) == (unit, doubted)
-    assert ("would fit too" in match.said) == doubted
+    triads = {ACCEL: Sensors(columns=("x", "y", "z"), unit=None)}
+    draft = Draft(content={}, said=(), triads=triads, whole={ACCEL: True}, magnitude=found)
+    best, *rivals = ranked(replace(Shown.nothing(draft), length_u=0.005), draft)
+    assert best.accel.unit == unit
+    assert any(rival.cost - best.cost < WIDTHS.near for rival in rivals) == doubted
 
 
 def test_pauses_are_no_part_of_the_rate() -> None:
@@ -165,7 +169,7 @@ def test_dates_tell_the_unit_of_a_time() -> None:
         assert times is not None
         assert times.rate == pytest.approx(1 / 0.6, rel=1e-3)
         assert times.keys.get("time_unit", "s") == unit
-        assert not times.unit_guessed
+        assert not times.rivals
     for start, step, unit in ((1.2e9, 1e4, "us"), (1.3e15, 2e6, "ns")):  # that a processor has been running for
         running = times_of_column(Stamps(column="t", values=start + step * np.arange(2000.0), unit=None))
         assert running is not None
@@ -290,8 +294,12 @@ def test_where_one_axis_reads_all_of_gravity_columns_are_counted_in_threes() -> 
 
 def test_rests_in_one_attitude_draw_no_sphere() -> None:
     means = np.array([20.0, 470.0, 16250.0]) + 60.0 * np.random.default_rng(2).normal(size=(6, 3))
-    assert accel_scale(means) is None
-    assert accel_scale(means + 16384.0 * np.vstack([FACES]) - [0.0, 0.0, 16250.0]) is not None
+    length, u, zero, _ = length_and_zero(means)
+    assert zero == [0.0] * 3
+    assert u > 0.02
+    length, u, zero, _ = length_and_zero(means + 16384.0 * np.vstack([FACES]) - [0.0, 0.0, 16250.0])
+    assert length == pytest.approx(16384.0, rel=2.0 * u)
+    assert u < 0.01
 
 
 def test_axes_alone_are_taken_in_their_order(read: Array) -> None:

@@ -98,7 +98,7 @@ class _Carrying:
         """Angles (K,), rad, by which gyros with another matrix miss the vertical."""
         return _misses(self.observations, SensorModel(matrix=matrix, bias=self.stated.bias), self.vertical)
 
-    def other_units(self, of: Literal["gyro", "time"] = "gyro") -> Iterator[tuple[str, Array]]:
+    def other_units(self, of: Literal["gyro", "time"]) -> Iterator[tuple[str, Array]]:
         """Other units of the gyros than the stated one (of raw channels: of the scale), or of the times those in which
         they are those of a log, and the matrices (3, n) in these."""
         channels, log = self.channels, self.log
@@ -149,26 +149,6 @@ def sense_faults(observations: Observations, session: Session, rate: float) -> l
             return [f"the gyros read {largest:.3g} rad/s at rest, as no gyro does: the offset of [log.gyro] is wrong"]
     faults = _not_carried(carrying) if carrying is not None and carrying.evident else []
     return faults or upside_down(observations, session)
-
-
-def fitting_unit(observations: Observations, session: Session, rate: float, of: Literal["gyro", "time"]) -> str | None:
-    """The unit of the gyros, or of the times, in which nominal gyros carry the vertical from rest to rest, where they
-    do not in the one stated; None where they do, or where no unit helps."""
-    carrying = _Carrying.of(observations, session, rate)
-    if carrying is None or not carrying.evident:
-        return None
-    return carrying.fitting_unit(of)
-
-
-def misses_by_unit(observations: Observations, session: Session, rate: float) -> dict[str, float]:
-    """Median angle, rad, by which nominal gyros miss the vertical after a turn, in the stated unit and in all others,
-    the least first; nothing where nothing turned."""
-    carrying = _Carrying.of(observations, session, rate)
-    if carrying is None:
-        return {}
-    misses = {carrying.channels.unit_name: float(np.median(carrying.miss))}
-    misses |= {name: float(np.median(carrying.missed(matrix))) for name, matrix in carrying.other_units()}
-    return dict(sorted(misses.items(), key=lambda miss: miss[1]))
 
 
 def _not_carried(carrying: _Carrying) -> list[str]:

@@ -9,10 +9,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from tumble.drafting.times import ASSUMED_RATE, Times, at_rate
+from tumble.recording.columns.names import Sensors
 from tumble.recording.readers import KeptLog
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_of
 from tumble.recording.text.dialect import DIALECT_KEYS
+from tumble.units import DEGREE
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -23,20 +26,20 @@ class Draft:
     said: tuple[str, ...]
     magnetometer: Mapping[str, Any] | None = None
     """The table [log.magnetometer], offered as a comment: iron nearby spoils it, and not the rest."""
-    rate_guessed: bool = False
-    gyro_unknown: bool = False
-    """Whether the unit of the gyros is a guess."""
-    time_guessed: bool = False
-    """Whether the unit of a time column is a guess."""
-    gyro_whole: bool = False
-    accel_whole: bool = False
-    """Whether they are whole numbers, as counts are."""
+    triads: Mapping[str, Sensors] = field(default_factory=dict)
+    """The columns of the accelerometers, "accel", and of the gyros, "gyro"."""
+    times: Times = field(default_factory=lambda: at_rate(ASSUMED_RATE, 0.0))
+    """When the rows were taken, and what else it may be."""
+    whole: Mapping[str, bool] = field(default_factory=dict)
+    """Whether sensors read whole numbers alone, as counts are."""
     rate: float = 1.0
-    """Hz, by the times."""
-    accel_magnitude: float = 1.0
-    """The median one of what the accelerometers read, as written."""
-    guessed: bool = False
-    """Whether anything is: a unit, a time or a column."""
+    """Samples per second, Hz."""
+    magnitude: float = 1.0
+    """The median one of what the accelerometers read in the first rows, as written."""
+    largest: float = 0.0
+    """What the gyros read at most in the first rows, some single readings aside."""
+    step: float | None = None
+    """Of data sheets, °/s, of which the gyros' readings are multiples."""
     kept: Mapping[Path, KeptLog] = field(default_factory=dict)
     """The files of the log as far as they were read, by their paths."""
 
@@ -45,6 +48,26 @@ class Draft:
         """The table [log]."""
         table: Mapping[str, Any] = self.content["log"]
         return table
+
+    @property
+    def rate_guessed(self) -> bool:
+        """Whether no column has the times, and nobody has stated a rate."""
+        return bool(self.times.rivals) and not self.times.stamped
+
+    @property
+    def guessed(self) -> bool:
+        """Whether anything is: a unit or a time."""
+        return bool(self.times.rivals) or any(sensors.unit is None for sensors in self.triads.values())
+
+    @property
+    def latitude(self) -> float | None:
+        """Of the place, rad."""
+        degrees = self.content.get("site", {}).get("latitude_deg")
+        return None if degrees is None else degrees * DEGREE
+
+    def unit(self, kind: str) -> str | None:
+        """The unit of sensors that their names say."""
+        return self.triads[kind].unit
 
     def with_log(self, said: Sequence[str] = (), /, **tables: Any) -> Draft:
         """The draft with these tables and keys of [log], and what there is to say of them."""

@@ -22,15 +22,15 @@ from tumble.drafting.containers.archives import sheets_of, unzipped
 from tumble.drafting.detection import files_of, found_log
 from tumble.drafting.draft import Draft, session_text
 from tumble.drafting.found_log import HEAD_ROWS, SAMPLE_ROWS, FoundLog
-from tumble.drafting.hypotheses.trials import tried
+from tumble.drafting.hypotheses.shown import WIDTHS, Widths
+from tumble.drafting.hypotheses.weighed import weighed
 from tumble.drafting.mended import mended
 from tumble.drafting.sensors_apart import log_of_recording
-from tumble.drafting.times import Times
 from tumble.errors import InputError, LogError
 from tumble.files import FilePath, OutputFolder, nothing_left, whole_file
 from tumble.programme.positions import BUILT_IN
 from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, TIME_KIND, Sensors, temperature_unit
-from tumble.recording.columns.scales import ACCEL_COUNTS, FASTEST, matched, step_in_deg_s
+from tumble.recording.columns.scales import step_in_deg_s
 from tumble.recording.formats import is_recording
 from tumble.recording.log import Log
 from tumble.recording.readers import source_of
@@ -39,9 +39,9 @@ from tumble.recording.session import sensors_content
 from tumble.recording.session.log_tables import RAW
 from tumble.recording.session_file import SESSION_FILE, session_of
 from tumble.run.observed import Progress
-from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, TEMPERATURE_UNITS, Array
+from tumble.units import DEGREE, TEMPERATURE_UNITS, Array
 
-_TOLERANCE = 0.3
+_FAST = 0.99
 _SECONDS, _FEWEST_MEANS, _STEADY = 2.0, 3, 0.4
 """Of accelerometers that turn slowly the mean over so long is most of gravity."""
 _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5), "T": (15e-6, 150e-6)}
@@ -101,7 +101,7 @@ def new_session(
 
 
 def written_session(
-    folder: OutputFolder, logs: FilePath | Sequence[FilePath], given: Given, progress: Progress
+    folder: OutputFolder, logs: FilePath | Sequence[FilePath], given: Given, progress: Progress, widths: Widths = WIDTHS
 ) -> tuple[Draft, list[str]]:
     """`new_session` into a folder whose new files are left to the caller where it fails."""
     path = folder.path / SESSION_FILE
@@ -123,7 +123,7 @@ def written_session(
     device = {**draft.content.get("device", {}), "serial": serial}
     draft = replace(draft, content={**draft.content, "device": device, **site})
     session_of(draft.content)  # checked as a session is
-    draft, faults = tried(draft, progress)
+    draft, faults = weighed(draft, progress, widths)
     draft = _with_sign(draft)
     if draft.guessed:
         draft = draft.with_log([_row_as_read(draft)])
@@ -154,47 +154,39 @@ def _of_files(files: list[Path], folder: OutputFolder, given: Given) -> Draft:
 
 
 def _of_log(log: FoundLog, rate: float | None) -> Draft:
-    """From text and Parquet files."""
+    """From text and Parquet files: what names and first numbers say, and sensors as raw numbers."""
     known, times = log.columns, log.times(rate)
-    said = [*log.said, *times.said]
+    said = list(log.said)
     if rate is not None and known.time is not None:
         said.append(f"time: column {known.time!r} is not used, since the rate was given")
     said += [f"also there, and not used: {', '.join(known.others)}"] if known.others else []
-    sensors = known.triads[ACCEL]
-    read = log.read(sensors.columns, rows=HEAD_ROWS)
-    magnitude = _magnitude(log, sensors)
+    triads = {kind: known.triads[kind] for kind in (ACCEL, GYRO) if kind in known.triads}
+    read = {kind: log.read(sensors.columns, rows=HEAD_ROWS) for kind, sensors in triads.items()}
+    magnitude = _magnitude(log, triads[ACCEL])
     files = [str(file.resolve()) for file in log.files]
-    accel, told = _accel(sensors, times, magnitude)
-    table: dict[str, Any] = {"file": files[0] if len(files) == 1 else files, **log.keys, **times.keys, "accel": accel}
-    said += told
-    gyro_unknown = gyro_whole = False
-    if GYRO in known.triads:
-        rates = log.read(known.triads[GYRO].columns, rows=HEAD_ROWS)
-        gyro_whole = _is_whole(rates)
-        counted = accel["unit"] == "count" and (gyro_whole or matched(ACCEL, magnitude, whole=False).unit is None)
-        table["gyro"], told, gyro_unknown = _gyro(known.triads[GYRO], rates, raw=counted)
-        said += told
-    else:
+    table: dict[str, Any] = {"file": files[0] if len(files) == 1 else files, **log.keys, **times.keys}
+    for kind, sensors in triads.items():
+        table[kind] = {"columns": list(sensors.columns), "unit": "count", "scale": 1.0, "offset": 0.0}
+    if GYRO not in triads:
         said.append("no gyros were found (--gyro states their columns): the accelerometers alone will be calibrated")
     if known.temperatures:
         thermometers, remark = _thermometers(log, known.temperatures)
         table |= {} if thermometers is None else {"temperature": thermometers}
         said.append(remark)
-    said += _without_gravity(read, times.rate)
     magnetometer, told = _magnetometer(log, known.triads.get(MAGNETOMETER))
-    unit_guessed = any(known.triads[kind].unit is None for kind in table if kind in _SENSORS)
+    largest = np.abs(read[GYRO][np.isfinite(read[GYRO]).all(axis=1)]).max(axis=1) if GYRO in triads else np.zeros(0)
+    whole = {kind: bool((r == np.floor(r))[np.isfinite(r)].all()) for kind, r in read.items()}
     return Draft(
         content={"format": 1, "device": {"serial": "unknown"}, "log": table},
-        said=(*said, *told),
+        said=(*said, *_without_gravity(read[ACCEL], times.rate), *told),
         magnetometer=magnetometer,
-        rate_guessed=times.guessed,
-        gyro_unknown=gyro_unknown,
-        time_guessed=times.unit_guessed,
+        triads=triads,
+        times=times,
         rate=times.rate,
-        gyro_whole=gyro_whole,
-        accel_whole=_is_whole(read),
-        accel_magnitude=magnitude,
-        guessed=times.guessed or times.unit_guessed or unit_guessed,
+        whole=whole,
+        magnitude=magnitude,
+        largest=float(np.quantile(largest, _FAST)) if len(largest) else 0.0,
+        step=step_in_deg_s(read[GYRO]) if GYRO in triads and not whole[GYRO] else None,
         kept=log.kept,
     )
 
@@ -258,11 +250,6 @@ def _row_as_read(draft: Draft) -> str:
     return f"row {whole[0] + 1} as it is read: {'; '.join(parts)}"
 
 
-def _is_whole(read: Array) -> bool:
-    """Whether readings are whole numbers."""
-    return bool((read == np.floor(read))[np.isfinite(read)].all())
-
-
 def _thermometers(log: FoundLog, columns: Sequence[str]) -> tuple[dict[str, Any] | None, str]:
     """The table [log.temperature], None where numbers are raw. Columns in several units are, as raw ones, with what
     their numbers are worth."""
@@ -308,49 +295,6 @@ def _magnitude(log: FoundLog, sensors: Sensors) -> float:
             f"{log.files[0]}: {', '.join(sensors.columns)}: expected readings, found none in the first {len(read)} rows"
         )
     return median
-
-
-def _accel(sensors: Sensors, times: Times, magnitude: float) -> tuple[dict[str, Any], list[str]]:
-    """The table [log.accel]: the unit in which the median magnitude is gravity; with a scale of one where it may be
-    that of counts, so that the rests tell."""
-    columns = list(sensors.columns)
-    named = ", ".join(columns)
-    if sensors.unit in ACCEL_UNITS and ACCEL_UNITS[sensors.unit].kind != "raw":
-        said = [f"accelerometers: {named} in {sensors.unit} (from the name or the format), magnitude {magnitude:.6g}"]
-        if abs(magnitude * ACCEL_UNITS[sensors.unit].per_second(times.rate) / G_STANDARD - 1.0) > _TOLERANCE:
-            asked = "is the unit right?"
-            if "lin" in columns[0].lower():
-                asked = "linear acceleration, which a filter has taken gravity off, cannot be calibrated"
-            said.append(f"accelerometers: their magnitude is not that of gravity in {sensors.unit}: {asked}")
-        return {"columns": columns, "unit": sensors.unit}, said
-    named_raw = sensors.unit is not None and ACCEL_UNITS[sensors.unit].kind == "raw"
-    worth = {name: unit.per_second(times.rate) for name, unit in ACCEL_UNITS.items() if unit.kind != "raw"}
-    fits = [name for name, one in worth.items() if abs(magnitude * one / G_STANDARD - 1.0) < _TOLERANCE]
-    if fits and not named_raw and magnitude < (1.0 - _TOLERANCE) * ACCEL_COUNTS[0]:
-        also = f"; {' or '.join(fits[1:])} would fit too" if fits[1:] else ""
-        found = f"accelerometers: {named} in {fits[0]} (their magnitude is {magnitude:.6g}){also}"
-        return {"columns": columns, "unit": fits[0]}, [found]
-    return {"columns": columns, "unit": "count", "scale": 1.0, "scale_per": "m/s^2", "offset": 0.0}, []
-
-
-def _gyro(sensors: Sensors, read: Array, *, raw: bool) -> tuple[dict[str, Any], list[str], bool]:
-    """The table [log.gyro], what is said, and whether the unit is a guess; where the accelerometers are `raw`, gyros of
-    no named unit are too, and whole numbers which no gyro reads in rad/s."""
-    columns = list(sensors.columns)
-    unit, why, unknown = sensors.unit, " (from the name or the format)", False
-    if unit is None or GYRO_UNITS[unit].kind == "raw":
-        largest = np.abs(read[np.isfinite(read).all(axis=1)]).max(axis=1)
-        fast = len(largest) > 0 and float(np.quantile(largest, 0.99)) > FASTEST  # some single ones aside
-        if raw or unit is not None or (fast and _is_whole(read)):
-            table = {"columns": columns, "unit": "count", "scale": 1.0, "scale_per": "deg/s", "offset": 0.0}
-            return table, [], True
-        step = step_in_deg_s(read)
-        unit, why, unknown = "rad/s", " (a guess)", step is None
-        if step is not None:
-            unit, why = "deg/s", f" (a guess): their steps are {step:.4g} °/s, a count of data sheets"
-        elif fast:
-            unit, why = "deg/s", ", not rad/s (a guess): no gyro reads so much in that"
-    return {"columns": columns, "unit": unit}, [f"gyros: {', '.join(columns)} in {unit}{why}"], unknown
 
 
 def _magnetometer(log: FoundLog, sensors: Sensors | None) -> tuple[dict[str, Any] | None, list[str]]:

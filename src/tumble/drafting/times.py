@@ -1,4 +1,5 @@
-"""When the rows of a log were taken: its time column and unit, whether the stamps can be believed, or its rate.
+"""When the rows of a log were taken: its time column and unit, whether the stamps can be believed, or its rate; and
+what else it may be, each with what it costs (−2 ln of how often it is met), for the turns to decide.
 
 Stamps that repeat, bunch or jitter while the rows go on evenly are those of a slow clock or of a busy computer; the
 rows are then the better clock (`regular`).
@@ -9,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -26,6 +27,24 @@ _SHORTEST_LOG = 2.0  # s
 _CENTURY = 1.1e9, 2.2e9  # s since 1970: 2004 to 2039
 _SLOW = 5.0  # Hz: at less, dates may be what a phone has been running for, in a thousandth of their unit
 _BY_DATES = "by its dates"
+_WEIGHTS = {
+    **dict.fromkeys(
+        (51.2, 60.0, 62.5, 64.0, 102.4, 119.0, 120.0, 128.0, 204.8, 238.0, 240.0, 256.0, 300.0, 476.0), 1.0
+    ),
+    **dict.fromkeys((512.0, 800.0, 952.0, 1024.0, 1600.0, 2000.0, 4000.0, 8000.0), 1.0),
+    **dict.fromkeys((12.5, 26.0, 52.0, 104.0, 208.0, 416.0, 833.0, 1660.0), 1.5),
+    **dict.fromkeys((10.0, 20.0, 25.0, 50.0, 125.0, 200.0, 250.0, 400.0, 500.0, 1000.0), 2.0),
+    ASSUMED_RATE: 2.5,
+}
+"""Rates, Hz, and how often they are met, a rare one taken as 1: round ones, those of a widespread maker's sensors."""
+USUAL_RATES = {rate: -2.0 * math.log(weight / sum(_WEIGHTS.values())) for rate, weight in sorted(_WEIGHTS.items())}
+"""What it costs that a log has one of the usual rates, Hz."""
+UNUSUAL = 0.03
+"""Share of logs at another rate."""
+_TICKS, _COUNTS = 0.02, 0.4
+"""Share of whole numbers without a unit that are ticks of a clock, and of those growing by one that count samples."""
+_UNITS_IN_ORDER = {"s": 0.0, "ms": 0.5, "us": 1.0, "ns": 1.5}
+_UNLIKELY_RATE, _UNLIKELY_SPAN = 5.0, 8.0
 _SHARE, _FREE = 2e-2, 3
 _PAUSES, _PAUSE = 2e-3, 10.0
 _LONGEST_DELAY = 0.1  # of the log: what is longer is a pause
@@ -41,14 +60,24 @@ _RATE_IN_TEXT = re.compile(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Times:
-    """Keys of [log] that say when rows were taken, what is said about it, the rate, Hz, and whether that is a guess;
-    and whether the unit of a time column is one."""
+    """Keys of [log] that say when rows were taken, what is said about it, the rate, Hz; what that costs as a guess, and
+    what else it may be."""
 
     keys: dict[str, Any]
     said: tuple[str, ...]
     rate: float
-    guessed: bool = False
-    unit_guessed: bool = False
+    cost: float = 0.0
+    rivals: tuple[Times, ...] = ()
+
+    @property
+    def stamped(self) -> bool:
+        """Whether a column has the times."""
+        return "time" in self.keys
+
+
+def at_rate(rate: float, cost: float) -> Times:
+    """Rows of which none has a time that can be used, at a rate, Hz."""
+    return Times(keys={"rate_hz": rate}, said=(), rate=rate, cost=cost)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -75,7 +104,9 @@ def times_without_column(rate: float | None, remarks: Sequence[str]) -> Times:
         f"no time column was found: rate_hz = {ASSUMED_RATE:g} is a guess, put the log's rate there (--sample-rate); "
         "every gyro scale factor depends on it"
     )
-    return Times(keys={"rate_hz": ASSUMED_RATE}, said=(said,), rate=ASSUMED_RATE, guessed=True)
+    others = tuple(at_rate(usual, cost) for usual, cost in USUAL_RATES.items() if usual != ASSUMED_RATE)
+    assumed = at_rate(ASSUMED_RATE, USUAL_RATES[ASSUMED_RATE])
+    return replace(assumed, said=(said,), rivals=others)
 
 
 def times_of_column(stamps: Stamps) -> Times | None:
@@ -87,26 +118,38 @@ def times_of_column(stamps: Stamps) -> Times | None:
     typical = _typical_step(values)
     if not 0.0 < typical < math.inf:
         return None
-    taken, how, sure = _unit(stamps, typical)
-    interval = typical * (1.0 if stamps.clock else TIME_UNITS[taken])
-    keys: dict[str, Any] = {"time": stamps.column}
-    if stamps.clock or taken != "s":
-        keys["time_unit"] = "iso8601" if stamps.clock else taken
+    units, how, sure = _units(stamps, typical)
     whole = bool((values == np.floor(values)).all())  # fractions are of seconds, and no counts of samples or ticks
-    guessed = whole and not stamps.clock and stamps.unit is None and how != _BY_DATES
-    if not RATES_OF_LOGS[0] <= 1.0 / interval <= RATES_OF_LOGS[1]:
-        sure = (*sure, f"time: {1.0 / interval:.3g} samples per second is no rate of a log: is the unit right?")
-    uneven, rate = _unevenness(values, typical), 1.0 / interval
-    said = f"time: column {stamps.column!r} in {'times of day' if stamps.clock else taken} ({how})"
-    told = [f"{said}, {rate:.6g} samples per second"]
-    if uneven is not None and not _even(values):
-        told.append(f"time: {uneven}, and the rows are not equally spaced either: look at the log")
-    elif uneven is not None:
-        slope = np.polynomial.Polynomial.fit(np.arange(len(values)), values, 1).convert().coef[1]
-        rate = 1.0 / (float(slope) * (1.0 if stamps.clock else TIME_UNITS[taken]))
-        keys["regular"] = True
-        told = [said, f"time: {uneven}, but the rows are equally spaced: regular = true, {rate:.6g} samples per second"]
-    return Times(keys=keys, said=(*told, *sure), rate=rate, unit_guessed=guessed)
+    uneven, even = _unevenness(values, typical), _even(values)
+    every = []
+    for taken, cost in units.items():
+        interval = typical * (1.0 if stamps.clock else TIME_UNITS[taken])
+        keys: dict[str, Any] = {"time": stamps.column}
+        if stamps.clock or taken != "s":
+            keys["time_unit"] = "iso8601" if stamps.clock else taken
+        rate = 1.0 / interval
+        remarks = list(sure)
+        if not RATES_OF_LOGS[0] <= rate <= RATES_OF_LOGS[1]:
+            remarks.append(f"time: {rate:.3g} samples per second is no rate of a log: is the unit right?")
+        said = f"time: column {stamps.column!r} in {'times of day' if stamps.clock else taken} ({how})"
+        told = [f"{said}, {rate:.6g} samples per second"]
+        if uneven is not None and not even:
+            told.append(f"time: {uneven}, and the rows are not equally spaced either: look at the log")
+        elif uneven is not None:
+            slope = np.polynomial.Polynomial.fit(np.arange(len(values)), values, 1).convert().coef[1]
+            rate = 1.0 / (float(slope) * (1.0 if stamps.clock else TIME_UNITS[taken]))
+            keys["regular"] = True
+            even_said = (
+                f"time: {uneven}, but the rows are equally spaced: regular = true, {rate:.6g} samples per second"
+            )
+            told = [said, even_said]
+        every.append(Times(keys=keys, said=(*told, *remarks), rate=rate, cost=cost))
+    first, *others = every
+    if whole and not stamps.clock and stamps.unit is None and how != _BY_DATES:
+        by_one = bool(typical == 1.0 and np.mean(np.diff(values) == 1.0) > 1.0 - _SHARE)
+        ticks = -2.0 * math.log(_COUNTS if by_one else _TICKS)
+        others += [at_rate(usual, cost + ticks) for usual, cost in USUAL_RATES.items()]
+    return replace(first, rivals=tuple(others))
 
 
 def grows_mostly(values: Array) -> bool:
@@ -165,36 +208,35 @@ def _typical_step(values: Array) -> float:
     return mean if median <= 1e-6 * mean or again > _SHARE or burst > 0.3 else median
 
 
-def _unit(stamps: Stamps, step: float) -> tuple[str, str, tuple[str, ...]]:
-    """The unit of time stamps, how it was found, and what is to be said where another is as likely."""
+def _units(stamps: Stamps, step: float) -> tuple[dict[str, float], str, tuple[str, ...]]:
+    """The units that time stamps may have with what each costs, the likeliest first, how they were found, and what is
+    to be said of them."""
     if stamps.clock:
-        return "s", "of a clock", ()
+        return {"s": 0.0}, "of a clock", ()
     if stamps.unit is not None:
-        return stamps.unit, "by its name", ()
+        return {stamps.unit: 0.0}, "by its name", ()
     steps = np.diff(stamps.values)
     counts = step == 1.0 and np.mean(steps == 1.0) > 1.0 - _SHARE
     low, high = float(np.nanmin(stamps.values)), float(np.nanmax(stamps.values))
-    whole = math.inf if counts else high - low
     rates = {name: 1.0 / (step * size) for name, size in TIME_UNITS.items()}
-    likely = [name for name, rate in rates.items() if _SLOWEST <= rate <= RATES_OF_LOGS[1]]
-    since_1970 = ((name, TIME_UNITS[name]) for name in likely)
-    dated = next((name for name, one in since_1970 if _CENTURY[0] < low * one and high * one < _CENTURY[1]), None)
-    likely = [name for name in likely if whole * TIME_UNITS[name] >= _SHORTEST_LOG] or likely
-    usual = [name for name in likely if 10.0 <= rates[name] <= 2000.0]
-    if dated is not None and (rates[dated] > _SLOW or not set(usual) - {dated}):
-        return dated, _BY_DATES, ()
-    usual = usual or likely
-    taken = usual[0] if usual else "s"
-    others = [
-        f"{name}: {rates[name]:.4g} Hz"
-        for name in likely
-        if name != taken and (name == dated or rates[name] >= RATES_OF_LOGS[0])
-    ]
-    sure = (f"time: the unit is a guess, possible too is {' or '.join(others)}",) if others else ()
+    costs = {name: cost for name, cost in _UNITS_IN_ORDER.items() if _SLOWEST <= rates[name] <= RATES_OF_LOGS[1]}
+    if not costs:
+        return {"s": 0.0}, "by its steps", ()
+    for name in costs:
+        usual = 10.0 <= rates[name] <= 2000.0
+        costs[name] += _UNLIKELY_RATE * (not usual)
+        costs[name] += _UNLIKELY_SPAN * (not counts and (high - low) * TIME_UNITS[name] < _SHORTEST_LOG)
+    dated = [name for name in costs if _CENTURY[0] < low * TIME_UNITS[name] and high * TIME_UNITS[name] < _CENTURY[1]]
+    if dated and (rates[dated[0]] > _SLOW or min(costs.values()) >= _UNLIKELY_RATE):
+        return {dated[0]: 0.0}, _BY_DATES, ()
+    ranked = dict(sorted(costs.items(), key=lambda item: item[1]))
+    rivals = list(ranked)[1:]
+    possible = [f"{name}: {rates[name]:.4g} Hz" for name in rivals if name in dated or rates[name] >= RATES_OF_LOGS[0]]
+    sure = (f"time: the unit is a guess, possible too is {' or '.join(possible)}",) if possible else ()
     if counts:
         counted = f"time: column {stamps.column!r} grows by one a row, as a counter of samples does too: if it is one, "
         sure = (f"{counted}give the rate (--sample-rate)",)
-    return taken, "by its steps", sure
+    return ranked, "by its steps", sure
 
 
 def _unevenness(values: Array, typical: float) -> str | None:

@@ -1,9 +1,11 @@
 """What accelerometers read for one g and gyros for one °/s: the units in which programs write, and the counts of data
-sheets. Every guess at a unit or a scale is one of these, and the next one is its rival."""
+sheets, with how often each is met in logs whose columns do not say it. Every guess at a unit or a scale is one of
+these.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,116 +16,97 @@ from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, Array, Uni
 NEAR = 0.06
 """Logarithm of what is found over what a candidate reads: scale errors of small sensors, and what a few rests leave."""
 
-ACCEL_COUNTS: tuple[float, ...] = tuple(sorted([*(float(2**k) for k in range(5, 18)), 800.0, 1200.0, 1e3 / 0.732, 1e6]))
-"""Counts per g of data sheets: powers of two (which 0.061, 0.122 … mg per count are too), and others."""
-
 GYRO_RANGES = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
 """°/s that 16 bits reach."""
-
-GYRO_COUNTS: tuple[float, ...] = tuple(
-    sorted(
-        [
-            *(262.1, 131.0, 65.5, 32.8, 16.4, 8.2),
-            *(1e3 / s for s in (4.375, 8.75, 17.5, 35.0, 70.0)),
-            *(16.0, 14.375, 10.0, 25.0, 40.0, 160.0, 100.0, 1e3, 1e6),
-        ]
-    )
-)
-"""Counts per °/s of data sheets: of the ranges of 16 bits, of other makers' mdps per count, of the BNO055 (16)."""
-
 
 FASTEST = 4200.0 * DEGREE
 """rad/s: beyond the widest range of data sheets, 4000 °/s."""
 
-_STEPS = (*(full / 32768.0 for full in GYRO_RANGES), *(round(1.0 / counts, 12) for counts in GYRO_COUNTS))
-"""°/s per count."""
-_DECIMALS = range(9)
-_ROUNDED, _FEWEST, _SHARE = 0.2, 20, 0.99
-_SINGLE = 1e-6  # of the largest: what numbers of 32 bits are rounded to
-_DIGITS = 6  # that programs write of a number, unless they are told otherwise
+PER = {ACCEL: "g", GYRO: "deg/s"}
+ONE = {ACCEL: G_STANDARD, GYRO: DEGREE}
+"""What counts are per, and that in SI."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class KnownScale:
-    """What sensors read for one g or one °/s: in a unit, or in counts where that is None."""
+    """What sensors read for one g or one °/s, of increments for that times a second: in a unit, or in counts where that
+    is None; its share of logs with fractions and of those with whole numbers alone, and whether it is in the table."""
 
     value: float
     unit: str | None = None
+    shares: tuple[float, float]
+    increment: bool = False
+    known: bool = True
+
+    def reads(self, rate: float) -> float:
+        """The same of a mean over a sample, at a rate, Hz."""
+        return self.value / rate if self.increment else self.value
 
     @property
     def said(self) -> str:
         return self.unit or f"{self.value:.6g} counts"
 
 
-def _candidates(units: Mapping[str, Unit], one: float, counts: Sequence[float]) -> tuple[KnownScale, ...]:
-    rates = {name: one / unit.factor for name, unit in units.items() if unit.kind == "rate"}
-    named = [KnownScale(value=value, unit=name) for name, value in rates.items()]
-    return (*named, *(KnownScale(value=value) for value in counts if not np.isclose(value, list(rates.values())).any()))
+_SHARES: Mapping[str, Mapping[str, tuple[float, float]]] = {
+    ACCEL: {
+        "m/s^2": (0.45, 0.02), "g": (0.3, 0.01), "mg": (0.04, 0.08), "cm/s^2": (0.03, 0.05), "mm/s^2": (0.01, 0.03),
+        "m/s": (0.02, 1e-3),
+    },
+    GYRO: {
+        "rad/s": (0.4, 0.005), "deg/s": (0.4, 0.03), "mdeg/s": (0.03, 0.06), "0.1 deg/s": (0.01, 0.03),
+        "deg/h": (0.02, 0.01), "rad": (0.02, 1e-3), "deg": (0.01, 1e-3), "arcsec": (0.01, 5e-3),
+    },
+}  # fmt: skip
+_COMMON: Mapping[str, tuple[float, ...]] = {
+    ACCEL: (16384.0, 8192.0, 4096.0, 2048.0, 1024.0, 256.0, 1e3 / 0.732),
+    GYRO: (131.0, 65.5, 32.8, 16.4, 16.0, *(1e3 / s for s in (8.75, 17.5, 35.0, 70.0))),
+}
+"""Of ranges of 16 bits; of other makers' mg and mdps per count; of the BNO055 (16). Powers of two are 0.061, 0.122 … mg
+per count too."""
+_RARE: Mapping[str, tuple[float, ...]] = {
+    ACCEL: (*(2.0**k for k in (5, 6, 7, 9, 15, 16, 17)), 800.0, 1200.0, 1e6),
+    GYRO: (262.1, 8.2, 1e3 / 4.375, 14.375, 10.0, 25.0, 40.0, 160.0, 100.0, 1e3, 1e6),
+}
+_COUNTS = 0.03, 0.75
+"""Share of logs in counts of data sheets; a common one is three times as frequent as a rare one."""
+ON_NO_SHEET = KnownScale(value=1.0, shares=(0.005, 0.05), known=False)
+"""Counts that no data sheet has."""
+
+
+def _candidates(kind: str, units: Mapping[str, Unit]) -> tuple[KnownScale, ...]:
+    named = [
+        KnownScale(value=ONE[kind] / units[name].factor, unit=name, shares=s, increment=units[name].kind == "increment")
+        for name, s in _SHARES[kind].items()
+    ]
+    rates = [c.value for c in named if not c.increment]
+    weights = dict.fromkeys(_COMMON[kind], 3.0) | dict.fromkeys(_RARE[kind], 1.0)
+    weights = {value: weight for value, weight in weights.items() if not np.isclose(value, rates).any()}
+    part = 1.0 / sum(weights.values())
+    counts = (KnownScale(value=v, shares=(_COUNTS[0] * w * part, _COUNTS[1] * w * part)) for v, w in weights.items())
+    return (*named, *counts)
 
 
 CANDIDATES: Mapping[str, tuple[KnownScale, ...]] = {
-    ACCEL: _candidates(ACCEL_UNITS, G_STANDARD, ACCEL_COUNTS),
-    GYRO: _candidates(GYRO_UNITS, DEGREE, GYRO_COUNTS),
+    ACCEL: _candidates(ACCEL, ACCEL_UNITS),
+    GYRO: _candidates(GYRO, GYRO_UNITS),
 }
 """The one table of units and scales that are tried."""
 
-PER = {ACCEL: "g", GYRO: "deg/s"}
+
+def off_table(kind: str, found: float) -> float:
+    """How far, as a logarithm, the nearest scale of the table is from what was found for one g or one °/s."""
+    return float(min(abs(np.log(found / c.value)) for c in CANDIDATES[kind] if not c.increment))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ScaleMatch:
-    """What `found` numbers per g or °/s are: the nearest candidate, and the one after it; and that in words."""
-
-    kind: str
-    found: float
-    nearest: KnownScale
-    rival: KnownScale
-
-    @property
-    def known(self) -> bool:
-        """Whether the nearest candidate is near."""
-        return abs(self.off(self.nearest)) <= NEAR
-
-    @property
-    def doubted(self) -> bool:
-        """Whether the second candidate is near too."""
-        return abs(self.off(self.rival)) <= NEAR
-
-    @property
-    def value(self) -> float:
-        """Numbers per g or °/s: of the nearest candidate, as found where none is near."""
-        return float(f"{self.nearest.value:.6g}") if self.known else float(f"{self.found:.4g}")
-
-    @property
-    def unit(self) -> str | None:
-        """The unit, None of counts."""
-        return self.nearest.unit if self.known else None
-
-    def off(self, candidate: KnownScale) -> float:
-        """Logarithm of what was found over what a candidate reads."""
-        return float(np.log(self.found / candidate.value))
-
-    @property
-    def said(self) -> str:
-        per, rival = PER[self.kind], f"{self.rival.said} would fit too ({np.expm1(self.off(self.rival)):+.1%})"
-        if not self.known:
-            return (
-                f"{self.found:.4g} counts per {per} found, and no data sheet has a value near it (next is "
-                f"{self.nearest.said}, {np.expm1(self.off(self.nearest)):+.0%})"
-            )
-        off = f"({np.expm1(self.off(self.nearest)):+.1%})" + (f"; {rival}" if self.doubted else "")
-        if self.unit is None:
-            return f"{self.value:g} counts per {per} as in data sheets, {self.found:.4g} found {off}"
-        return f"one {per} reads {self.found:.4g} {off}"
-
-
-def matched(kind: str, found: float, *, whole: bool) -> ScaleMatch:
-    """What sensors of a kind are that read `found` for one g or °/s; `whole`: their readings are whole numbers. Others
-    are counts only where no unit is near."""
-    ranked = sorted(CANDIDATES[kind], key=lambda c: abs(np.log(found / c.value)))
-    units = [c for c in ranked if c.unit is not None and abs(np.log(found / c.value)) <= NEAR]
-    nearest = units[0] if units and not whole else ranked[0]
-    return ScaleMatch(kind=kind, found=found, nearest=nearest, rival=next(c for c in ranked if c is not nearest))
+_STEPS = (
+    *(full / 32768.0 for full in GYRO_RANGES),
+    *(round(1.0 / counts, 12) for counts in (*_COMMON[GYRO], *_RARE[GYRO])),
+)
+"""°/s per count."""
+_DECIMALS = range(9)
+_ROUNDED, _FEWEST, _SHARE = 0.2, 20, 0.99
+_SINGLE = 1e-6  # of the largest: what numbers of 32 bits are rounded to
+_DIGITS = 6  # that programs write of a number, unless they are told otherwise
 
 
 def step_in_deg_s(read: Array) -> float | None:

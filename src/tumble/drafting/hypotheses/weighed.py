@@ -1,0 +1,231 @@
+"""What a draft becomes by what its recording shows: the units, scales and times of the hypothesis that costs least, and
+in sentences how near it comes, what would fit too, and what is wrong with the recording."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from tumble.diagnosis.carried_vertical import columns_said
+from tumble.drafting.draft import Draft
+from tumble.drafting.hypotheses.cost import Hypothesis, ranked, readings
+from tumble.drafting.hypotheses.shown import WIDTHS, Shown, Widths, shown_by
+from tumble.errors import TumbleError
+from tumble.recording.columns.names import ACCEL, GYRO
+from tumble.recording.columns.scales import ONE, PER, KnownScale
+from tumble.run.observed import Progress, inspect_session
+from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS
+
+_TOLERANCE = 0.3
+"""Part of gravity by which the magnitude of accelerometers in a stated unit may be off."""
+_LARGEST_BIAS = 20.0  # °/s: what reads more at rest has an offset
+_FAR = 40.0
+"""What costs so much more is not said."""
+_MOST_RATES = 8
+_TIME_KEYS = ("time", "time_unit", "regular", "rate_hz")
+
+
+def weighed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tuple[Draft, list[str]]:
+    """A draft with what its rests and turns say of its guesses, and the faults that a look at it shows."""
+    shown = shown_by(draft, progress, widths)
+    every = ranked(shown, draft, widths)
+    best = every[0]
+    near = [hypothesis for hypothesis in every[1:] if hypothesis.cost < best.cost + widths.near]
+    log = {key: value for key, value in draft.log.items() if key not in _TIME_KEYS} | best.times.keys
+    said = _of_times(draft, best, shown, near)
+    log[ACCEL], told = _accel(draft, best, shown, near)
+    said += told
+    if best.gyro is not None:
+        log[GYRO], told = _gyro(draft, best, best.gyro, shown, every, near)
+        said += told
+    if draft.guessed:
+        said.append(_next(best, every, widths))
+    content = {**draft.content, "log": log}
+    out = replace(draft, content=content, said=(*draft.said, *said), rate=best.times.rate)
+    try:
+        faults = list(inspect_session(out.session(), progress=progress).faults)
+    except (TumbleError, np.linalg.LinAlgError) as error:
+        faults = [str(error)]
+    if best.profile is None or best.gyro is None:
+        return out, faults
+    if best.profile.exchanged:
+        faults = [f"the gyros carry the vertical from rest to rest only where {columns_said(best.profile.exchange)}"]
+    if not (best.gyro.known or best.accel.unit is None or draft.whole[GYRO]):
+        written = f"; column {best.times.keys['time']!r} is taken as it is written" if best.times.stamped else ""
+        faults.append(
+            f"the gyros carry the vertical only with {best.gyro.value:.4g} numbers per deg/s, as in no unit and on no "
+            f"data sheet{written}: is their unit right?"
+        )
+    return out, faults
+
+
+def _next(best: Hypothesis, every: Sequence[Hypothesis], widths: Widths) -> str:
+    """The cheapest hypotheses that differ from the best in the accelerometers, the gyros, the times and the axes, where
+    others are about as cheap in nothing else, and what they cost more."""
+    further: dict[str, float] = {}
+    every = [h for h in every if h.cost < best.cost + widths.near or (h.accel.known and (not h.gyro or h.gyro.known))]
+    for part in (ACCEL, GYRO, "time", "axes"):
+        rival = min(
+            (h for h in every if part in h.differs(best)), key=lambda h: h.cost + len(h.differs(best)), default=best
+        )
+        parts, rate = rival.differs(best), rival.times.rate
+        words = [f"accelerometers in {_scale(ACCEL, rival.accel)}"] if ACCEL in parts else []
+        words += [f"gyros in {_scale(GYRO, rival.gyro)}"] if GYRO in parts and rival.gyro is not None else []
+        stamps = f"a time in {rival.times.keys.get('time_unit', 's')}"
+        words += [stamps if rival.times.stamped else f"{rate:g} samples per second"] if "time" in parts else []
+        if "axes" in parts and rival.profile is not None:
+            exchanged = columns_said(rival.profile.exchange) if rival.profile.exchanged else "no columns are exchanged"
+            words.append(exchanged)
+        further.setdefault(", ".join(words), rival.cost - best.cost)
+    listed = sorted((cost, words) for words, cost in further.items() if words)
+    if not listed:
+        return "guessed: there is nothing else that it may be"
+    said = "; ".join(f"{words} (cost +{cost:.1f})" for cost, words in listed if cost < max(_FAR, listed[0][0] + 1e-9))
+    doubt = "; too near to be sure: state what you know" if listed[0][0] < widths.near else ""
+    return f"guessed: next would be {said}; +{widths.near:g} is 20 times less likely{doubt}"
+
+
+def _scale(kind: str, scale: KnownScale) -> str:
+    """In words."""
+    counts = f"{scale.value:.6g} counts per {PER[kind]}" if scale.known else "counts of no data sheet"
+    return scale.unit or counts
+
+
+def _of_times(draft: Draft, best: Hypothesis, shown: Shown, near: Sequence[Hypothesis]) -> list[str]:
+    """What is said of the times or the rate."""
+    first, taken = draft.times, best.times
+    if taken.keys == first.keys and (taken.stamped or not first.rivals):
+        return list(first.said)
+    if taken.stamped:
+        told = f"time: in {taken.keys.get('time_unit', 's')}, not {first.keys.get('time_unit', 's')}"
+        return [*taken.said, f"{told}: so the gyros carry the vertical from rest to rest (a guess)"]
+    said = list(first.said)
+    if first.stamped:
+        said = [f"time: column {first.keys['time']!r} counts samples or ticks: in no unit do the gyros fit it"]
+    if best.profile is None or best.gyro is None:
+        if len(set(shown.by_rate.values())) > 1:
+            counts = ", ".join(f"{count} at {rate:g} Hz" for rate, count in sorted(shown.by_rate.items()))
+            told = f"time: how many rests there are depends on the rate, which no turns show: {counts}"
+            said.append(f"{told}; give it (--sample-rate)")
+        return said
+    found = _q(best, best.gyro) * DEGREE / best.gyro.value
+    others = list[str]()
+    for rival in near:
+        if "time" in rival.differs(best) and not rival.times.stamped and rival.gyro is not None:
+            scale = f" with {rival.gyro.said}" if GYRO in rival.differs(best) else ""
+            others.append(f"{rival.times.rate:g}{scale}")
+    also = f"{' or '.join(list(dict.fromkeys(others))[:_MOST_RATES])} would fit too; " if others else ""
+    seen = f"from the turns ({found:.4g} found): a guess to some percent; {also}put the log's rate there"
+    return [*said, f"time: rate_hz = {taken.rate:g} {seen}"]
+
+
+def _q(best: Hypothesis, gyro: KnownScale) -> float:
+    """The sum of the gyros' numbers over a radian that costs least, near that of a hypothesis."""
+    assert best.profile is not None
+    return best.profile.found(math.log(gyro.reads(best.times.rate) * best.times.rate / DEGREE), 0.1)
+
+
+def _comes_near(kind: str, scale: KnownScale, shown: Shown, best: Hypothesis, near: Sequence[Hypothesis]) -> str:
+    """A unit or counts beside what was found for one g or °/s, and what else would fit at the same rate."""
+    rate, per = best.times.rate, PER[kind]
+
+    def reads(of: KnownScale) -> float:
+        return shown.length if kind == ACCEL else _q(best, of) * DEGREE / rate
+
+    def off(of: KnownScale) -> str:
+        return f"({math.log(reads(of) / of.reads(rate)):+.1%})"
+
+    found = reads(scale)
+
+    others = list[str]()
+    for rival in near:
+        other = rival.accel if kind == ACCEL else rival.gyro
+        if kind in rival.differs(best) and other is not None and other.known and rival.times.rate == rate:
+            others.append(f"; {other.said} would fit too {off(other)}")
+    also = "".join(dict.fromkeys(others))
+    if scale.unit is not None:
+        return f"{scale.unit} (a guess): one {per} reads {found:.4g} {off(scale)}{also}"
+    if scale.known:
+        return f"counts: {scale.value:.6g} counts per {per} as in data sheets, {found:.4g} found {off(scale)}{also}"
+    return f"counts: {found:.4g} counts per {per} found, and no data sheet has a value near it"
+
+
+def _counts(columns: list[str], scale: float, per: str, zero: Any) -> dict[str, Any]:
+    """The table of sensors in counts."""
+    value = float(f"{scale:.6g}")
+    return {"columns": columns, "unit": "count", "scale": value, "scale_per": per, "offset": zero}
+
+
+def _accel(
+    draft: Draft, best: Hypothesis, shown: Shown, near: Sequence[Hypothesis]
+) -> tuple[dict[str, Any], list[str]]:
+    """The table [log.accel], and what is said of it."""
+    columns, scale = list(draft.triads[ACCEL].columns), best.accel
+    named, unit, found = f"accelerometers: {', '.join(columns)}", draft.unit(ACCEL), shown.length
+    if unit is not None and ACCEL_UNITS[unit].kind != "raw":
+        said = [f"{named} in {unit} (from the name or the format), magnitude {found:.6g}"]
+        if abs(found * ACCEL_UNITS[unit].per_second(best.times.rate) / ONE[ACCEL] - 1.0) > _TOLERANCE:
+            asked = "is the unit right?"
+            if "lin" in columns[0].lower():
+                asked = "linear acceleration, which a filter has taken gravity off, cannot be calibrated"
+            said.append(f"accelerometers: their magnitude is not that of gravity in {unit}: {asked}")
+        return {"columns": columns, "unit": unit}, said
+    zero: Any = shown.zero[0] if len(set(shown.zero)) == 1 else shown.zero
+    seen = f"from {shown.rests} rests" if shown.rests >= 4 else "a guess from too few rests: state the data sheet's"
+    seen = seen if shown.rests else "a guess, for there are no rests, from their median magnitude"
+    about = f", zero at {zero}" if zero or scale.unit is None else ""
+    said = [f"{named} in {_comes_near(ACCEL, scale, shown, best, near)}{about} ({seen})"]
+    if not (scale.known or draft.whole[ACCEL]):
+        said.append(
+            f"{named} are no whole numbers as counts are, and read gravity in no unit: are they volts, or what a "
+            "filter has left without gravity? That cannot be calibrated"
+        )
+    if scale.unit is not None and not zero:
+        return {"columns": columns, "unit": scale.unit}, said
+    return _counts(columns, scale.value if scale.known else float(f"{found:.4g}"), "g", zero), said
+
+
+def _gyro(
+    draft: Draft,
+    best: Hypothesis,
+    gyro: KnownScale,
+    shown: Shown,
+    every: Sequence[Hypothesis],
+    near: Sequence[Hypothesis],
+) -> tuple[dict[str, Any], list[str]]:
+    """The table [log.gyro], and what is said of it."""
+    columns, stated, rate = list(draft.triads[GYRO].columns), draft.unit(GYRO), best.times.rate
+    named, table = f"gyros: {', '.join(columns)} in", {"columns": columns, "unit": gyro.unit}
+    bias = np.median(shown.gyro, axis=0) if shown.rests else np.zeros(3)
+    centred = [float(f"{b:.6g}") for b in bias]
+    if gyro.unit is not None and stated == gyro.unit:
+        return table, [f"{named} {gyro.unit} (from the name or the format)"]
+    if best.profile is not None:
+        by = f"by {shown.turns} turns" if shown.turns > 1 else "by one turn"
+        told = f"{named} {_comes_near(GYRO, gyro, shown, best, near)} ({by})"
+        if gyro.unit is not None:
+            return table, [told] if stated in (None, "count") else [told, f"gyros: not in {stated}, as their name says"]
+        offset = centred if np.abs(bias).max() > _LARGEST_BIAS * gyro.value else 0.0
+        return _counts(columns, gyro.value, "deg/s", offset), [told]
+    if gyro.unit is None:
+        unknown = (
+            "the offset is their reading at rest, the scale is unknown, for no turns show it: put that of the data "
+        )
+        return _counts(columns, 1.0, "deg/s", centred), [f"{named} counts; {unknown}sheet there"]
+    why = [words for cost, words in readings(shown, gyro, rate, draft) if cost < 0.0]
+    if gyro.unit == "deg/s" and draft.step is not None:
+        why.append(f"their steps are {draft.step:.4g} °/s, a count of data sheets")
+    rival = next((h for h in every if GYRO in h.differs(best)), best)
+    if rival.gyro is not None and rival is not best:
+        against = readings(shown, rival.gyro, rival.times.rate, draft)
+        why += [f"not {rival.gyro.said}: {words}" for cost, words in against if cost > 0.0 and words]
+    length = float(np.linalg.norm(bias))
+    sizes = [f"{length * GYRO_UNITS[unit].factor / DEGREE:.2g} °/s in {unit}" for unit in ("rad/s", "deg/s", "mdeg/s")]
+    return table, [
+        f"{named} {gyro.unit} (a guess){f': {why[0]}' if why else ''}",
+        f"gyros: no turn tells their unit; at rest they read {length:.3g}: {', '.join(sizes)}",
+    ]
