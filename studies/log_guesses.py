@@ -5,10 +5,10 @@ counts of data sheets, with or without a word for them, at random rates, with ti
 as numbers of samples or none, with columns that are named or not, and some with exchanged or reversed axes. Every guess
 is right, said to be near another that is the right one, refused, or wrong without a word, which is what must not be.
 
-    python studies/log_guesses.py [N] [--seed S] [--sweep] [--short]
+    python studies/log_guesses.py [N] [--seed S] [--sweep [WIDTH …]] [--short]
 
-`--sweep` does so with each of the `Widths` of `tumble.drafting.hypotheses.shown` halved and doubled; `--short` is 20
-logs. Ends with 1 where more than 3 of 100 are wrong without a word.
+`--sweep` does so with each of the `Widths` of `tumble.drafting.hypotheses.shown`, or with those named, halved and
+doubled; `--short` is 20 logs. Ends with 1 where more than 3 of 100 are wrong without a word.
 """
 
 from __future__ import annotations
@@ -226,7 +226,8 @@ def main() -> None:
     parser.add_argument("number", nargs="?", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--show", action="store_true")
-    parser.add_argument("--sweep", action="store_true")
+    names = [width.name for width in fields(Widths)]
+    parser.add_argument("--sweep", nargs="*", choices=names)
     parser.add_argument("--short", action="store_true")
     words = parser.parse_args()
     number = 20 if words.short else words.number
@@ -234,10 +235,10 @@ def main() -> None:
         made = recordings(Path(temporary), words.seed)
         print(f"N = {number}, seed {words.seed}")
         counts = asked(number, words.seed, made, Path(temporary), WIDTHS, show=words.show)
-        for width in fields(Widths) if words.sweep else ():
+        for name in () if words.sweep is None else words.sweep or names:
             for factor in (0.5, 2.0):
-                widths = replace(WIDTHS, **{width.name: factor * getattr(WIDTHS, width.name)})
-                print(f"{width.name} {factor:g} times: ", end="")
+                widths = replace(WIDTHS, **{name: factor * getattr(WIDTHS, name)})
+                print(f"{name} {factor:g} times: ", end="")
                 asked(number, words.seed, made, Path(temporary), widths, show=False)
     holds = counts["silent"] <= SILENT_SHARE * number
     answer = "Yes" if holds else "No"

@@ -92,40 +92,36 @@ def ranked(shown: Shown, draft: Draft, widths: Widths = WIDTHS) -> list[Hypothes
         gyros = [(gyro, cost) for gyro, cost in gyros if gyro.unit is not None]
         gyros += [(COUNTS, -2.0 * math.log(counted))] if counted else []
     stated = draft.unit(ACCEL) is not None
-    every = (draft.times, *draft.times.rivals)
-    samples = float(np.median(shown.samples)) if shown.rests else 0.0
+    samples = float(np.median(shown.samples)) if shown.rests else np.inf
     out = []
     for profile in shown.profiles or (None,):
-        nominal = None if profile is None else profile.of_nominal(widths.scale)
-        for times, gyro, gyro_cost in _with_gyros(every, gyros, profile, nominal, shown, draft, widths):
-            shorter = math.log(SHORT_REST * times.rate / samples) if samples else 0.0
-            rested = (max(shorter, 0.0) / _BEYOND) ** 2
+        for times, gyro, gyro_cost in _with_gyros(draft, shown, gyros, profile, widths):
+            shorter = math.log(max(SHORT_REST * times.rate / samples, 1.0)) / _BEYOND
             of_accel = []
             for accel, assumed in accels:
-                counts = accel if accel.known else replace(accel, value=shown.length)
-                off = math.log(shown.length / counts.reads(times.rate)) / deviation
+                taken = accel if accel.known else replace(accel, value=shown.length)
+                off = math.log(shown.length / taken.reads(times.rate)) / deviation
                 away = max(map(abs, shown.zero)) / (_ZERO * shown.length) if accel.unit else 0.0
-                of_accel.append((counts, assumed + (0.0 if stated and accel.unit else off**2 + away**2)))
+                odds = _ODDS.get((accel.unit, gyro.unit), 1.0) if gyro is not None and gyro.known else 1.0
+                cost = assumed - 2.0 * math.log(odds) + (0.0 if stated and accel.unit else off**2 + away**2)
+                of_accel.append((taken, cost))
             least = min(cost for _, cost in of_accel)
-            for accel, accel_cost in of_accel:
-                if accel_cost < least + _HOPELESS:
-                    odds = _ODDS.get((accel.unit, gyro.unit), 1.0) if gyro is not None and gyro.known else 1.0
-                    cost = times.cost + rested + gyro_cost + accel_cost - 2.0 * math.log(odds)
-                    out.append(Hypothesis(accel=accel, gyro=gyro, times=times, profile=profile, cost=cost))
+            before = times.cost + shorter**2 + gyro_cost
+            out += [
+                Hypothesis(accel=accel, gyro=gyro, times=times, profile=profile, cost=before + cost)
+                for accel, cost in of_accel
+                if cost < least + _HOPELESS
+            ]
     return sorted(out, key=lambda hypothesis: hypothesis.cost)
 
 
 def _with_gyros(
-    every: tuple[Times, ...],
-    gyros: list[tuple[KnownScale, float]],
-    profile: Profile | None,
-    nominal: Profile | None,
-    shown: Shown,
-    draft: Draft,
-    widths: Widths,
+    draft: Draft, shown: Shown, gyros: list[tuple[KnownScale, float]], profile: Profile | None, widths: Widths
 ) -> Iterator[tuple[Times, KnownScale | None, float]]:
     """Times with gyros and what these cost in them: by their turns, by what they read, and by what they assume. Where
     the rate may be any, that too with which the turns fit a unit best."""
+    every = (draft.times, *draft.times.rivals)
+    nominal = None if profile is None else profile.of_nominal(widths.scale)
     if not gyros:
         yield from ((times, None, 0.0) for times in every)
     of_rate = next((times.cost - USUAL_RATES[times.rate] for times in every[1:] if not times.stamped), None)
@@ -138,15 +134,12 @@ def _with_gyros(
                 trials = (*every, at_rate(float(f"{rate:.4g}"), cost))
         for times in trials:
             found, cost = gyro, assumed
-            if profile is not None and nominal is not None:
-                if not gyro.known:
-                    found = replace(gyro, value=float(f"{profile.found() * DEGREE / times.rate:.4g}"))
-                log_q = math.log(found.reads(times.rate) * times.rate / DEGREE)
-                cost += nominal.at(log_q)
+            if profile is not None and not gyro.known:
+                found = replace(gyro, value=float(f"{profile.found() * DEGREE / times.rate:.4g}"))
+            if nominal is not None:
+                cost += nominal.at(math.log(found.reads(times.rate) * times.rate / DEGREE))
             if profile is not None or gyro.unit is not None:
                 cost += sum(of_reading for of_reading, _ in readings(shown, found, times.rate, draft, widths))
-            if gyro.unit == "deg/s" and draft.step is not None:
-                cost += _STEPS
             yield times, found, cost
 
 
@@ -177,7 +170,7 @@ def readings(
     """What speaks against gyros of a unit or scale, or for them, by what they would read, as costs and in words: biases
     of more than 20 °/s, 0.17 °/s in a second on a table, more than any range, turns as no hand makes, the Earth."""
     one = DEGREE / gyro.reads(rate)
-    bias = float(np.linalg.norm(np.median(shown.gyro, axis=0))) if shown.rests else 0.0
+    bias = float(np.linalg.norm(shown.bias))
     noise = shown.gyro_scatter / math.sqrt(rate)
     on_table = shown.accel_scatter * G_STANDARD / math.sqrt(rate) < _ON_A_TABLE
     out = []
@@ -193,6 +186,8 @@ def readings(
         )
     if shown.turning:
         out.append(((math.log(shown.turning * one) / widths.turning) ** 2, ""))
+    if gyro.unit == "deg/s" and draft.step is not None:
+        out.append((_STEPS, f"their steps are {draft.step:.4g} °/s, a count of data sheets"))
     if not shown.profiles and gyro.unit in _EARTH_UNITS and (earth := reads_the_earth(shown, one, draft.latitude)):
         out.append((_EARTH, earth))
     return out

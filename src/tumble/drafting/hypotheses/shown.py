@@ -15,6 +15,7 @@ that are damaged. With many turns it is one narrow valley, with one turn several
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -135,29 +136,24 @@ class Shown:
     with the columns as they are first. `by_rate` has the number of rests by trial rates, Hz, where that is unclear."""
 
     rate: float
-    rests: int
-    turns: int
     length: float
-    zero: list[float]
     length_u: float
-    up: Array
-    gyro: Array
-    samples: Array
-    accel_scatter: float
-    gyro_scatter: float
-    turning: float
-    profiles: tuple[Profile, ...]
-    by_rate: dict[float, int]
+    rests: int = 0
+    turns: int = 0
+    zero: Sequence[float] = (0.0, 0.0, 0.0)
+    up: Array = field(default_factory=lambda: np.empty((0, 3)))
+    gyro: Array = field(default_factory=lambda: np.empty((0, 3)))
+    samples: Array = field(default_factory=lambda: np.empty(0))
+    accel_scatter: float = 0.0
+    gyro_scatter: float = 0.0
+    turning: float = 0.0
+    profiles: tuple[Profile, ...] = ()
+    by_rate: Mapping[float, int] = field(default_factory=dict)
 
-    @staticmethod
-    def nothing(draft: Draft) -> Shown:
-        """Of a log that cannot be read as it is: what its first rows say."""
-        none, no_rests = np.empty(0), np.empty((0, 3))
-        return Shown(
-            rate=draft.rate, rests=0, turns=0, length=draft.magnitude, length_u=WIDTHS.offset, zero=[0.0] * 3,
-            up=no_rests, gyro=no_rests, samples=none, accel_scatter=0.0, gyro_scatter=0.0, turning=0.0, profiles=(),
-            by_rate={},
-        )  # fmt: skip
+    @property
+    def bias(self) -> Array:
+        """What the gyros read at rest (3,)."""
+        return np.median(self.gyro, axis=0) if len(self.gyro) else np.zeros(3)
 
 
 def shown_by(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> Shown:
@@ -174,7 +170,7 @@ def shown_by(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> Shown
         opened = open_log(session)
         reduction = reduce_log(opened, session.accel_block, session.gyro_block, progress(opened))
     except (TumbleError, np.linalg.LinAlgError):
-        return Shown.nothing(draft)
+        return Shown(rate=draft.rate, length=draft.magnitude, length_u=widths.offset)
     trials = {factor: _with_windows(reduction, factor, draft.magnitude, widths) for factor in factors}
 
     def told(factor: float) -> tuple[float, int]:
@@ -224,7 +220,6 @@ def _with_windows(reduction: Reduction, factor: float, magnitude: float, widths:
         gyro_scatter=scatter(gyro),
         turning=float(np.median([turn.reading for turn in turns])) if turns else 0.0,
         profiles=_profiles(turns, widths) if turns else (),
-        by_rate={},
     )
 
 

@@ -200,8 +200,7 @@ def _gyro(
     """The table [log.gyro], and what is said of it."""
     columns, stated, rate = list(draft.triads[GYRO].columns), draft.unit(GYRO), best.times.rate
     named, table = f"gyros: {', '.join(columns)} in", {"columns": columns, "unit": gyro.unit}
-    bias = np.median(shown.gyro, axis=0) if shown.rests else np.zeros(3)
-    centred = [float(f"{b:.6g}") for b in bias]
+    centred = [float(f"{b:.6g}") for b in shown.bias]
     if gyro.unit is not None and stated == gyro.unit:
         return table, [f"{named} {gyro.unit} (from the name or the format)"]
     if best.profile is not None:
@@ -209,7 +208,7 @@ def _gyro(
         told = f"{named} {_comes_near(GYRO, gyro, shown, best, near)} ({by})"
         if gyro.unit is not None:
             return table, [told] if stated in (None, "count") else [told, f"gyros: not in {stated}, as their name says"]
-        offset = centred if np.abs(bias).max() > _LARGEST_BIAS * gyro.value else 0.0
+        offset = centred if np.abs(shown.bias).max() > _LARGEST_BIAS * gyro.value else 0.0
         return _counts(columns, gyro.value, "deg/s", offset), [told]
     if gyro.unit is None:
         unknown = (
@@ -217,13 +216,11 @@ def _gyro(
         )
         return _counts(columns, 1.0, "deg/s", centred), [f"{named} counts; {unknown}sheet there"]
     why = [words for cost, words in readings(shown, gyro, rate, draft) if cost < 0.0]
-    if gyro.unit == "deg/s" and draft.step is not None:
-        why.append(f"their steps are {draft.step:.4g} °/s, a count of data sheets")
     rival = next((h for h in every if GYRO in h.differs(best)), best)
     if rival.gyro is not None and rival is not best:
         against = readings(shown, rival.gyro, rival.times.rate, draft)
         why += [f"not {rival.gyro.said}: {words}" for cost, words in against if cost > 0.0 and words]
-    length = float(np.linalg.norm(bias))
+    length = float(np.linalg.norm(shown.bias))
     sizes = [f"{length * GYRO_UNITS[unit].factor / DEGREE:.2g} °/s in {unit}" for unit in ("rad/s", "deg/s", "mdeg/s")]
     return table, [
         f"{named} {gyro.unit} (a guess){f': {why[0]}' if why else ''}",
