@@ -20,7 +20,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from importlib import import_module
 from pathlib import Path
 
@@ -32,6 +32,7 @@ from scipy.linalg import rq
 
 from tests.support import ROOT, study
 from tumble.cli import main
+from tumble.drafting.hypotheses.shown import WIDTHS
 from tumble.recording.log import open_log
 from tumble.recording.session_file import read_session
 from tumble.reduction.blocks.tuning import USUAL
@@ -301,6 +302,11 @@ def test_every_threshold_of_the_reduction_is_on_its_page() -> None:
         for each in USUAL.thresholds()
     ]
     assert re.findall(r"^\| `.*$", text.partition("\n## ")[0], re.M) == rows
+    widths = [
+        f"| `{width.name}` | {getattr(WIDTHS, width.name):g} | {width.metadata['words']} | {width.metadata['why']} |"
+        for width in fields(WIDTHS)
+    ]
+    assert re.findall(r"^\| `.*$", text.partition("\n## ")[2], re.M) == widths
 
 
 # -------------------- the figures of the real recording --------------------

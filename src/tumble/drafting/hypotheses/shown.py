@@ -75,8 +75,8 @@ class Widths:
         0.06, "standard deviation of a vertical, rad", "offsets of 50 mg before and behind a turn")
     axes: float = _width(0.03, "the same, part of the angle of a turn", "axes and scale factors of small sensors")
     damaged: float = _width(0.05, "share of turns of which the gyros do not say where they led", "clipped, cut, torn")
-    exchanged: float = _width(0.03, "share of logs whose gyros have other axes or signs", "of 135 public repositories")
-    named_wrongly: float = _width(0.003, "share of gyros that are in another unit than their name says", "the same")
+    exchanged: float = _width(0.03, "share of logs whose gyros have other axes or signs", "chosen by hand")
+    named_wrongly: float = _width(0.003, "share of gyros in another unit than their name says", "chosen by hand")
     turning: float = _width(1.2, "standard deviation of ln of the rate of turning by hand or on a table over 1 rad/s",
                             "from 10 to 500 °/s")
     near: float = _width(6.0, "two candidates are near each other up to this difference of their cost",

@@ -1,6 +1,6 @@
 """What accelerometers read for one g and gyros for one °/s: the units in which programs write, and the counts of data
-sheets, with how often each is met in logs whose columns do not say it. Every guess at a unit or a scale is one of
-these.
+sheets, with how often each is met in logs whose columns do not say it: judged, not counted, and good to a factor of
+three, which is 2 of a cost in which 6 are 1 : 20. Every guess at a unit or a scale is one of these.
 """
 
 from __future__ import annotations
