@@ -18,12 +18,14 @@ from tumble.drafting.new_session import Given, new_session
 from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column
 from tumble.errors import InputError, LogError
 from tumble.files import OutputFolder
+from tumble.planning.setup import Setup
 from tumble.recording.columns.names import ACCEL, GYRO, Sensors, columns_by_name, is_no_sensor
 from tumble.recording.columns.numbers import columns_by_data
 from tumble.recording.columns.scales import step_in_deg_s
 from tumble.recording.text.dialect import Dialect, is_clock, top_of
 from tumble.recording.text.text_log import seconds_of
-from tumble.units import G_STANDARD, Array
+from tumble.simulation.session import simulate_session
+from tumble.units import DEGREE, G_STANDARD, Array
 
 FACES = np.vstack([np.eye(3), -np.eye(3)])
 
@@ -533,3 +535,62 @@ def test_rows_of_sensors_whose_names_stand_in_comments(read: Array, tmp_path: Pa
     draft, _ = new_session(tmp_path / "session", tmp_path / "log.txt")
     assert [draft.content["log"][kind]["unit"] for kind in (ACCEL, GYRO)] == ["m/s^2", "rad/s"]
     assert any("one log at the times of the gyros" in said for said in draft.said)
+
+
+@pytest.fixture(scope="module")
+def two_turns(tmp_path_factory: pytest.TempPathFactory) -> pl.DataFrame:
+    """Three rests and two turns by hand, in SI, 50 samples per second."""
+    setup = Setup.of(grade="mems", positions=3, rest=4.0, sample_rate=50.0, rate_deg_s=90.0)
+    return pl.read_parquet(simulate_session(tmp_path_factory.mktemp("few") / "s", setup, seed=4) / "log.parquet")
+
+
+def written(log: pl.DataFrame, path: Path, *, accel: float = 1.0, gyro: float = 1.0, digits: int = 9) -> Path:
+    """A log that reads so much for 1 m/s² and for 1 rad/s, rounded, in a file."""
+    scaled = log.with_columns(pl.col("ax", "ay", "az") * accel, pl.col("gx", "gy", "gz") * gyro)
+    scaled.with_columns(pl.exclude("t").round(digits)).write_csv(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("accel", "gyro", "digits", "units", "scale"),
+    [
+        (1.0, 1.0 / DEGREE, 9, ("m/s^2", "deg/s"), None),
+        (1.0 / G_STANDARD, 1e3 / DEGREE, 9, ("g", "mdeg/s"), None),
+        (1e3, 3600.0 / DEGREE, 0, ("mm/s^2", "deg/h"), None),
+        (4096.0 / G_STANDARD, 65.5 / DEGREE, 0, ("count", "count"), 65.5),
+    ],
+)
+def test_two_turns_tell_units_and_counts(
+    accel: float,
+    gyro: float,
+    digits: int,
+    units: tuple[str, str],
+    scale: float | None,
+    two_turns: pl.DataFrame,
+    tmp_path: Path,
+) -> None:
+    log = written(two_turns, tmp_path / "log.csv", accel=accel, gyro=gyro, digits=digits)
+    draft, faults = new_session(tmp_path / "session", log)
+    assert (draft.log[ACCEL]["unit"], draft.log[GYRO]["unit"]) == units
+    assert draft.log[GYRO].get("scale") == scale
+    assert not faults
+
+
+def test_gyros_whose_columns_are_exchanged_are_told_and_said(two_turns: pl.DataFrame, tmp_path: Path) -> None:
+    exchanged = two_turns.rename({"gx": "gy", "gy": "gx"}).select(two_turns.columns).with_columns(-pl.col("gz"))
+    log = written(exchanged, tmp_path / "log.csv", gyro=1.0 / DEGREE)
+    draft, faults = new_session(tmp_path / "session", log)
+    assert draft.log[GYRO]["unit"] == "deg/s"
+    assert "only where the gyro columns x and y are exchanged and the sign of gyro z is wrong" in faults[0]
+
+
+def test_counts_without_a_time_are_said_with_the_rates_that_would_fit_too(
+    two_turns: pl.DataFrame, tmp_path: Path
+) -> None:
+    log = written(two_turns.drop("t").with_columns(t=pl.lit(0.0)), tmp_path / "log.csv", gyro=131.0 / DEGREE, digits=0)
+    draft, _ = new_session(tmp_path / "session", log)
+    said = next(said for said in draft.said if "rate_hz" in said and "from the turns" in said)
+    found = draft.log[GYRO]["scale"] * draft.log["rate_hz"]
+    assert found == pytest.approx(131.0 * 50.0, rel=0.06)
+    assert "would fit too" in said
+    assert any("too near to be sure" in said for said in draft.said)
