@@ -194,7 +194,8 @@ def pairs_of(whole: Sequence[Case]) -> tuple[list[Case], list[tuple[str, str]]]:
 
 def computed(names: Sequence[str], workers: int, chips: Sequence[int] = CHIPS) -> dict[str, Any]:
     """All results of these sources, of the array those of some chips."""
-    programs = [program.name for program in benchmark.PROGRAMS]
+    first, *others = (program.name for program in benchmark.PROGRAMS)
+    programs = [first, benchmark.LINEAR.name, *others]
     kept = tuple(f"chip {chip}" for chip in chips)
     whole = [case for case in cases(*names) if "chip" not in case.name or case.name.endswith(kept)]
     real = [case for case in whole if case.truth is None]
