@@ -136,8 +136,9 @@ def simulated_page(results: Results) -> str:
         "sheets state, normally distributed, and tumble's own priors are of such sheets too. Recordings of real "
         "devices are on pages of their own. What is compared are parameters: a program of the linear model alone has "
         "in its biases and scale factors what the terms beyond do to them at the forces of the recording, which a "
-        "matrix and a bias are right to have where nothing else is corrected. Programs of others are rewritten from "
-        "what they publish, with their defaults; where one states no rule for finding rests it is given one "
+        "matrix and a bias are right to have where nothing else is corrected. A bias that moves is its mean over all "
+        "rests; a program that leaves rests out, as of `warm-unseen`, means another. Programs of others are rewritten "
+        "from what they publish, with their defaults; where one states no rule for finding rests it is given one "
         "(`evidence/peers/`).",
     )
 

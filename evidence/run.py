@@ -322,7 +322,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--kinds", nargs="+", default=["*"], help="some, by patterns such as 'hand-*'")
     parser.add_argument("--short", action="store_true", help="one session of every kind: two minutes")
     parser.add_argument("--sessions", type=int, default=SESSIONS, help="of every kind (default %(default)s)")
-    parser.add_argument("--programs", nargs="+", default=["*"], help="some, by patterns")
+    parser.add_argument("--programs", nargs="+", help="some, by patterns; of the short form those of tumble alone")
     parser.add_argument("--workers", type=int, default=0, help="processes; one a core where it is not given")
     parser.add_argument("--scheduler", help="of a dask cluster, as tcp://HOST:PORT")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the results (default evidence/results)")
@@ -337,7 +337,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     worse = False
     for name in names:
         found = computed(
-            name, sessions=given.sessions, kinds=given.kinds, programs=given.programs, workers=given.workers,
+            name, sessions=given.sessions, kinds=given.kinds,
+            programs=given.programs or (["tumble *"] if name == "short" else ["*"]), workers=given.workers,
             scheduler=given.scheduler, cost=not (given.against or given.no_cost), say=say,
         )  # fmt: skip
         print(file=sys.stderr)
