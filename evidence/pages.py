@@ -137,8 +137,9 @@ def simulated_page(results: Results) -> str:
         "devices are on pages of their own. What is compared are parameters: a program of the linear model alone has "
         "in its biases and scale factors what the terms beyond do to them at the forces of the recording, which a "
         "matrix and a bias are right to have where nothing else is corrected. A bias that moves is its mean over all "
-        "rests; a program that leaves rests out, as of `warm-unseen`, means another. Programs of others are rewritten "
-        "from what they publish, with their defaults; where one states no rule for finding rests it is given one "
+        "rests; a program that leaves rests out, as of `warm-unseen`, or what was before a driver had zeroed the "
+        "gyros, of `self-zeroed`, means another. Programs of others are rewritten from what they publish, with their "
+        "defaults; where one states no rule for finding rests it is given one "
         "(`evidence/peers/`).",
     )
 
@@ -322,7 +323,7 @@ def draw_kinds(results: Results, path: Path) -> None:
             square = np.array([np.mean(np.square(list(row.z.values()))) for row in some])
             rms = np.sqrt(square.mean())
             spread = square.std(ddof=1) / np.sqrt(len(square)) / (2.0 * rms) if len(square) > 1 else 0.0
-            left.errorbar(min(rms, 3.0), at, xerr=spread, **style, **face)
+            left.errorbar(min(rms, 3.0), at, xerr=spread if rms < 3.0 else 0.0, **style, **face)
             if rms > 3.0:
                 left.annotate(f"{rms:.1f} →", (2.95, at), ha="right", va="center", color=colour, fontsize=6.5)
             of_session = np.array([row.covered / row.intervals for row in some if row.intervals])
@@ -367,7 +368,7 @@ def draw_programs(results: Results, path: Path) -> None:
         axes.axvline(1.0, color="0.4", linewidth=0.7)
         axes.set_title(f"{group.split('.')[0]} {WORDS[group]}", fontsize=7.5)
         axes.set_xlim(0.4, 2000.0)
-        axes.set_xticks([1.0, 10.0, 100.0, 1000.0], ["1", "10", "100", "1000"])
+        axes.set_xticks([1.0, 10.0, 100.0, 1000.0], ["1", "10", "100", ""])
         axes.minorticks_off()
     panels[0].set_yticks(-np.arange(len(others)), others)
     panels[0].set_ylim(-len(others) + 0.4, 0.6)
