@@ -210,6 +210,25 @@ def test_another_stream_begins_after_the_last_sample() -> None:
     assert len(corrector.finish()) == 0
 
 
+def test_what_lags_goes_by_the_stamps() -> None:
+    """A step, then samples 0.01, 0.02 and 3 s apart: e^{−t/λ} of what is left, whatever the sample rate says."""
+    made = warmed(calibration(), curved=False)
+    reference, lag = made.reference_temperature, 1.5
+    assert reference is not None
+    late = Parameter(name="temperature.lag", value=lag, u=0.1, unit="s")
+    made = replace(made, parameters=(*made.parameters, late), covariance=None)
+    time = np.array([0.0, 0.01, 0.02, 0.04, 3.04, 3.05])
+    kelvin = reference + ZERO_CELSIUS + 20.0 * np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    still = np.tile([0.0, 0.0, G_STANDARD], (6, 1)), np.zeros((6, 3))
+    found = Corrector(made, sample_rate=100.0).add(*still, time=time, temperature=kelvin).rate
+    assert found is not None
+    left = lag * (1.0 - np.exp(-0.01 / lag)) / 0.01 * np.exp(-(time - 0.01) / lag)
+    risen = np.where(time < 0.01, 0.0, 1.0 - left)
+    _, expected = made.apply(*still, temperature=reference + 20.0 * risen + ZERO_CELSIUS)
+    assert expected is not None
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-14)
+
+
 def test_samples_outside_of_what_was_calibrated_are_flagged() -> None:
     made = replace(warmed(calibration()), prediction=Prediction(force_u=1e-3, rate_u=1e-4, at_rate=1.0))
     corrector = Corrector(made, sample_rate=100.0)

@@ -83,11 +83,12 @@ class Correction:
         """Forget all samples."""
         self._behind: float | None = None
         self._thermometer: float | None = None
+        self._time = 0.0
         self._rows: list[tuple[Sample, float | None, Vector]] = []
 
     def add(self, sample: Sample) -> Sample | None:
         """The next sample that is correct, or None while the delay lasts. Times must grow."""
-        celsius = self._of_sensors(sample.celsius)
+        celsius = self._of_sensors(sample.celsius, sample.time)
         if not self.delay:
             return self._corrected(sample, celsius, sample.force)
         rate = self.gyro.solved(sample.rate, self.accel.solved(sample.force, None, celsius), celsius)
@@ -120,8 +121,10 @@ class Correction:
         force = self.accel.solved(readings, None, celsius)
         return Sample(sample.time, force, self.gyro.solved(sample.rate, force, celsius), sample.celsius)
 
-    def _of_sensors(self, thermometer: float | None) -> float | None:
-        """The temperature of the sensors, which follow the thermometer, exact where it is straight between samples."""
+    def _of_sensors(self, thermometer: float | None, time: float) -> float | None:
+        """The temperature of the sensors, which follow the thermometer by the times of the samples, exact where it is
+        straight between them."""
+        passed, self._time = time - self._time, time
         if not self.warm:
             return None
         if thermometer is None or not math.isfinite(thermometer):
@@ -131,7 +134,7 @@ class Correction:
         if self.lag == 0.0 or self._behind is None or self._thermometer is None:
             behind = thermometer
         else:
-            h, lag = self.interval, self.lag
+            h, lag = passed if passed > 0.0 else self.interval, self.lag
             a = math.exp(-h / lag)
             rise = thermometer - self._thermometer
             behind = a * self._behind + thermometer - a * self._thermometer - rise / h * lag * (1.0 - a)

@@ -15,6 +15,7 @@ try:
 except ImportError:
     from tumble import uncompiled as cython
 
+# C: from libc.math cimport exp
 # C: from libc.stdint cimport int64_t
 
 # C: cpdef enum:
@@ -36,6 +37,9 @@ except ImportError:
 # C:     TOO_WARM = 1
 # C:     TOO_FAST = 2
 # C:     TOO_MUCH = 4
+
+if not cython.compiled:
+    from numpy import exp
 
 if not cython.compiled:  # where it is, these are numbers of C: columns of a sheet, and flags
     _BIAS, _RATE, _FORCE, _PRODUCTS, _OWN_SIZE, _OWN_CUBE = 0, 1, 4, 7, 13, 14
@@ -163,7 +167,7 @@ def _move(
 
 
 # C: @cython.locals(now=double, before=double, behind=double, t=double, flag=double, interval=double, lag=double,
-# C:     kept=double, row=Py_ssize_t, p=Py_ssize_t, n=Py_ssize_t, m=Py_ssize_t)
+# C:     step=double, kept=double, row=Py_ssize_t, p=Py_ssize_t, n=Py_ssize_t, m=Py_ssize_t)
 # C: cdef Py_ssize_t _take(const double[:, :] accel, const double[:, :] gyro, const double[:] time,
 # C:     const double[:, :] thermometer, const double[:] settings, double[:, :] rows, double[:, :] warmth,
 # C:     double[:] clock, Py_ssize_t row) noexcept nogil
@@ -172,14 +176,21 @@ def _take(
     clock: Array, row: int,
 ) -> int:  # fmt: skip
     """New samples into the rows from `row` on, less those that are late; returns the row after them. What follows a
-    thermometer with a lag is that of `tumble.reduction.rests.thermometer`."""
-    interval, lag, kept = settings[0], settings[1], settings[2]
+    thermometer with a lag is that of `tumble.reduction.rests.thermometer`, over the time from stamp to stamp, or the
+    usual interval where that is none."""
+    interval, lag, step, kept = settings[0], settings[1], settings[0], settings[2]
     n, m = accel.shape[1], gyro.shape[1]
     for i in range(accel.shape[0]):
         t = time[i] if time.shape[0] else interval * clock[1]
         if clock[0] - settings[5] < t <= clock[0]:
             clock[2] += 1.0
             continue
+        if lag != 0.0:
+            step, kept = t - clock[0], settings[2]
+            if 0.0 < step < 1e300:
+                kept = exp(-step / abs(lag))
+            else:
+                step = interval
         clock[0], clock[1] = t if t == t else clock[0], clock[1] + 1.0
         flag = 0.0
         for p in range(thermometer.shape[1]):
@@ -191,7 +202,7 @@ def _take(
             if lag == 0.0 or behind != behind:
                 behind = now
             else:
-                behind = now - kept * before - (now - before) / interval * abs(lag) * (1.0 - kept) + kept * behind
+                behind = now - kept * before - (now - before) / step * abs(lag) * (1.0 - kept) + kept * behind
             warmth[p, 0], warmth[p, 1] = now, behind
             rows[row, 2 + n + m + p] = behind if lag >= 0.0 else 2.0 * now - behind
         rows[row, 0], rows[row, 1] = t, flag

@@ -208,7 +208,8 @@ class Corrector:
     -----
     A stamp that is not after the last one is late: its sample is dropped, and counted in `dropped`. One that is earlier
     by more than LATEST, 1 s, is of a clock that was started anew, as after a restart of the device, which is a gap.
-    Across a gap ω̇ is not known. The lag of a thermometer counts samples, whatever their stamps.
+    Across a gap ω̇ is not known. What lags behind a thermometer
+    follows it by the stamps.
 
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
