@@ -62,7 +62,7 @@ def eliminate(
         _eliminate_large(rest, turn, link, factor, triangle, begins)
         return
     (N, r, _), t, d, columns = rest.shape, turn.shape[1], factor.shape[1], factor.shape[2]
-    work, kept = np.zeros((d + r + t, columns)), np.zeros((N * (d + r + t), len(triangle)), order="F")
+    work, kept = np.zeros((d + r + t, columns)), np.empty((N * (d + r + t), len(triangle)), order="F")
     length, product = np.zeros(2 * d), np.zeros(columns)
     count = _eliminate(rest, turn, link, factor, ROUNDING * ROUNDING, work, begins.copy(), kept, length, product)
     fold(kept[:count], triangle)
@@ -95,10 +95,10 @@ def _eliminate_large(rest: Array, turn: Array, link: IntArray, factor: Array, tr
                 top += seen
         if k >= 0:
             following = reduced[d:top] if top == width else reduced[:top]
-            for row in following:
-                first = int(np.flatnonzero(row)[0]) if np.any(row) else width
-                if d <= first < width:
-                    carried[first - d, :d], carried[first - d, 2 * d :] = row[d : 2 * d], row[2 * d :]
+            first = (following != 0.0).argmax(axis=1)
+            on_next = (first >= d) & (first < width)
+            place, following = first[on_next] - d, following[on_next]
+            carried[place, :d], carried[place, 2 * d :] = following[:, d : 2 * d], following[:, 2 * d :]
         kept.append(reduced[top:, 2 * d :])
     fold(np.concatenate(kept), triangle)
 
@@ -235,8 +235,8 @@ def given_others(factor: Array) -> tuple[Array, Array, Array, Array]:
     they go with those of the next rest (N, d, d) and with the parameters (N, d, p), and their values (N, d) where these
     are zero."""
     N, d = factor.shape[:2]
-    inverse, by_next = np.zeros((N, d, d)), np.zeros((N, d, d))
-    by, unknowns = np.zeros((N, d, factor.shape[2] - 2 * d - 1)), np.empty((N, d))
+    inverse, by_next = np.empty((2, N, d, d))
+    by, unknowns = np.empty((N, d, factor.shape[2] - 2 * d - 1)), np.empty((N, d))
     _solve_all(factor, inverse, by_next, by, unknowns)
     return inverse, by_next, by, unknowns
 

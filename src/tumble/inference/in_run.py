@@ -63,15 +63,13 @@ class InRun:
         """√(1 − ρ²) (N, n)."""
         return np.sqrt(-np.expm1(-2.0 * self.passed))
 
-    def steps(self, d: int, columns: int) -> Array:
-        """The rows (N, n, columns) of the steps: unknowns of a rest (d of them, the last n the states), of the next,
-        and others."""
-        N, n = self.rho.shape
-        out, c = np.zeros((N, n, columns)), np.arange(n)
-        out[:, c, d - n + c] = -self.rho / self.deviation
-        out[:, c, 2 * d - n + c] = 1.0 / self.deviation
-        out[~self.follows] = 0.0
-        return out
+    def write_steps(self, rows: Array, d: int) -> None:
+        """The steps, written to rows (N, n, ·) of zeros: unknowns of a rest (d of them, the last n the states), of the
+        next, and others."""
+        n, deviation = len(self.sigma), self.deviation[self.follows]
+        c, here = np.arange(n), np.flatnonzero(self.follows)[:, None]
+        rows[here, c, d - n + c] = -self.rho[self.follows] / deviation
+        rows[here, c, 2 * d - n + c] = 1.0 / deviation
 
     @property
     def log_determinant(self) -> float:

@@ -105,7 +105,7 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
     mean, process_mean = weight @ steps, weight @ process
     together, roots = Sources(), noise_roots(fitted.free, fitted.at)
     for each, w in zip(every, weight.tolist(), strict=True):
-        add_contributions(together, w, fitted.at, each.here, each.given, each.mean, roots)
+        add_contributions(together, w, fitted.at, each.here, each.mean, roots)
     sources = together.covariances()
     sources["hyperparameters"] = ((steps - mean).T * weight) @ (steps - mean)
     covariance = np.sum(list(sources.values()), axis=0)
@@ -203,12 +203,11 @@ def _axis(element: int, centre: float, knots: list[tuple[float, float, float]], 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Conditional:
-    """ℓ at φ, and there the rows of the rests solved for their unknowns, which are `given` others, the step of gravity
-    and the parameters (1 + m,) and its covariance, both with the biases of the session, which are by the `mean` of the
-    processes along it where there are some, and the step and the covariance of the biases of the processes."""
+    """ℓ at φ, and there the step of gravity and the parameters (1 + m,) and its covariance, both with the biases of the
+    session, which are by the `mean` of the processes along it where there are some, and the step and the covariance of
+    the biases of the processes."""
 
     here: Evaluated
-    given: tuple[Array, Array, Array, Array]
     mean: tuple[Array, Array, Array] | None
     step: Array
     covariance: Array
@@ -223,7 +222,7 @@ class Conditional:
     def covariances(self, roots: tuple[Roots, Roots]) -> dict[str, Array]:
         """The covariance of the step by source, with the roots of the noise of the rows."""
         out = Sources()
-        add_contributions(out, 1.0, self.here.at, self.here, self.given, self.mean, roots)
+        add_contributions(out, 1.0, self.here.at, self.here, self.mean, roots)
         return out.covariances()
 
 
@@ -232,9 +231,9 @@ def conditional(fitted: Maximum, phi: Array) -> Conditional:
     here = Evaluated.of(fitted.free, fitted.entries, fitted.at, phi)
     known, biases, mean = here.known, 1 + fitted.free.biases, None
     step, root = known.parameters.copy(), known.roots[0][len(here.problem.own_known) :].copy()
-    process, given = root[biases], given_others(here.told.factor)
+    process = root[biases]
     if here.told.process is not None and len(here.problem.parts) == 1:
-        mean = mean_along(here.told, given)
+        mean = mean_along(here.told, given_others(here.told.factor))
         step[biases] += mean[0] + mean[1] @ np.concatenate([known.own[0], known.parameters])
         root[biases] += mean[1] @ known.roots[0]
     covariance = root @ root.T
@@ -243,7 +242,6 @@ def conditional(fitted: Maximum, phi: Array) -> Conditional:
         covariance[np.ix_(biases, biases)] += along @ along.T
     return Conditional(
         here=here,
-        given=given,
         mean=mean,
         step=step,
         covariance=covariance,

@@ -121,7 +121,7 @@ def tell(problem: Problem, rows: Rows, weight: Weights) -> Told:
     if process is not None:
         joints = np.zeros((len(rest), turn.shape[1] + d - 3, 2 * d + size))
         joints[problem.before_turn, : turn.shape[1]] = turn
-        joints[:, turn.shape[1] :] = process.steps(d, joints.shape[2])
+        process.write_steps(joints[:, turn.shape[1] :], d)
     begins = np.zeros((d, 2 * d + size))  # a chain of states begins as its process is
     begins[3:, 3:d] = np.eye(d - 3)
     for part, triangle in zip(problem.parts, sessions, strict=True):

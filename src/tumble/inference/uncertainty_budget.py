@@ -35,7 +35,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg.blas import dsyrk
 
-from tumble.inference.elimination import along_chain
+from tumble.inference.elimination import along_chain, given_others
 from tumble.inference.hyperparameters import SCATTER
 from tumble.inference.likelihood import Problem, unseen_rate
 from tumble.inference.linearisation import root_of_inverse
@@ -115,12 +115,11 @@ def add_contributions(
     weight: float,
     at: At,
     here: Evaluated,
-    given: tuple[Array, Array, Array, Array],
     mean: tuple[Array, Array, Array] | None,
     roots: tuple[Roots, Roots],
 ) -> None:
-    """Add the covariance by source at the hyperparameters of `here`, with a weight; the rows of the rests solved for
-    their unknowns are `given` others, the biases those of the session where their `mean` is given (`mean_along`)."""
+    """Add the covariance by source at the hyperparameters of `here`, with a weight; the biases are those of the session
+    where their `mean` is given (`mean_along`)."""
     problem, told, known = here.problem, here.told, here.known
     d, q, size = told.factor.shape[1], len(problem.own_known), len(known.parameters)
     components, whitened, kept, process = told.weights.components, told.whitened, at.noise.kept, told.process
@@ -133,7 +132,7 @@ def add_contributions(
         if F is roots[0][1] and len(components.unlike):
             longer[-problem.sensors :] *= components.unlike
         rooted.append((W / weights[:, None]) @ (F * longer))
-    inverse, by_next, by, _ = given
+    inverse, by_next, by, _ = given_others(told.factor)
 
     for s, part in enumerate(problem.parts):
         # Z (39), along the chain from its last rest to the first

@@ -318,7 +318,7 @@ class View:
         joints = np.zeros((len(rest), turn.shape[1] + n, rest.shape[2] + 3 + n))
         joints[self.problem.before_turn, : turn.shape[1]] = turn
         if process is not None:
-            joints[:, turn.shape[1] :] = process.steps(3 + n, joints.shape[2])
+            process.write_steps(joints[:, turn.shape[1] :], 3 + n)
         return np.pad(rest, ((0, 0), (0, n), (0, 0))), joints[:-1]
 
 
