@@ -152,3 +152,23 @@ def test_every_session_of_one_estimate_is_read_by_its_own_clock(tmp_path: Path) 
         assert made.clock_u == pytest.approx(5e-6)
         assert any(note.startswith("short: by 'gps'") and "+300.0 ppm" in note for note in made.notes)
         assert "the clocks of the sessions are known to 0.1 to 5 ppm: u has that of level-1, the largest" in made.notes
+
+
+def test_increments_are_of_true_seconds() -> None:
+    """A gravity of 9.8 m/s² in increments, by a clock whose seconds are 300 ppm too short: 9.8 m/s² by the second one,
+    300 ppm more without it."""
+    rng, count = np.random.default_rng(4), 12_000
+    t = np.arange(1, count + 1) / RATE
+    read = {"x": np.zeros(count), "y": np.zeros(count), "z": np.full(count, 9.8 / RATE)}
+    noise = {name: values + 1e-6 * rng.standard_normal(count) for name, values in read.items()}
+    found = []
+    for reference in (None, {"column": "c", "ppm_u": 0.0}):
+        log: dict[str, Any] = {"time": "t", "accel": {"columns": ["x", "y", "z"], "unit": "m/s"}}
+        log |= {} if reference is None else {"reference_clock": reference}
+        description = {"format": 1, "device": {"serial": "A"}, "log": log}
+        session = tumble.session_of(description, {"t": t / (1.0 + 300e-6), "c": 1.7e9 + t, **noise})
+        observed = tumble.inspect_session(session)
+        assert observed.observations is not None
+        found.append(float(observed.observations.rests.accel[:, 2].mean()))
+    assert found[0] == pytest.approx(9.8 * (1.0 + 300e-6), rel=1e-6)
+    assert found[1] == pytest.approx(9.8, rel=1e-6)
