@@ -159,7 +159,7 @@ def answer(results: Sequence[Result]) -> tuple[bool, str]:
     shares = [share for share, _ in covered]
     return honest, (
         f"Are the right processes named, and are the intervals honest? {'Yes' if honest else 'No'}: right in "
-        f"{right:.0%} or more; intervals of 95 % hold the truth in {all_held:.1%}, of each coefficient in "
+        f"{right:.1%} or more; intervals of 95 % hold the truth in {all_held:.1%}, of each coefficient in "
         f"{min(shares):.1%} to {max(shares):.1%}, {within} of {len(shares)} within 93 to 97 %, the farthest "
         f"{max(off, key=abs):+.1f} standard deviations of chance off."
     )
