@@ -23,7 +23,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from fnmatch import fnmatch
 from functools import cache
@@ -122,7 +122,7 @@ def simulated_entries(series: str, sessions: int) -> list[Entry]:
             name=f"{kind.name} {index}",
             kind=kind.name,
             index=index,
-            key=hashlib.sha256(f"{making} {kind!r} {series} {index}".encode()).hexdigest(),
+            key=_digest(f"{making} {replace(kind, words='', says='', expected='accept')!r} {series} {index}"),
             make=_Simulated(kind.name, index, series),
         )
         for index in range(sessions)
