@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -38,18 +37,17 @@ _SHOWN = {
 }
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Shown:
-    """A noise coefficient as it is shown: "N", "white noise", "0.0030", "0.0002", "°/√h"."""
+class NoiseRow(NamedTuple):
+    """A noise coefficient as it is shown: "white noise", "N", "0.0030", "0.0002", "°/√h"."""
 
-    symbol: str
     name: str
+    symbol: str
     value: str
     u: str
     unit: str
 
 
-def shown(parameters: NoiseParameters, unit: str) -> tuple[Shown, ...]:
+def shown(parameters: NoiseParameters, unit: str) -> list[NoiseRow]:
     """The coefficients a channel shows, rounded by their uncertainties, in the units of data sheets; `unit` is that of
     the samples, "rad/s" or "m/s^2"."""
     found: list[tuple[str, Coefficient | None]] = [(name, getattr(parameters, name)) for name in LINEAR]
@@ -61,8 +59,8 @@ def shown(parameters: NoiseParameters, unit: str) -> tuple[Shown, ...]:
             symbol, gyro, accel = _SHOWN[name]
             size, unit_name = gyro if unit == "rad/s" else accel
             value, u = rounded(coefficient.value / size, coefficient.u / size)
-            out.append(Shown(symbol=symbol, name=name.replace("_", " "), value=value, u=u, unit=unit_name))
-    return tuple(out)
+            out.append(NoiseRow(name.replace("_", " "), symbol, value, u, unit_name))
+    return out
 
 
 def noise_blocks(noise: RecordedNoise, *, filters: bool = False) -> list[Block]:
@@ -71,8 +69,9 @@ def noise_blocks(noise: RecordedNoise, *, filters: bool = False) -> list[Block]:
     rows: list[dict[str, str]] = []
     for panel in noise.panels:
         for channel, parameters in zip(panel.channels, panel.parameters, strict=True):
-            coefficients = [(c.name, c.symbol, c.value, c.u, c.unit) for c in shown(parameters, panel.unit)]
-            for coefficient in coefficients or [("none that the record shows", "", "", "", "")]:
+            for coefficient in shown(parameters, panel.unit) or [
+                NoiseRow("none that the record shows", "", "", "", "")
+            ]:
                 rows.append(dict(zip(_COLUMNS, (channel, *coefficient), strict=True)))
     blocks: list[Block] = [
         Text(text=noise.source),
