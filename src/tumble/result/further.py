@@ -33,7 +33,7 @@ NOTHING = 1e-9
 UNSEEN = 0.05
 """A scatter could be there unseen where chance would hide it in more than this part of all sessions."""
 SENSORS = {"accel": "accelerometer", "gyro": "gyro", "mag": "magnetometer"}
-_KINDS = {"accel": "accelerometers", "gyro": "gyros", "mag": "magnetometer"}
+KINDS = {"accel": "accelerometers", "gyro": "gyros", "mag": "magnetometer"}
 _NAME = re.compile(
     r"(?P<kind>accel|gyro|mag)\.(?:axis\.(?P<pair>[xyz]{2})|(?P<what>bias|scale|axis)\."
     r"(?:(?P<letter>[xyz])|(?P<number>\d+))(?:\.(?P<angle>[12]))?)"
@@ -221,7 +221,7 @@ def remarks(calibration: Calibration) -> tuple[str, ...]:
     found = list(without_expanded(calibration.parameters))
     if calibration.launches:
         return tuple(found)
-    for kind, sensors in _KINDS.items():
+    for kind, sensors in KINDS.items():
         groups = [fit for name, fit in calibration.fits.items() if name.startswith(kind) and fit.degrees > 0.0]
         hidden = max(((unseen(fit), fit.degrees) for fit in groups if fit.scatter == 0.0), default=(0.0, 0.0))
         if hidden[0] > 1.0:

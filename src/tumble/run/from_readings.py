@@ -44,6 +44,7 @@ from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
 from tumble.result.calibration import Calibration
+from tumble.result.further import KINDS
 from tumble.result.parts import CalibratedDevice, Parameter, Readings
 from tumble.run.calibrate import Terms, provenance_of
 from tumble.run.case import estimate_in
@@ -101,8 +102,6 @@ AT_REST = tuple(
 )
 """The groups of the accelerometers that a table of readings may have in it: what it says nothing of, a temperature or a
 motion, is not known to have been there."""
-
-FIT_NAMES = {"accel": "accelerometers", "gyro": "gyros", "mag": "magnetometer"}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
@@ -416,7 +415,7 @@ def _calibration(
         covariance=estimate.covariance if estimate is not None and known else None,
         **models,
         outcome=outcome,
-        fits={} if fit is None else {FIT_NAMES[sensor]: fit.fit(nominal.result_unit)},
+        fits={} if fit is None else {KINDS[sensor]: fit.fit(nominal.result_unit)},
         site=site if sensor == "accel" else None,
         readings={sensor: worth},
         notes=(*positions.left_out, *_notes(positions, nominal, fit), *notes),

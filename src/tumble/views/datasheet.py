@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from tumble.documents import plain
 from tumble.errors import needs_extra
 from tumble.files import ending_in, whole_file
+from tumble.result.further import KINDS
 from tumble.sensors.parameters import group_name, shown_in
 from tumble.views.blocks import Block, Document, Facts, Part, Table, Text, section, table
 from tumble.views.render.data import Content, fields
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from tumble.registry.datasheet import Datasheet, DatasheetRow
 
 ENDINGS = (".md", ".html", ".pdf")
-_KINDS = {"accel": "Accelerometers", "gyro": "Gyros", "mag": "Magnetometer"}
 _EXPLAINED = (
     "Min, typical (mean) and max of the units by their own recordings; s is the standard deviation between them, of "
     "which u is what the recordings do not know; run to run is what a unit changes by from power-on to power-on. The "
@@ -44,14 +44,19 @@ def _facts(sheet: Datasheet) -> tuple[tuple[str, str], ...]:
 
 def _tables(sheet: Datasheet) -> Iterator[Table]:
     """A table for each kind of sensor; a group is shown in one unit."""
-    for kind, words in _KINDS.items():
+    for kind, words in KINDS.items():
         rows = [row for row in sheet.rows if row.name.startswith(f"{kind}.")]
         largest: dict[str, float] = {}
         for row in rows:
             group = _group(row)
             largest[group] = max(largest.get(group, 0.0), abs(row.least), abs(row.most))
         if rows:
-            yield table((_cells(row, largest[_group(row)]) for row in rows), words=_WORDS, caption=words, dense=True)
+            yield table(
+                (_cells(row, largest[_group(row)]) for row in rows),
+                words=_WORDS,
+                caption=words.capitalize(),
+                dense=True,
+            )
 
 
 _WORDS = ("parameter", "term", "unit")
