@@ -12,7 +12,9 @@ import pytest
 
 from tests.support import ROOT
 
-STUDIES = sorted((ROOT / "studies").glob("*.py"))
+SHARED = {"accuracy_formulas.py"}
+"""What studies and tests share, and is no study."""
+STUDIES = sorted(path for path in (ROOT / "studies").glob("*.py") if path.name not in SHARED)
 PICTURES = {"gallery.py", "readme_picture.py"}
 """Studies that draw what the documentation shows, and are asked nothing."""
 
