@@ -41,13 +41,13 @@ GROWING = 2
 
 
 def variables_of(observations: Observations, lag: float = 0.0) -> dict[Variable, tuple[Array, Array, Array]]:
-    """What parameters may change with, of the rests and of the turns: time from the middle of the session, s, the
+    """What parameters may change with, of the rests and of the turns: time from the mean of its rests, s, the
     temperature of each thermometer from its mean, K, and its square, and the direction it came from; and of several
     sessions, each of them."""
     rests, turns, session = observations.rests, observations.turns, observations.session
     time = 0.5 * (rests.start + rests.stop)
     for of in (slice(None),) if session is None else (session == s for s in range(session[-1] + 1)):
-        time[of] -= 0.5 * (time[of].min() + time[of].max())
+        time[of] -= time[of].mean()
     at_rest: dict[Variable, Array] = {"time": time[:, None]}
     if session is not None:
         at_rest["launch"] = np.ones((len(rests), 1))

@@ -200,13 +200,13 @@ class Itinerary:
 
     @property
     def times(self) -> Array:
-        """Times (R,) of the rests, s, from the middle of the session."""
+        """Times (R,) of the rests, s, from the mean of all."""
         return np.asarray(self.rests.mean(axis=1) - self.middle)
 
     @property
     def middle(self) -> float:
-        """Time of the middle of the session, s, from its start."""
-        return 0.5 * float(self.rests[0].mean() + self.rests[-1].mean())
+        """Mean time of the rests, s, from the start of the session."""
+        return float(self.rests.mean())
 
 
 def itinerary(scenario: Scenario, rng: np.random.Generator) -> Itinerary:

@@ -43,7 +43,7 @@ class InRunBias:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SimulatedBlock:
-    """A block with its coefficients K (n, 15) in the middle of the session, s, or at the reference temperature, and
+    """A block with its coefficients K (n, 15) at the mean time of the rests, s, or at the reference temperature, and
     what they change by, `changes` (n, 15), with time, 1/s, and with what goes with the temperature; lever arms (n, 3),
     m; the density of its white noise, and the standard deviation of its in-run bias with its correlation time, s."""
 
