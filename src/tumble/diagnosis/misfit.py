@@ -271,8 +271,8 @@ def _wandering(estimate: Estimate, linearised: Linearised) -> Iterator[tuple[tup
                 yield (
                     (f"{kind}.{what}",),
                     cause,
-                    f"{drifting} drift by {changed} over the session, those given are the means of its rests{CONTAINED}; let "
-                    "the device warm up, or make the session shorter",
+                    f"{drifting} drift by {changed} over the session, those given are the means of its "
+                    f"rests{CONTAINED}; let the device warm up, or make the session shorter",
                 )
         size, lasting, bias = by_name.get(f"{kind}_in_run"), by_name.get(f"{kind}_time"), (f"{kind}.bias",)
         if size is None or lasting is None:
