@@ -38,8 +38,8 @@ PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 Motion = Literal["lever", "delay", "single delay"]
 Variable = Literal["time", "temperature", "temperature²", "hysteresis", "launch", "lag"]
-"""What the change of a parameter goes with: time from the mean of a session's rests, s, temperature from the reference, K, its
-square, the direction it came from, −1 … 1, or that a session is another one; the lag moves the temperatures."""
+"""What the change of a parameter goes with: time from the mean of a session's rests, s, temperature from the reference,
+K, its square, the direction it came from, −1 … 1, or that a session is another one; the lag moves the temperatures."""
 THERMAL: tuple[Variable, ...] = ("temperature", "temperature²")
 """Those of slopes and curvatures."""
 Regressors = Callable[[Block], Array]
