@@ -20,6 +20,8 @@ from evidence.score import USABLE, Row, as_expected, by
 
 SIGMAS = 3.0
 CHANCE = 0.05
+FAILED = "failed, "
+"""How the words of a program that ends in an error of its own begin: never chance."""
 NAMED = 5
 """Cases that are named of a score."""
 
@@ -89,6 +91,7 @@ def compared(before: Sequence[Row], after: Sequence[Row], expected: Mapping[str,
         for score, holds, good in (
             ("verdicts as expected", lambda row: as_expected(row, *expected[row.kind]), True),
             ("silently wrong", lambda row: row.silent_wrong, False),
+            ("ends in an error", lambda row: row.said.startswith(FAILED), False),
         ):
             judged = [(a, b, holds(a), holds(b)) for a, b in pairs if a.kind in expected]
             changed = [(a, b, now) for a, b, was, now in judged if was != now]
@@ -96,7 +99,7 @@ def compared(before: Sequence[Row], after: Sequence[Row], expected: Mapping[str,
                 continue
             worse_ones = sum(now != good for _, _, now in changed)
             more = max(worse_ones, len(changed) - worse_ones)
-            beyond = 2.0 * binom.sf(more - 1, len(changed), 0.5) < CHANCE
+            beyond = 2.0 * binom.sf(more - 1, len(changed), 0.5) < CHANCE or score == "ends in an error"
             moved.append(Moved(
                 program=program, score=score, before=float(sum(was for _, _, was, _ in judged)),
                 after=float(sum(now for _, _, _, now in judged)), error=None, beyond=bool(beyond),

@@ -245,6 +245,13 @@ def test_a_good_recording_that_is_refused_is_named(released: list[Row]) -> None:
     assert not moved.worse  # one of six: chance
 
 
+def test_an_error_of_the_program_is_worse_even_once(released: list[Row]) -> None:
+    changed = [replace(released[0], verdict="gave up", said="failed, ImportError: no such module"), *released[1:]]
+    (moved,) = (m for m in compared(released, changed, EXPECTED) if m.score == "ends in an error")
+    assert moved.worse
+    assert not any(m.worse for m in compared(changed, released, EXPECTED))
+
+
 def test_changes_within_rounding_are_none_that_matter(released: list[Row]) -> None:
     other = [replace(row, z={name: z * (1.0 + 1e-4) for name, z in row.z.items()}) for row in released]
     assert not any(each.beyond for each in compared(released, other, EXPECTED))
