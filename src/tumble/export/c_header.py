@@ -22,7 +22,7 @@ Nothing needs a library.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -150,8 +150,8 @@ HELD_AT = frozenset(f"{kind}.{what}.{t}" for kind in UNITS for what in ("bias", 
 WHAT: Mapping[SensorKind, str] = {"accel": "true specific force", "gyro": "true angular rate"}
 
 
-def c_header(calibration: Calibration) -> Exported:
-    """The header of a calibration."""
+def c_header(calibration: Calibration, *, includes: Sequence[str] = (), more: Sequence[str] = ()) -> Exported:
+    """The header of a calibration, with what it includes and more lines at its end."""
     known, compensator = models(calibration), calibration.compensator
     warm = bool(changing(calibration)) and calibration.reference_temperature is not None
     lag = compensator.lag if warm else 0.0
@@ -184,9 +184,10 @@ def c_header(calibration: Calibration) -> Exported:
         for kind, model in known.items()
         for single, at in precisions
     ]
-    head = ["#ifndef IMU_CALIBRATION_H", "#define IMU_CALIBRATION_H", "", "/*"]
+    included = [*(f"#include {file}" for file in includes), ""] if includes else []
+    head = ["#ifndef IMU_CALIBRATION_H", "#define IMU_CALIBRATION_H", "", *included, "/*"]
     head += [*(f" * {line}" for line in (*comments, *losses)), " */", ""]
-    return Exported(content="\n".join([*head, *lines, "#endif", ""]).encode(), losses=losses)
+    return Exported(content="\n".join([*head, *lines, *more, "#endif", ""]).encode(), losses=losses)
 
 
 def _sensors_celsius(lag: float) -> Array:
@@ -223,6 +224,12 @@ def coefficients_of(compensator: Compensator, kind: SensorKind) -> tuple[Block, 
     return compensator.gyro, compensator.gyro_coefficients
 
 
+def takes_force(compensator: Compensator, kind: SensorKind) -> bool:
+    """Whether the function of the sensors of a kind needs the specific force: of gyros that feel it."""
+    block, K = coefficients_of(compensator, kind)
+    return kind == "gyro" and not is_linear(block, K) and bool(np.any(K[:, FORCE]))
+
+
 def _function(
     compensator: Compensator, kind: SensorKind, model: SensorModel, *, single: bool, at: Calibration | None
 ) -> str:
@@ -230,7 +237,7 @@ def _function(
     calibration that knows what that changes."""
     block, K = coefficients_of(compensator, kind)
     number, n, linear = "float" if single else "double", len(model.bias), is_linear(block, K)
-    by_force = not linear and kind == "gyro" and bool(np.any(compensator.gyro_coefficients[:, FORCE]))
+    by_force = takes_force(compensator, kind)
     tables, more, warm = {}, "", ""
     if not linear:
         tables = {"axis": block.axes, "asymmetry": K[:, OWN_SIZE], "cubic": K[:, OWN_CUBE]}

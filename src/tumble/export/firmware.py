@@ -19,7 +19,7 @@ import numpy as np
 
 from tumble import __version__
 from tumble.errors import InputError
-from tumble.export.c_header import WHAT, c_header, coefficients_of
+from tumble.export.c_header import WHAT, c_header, coefficients_of, takes_force
 from tumble.export.exported import Exported, models, origin
 from tumble.result.calibration import Calibration
 from tumble.sensors.compensation import FIXED_POINT_STEPS
@@ -125,23 +125,20 @@ _PRINTED = """\
 def firmware(calibration: Calibration, full_scale: tuple[float, float] | None = None) -> Exported:
     """The archive of a calibration, its fixed point for readings up to ±`full_scale`, g and °/s. Raises InputError
     where a number has no place in it."""
-    header = c_header(calibration)
     accel, gyro = full_scale or FULL_SCALE
     scales: dict[SensorKind, float] = {"accel": accel * G_STANDARD, "gyro": gyro * DEGREE}
     if not (accel > 0.0 and gyro > 0.0):
         raise InputError(f"--full-scale: expected g and deg/s above 0, found {accel:g},{gyro:g}")
     known = models(calibration)
+    fixed = [_SHARED, *(_function(calibration, kind, scales) for kind in known)]
+    defined = [f"#define IMU_{kind.upper()}_FULL_SCALE {scales[kind]!r}" for kind in known]
+    header = c_header(calibration, includes=("<stdint.h>",), more=(*defined, "", *fixed))
     losses = (
         *header.losses,
         f"functions in fixed point are for readings within {accel:g} g and {gyro:g} deg/s, at the reference "
         "temperature",
     )
-    fixed = [_SHARED, *(_function(calibration, kind, scales) for kind in known)]
-    defined = [f"#define IMU_{kind.upper()}_FULL_SCALE {scales[kind]!r}" for kind in known]
-    text = header.content.decode().replace("\n#endif\n", "\n".join(["", *defined, "", *fixed, "#endif", ""]))
-    text = text.replace("#define IMU_CALIBRATION_H\n", "#define IMU_CALIBRATION_H\n\n#include <stdint.h>\n", 1)
-
-    by_force = "gyro" in known and "imu_correct_gyrof(const float reading[3], const float force[3]" in text
+    by_force = "gyro" in known and takes_force(calibration.compensator, "gyro")
     calls = [f"    imu_correct_accelf(accel, corrected);\n{_PRINTED}"] * ("accel" in known)
     if "gyro" in known and not (by_force and "accel" not in known):
         force = "accel_corrected, " if by_force else ""
@@ -151,7 +148,7 @@ def firmware(calibration: Calibration, full_scale: tuple[float, float] | None = 
     about = "\n".join(f"* {line}" for line in (*origin(calibration), *losses))
     described = "Corrects the readings of an IMU by its calibration"
     files = {
-        "src/imu_calibration.h": text,
+        "src/imu_calibration.h": header.content.decode(),
         f"src/{NAME}.h": '#ifndef TUMBLE_IMU_H\n#define TUMBLE_IMU_H\n\n#include "imu_calibration.h"\n\n#endif\n',
         "examples/Correct/Correct.ino": _SKETCH.format(name=NAME, calls="\n".join(calls), **sizes),
         "library.properties": "\n".join(
@@ -190,7 +187,7 @@ def _function(calibration: Calibration, kind: SensorKind, scales: dict[SensorKin
     model, F = models(calibration)[kind], scales[kind]
     block, K = coefficients_of(calibration.compensator, kind)
     n, linear = len(model.bias), is_linear(block, K)
-    by_force = not linear and kind == "gyro" and bool(np.any(K[:, FORCE]))
+    by_force = takes_force(calibration.compensator, kind)
     tables = [_table("bias", model.bias / F, BITS), _table("inverse", model.inverse(), INVERSE_BITS)]
     if np.abs(model.inverse()).sum(axis=1).max() >= 4.0:
         raise InputError("export to firmware: expected a sensitivity near 1, found one far below; scale the readings")
