@@ -157,12 +157,13 @@ CALLS = {
     "upload": "upload",
     "verify": "verify_calibration",
 }
-"""The public call behind every command but `bench`, which serves a page until it is stopped."""
+"""The public call behind every command but `bench`, which serves a page until it is stopped, and `watch`, which feeds
+`tumble.Watch` until its source ends."""
 
 
 def test_every_command_is_a_public_call() -> None:
     context = click.Context(main)
-    assert sorted(CALLS) == sorted({*main.list_commands(context)} - {"bench"})
+    assert sorted(CALLS) == sorted({*main.list_commands(context)} - {"bench", "watch"})
     for name, call in CALLS.items():
         assert call in tumble.__all__
         command = main.get_command(context, name)

@@ -21,7 +21,7 @@ from typing import Literal
 
 import numpy as np
 
-from tumble.rotation import axes_angles, axes_matrix, left_inverse, tangent_basis, unit_vector
+from tumble.rotation import axes_angles, axes_matrix, left_inverse, tangent_basis
 from tumble.units import Array, IntArray
 
 SensorKind = Literal["accel", "gyro"]
@@ -291,8 +291,10 @@ def beyond_body(matrix: Array) -> Array:
 
 def beyond_turning(matrix: Array, direction: Array) -> Array:
     """Orthonormal columns (N, n, n − 2): what sensors of a sensitivity matrix (n, 3), or (N, n, 3), read that no turn
-    of vectors along `direction` (N, 3) reaches."""
+    of vectors along `direction` (N, 3) reaches; zero where there is no direction."""
     if matrix.shape[-2] == 3:
-        return np.swapaxes(unit_vector(direction[:, None] @ left_inverse(matrix)), -1, -2)
+        reading = np.swapaxes(direction[:, None] @ left_inverse(matrix), -1, -2)
+        length = np.linalg.norm(reading, axis=-2, keepdims=True)
+        return np.asarray(reading / np.where(length > 0.0, length, 1.0))
     turning = matrix @ np.swapaxes(tangent_basis(direction), -1, -2)
     return np.asarray(np.linalg.qr(turning, mode="complete")[0][..., 2:])
