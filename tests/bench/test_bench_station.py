@@ -12,7 +12,7 @@ import pytest
 
 from tests.support.bench_driver import SITE, Bench
 from tests.support.browser import eventually
-from tumble.bench.follow.faults import Watch
+from tumble.bench.follow.faults import SampleWatch
 from tumble.bench.follow.wishes import wishes
 from tumble.bench.opening import station_of
 from tumble.bench.record.sources import source_of
@@ -134,7 +134,7 @@ def test_clipped_samples_are_named(bench: Bench) -> None:
 def test_noise_of_coarse_resolution_is_not_stuck() -> None:
     rng, time = np.random.default_rng(1), np.arange(3000) / 100.0
     values = np.round(rng.standard_normal((3000, 3)) * 0.05)
-    watch = Watch(("ax", "ay", "az"), None, 0.01)
+    watch = SampleWatch(("ax", "ay", "az"), None, 0.01)
     assert [seen for i in range(0, 3000, 20) for seen in watch.look(time[i : i + 20], values[i : i + 20])] == []
 
 

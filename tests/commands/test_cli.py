@@ -233,7 +233,7 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["programme", "nine", "-o", "x.xyz"], "expected a file that ends in .html, .pdf or .svg"),
         (["budget", "--table-error", "-1"], "expected 0 or more"),
         (["budget", "--rest", "nan"], "expected more than 0"),
-        (["budget", "--programme", "cube-14", "--method", "sequential"], "take the programme rough-table or the method staged"),
+        (["budget", "--programme", "cube-14", "--method", "sequential"], "take the programme rough-table or the"),
         (["require"], "expected --want GROUP=VALUE or --relative PERCENT, found neither"),
         (["require", "--want", "accel.scale=3furlong"], "expected a number and one of ppm, %"),
     ],

@@ -187,7 +187,7 @@ def field_check(observations: Observations, known: KnownBefore) -> CheckResult:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Left:
+class WhatIsLeft:
     """R (p, p) and d (p,) of Eq. (1) with p = 1 + m, about what was known; the sum of squares that no x explains, and
     the degrees of freedom of all of them."""
 
@@ -197,7 +197,7 @@ class Left:
     degrees: int
 
 
-def left_by(observations: Observations, known: KnownBefore) -> Left:
+def left_by(observations: Observations, known: KnownBefore) -> WhatIsLeft:
     """What a session leaves of Eq. (1), with attitudes that are unknown, where nothing has changed."""
     problem, point, about = _begun(observations, known)
     return _iterated(problem, point, about, known.components)[2]
@@ -216,7 +216,7 @@ def _begun(observations: Observations, known: KnownBefore) -> tuple[Problem, Poi
 
 def _iterated(
     problem: Problem, point: Point, about: TurnsAbout | None, components: Components
-) -> tuple[Point, TurnsAbout | None, Left]:
+) -> tuple[Point, TurnsAbout | None, WhatIsLeft]:
     """Gauss–Newton, and what the session's own rows leave at the end."""
     for _ in range(MAX_ITERATIONS):
         rows = linearise(problem, point, about)
@@ -231,7 +231,7 @@ def _iterated(
     told = tell(problem, rows, weights(problem, rows, components))
     session, off = told.sessions[0], np.append(point.gravity, point.values) - problem.measured[0]
     angles = int(np.count_nonzero(np.diagonal(told.factor, axis1=1, axis2=2)[:, :3]))
-    left = Left(
+    left = WhatIsLeft(
         R=session[:-1, :-1],
         d=session[:-1, -1] + session[:-1, :-1] @ off,
         squares=session[-1, -1] ** 2,
@@ -252,7 +252,7 @@ class Tests:
     u: Array
 
     @staticmethod
-    def of(left: Left, covariance: Array, doubt: Array) -> Tests:
+    def of(left: WhatIsLeft, covariance: Array, doubt: Array) -> Tests:
         """Those of what a session leaves."""
         S = np.eye(len(left.d)) + left.R @ covariance @ left.R.T
         both = np.linalg.solve(np.linalg.cholesky(S), np.column_stack([left.R, left.d]))

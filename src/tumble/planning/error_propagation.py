@@ -99,7 +99,7 @@ def plan_of(programme: Programme, method: BudgetedMethod, *, turn_rate: float, l
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Observed:
+class PlanObservations:
     """What sensors observe of a plan, many cases at once: specific forces over g and rates, rad/s, at rest
     (..., N, 3); `turn` takes a model to the rotations (..., K, 3, 3) integrated about it."""
 
@@ -117,7 +117,7 @@ def observed(
     rate: Array | float = 0.0,
     drift: Array | float = 0.0,
     turned: Array | float = 0.0,
-) -> Observed:
+) -> PlanObservations:
     """What sensors with the parameters X (..., 21) observe in attitudes (..., N, 3, 3), with errors of the forces and
     rates at rest (..., N, 3), of the rates in turns, `drift` (..., K, 3), and of what has `turned` (..., K, 3), rad."""
     accel = triad_model(X[..., :3], X[..., 3:6], X[..., 6:9])
@@ -137,12 +137,12 @@ def observed(
             ahead += weight * _rotated(node * w, there @ S_t)
         return np.asarray(rotation_matrix(ahead + turned) @ rotation_matrix(w))
 
-    return Observed(
+    return PlanObservations(
         force=accel.predict(attitudes[..., 1, :]) + force, rate=gyro.predict(earth @ attitudes) + rate, turn=turn
     )
 
 
-def estimated(plan: Plan, seen: Observed, rows: Array | None = None) -> Array:
+def estimated(plan: Plan, seen: PlanObservations, rows: Array | None = None) -> Array:
     """The parameters (..., 21) that one pass makes of what is seen; those of gyros that the programme does not give are
     zero. `rows` (..., 2K, 9) are those that the turns are solved with, of the programme where None."""
     start, turn = (PERFECT_TRIAD, PERFECT_TRIAD), seen.turn if len(plan.first) else None

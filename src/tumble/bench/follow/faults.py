@@ -48,7 +48,7 @@ class Fault:
 # -------------------- samples --------------------
 
 
-class Watch:
+class SampleWatch:
     """Looks at every sample of one kind of sensor. `full_scale` in SI, None where it is not known."""
 
     def __init__(self, columns: tuple[str, ...], full_scale: float | None, interval: float) -> None:

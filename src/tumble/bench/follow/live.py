@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.bench.follow.faults import Fault, Watch, gap_fault
+from tumble.bench.follow.faults import Fault, SampleWatch, gap_fault
 from tumble.bench.follow.rests import Blocks, Judged, Progress, Rest, StillLimits, calm_since, grouped
 from tumble.bench.follow.samples import BRIDGED, Clock, Follower, SoundSamples
 from tumble.bench.follow.wishes import Task
@@ -51,7 +51,7 @@ class Live:
         self._clock = clock
         self._reducer: Reducer | None = None
         self._gaps: list[Gap] = []
-        self._watches: list[Watch] = []
+        self._watches: list[SampleWatch] = []
         self._searched: tuple[object, ...] = ()
         self._searched_blocks = 0
 
@@ -93,7 +93,7 @@ class Live:
                 gyro=session.gyro_block,
                 increments=(log.increments["accel"], log.increments.get("gyro", False)),
             )
-            self._watches = [Watch(channels.columns, channels.range, interval) for channels in kinds]
+            self._watches = [SampleWatch(channels.columns, channels.range, interval) for channels in kinds]
         readings: list[Array] = []
         first = 0
         for watch, channels in zip(self._watches, kinds, strict=True):

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tumble.drafting.draft import Draft
-from tumble.drafting.hypotheses.shown import WIDTHS, Profile, Shown, Widths
+from tumble.drafting.hypotheses.shown import WIDTHS, TurnLikelihood, Shown, Widths
 from tumble.drafting.times import RATES_OF_LOGS, UNUSUAL, USUAL_RATES, Times, at_rate
 from tumble.earth import EARTH_RATE
 from tumble.recording.columns.names import ACCEL, GYRO
@@ -68,7 +68,7 @@ class Hypothesis:
     accel: KnownScale
     gyro: KnownScale | None
     times: Times
-    profile: Profile | None
+    profile: TurnLikelihood | None
     cost: float
 
     def differs(self, other: Hypothesis) -> set[str]:
@@ -116,7 +116,7 @@ def ranked(shown: Shown, draft: Draft, widths: Widths = WIDTHS) -> list[Hypothes
 
 
 def _with_gyros(
-    draft: Draft, shown: Shown, gyros: list[tuple[KnownScale, float]], profile: Profile | None, widths: Widths
+    draft: Draft, shown: Shown, gyros: list[tuple[KnownScale, float]], profile: TurnLikelihood | None, widths: Widths
 ) -> Iterator[tuple[Times, KnownScale | None, float]]:
     """Times with gyros and what these cost in them: by their turns, by what they read, and by what they assume. Where
     the rate may be any, that too with which the turns fit a unit best."""

@@ -88,7 +88,7 @@ WIDTHS = Widths()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Profile:
+class TurnLikelihood:
     """−2 ln L (G,) over an even grid of ln Q (G,), and that of gyros that turn nothing, with an `exchange` of the
     gyros' columns and signs (3, 3), which itself costs `exchanged`."""
 
@@ -105,7 +105,7 @@ class Profile:
         """The least cost, the exchange included."""
         return float(self.cost.min()) + self.exchanged
 
-    def of_nominal(self, deviation: float) -> Profile:
+    def of_nominal(self, deviation: float) -> TurnLikelihood:
         """The same over a nominal Q: the least over δ of cost(ln Q + δ) + (δ / deviation)²."""
         shifts = np.linspace(-4.0, 4.0, 2 * round(8.0 * deviation / _GRID) + 1)
         costs = [np.interp(self.log_q + deviation * d, self.log_q, self.cost) + d**2 for d in shifts]
@@ -147,7 +147,7 @@ class Shown:
     accel_scatter: float = 0.0
     gyro_scatter: float = 0.0
     turning: float = 0.0
-    profiles: tuple[Profile, ...] = ()
+    profiles: tuple[TurnLikelihood, ...] = ()
     by_rate: Mapping[float, int] = field(default_factory=dict)
 
     @property
@@ -292,7 +292,7 @@ def _turns(reduction: Reduction, spans: tuple[RestSpan, ...], up: Array, rates: 
     return turns[:_MOST_TURNS]
 
 
-def _profiles(turns: list[_Turn], widths: Widths) -> tuple[Profile, ...]:
+def _profiles(turns: list[_Turn], widths: Widths) -> tuple[TurnLikelihood, ...]:
     """The profile of the columns as they are, and where that does not explain the turns those of the exchanges that
     do."""
     steps = np.array([turn.steps for turn in turns])
@@ -303,7 +303,7 @@ def _profiles(turns: list[_Turn], widths: Widths) -> tuple[Profile, ...]:
         return ()
     low, high = (float(np.log(middle / angle)) for angle in _PATHS)
 
-    def profile(exchange: Array, grid: float, every: int, most: int) -> Profile:
+    def profile(exchange: Array, grid: float, every: int, most: int) -> TurnLikelihood:
         log_q = np.arange(low, high, grid)
         q = np.append(np.exp(log_q), np.inf)[:, None]
         sums = steps[:most].reshape(min(len(turns), most), -1, every, 3).sum(axis=2) @ exchange.T
@@ -315,7 +315,7 @@ def _profiles(turns: list[_Turn], widths: Widths) -> tuple[Profile, ...]:
         misfit = np.minimum(2.0 * least * (1.0 - cosine[:-1]), _MOST_MISFIT).sum(axis=1)
         unlike = not np.array_equal(exchange, np.eye(3))
         exchanged = -2.0 * np.log(widths.exchanged / 47.0) if unlike else 0.0
-        return Profile(
+        return TurnLikelihood(
             log_q=log_q, cost=cost[:-1], misfit=misfit, unturned=cost[-1], exchange=exchange, exchanged=exchanged
         )
 
