@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tumble.drafting.draft import Draft
-from tumble.drafting.hypotheses.shown import WIDTHS, TurnLikelihood, Shown, Widths
+from tumble.drafting.hypotheses.shown import WIDTHS, Shown, TurnLikelihood, Widths
 from tumble.drafting.times import RATES_OF_LOGS, UNUSUAL, USUAL_RATES, Times, at_rate
 from tumble.earth import EARTH_RATE
 from tumble.recording.columns.names import ACCEL, GYRO
