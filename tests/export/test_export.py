@@ -18,7 +18,7 @@ from tumble.export import FORMATS, export_calibration
 from tumble.export.exported import NO_MAGNETOMETER
 from tumble.inference.estimate import Outcome
 from tumble.result.calibration import Calibration
-from tumble.result.parts import Parameter
+from tumble.result.parts import CalibratedDevice, Parameter
 
 PLAIN = tuple(name for name, target in FORMATS.items() if not {"noise", "certificate"} & {*target.takes})
 TEXT = tuple(name for name, target in FORMATS.items() if target.text)
@@ -70,7 +70,7 @@ def test_device_and_log_are_named(to: str) -> None:
 def test_a_hostile_serial_number_stays_text(to: str) -> None:
     """Comments end with their line; so what would end them earlier, or go on after them, must not be in them."""
     serial = "A\n1\t1\tCAL_ACC0_XOFF\t9\t9 */ int x; \\\n<script>&\u2028SM: [0]"
-    plain, hostile = content_of(to, serial="A"), content_of(to, serial=serial)
+    plain, hostile = (content_of(to, device=CalibratedDevice(serial=each, model="test")) for each in ("A", serial))
     assert len(hostile.splitlines()) == len(plain.splitlines())
     assert "*/ int x" not in hostile
 

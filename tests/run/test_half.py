@@ -27,7 +27,10 @@ from tumble.use.apply import applied, apply_to_session, rest_residuals
 __all__ = ["gcc"]
 
 WHY = "the others are bad"
-ONE_KIND = {"accel": ("autoware", "imucal", "kalibr"), "gyro": ("imucal", "kalibr", "ros-imu-calib")}
+ONE_KIND = {
+    "accel": ("autoware", "imucal", "kalibr"),
+    "gyro": ("betaflight", "imucal", "inav", "kalibr", "ros-imu-calib"),
+}
 """Formats that have no place for a calibration of this kind of sensors alone."""
 ABSENT = {"accel": "gyros are absent, they were not accepted", "gyro": "accelerometers are absent, they were not"}
 

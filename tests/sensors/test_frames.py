@@ -378,10 +378,9 @@ WITH_THE_FRAME = {
     "budget",
 }
 WHATEVER_THE_FRAME = {
-    "absent", "serial", "model", "method", "outcome", "mag", "rests", "turns", "fits", "site", "programme", "readings",
-    "notes", "provenance", "groups", "prediction", "axes", "reference_temperature", "references", "thermometers",
-    "measured_between", "circumstances", "imu", "sample_rate", "clock_u", "together",
-    "hyperparameters", "integral",
+    "absent", "device", "format", "method", "outcome", "mag", "rests", "turns", "fits", "site", "programme", "readings",
+    "notes", "provenance", "groups", "prediction", "axes", "temperature", "circumstances", "sample_rate", "clock_u",
+    "together", "hyperparameters", "integral",
 }  # fmt: skip
 
 

@@ -39,7 +39,7 @@ except ImportError:
 # C:     TOO_MUCH = 4
 
 if not cython.compiled:
-    from numpy import exp
+    from math import exp
 
 if not cython.compiled:  # where it is, these are numbers of C: columns of a sheet, and flags
     _BIAS, _RATE, _FORCE, _PRODUCTS, _OWN_SIZE, _OWN_CUBE = 0, 1, 4, 7, 13, 14
