@@ -27,6 +27,7 @@ from evidence.simulated.kinds import KINDS, Kind, seed_of
 
 ROOT = Path(__file__).parents[1]
 OURS = "tumble joint"
+"""The program that the others are held against."""
 PICTURES = ROOT / "docs" / "pictures"
 ASKED = {"rms": 1.15, "beyond_3": 0.01, "covered": 0.92}
 """What is asked of z and of 95 % intervals."""

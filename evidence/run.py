@@ -13,21 +13,14 @@ on their path. Rows and scores of two runs are the same to the bit; times and me
 from __future__ import annotations
 
 import argparse
-import hashlib
 import inspect
 import io
 import json
-import os
-import platform
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from fnmatch import fnmatch
-from functools import cache
-from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -39,15 +32,13 @@ from evidence.case import Case, Refusal
 from evidence.score import Row, by, row_of, score_of
 from evidence.simulated import kinds as simulated_kinds
 from evidence.simulated.kinds import KINDS, SEALED, SHORT, simulated
+from evidence.state import CACHE, FOLDER, digest_of, file_of, keep, made_now, source_of
 
-FOLDER = Path(__file__).parent
 RESULTS = FOLDER / "results"
-CACHE = FOLDER / "cache"
 SESSIONS = 6
 """Of every kind in the published table."""
 FEWER = {"tumble staged": 2, "imu_tk": 2, "imu-calib": 2}
 """Sessions of every kind, at most, of programs that take long."""
-LIBRARIES = ("numpy", "scipy", "polars")
 MAKING = tuple(f"simulated/{name}.py" for name in ("motion", "device", "driver"))
 DECIDES = (*MAKING, "peers", "case.py", "score.py", "programs.py", "tumble_methods.py")
 """What rows depend on in this folder."""
@@ -113,7 +104,7 @@ class Results:
 
 def simulated_entries(series: str, sessions: int) -> list[Entry]:
     """Sessions of all kinds."""
-    making = _digest(
+    making = digest_of(
         *(FOLDER / name for name in MAKING),
         inspect.getsource(simulated_kinds.simulated),
     )
@@ -122,7 +113,7 @@ def simulated_entries(series: str, sessions: int) -> list[Entry]:
             name=f"{kind.name} {index}",
             kind=kind.name,
             index=index,
-            key=_digest(f"{making} {replace(kind, words='', says='', expected='accept')!r} {series} {index}"),
+            key=digest_of(f"{making} {replace(kind, words='', says='', expected='accept')!r} {series} {index}"),
             make=_Simulated(kind.name, index, series),
         )
         for index in range(sessions)
@@ -152,28 +143,9 @@ def programs_of(patterns: Sequence[str]) -> list[str]:
     return [p.name for p in benchmark.PROGRAMS if any(fnmatch(p.name, pattern) for pattern in patterns)]
 
 
-def _digest(*parts: Path | str) -> str:
-    """The hash of files and texts."""
-    digest = hashlib.sha256()
-    for part in parts:
-        digest.update(part.read_bytes() if isinstance(part, Path) else part.encode())
-    return digest.hexdigest()
-
-
-@cache
-def _source(program: str) -> str:
-    """The hash of all that a program's rows depend on beside the case."""
-    ours = [*FOLDER.parent.joinpath("src/tumble").rglob("*.py"), FOLDER / "tumble_methods.py"]
-    peers = [path for path in FOLDER.rglob("*.py") if path.parent.name == "peers"]
-    files = sorted(ours if benchmark.named(program).ours else peers)
-    libraries = " ".join(f"{name} {version(name)}" for name in LIBRARIES)
-    return _digest(*files, FOLDER / "case.py", FOLDER / "score.py", libraries)
-
-
 def _cached(entry: Entry, program: str) -> Path:
     """The file of what a program made of a case."""
-    name = hashlib.sha256(f"{entry.key} {program} {_source(program)}".encode()).hexdigest()
-    return CACHE / name[:2] / f"{name}.json"
+    return file_of(CACHE, entry.key, program, source_of(program))
 
 
 # -------------------- doing it --------------------
@@ -228,10 +200,7 @@ def run(
             for made in pl.read_parquet(io.BytesIO(part)).iter_rows(named=True):
                 if made["error"] is not None:
                     raise RuntimeError(f"{pending[made['task']][0].name}: {made['error']}")
-                path = _cached(pending[made["task"]][0], made["program"])
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.with_suffix(".part").write_text(made["text"], encoding="utf-8")
-                path.with_suffix(".part").replace(path)
+                keep(_cached(pending[made["task"]][0], made["program"]), made["text"])
             done += len(numbers)
             say(f"{done} of {len(pending)} cases")
     all_rows, seconds = [], dict[str, list[float]]()
@@ -265,23 +234,10 @@ def peak_of(make: Callable[[], Case], program: str) -> float:
 
 def made_by(name: str, entries: Sequence[Entry], programs: Sequence[str]) -> dict[str, Any]:
     """What was run, when, where, of which state of the sources."""
-    said = subprocess.run(["git", "rev-parse", "HEAD"], cwd=FOLDER, capture_output=True, text=True, check=False)
-    changed = subprocess.run(
-        ["git", "status", "--porcelain", "--", "src", *(f"evidence/{name}" for name in DECIDES)], cwd=FOLDER.parent,
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    info = Path("/proc/cpuinfo")
-    model = [line for line in info.read_text(encoding="utf-8").splitlines() if line.startswith("model name")] if (
-        info.exists()
-    ) else []  # fmt: skip
     counts = {len(some) for some in _by_kind(entries).values()}
     return {
         "set": name,
-        "commit": said.stdout.strip() + (", changed" if changed.stdout.strip() else ""),
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": f"{model[0].partition(':')[2].strip() if model else platform.machine()}, {os.cpu_count()} cores",
-        "system": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
-        "libraries": {library: version(library) for library in LIBRARIES},
+        **made_now(DECIDES),
         "series": SHORT if name == "short" else SEALED,
         "kinds": len(_by_kind(entries)),
         "sessions": len(entries),

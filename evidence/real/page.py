@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from evidence.pages import page, table
+from evidence.pages import OURS, page, table
 from evidence.real.get import named
 
 RESULTS = Path(__file__).parents[1] / "results" / "real.json"
-FIRST = "tumble joint"
-"""The program that the others are held against."""
 G0 = 9.80665
 WAYS: Mapping[str, Callable[[str, str], bool]] = {
     "the next session of the same chip": lambda fitted, _: "mimu4444" in fitted,
@@ -47,7 +45,7 @@ def compared(rows: Iterable[Mapping[str, Any]], program: str, score: str) -> tup
     """Values of a program (N,) and the logarithms of their ratios to the first program's, where both have one."""
     of = {(row["fitted"], row["predicted"], row["program"]): row.get(score) for row in rows}
     own = {key[:2]: value for key, value in of.items() if key[2] == program and value}
-    first = {key[:2]: value for key, value in of.items() if key[2] == FIRST and value}
+    first = {key[:2]: value for key, value in of.items() if key[2] == OURS and value}
     both = [key for key in own if key in first]
     return np.array([own[key] for key in both]), np.log([own[key] / first[key] for key in both])
 
@@ -81,11 +79,11 @@ def predicted(results: Mapping[str, Any], score: str, unit: float) -> tuple[str,
             pairs = [row for row in results["predictions"] if belongs(row["fitted"], row["predicted"])]
             values, logs = compared(pairs, program, score_of(score, way))
             cells += [digits(unit * float(np.median(values))) if len(values) else "", ratio(logs)]
-            if program != FIRST and behind(logs):
+            if program != OURS and behind(logs):
                 ahead.append(f"{program}, {way}: {ratio(logs)}")
         if any(cells[1:]):
             rows.append(cells)
-    head = ["program", *(word for way in WAYS for word in (way, f"over {FIRST} (N)"))]
+    head = ["program", *(word for way in WAYS for word in (way, f"over {OURS} (N)"))]
     return table(head, rows), ahead
 
 
@@ -130,7 +128,7 @@ def repeated(results: Mapping[str, Any]) -> tuple[str, list[str]]:
             over = "" if made["over_u"] is None or bias else f", {digits(made['over_u'])}"
             cells.append(f"{digits(factor * made['deviation'])}{over} ({made['degrees']})")
             common = made["over_first"]
-            if program != FIRST and not bias and common is not None and common < 0.9:
+            if program != OURS and not bias and common is not None and common < 0.9:
                 ahead.append(f"{program}, {group}: {digits(common)} of the standard deviation in the same sessions")
         if any(cells[1:]):
             rows.append(cells)
@@ -174,7 +172,7 @@ def real_page(results: Mapping[str, Any]) -> str:
         "have a verdict. Among the cases are some of no use, such as two attitudes, or three.",
         "## Rests that were not seen",
         "What the length of the corrected specific force misses g by, µg (rms over rests, median over pairs), and the "
-        f"geometric mean of the ratio to `{FIRST}`, with its standard error, over the N pairs that both have. Between "
+        f"geometric mean of the ratio to `{OURS}`, with its standard error, over the N pairs that both have. Between "
         "sessions biases change by milli-g: there three biases are found anew, and what scale factors and axes miss is "
         "judged. Readings are corrected by all that a program knows, of tumble by the whole model. The noise of the "
         "rests that are predicted is in it, of all programs alike.",
@@ -210,17 +208,17 @@ def refused(results: Mapping[str, Any]) -> list[str]:
     """Accelerometers that the first program refuses and another method of tumble accepts, and in how many recordings
     gyros are refused of which imu_tk has numbers."""
     of = {(row["case"], row["program"]): row for row in results["rows"] if row["kind"] != "simulated by others"}
-    cases = [case for case, program in of if program == FIRST]
+    cases = [case for case, program in of if program == OURS]
     out = []
     for case in cases:
-        first, other = of[case, FIRST], of[case, "tumble ellipsoid"]
+        first, other = of[case, OURS], of[case, "tumble ellipsoid"]
         if not first["accel"] and other["accel"]:
             reason = first["said"].removeprefix("not accepted; ").partition(";")[0]
             out.append(f"{case}, accelerometers, which `ellipsoid` accepts: {reason}")
     gyros = [case for case in cases if of[case, "imu_tk"]["gyro"]]
-    without = sum(not of[case, FIRST]["gyro"] for case in gyros)
+    without = sum(not of[case, OURS]["gyro"] for case in gyros)
     if without:
-        out.append(f"gyros of {without} of the {len(gyros)} recordings of which imu_tk has numbers, by {FIRST}")
+        out.append(f"gyros of {without} of the {len(gyros)} recordings of which imu_tk has numbers, by {OURS}")
     return out
 
 

@@ -13,30 +13,24 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import os
-import platform
-import subprocess
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
-from datetime import UTC, datetime
-from importlib.metadata import version
 from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from evidence import programs as benchmark
 from evidence.case import Case, Estimate, Kind, Refusal
+from evidence.pages import OURS
 from evidence.real.cases import READERS, cases, missing
-from evidence.real.page import FIRST, RESULTS, real_page
+from evidence.real.page import RESULTS, real_page
 from evidence.real.scores import folds, prediction, repeatability
 from evidence.score import row_of
+from evidence.state import CACHE, FOLDER, digest_of, file_of, keep, made_now, source_of
 
-FOLDER = Path(__file__).parents[1]
-CACHE = FOLDER / "cache" / "real"
 SCORES = ("force", "shape", "tilt")
 CHIPS = (1, 6)
 """Of the eight of the array, one of either side of the board."""
@@ -63,16 +57,6 @@ class Fit:
 
 
 # -------------------- fits and their files --------------------
-
-
-def sources_of(program: str) -> str:
-    """The hash of what a program's answers depend on beside the readings."""
-    tumble = [*FOLDER.parent.joinpath("src/tumble").rglob("*.py"), FOLDER / "tumble_methods.py"]
-    files = tumble if benchmark.named(program).ours else [*FOLDER.joinpath("peers").glob("*.py")]
-    digest = hashlib.sha256(program.encode())
-    for path in (*sorted(files), FOLDER / "case.py", FOLDER / "real" / "scores.py", FOLDER / "peers" / "rests.py"):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
 
 
 def key_of(case: Case) -> str:
@@ -126,20 +110,17 @@ def fitted(case: Case, program: str, unseen: Sequence[Case]) -> dict[str, Any]:
 
 def fits(todo: Sequence[tuple[Case, Sequence[Case]]], programs: Sequence[str], workers: int) -> list[Fit]:
     """All programs on all these cases, each with those that it is to predict, from their files where they are there."""
-    digests = {program: sources_of(program) for program in programs}
+    scores = digest_of(FOLDER / "real" / "scores.py", FOLDER / "peers" / "rests.py")
     jobs = []
     for case, unseen in todo:
         key = " ".join(map(key_of, (case, *unseen)))
         for program in programs:
-            name = hashlib.sha256(f"{key} {digests[program]}".encode()).hexdigest()
-            jobs.append((case, program, unseen, CACHE / name[:2] / f"{name}.json"))
+            jobs.append((case, program, unseen, file_of(CACHE / "real", key, program, source_of(program), scores)))
     pending = [job for job in jobs if not job[-1].exists()]
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         made = {pool.submit(fitted, case, name, unseen): path for case, name, unseen, path in pending}
         for number, done in enumerate(as_completed(made), start=1):
-            path = made[done]
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(json.dumps(done.result()), encoding="utf-8")
+            keep(made[done], json.dumps(done.result()))
             print(f"\r{number} of {len(pending)} fits", end="", file=sys.stderr, flush=True)
     out = []
     for case, program, _, path in jobs:
@@ -223,13 +204,18 @@ def computed(names: Sequence[str], workers: int, chips: Sequence[int] = CHIPS) -
             for program in programs:
                 of_device = devices.setdefault(program, {}).setdefault(case.device, [])
                 of_device.append(of[case.name, program].accepted_part())
-    repeated = {program: repeated_of(devices[program], devices[FIRST]) for program in devices}
+    repeated = {program: repeated_of(devices[program], devices[OURS]) for program in devices}
     truths = [
         row_of(case, program, of[case.name, program].found).content()
         for case in whole if case.truth is not None for program in programs
     ]  # fmt: skip
     return {
-        "made": made_now(real, programs),
+        "made": {
+            **made_now(("*.py",)),
+            "cases": len(real),
+            "programs": list(programs),
+            "missing": missing(),
+        },
         "recordings": recordings(real),
         "rows": rows,
         "predictions": list(predictions(of, programs, pairs)),
@@ -275,28 +261,6 @@ def recordings(real: Sequence[Case]) -> list[dict[str, Any]]:
         one["cases"] += 1
         one["licence"], one["address"] = case.licence, case.source
     return [{**one, "recordings": len(one["recordings"]), "devices": len(one["devices"])} for one in out.values()]
-
-
-def made_now(real: Sequence[Case], programs: Sequence[str]) -> dict[str, Any]:
-    """When, where, of which state of the sources."""
-    commands = ["git", "rev-parse", "HEAD"], ["git", "status", "--porcelain", "--", "src", "evidence/*.py"]
-    commit, changed = (
-        subprocess.run(command, cwd=FOLDER.parent, capture_output=True, text=True, check=False).stdout.strip()
-        for command in commands
-    )
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
-    model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
-    return {
-        "commit": commit + (", changed" if changed else ""),
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": f"{model or platform.machine()}, {os.cpu_count()} cores",
-        "system": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
-        "libraries": {library: version(library) for library in ("numpy", "scipy", "polars")},
-        "cases": len(real),
-        "programs": list(programs),
-        "missing": missing(),
-    }
 
 
 def main() -> None:

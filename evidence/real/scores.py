@@ -24,8 +24,8 @@ import numpy as np
 
 from evidence.case import NAMES, Array, Case, Estimate, parameters_of
 from evidence.peers.rests import Rests, chained, found, padded, rotation_of
+from evidence.score import GROUPS
 
-GROUPS = tuple(f"{kind}.{what}" for kind in ("accel", "gyro") for what in ("bias", "scale", "axis"))
 LONGEST_TURN = 20.0
 """s; what lasts longer, such as shaking, predicts the drift of the bias."""
 STILL = 0.1

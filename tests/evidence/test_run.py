@@ -157,7 +157,7 @@ def test_a_run_goes_on_where_it_was_stopped(monkeypatch: pytest.MonkeyPatch) -> 
 def test_another_source_of_a_program_is_computed_again(monkeypatch: pytest.MonkeyPatch) -> None:
     entry = run.entries_of("short", 1)[0]
     before = run._cached(entry, "tumble joint")
-    monkeypatch.setattr(run, "_source", lambda _: "changed")
+    monkeypatch.setattr(run, "source_of", lambda _: "changed")
     assert run._cached(entry, "tumble joint") != before
     assert run._cached(replace(entry, key="another"), "tumble joint") != run._cached(entry, "tumble joint")
 
