@@ -13,16 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
-from tumble.bench.follow.samples import Clock, SoundSamples
-from tumble.bench.record.lines import Lines, numbers_in
+from tumble.bench.follow.samples import Clock
+from tumble.bench.record.lines import Lines
 from tumble.bench.record.sources import Ended, LineSource, source_of
 from tumble.bench.session_folder import in_si
 from tumble.errors import InputError
 from tumble.recording.log import Chunk, open_log
-from tumble.recording.session import LogSpec, Session
+from tumble.recording.session import Session
 from tumble.recording.session_file import read_session, session_of
 from tumble.result.calibration import Calibration
-from tumble.units import DEGREE, ZERO_CELSIUS, Array
+from tumble.units import DEGREE
 from tumble.use.corrector import LATEST
 from tumble.use.watch import Watch
 
@@ -88,21 +88,12 @@ class LiveSamples:
                 while True:
                     data = self._before or self.source.read(READ_SECONDS)
                     self._before = b""
-                    yield from self._samples(self._rows(data))
+                    yield from self._samples(data)
             except Ended:
-                yield from self._samples(self._rows(b"\n"))
+                yield from self._samples(b"\n")
 
-    def _rows(self, data: bytes) -> Array:
-        """The rows in what is received next."""
-        whole, width = self._lines.cut(data), len(self._lines.columns)
-        numbers = numbers_in(whole, width) if self._lines.in_order else None
-        if numbers is not None:
-            return numbers
-        rows = [[float(value) for value in row.text.split(",")] for row in self._lines.rows(whole)]
-        return np.array(rows).reshape(-1, width)
-
-    def _samples(self, rows: Array) -> Iterator[Chunk]:
-        spec = self._spec
+    def _samples(self, data: bytes) -> Iterator[Chunk]:
+        spec, rows = self._spec, self._lines.numbers(self._lines.cut(data))
         time = np.zeros(0) if spec.time is None or not len(rows) else rows[:, 0] * spec.time_factor
         back = np.flatnonzero(np.diff(time, prepend=self._last) < -LATEST) if len(time) else np.zeros(0, dtype=int)
         self._last = float(time[-1]) if len(time) else self._last
@@ -111,23 +102,7 @@ class LiveSamples:
                 self._clock, self._file = Clock(spec=spec, interval=self._clock.interval), self._file + 1
             samples = self._clock.samples(rows[begin:end]) if end > begin else None
             if samples is not None and len(samples.time):
-                yield _chunk(samples, spec, self._file)
-
-
-def _chunk(samples: SoundSamples, spec: LogSpec, file: int) -> Chunk:
-    """Samples in SI."""
-    readings, first = list[Array](), 0
-    for channels in (spec.accel, spec.gyro):
-        if channels is not None:
-            last = first + len(channels.columns)
-            readings.append(channels.to_si(samples.values[:, first:last], samples.dt))
-            first = last
-    temperature = None
-    if spec.temperature is not None:
-        warmth = samples.values[:, -len(spec.temperature.columns) :]
-        temperature = spec.temperature.to_celsius(warmth) + ZERO_CELSIUS
-    gyro = readings[1] if spec.gyro is not None else None
-    return Chunk(file=file, time=samples.time, dt=samples.dt, accel=readings[0], gyro=gyro, temperature=temperature)
+                yield samples.chunk(spec, self._file)
 
 
 def opened(source: str, calibration: Calibration, session: Session | None) -> tuple[Watch, Iterator[Chunk]]:

@@ -38,13 +38,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import fdtri, ndtri, stdtr
+from scipy.special import fdtri
 
 from tumble.brief import Brief
 from tumble.diagnosis.observability import Refusal, undetermined
 from tumble.errors import InputError
 from tumble.inference.estimate import Fit
-from tumble.methods.least_squares import Solution, least_squares, sigmas, with_scatter
+from tumble.methods.least_squares import Solution, as_normal, least_squares, sigmas, with_scatter
 from tumble.methods.quadric import fit_many
 from tumble.rotation import unit_vector
 from tumble.sensors.model import Block, SensorModel, beyond_turning, to_accelerometer_frame
@@ -288,7 +288,7 @@ def _fitted(task: _Task, used: BoolArray) -> EllipsoidFit | None:
     z = np.where(shown, np.abs(alone) / alone_u, 0.0)
     out = np.where(used, sigmas(z, degrees, scatter > 0.0), z)
     if scatter > 0.0:
-        out[~used] = -ndtri(np.maximum(stdtr(degrees, -z[~used]), 1e-300))
+        out[~used] = as_normal(z[~used], degrees)
     by_noise, modulus_u = solution.covariance, task.modulus_u
     noise_degrees = float(degrees) if scatter > 0.0 else np.inf
     if task.blocks is not None:

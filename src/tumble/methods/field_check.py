@@ -26,7 +26,7 @@ The prior decides nothing of a change: it is beyond it. A change smaller than wh
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -122,6 +122,31 @@ class CheckResult:
     values: Array
     covariance: Array
 
+    @staticmethod
+    def of(
+        instrument: Instrument,
+        alone: Tests,
+        candidates: IntArray,
+        limit: float,
+        *,
+        changes: tuple[ChangedParameter, ...],
+        misfit: Fit,
+        values: Array,
+        covariance: Array,
+    ) -> CheckResult:
+        """That of the tests of each of the candidates alone."""
+        names = instrument.names
+        return CheckResult(
+            changes=changes,
+            tests={names[j]: (float(alone.t[j] * alone.u[j]), float(alone.u[j])) for j in candidates},
+            detectable={names[j]: float((limit + special.ndtri(POWER)) * alone.u[j]) for j in candidates},
+            largest=float(np.abs(alone.t[candidates]).max()) if len(candidates) else 0.0,
+            limit=limit,
+            misfit=misfit,
+            values=values,
+            covariance=covariance,
+        )
+
     @property
     def explained(self) -> bool:
         """Whether chance and the changes explain the session."""
@@ -145,12 +170,9 @@ def field_check(observations: Observations, known: KnownBefore) -> CheckResult:
         problem = replace(problem, prior=Prior(covariance=covariance))
         point, about, left = _iterated(problem, point, about, known.components)
         tests = Tests.of(left, covariance, known.doubt)
-        seen = [j for j in range(instrument.linear_count) if j not in free and tests.u[j] < limits[j] / DETERMINED]
-        candidates = np.array(seen, dtype=int)
-        limit = tests.limit(candidates)
+        candidates, limit, worst = tests.standing_out(instrument, free)
         first = first or (tests, candidates, limit)
-        worst = int(candidates[np.argmax(np.abs(tests.t[candidates]))]) if len(candidates) else 0
-        if not len(candidates) or abs(tests.t[worst]) <= limit or len(free) == MOST_CHANGES:
+        if worst is None or len(free) == MOST_CHANGES:
             break
         free.append(worst)
         least = np.sqrt(max(tests.t[worst] ** 2 - AS_LIKELY, limit**2))
@@ -159,8 +181,10 @@ def field_check(observations: Observations, known: KnownBefore) -> CheckResult:
     unfreed = Tests.of(left, known.covariance, known.doubt)
     change, change_u, explained = unfreed.together(free)
     S, PR = np.eye(len(left.d)) + left.R @ covariance @ left.R.T, covariance @ left.R.T
-    (alone, candidates, limit), names = first, instrument.names
-    return CheckResult(
+    names = instrument.names
+    return CheckResult.of(
+        instrument,
+        *first,
         changes=tuple(
             ChangedParameter(
                 name=names[j],
@@ -171,10 +195,6 @@ def field_check(observations: Observations, known: KnownBefore) -> CheckResult:
             )
             for i, j in enumerate(free)
         ),
-        tests={names[j]: (float(alone.t[j] * alone.u[j]), float(alone.u[j])) for j in candidates},
-        detectable={names[j]: float((limit + special.ndtri(POWER)) * alone.u[j]) for j in candidates},
-        largest=float(np.abs(alone.t[candidates]).max()) if len(candidates) else 0.0,
-        limit=limit,
         misfit=Fit(
             chi_square=left.squares + float(unfreed.z @ unfreed.z) - explained,
             degrees=float(left.degrees - len(free)),
@@ -272,6 +292,17 @@ class Tests:
         Q, R = np.linalg.qr(self.G[:, free])
         along, inverse = Q.T @ self.z, np.linalg.inv(R)
         return inverse @ along, np.sqrt((inverse**2).sum(axis=1)), float(along @ along)
+
+    def standing_out(self, instrument: Instrument, without: Container[int]) -> tuple[IntArray, float, int | None]:
+        """The parameters of the linear model that the session sees, beside some that are free; what the largest |t| of
+        them exceeds by chance; and the one that exceeds it most, None where none does."""
+        known = self.u < limits_of(instrument.names) / DETERMINED
+        candidates = np.array([j for j in range(instrument.linear_count) if known[j] and j not in without], dtype=int)
+        limit = self.limit(candidates)
+        if not len(candidates):
+            return candidates, limit, None
+        worst = int(candidates[np.argmax(np.abs(self.t[candidates]))])
+        return candidates, limit, worst if abs(self.t[worst]) > limit else None
 
     def limit(self, candidates: IntArray) -> float:
         """What the largest |t| of the candidates exceeds in CHANCE of all cases."""

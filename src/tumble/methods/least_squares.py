@@ -26,6 +26,8 @@ TAKEN_UP = 1e-3
 MAX_ITERATIONS = 30
 CONVERGED = 1e-3  # of the standard uncertainty
 SCATTER_ROUNDS = 3
+NORMAL = 1e8
+"""Degrees of freedom, from which Student's t is normal."""
 ROUNDING = 1e-15
 """SI: steps that are no more than rounding."""
 
@@ -177,3 +179,10 @@ def sigmas(normalised: Array, degrees: float, scaled: bool) -> Array:
     z2 = np.minimum(z**2, degrees * (1.0 - 1e-9))
     studentised = np.sqrt(z2 * (degrees - 1.0) / (degrees - z2))
     return np.asarray(0.0 - special.ndtri(special.stdtr(degrees - 1.0, -studentised)))
+
+
+def as_normal(t: Array, degrees: Array | float) -> Array:
+    """The standard normal numbers that are as improbable as these of Student's t, of so many degrees of freedom."""
+    below = special.stdtr(degrees, -np.abs(t))
+    normal = np.where(np.asarray(degrees) > NORMAL, np.abs(t), -special.ndtri(np.maximum(below, 1e-300)))
+    return np.asarray(np.sign(t) * normal)

@@ -42,20 +42,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import special
 from scipy.linalg import block_diag
 
 from tumble.inference.estimate import DETERMINED, Fit
 from tumble.methods.field_check import (
     AS_LIKELY,
     MOST_CHANGES,
-    POWER,
     ChangedParameter,
     CheckResult,
     KnownBefore,
     Tests,
     left_by,
 )
+from tumble.methods.least_squares import as_normal
 from tumble.reduction.observations import Observations
 from tumble.sensors.parameters import group_name, limits_of, sensor_kind
 from tumble.units import Array, IntArray
@@ -232,7 +231,7 @@ class RestChain:
         t = along.T @ z
         q = G.T @ along
         inverse = np.einsum("ik,ij,jk->k", q, self._D, q) ** 2
-        return size, t, _normal(t, inverse)
+        return size, t, as_normal(t, 1.0 / np.maximum(inverse, 1e-12))
 
     def _moved(self) -> tuple[MovedBias, ...]:
         """What has moved where a sum decides: the bias that explains most of what came since its own sum began, with
@@ -280,38 +279,23 @@ class RestChain:
             tests = Tests.whitened(
                 (whole - Q @ (Q.T @ whole))[:, : 1 + m], z - Q @ (Q.T @ z), self._doubt[: 1 + m, : 1 + m]
             )
-            linear = range(self.instrument.linear_count)
-            seen = [j for j in linear if j not in (*free, *already) and tests.u[j] < self._limits[j] / DETERMINED]
-            candidates = np.array(seen, dtype=int)
-            limit = tests.limit(candidates)
+            candidates, limit, worst = tests.standing_out(self.instrument, (*free, *already))
             first = first or (tests, candidates, limit)
-            worst = int(candidates[np.argmax(np.abs(tests.t[candidates]))]) if len(candidates) else 0
-            if not len(candidates) or abs(tests.t[worst]) <= limit or len(free) + len(already) >= MOST_CHANGES:
+            if worst is None or len(free) + len(already) >= MOST_CHANGES:
                 break
             free.append(worst)
-        alone, candidates, limit = first
-        change, u, explained = alone.together(free)
+        change, u, explained = first[0].together(free)
         changes = tuple(
             ChangedParameter(
                 name=names[j], unit=self.instrument.units[j], value=float(change[i]), u=float(u[i]), others={}
             )
             for i, j in enumerate(free)
         )
-        return CheckResult(
+        return CheckResult.of(
+            self.instrument,
+            *first,
             changes=(*(each.change for each in moved), *changes),
-            tests={names[j]: (float(alone.t[j] * alone.u[j]), float(alone.u[j])) for j in candidates},
-            detectable={names[j]: float((limit + special.ndtri(POWER)) * alone.u[j]) for j in candidates},
-            largest=float(np.abs(alone.t[candidates]).max()) if len(candidates) else 0.0,
-            limit=limit,
             misfit=Fit(chi_square=self._squares - explained, degrees=self._degrees - len(free), scatter=0.0, unit=""),
             values=self._x[1 : 1 + m],
             covariance=self._P[1 : 1 + m, 1 : 1 + m],
         )
-
-
-def _normal(t: Array, inverse_degrees: Array) -> Array:
-    """The standard normal numbers with the probabilities of Student's t, of 1/ν degrees of freedom."""
-    nu = 1.0 / np.maximum(inverse_degrees, 1e-12)
-    below = special.stdtr(nu, -np.abs(t))
-    normal = np.where(nu > 1e8, np.abs(t), -special.ndtri(np.maximum(below, 1e-300)))
-    return np.asarray(np.sign(t) * normal)

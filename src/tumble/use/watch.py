@@ -141,12 +141,11 @@ class Watch:
 
     def _begin(self, done: float) -> None:
         """Begin a window, up to `done`, s, in which rests have been judged before."""
-        log = self.session.log
         self._reducer = Reducer(
             rate=self.rate,
             accel=self.session.accel_block,
             gyro=self._gyro,
-            increments=(log.increments["accel"], log.increments.get("gyro", False)),
+            increments=self.session.log.increments,
         )
         self._kept: list[Chunk] = []
         self._corrected: list[tuple[Array, Array, BoolArray]] = []

@@ -12,14 +12,13 @@ from tumble.bench.follow.faults import Fault, SampleWatch, gap_fault
 from tumble.bench.follow.rests import Blocks, Judged, Progress, Rest, StillLimits, calm_since, grouped
 from tumble.bench.follow.samples import BRIDGED, Clock, Follower, SoundSamples
 from tumble.bench.follow.wishes import Task
-from tumble.recording.log import HEAD_ROWS, Chunk
+from tumble.recording.log import HEAD_ROWS
 from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Exclusion
 from tumble.reduction.blocks.reducer import Reducer, Reduction
 from tumble.reduction.rests.blemishes import without_blemishes
 from tumble.reduction.rests.matching import without_times
 from tumble.reduction.rests.segmentation import RestSpan, find_rests
-from tumble.units import ZERO_CELSIUS, Array
 
 _PIECES = 32
 _LEAST_BLOCKS = 30
@@ -91,23 +90,14 @@ class Live:
                 rate=1.0 / interval,
                 accel=session.accel_block,
                 gyro=session.gyro_block,
-                increments=(log.increments["accel"], log.increments.get("gyro", False)),
+                increments=log.increments,
             )
             self._watches = [SampleWatch(channels.columns, channels.range, interval) for channels in kinds]
-        readings: list[Array] = []
-        first = 0
-        for watch, channels in zip(self._watches, kinds, strict=True):
-            last = first + len(channels.columns)
-            readings.append(channels.to_si(samples.values[:, first:last], samples.dt))
-            self.faults += watch.look(time, readings[-1])
-            first = last
-        temperature = None
-        if log.temperature is not None:
-            warmth = samples.values[:, -len(log.temperature.columns) :]
-            temperature = log.temperature.to_celsius(warmth) + ZERO_CELSIUS
+        chunk = samples.chunk(log)
+        for watch, readings in zip(self._watches, (chunk.accel, chunk.gyro), strict=False):
+            if readings is not None:
+                self.faults += watch.look(time, readings)
         if len(time):
-            accel, gyro = readings[0], readings[1] if len(readings) > 1 else None
-            chunk = Chunk(file=0, time=time, dt=samples.dt, accel=accel, gyro=gyro, temperature=temperature)
             self._reducer.feed(chunk)
         self.samples += len(time)
         self.lost += int(samples.lost.sum())

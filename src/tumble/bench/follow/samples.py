@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.bench.record.lines import Lines, numbers_in
+from tumble.bench.record.lines import Lines
 from tumble.bench.record.recorder import growing_file
+from tumble.recording.log import Chunk
 from tumble.recording.rows.gaps import JUMP
 from tumble.recording.rows.timed import leaping
 from tumble.recording.session import LogSpec
-from tumble.units import Array
+from tumble.units import ZERO_CELSIUS, Array
 
 PIECE_BYTES = 1 << 18
 BRIDGED = 25
@@ -36,12 +37,7 @@ class Follower:
             data = file.read(PIECE_BYTES)
         data = data[: data.rfind(b"\n") + 1]
         self.at += len(data)
-        width = len(self._lines.columns)
-        numbers = numbers_in(data, width) if self._lines.in_order else None
-        if numbers is not None:
-            return numbers
-        values = [float(value) for row in self._lines.feed(data) for value in row.text.split(",")]
-        return np.array(values).reshape(-1, width)
+        return self._lines.numbers(data)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -52,6 +48,21 @@ class SoundSamples:
     dt: Array
     values: Array
     lost: Array
+
+    def chunk(self, spec: LogSpec, file: int = 0) -> Chunk:
+        """The samples in SI."""
+        readings, first = list[Array](), 0
+        for channels in (spec.accel, spec.gyro):
+            if channels is not None:
+                last = first + len(channels.columns)
+                readings.append(channels.to_si(self.values[:, first:last], self.dt))
+                first = last
+        temperature = None
+        if spec.temperature is not None:
+            warmth = self.values[:, -len(spec.temperature.columns) :]
+            temperature = spec.temperature.to_celsius(warmth) + ZERO_CELSIUS
+        gyro = None if spec.gyro is None else readings[1]
+        return Chunk(file=file, time=self.time, dt=self.dt, accel=readings[0], gyro=gyro, temperature=temperature)
 
 
 @dataclass(kw_only=True, slots=True, eq=False)

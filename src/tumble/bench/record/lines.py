@@ -79,6 +79,14 @@ class Lines:
                 rows += [] if row is None else [row]
         return rows
 
+    def numbers(self, whole: bytes) -> Array:
+        """The numbers (m, columns) of the rows in whole lines."""
+        numbers = numbers_in(whole, len(self.columns)) if self.in_order else None
+        if numbers is not None:
+            return numbers
+        values = [float(value) for row in self.rows(whole) for value in row.text.split(",")]
+        return np.array(values).reshape(-1, len(self.columns))
+
     def _refuse(self, raw: bytes, why: str) -> None:
         self.refused, self.last_refused = self.refused + 1, why
         self._keep(raw[:LONGEST_LINE])

@@ -6,8 +6,9 @@ give the same blocks.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -238,17 +239,17 @@ class Reducer:
         rate: float,
         accel: Block,
         gyro: Block | None,
-        increments: tuple[bool, bool] = (False, False),
+        increments: Mapping[str, bool] = MappingProxyType({}),
         magnetometer: bool = False,
         clock_rate: float = 1.0,
     ) -> None:
-        """`increments`: whether accelerometers and gyros came as increments per sample; `magnetometer`: whether there
-        is one; `clock_rate`: seconds in a second of the log's clock."""
+        """`increments`: whether the readings of a kind of sensor came as increments per sample; `magnetometer`:
+        whether there is one; `clock_rate`: seconds in a second of the log's clock."""
         self.rate, self.accel, self.gyro, self.clock_rate = rate, accel, gyro, clock_rate
         self.size = max(1, int(BLOCK_SECONDS * rate * (1.0 + 1e-9)))
         self._channels = {
-            "accel": _Channels(accel.size, self.size, increments=increments[0]),
-            "gyro": _Channels(gyro.size if gyro else 0, self.size, increments=increments[1]),
+            "accel": _Channels(accel.size, self.size, increments=increments.get("accel", False)),
+            "gyro": _Channels(gyro.size if gyro else 0, self.size, increments=increments.get("gyro", False)),
             "magnetometer": _Channels(3 if magnetometer else 0, self.size, increments=False),
         }
         self._files: list[FileBlocks] = []
@@ -361,14 +362,11 @@ def reduce_log(
     """Read a log once and reduce it; `chunks` stands in for `log.chunks()`, e.g. to show progress, and
     what follows goes by the `tuning`. Raises LogError where gaps leave nothing of it."""
     spec = log.session.log
-    of_accel, of_gyro = (
-        channels is not None and channels.unit.kind == "increment" for channels in (spec.accel, spec.gyro)
-    )
     reducer = Reducer(
         rate=log.rate,
         accel=accel,
         gyro=gyro,
-        increments=(of_accel, of_gyro),
+        increments=spec.increments,
         magnetometer=spec.magnetometer is not None,
         clock_rate=spec.clock_rate,
     )
