@@ -131,13 +131,17 @@ def test_without_lever_arms_a_sample_is_correct_at_once() -> None:
     assert len(corrector.finish()) == 0
 
 
+def lagging(lag: float = 1.5) -> tuple[Calibration, float, float]:
+    """A calibration whose sensors follow their thermometer with a lag, s, and its reference temperature, °C."""
+    made = warmed(calibration(), curved=False)
+    assert made.reference_temperature is not None
+    late = Parameter(name="temperature.lag", value=lag, u=0.1, unit="s")
+    return replace(made, parameters=(*made.parameters, late), covariance=None), made.reference_temperature, lag
+
+
 def test_sensors_follow_a_step_of_the_thermometer_with_the_lag() -> None:
     """1 − e^{−t/λ} after it, a straight line between the two readings of the step."""
-    made = warmed(calibration(), curved=False)
-    reference, lag = made.reference_temperature, 1.5
-    assert reference is not None
-    late = Parameter(name="temperature.lag", value=lag, u=0.1, unit="s")
-    made = replace(made, parameters=(*made.parameters, late), covariance=None)
+    made, reference, lag = lagging()
     kelvin = np.where(np.arange(400) < 10, reference, reference + 20.0) + ZERO_CELSIUS
     still = np.tile([0.0, 0.0, G_STANDARD], (400, 1)), np.zeros((400, 3))
     found = Corrector(made, sample_rate=100.0).add(*still, temperature=kelvin).rate
@@ -212,11 +216,7 @@ def test_another_stream_begins_after_the_last_sample() -> None:
 
 def test_what_lags_goes_by_the_stamps() -> None:
     """A step, then samples 0.01, 0.02 and 3 s apart: e^{−t/λ} of what is left, whatever the sample rate says."""
-    made = warmed(calibration(), curved=False)
-    reference, lag = made.reference_temperature, 1.5
-    assert reference is not None
-    late = Parameter(name="temperature.lag", value=lag, u=0.1, unit="s")
-    made = replace(made, parameters=(*made.parameters, late), covariance=None)
+    made, reference, lag = lagging()
     time = np.array([0.0, 0.01, 0.02, 0.04, 3.04, 3.05])
     kelvin = reference + ZERO_CELSIUS + 20.0 * np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
     still = np.tile([0.0, 0.0, G_STANDARD], (6, 1)), np.zeros((6, 3))

@@ -3,10 +3,9 @@ make them; and whether up is up."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import permutations, product
-from typing import Literal
 
 import numpy as np
 
@@ -98,26 +97,27 @@ class _Carrying:
         """Angles (K,), rad, by which gyros with another matrix miss the vertical."""
         return _misses(self.observations, SensorModel(matrix=matrix, bias=self.stated.bias), self.vertical)
 
-    def other_units(self, of: Literal["gyro", "time"]) -> Iterator[tuple[str, Array]]:
-        """Other units of the gyros than the stated one (of raw channels: of the scale), or of the times those in which
-        they are those of a log, and the matrices (3, n) in these."""
-        channels, log = self.channels, self.log
-        if of == "time":
-            seconds = float(self.observations.rests.stop.max())
-            for name, factor in {} if log.time is None or log.clock else TIME_UNITS.items():
-                longer = factor / log.time_factor
-                if _RATES[0] < self.rate / longer < _RATES[1] and seconds * longer > _SHORTEST_LOG:
-                    yield name, self.stated.matrix / longer
-            return
+    def in_gyro_units(self) -> Iterator[tuple[str, Array]]:
+        """Other units of the gyros than the stated one (of raw channels: of the scale), and the matrices (3, n) in
+        these."""
+        channels = self.channels
         for name, unit in GYRO_UNITS.items():
             larger = unit.per_second(self.rate) / channels.unit.per_second(self.rate)
             allowed = name in GyroTable.SCALE_PER if channels.raw else unit.kind != "raw"
             if allowed and unit != channels.unit and not (channels.raw and unit.kind != channels.unit.kind):
                 yield name, self.stated.matrix / larger
 
-    def fitting_unit(self, of: Literal["gyro", "time"]) -> str | None:
-        """The first other unit that explains what the gyros miss."""
-        return next((name for name, matrix in self.other_units(of) if self.explained(matrix) < np.inf), None)
+    def in_time_units(self) -> Iterator[tuple[str, Array]]:
+        """Other units of the times, in which they are those of a log, and the matrices (3, n) in these."""
+        log, seconds = self.log, float(self.observations.rests.stop.max())
+        for name, factor in {} if log.time is None or log.clock else TIME_UNITS.items():
+            longer = factor / log.time_factor
+            if _RATES[0] < self.rate / longer < _RATES[1] and seconds * longer > _SHORTEST_LOG:
+                yield name, self.stated.matrix / longer
+
+    def fitting(self, units: Iterable[tuple[str, Array]]) -> str | None:
+        """The first of these units that explains what the gyros miss."""
+        return next((name for name, matrix in units if self.explained(matrix) < np.inf), None)
 
     def fitting_columns(self) -> str | None:
         """The simplest exchange of columns and signs among those that explain what is missed nearly as well as the
@@ -159,11 +159,11 @@ def _not_carried(carrying: _Carrying) -> list[str]:
         "the gyros do not carry the vertical from rest to rest: they miss it by "
         f"{miss.max() / DEGREE:.0f}° at worst and by {np.median(miss) / DEGREE:.0f}° at the median of {len(miss)} turns"
     )
-    if (unit := carrying.fitting_unit("gyro")) is not None:
+    if (unit := carrying.fitting(carrying.in_gyro_units())) is not None:
         if channels.raw:
             return [f'{lost}; the scale of [log.gyro] is not per that unit; scale_per = "{unit}" would fit']
         return [f'{lost}; the unit of [log.gyro] is not "{channels.unit_name}", "{unit}" would fit']
-    if (unit := carrying.fitting_unit("time")) is not None:
+    if (unit := carrying.fitting(carrying.in_time_units())) is not None:
         return [f'{lost}; log.time_unit = "{unit}" would fit']
     if (columns := carrying.fitting_columns()) is not None:
         return [f"{lost}; {columns}"]

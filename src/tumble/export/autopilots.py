@@ -574,8 +574,9 @@ def _compass(pilot: Autopilot, calibration: Calibration) -> tuple[list[Row], lis
     model, compass = calibration.mag, pilot.compass
     if model is None:
         return [], [], []
-    U, sizes, V = np.linalg.svd(model.inverse())
-    S, R = V.T @ np.diag(sizes) @ V, U @ V
+    from scipy.linalg import polar
+
+    R, S = polar(model.inverse())
     offset = compass.sign * model.bias * TESLA[calibration["mag.bias.x"].unit] / compass.worth
     diagonal, across = np.diag(S), S[[0, 0, 1], [1, 2, 2]]
     low, high = compass.factors
