@@ -17,7 +17,6 @@ normal to the plane of X and Y, and gives the names and angles in which the trut
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -129,7 +128,6 @@ class Estimate:
     refused: frozenset[Kind] = frozenset()
     """Those of which it says so."""
     verdict: str = ""
-    seconds: float = 0.0
 
     def gives(self, kind: Kind) -> bool:
         """Whether the program has numbers for these sensors and stands by them."""
@@ -153,7 +151,6 @@ class Refusal:
     """No numbers, and why."""
 
     reason: str
-    seconds: float = 0.0
 
 
 class GaveUpError(Exception):
@@ -183,16 +180,14 @@ class Program:
         return ", ".join(sorted(need for need in self.needs if not has.get(need, True)))
 
     def calibrate(self, case: Case) -> Estimate | Refusal:
-        """The estimate with the time that it took, or why there is none."""
-        start = time.perf_counter()
+        """The estimate, or why there is none."""
         lacking = self.lacks(case)
         if lacking:
             return Refusal(reason=f"needs {lacking}")
         try:
-            found = self.estimate(case)
+            return self.estimate(case)
         except (GaveUpError, np.linalg.LinAlgError) as error:
-            return Refusal(reason=str(error), seconds=time.perf_counter() - start)
-        return replace(found, seconds=time.perf_counter() - start)
+            return Refusal(reason=str(error))
 
 
 # -------------------- from any frame to the names of the truth --------------------

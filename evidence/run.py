@@ -4,20 +4,16 @@
     python -m evidence.run simulated --sessions 3 --kinds 'hand-*'               some kinds, three sessions each
     python -m evidence.run --short --against evidence/results/short.json         what moved since these results
 
-What one program made of one case is a file in evidence/cache, by a hash of all that it depends on: how the case is
-made, the source of the program, versions of libraries. A run that is stopped goes on where it was; after a change only
-what it touches is computed again. With --scheduler cases go to the processes of a dask cluster, which need this folder
-on their path. Rows and scores of two runs are the same to the bit; times and memory stand apart.
+What is computed is kept (`evidence.work`): a run that is stopped goes on where it was. Rows and scores of two runs are
+the same to the bit; times and memory stand apart.
 """
 
 from __future__ import annotations
 
 import argparse
 import inspect
-import io
 import json
 import sys
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
@@ -25,14 +21,13 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from evidence import programs as benchmark
-from evidence.case import Case, Refusal
+from evidence.case import Case, Estimate, Refusal
 from evidence.score import Row, by, row_of, score_of
 from evidence.simulated import kinds as simulated_kinds
 from evidence.simulated.kinds import KINDS, SEALED, SHORT, simulated
-from evidence.state import CACHE, FOLDER, digest_of, file_of, keep, made_now, source_of
+from evidence.state import FOLDER, digest_of, made_now
+from evidence.work import Entry, answers, median_seconds
 
 RESULTS = FOLDER / "results"
 SESSIONS = 6
@@ -44,21 +39,6 @@ DECIDES = (*MAKING, "peers", "case.py", "score.py", "programs.py", "tumble_metho
 """What rows depend on in this folder."""
 JUDGES = ("tumble joint", "tumble staged")
 """Programs whose verdicts are on the whole recording."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Entry:
-    """A case that is not made yet: `key` stands for all that it depends on."""
-
-    name: str
-    kind: str
-    index: int
-    key: str
-    make: Callable[[], Case]
-
-    def of(self, programs: Sequence[str]) -> list[str]:
-        """The programs that are to have it."""
-        return [name for name in programs if name not in FEWER or self.index < FEWER[name]]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -104,17 +84,14 @@ class Results:
 
 def simulated_entries(series: str, sessions: int) -> list[Entry]:
     """Sessions of all kinds."""
-    making = digest_of(
-        *(FOLDER / name for name in MAKING),
-        inspect.getsource(simulated_kinds.simulated),
-    )
+    making = digest_of(*(FOLDER / name for name in (*MAKING, "score.py")), inspect.getsource(simulated_kinds.simulated))
     return [
         Entry(
             name=f"{kind.name} {index}",
             kind=kind.name,
-            index=index,
             key=digest_of(f"{making} {replace(kind, words='', says='', expected='accept')!r} {series} {index}"),
             make=_Simulated(kind.name, index, series),
+            tell=told_of,
         )
         for index in range(sessions)
         for kind in KINDS
@@ -133,6 +110,12 @@ class _Simulated:
         return simulated(simulated_kinds.named(self.kind), self.index, self.series)
 
 
+def of_entry(entry: Entry, programs: Sequence[str]) -> list[str]:
+    """The programs that are to have it."""
+    index = int(entry.name.rpartition(" ")[2])
+    return [name for name in programs if name not in FEWER or index < FEWER[name]]
+
+
 def entries_of(name: str, sessions: int) -> list[Entry]:
     """The cases of a set: simulated, or short, one session of every kind with seeds of its own."""
     return simulated_entries(SHORT, 1) if name == "short" else simulated_entries(SEALED, sessions)
@@ -143,73 +126,12 @@ def programs_of(patterns: Sequence[str]) -> list[str]:
     return [p.name for p in benchmark.PROGRAMS if any(fnmatch(p.name, pattern) for pattern in patterns)]
 
 
-def _cached(entry: Entry, program: str) -> Path:
-    """The file of what a program made of a case."""
-    return file_of(CACHE, entry.key, program, source_of(program))
-
-
 # -------------------- doing it --------------------
 
 
-def tried(make: Callable[[], Case], programs: Iterable[str]) -> list[dict[str, Any]]:
-    """What programs make of one case: rows, and the seconds of each."""
-    case, out = make(), []
-    for name in programs:
-        start = time.process_time()
-        try:
-            found = benchmark.named(name).calibrate(case)
-        except Exception as error:  # an error of a program is a result, of that program
-            found = Refusal(reason=f"failed, {type(error).__name__}: {error}")
-        seconds = time.process_time() - start
-        out.append({"row": row_of(case, name, found).content(), "seconds": seconds})
-    return out
-
-
-def _task(number: int, item: tuple[Callable[[], Case], Sequence[str]]) -> list[Mapping[str, Any]]:  # noqa: ARG001
-    return [{"program": each["row"]["program"], "text": json.dumps(each)} for each in tried(*item)]
-
-
-def _label(item: tuple[Callable[[], Case], Sequence[str]]) -> dict[str, Any]:  # noqa: ARG001
-    return {}
-
-
-def run(
-    entries: Sequence[Entry], programs: Sequence[str], *, workers: int = 0, scheduler: str | None = None,
-    say: Callable[[str], None] = lambda _: None,
-) -> tuple[list[Row], dict[str, float]]:  # fmt: skip
-    """Rows of all cases and programs, in this order, and the median seconds of each program. With `workers` 1 they are
-    computed in this process, with 0 in one process a core."""
-    import polars as pl
-
-    from tumble.campaigns.cluster import executor_for
-    from tumble.campaigns.engine import Job
-
-    missing = [(entry, [name for name in entry.of(programs) if not _cached(entry, name).exists()]) for entry in entries]
-    pending = [(entry, names) for entry, names in missing if names]
-    job = Job(
-        definition={"what": "evidence"},
-        items=[(entry.make, names) for entry, names in pending],
-        task=_task,
-        label=_label,
-        schema={"program": pl.String, "text": pl.String},
-    )
-    serial = workers == 1 or len(pending) < 2
-    done = 0
-    with executor_for(serial=serial, cluster=scheduler, workers=None if serial or scheduler else workers or None) as go:
-        for numbers, part in go(job, range(len(pending))) if pending else ():
-            for made in pl.read_parquet(io.BytesIO(part)).iter_rows(named=True):
-                if made["error"] is not None:
-                    raise RuntimeError(f"{pending[made['task']][0].name}: {made['error']}")
-                keep(_cached(pending[made["task"]][0], made["program"]), made["text"])
-            done += len(numbers)
-            say(f"{done} of {len(pending)} cases")
-    all_rows, seconds = [], dict[str, list[float]]()
-    for entry in entries:
-        for name in entry.of(programs):
-            content = json.loads(_cached(entry, name).read_text(encoding="utf-8"))
-            all_rows.append(Row.from_content(content["row"]))
-            seconds.setdefault(name, []).append(content["seconds"])
-    return all_rows, {name: float(np.median(each)) for name, each in seconds.items()}
+def told_of(case: Case, program: str, found: Estimate | Refusal) -> dict[str, Any]:
+    """The row of a program and a case, as a file has it."""
+    return row_of(case, program, found).content()
 
 
 def _peak(make: Callable[[], Case], program: str, answer: Any) -> None:
@@ -255,18 +177,19 @@ def _by_kind(entries: Iterable[Entry]) -> dict[str, list[Entry]]:
 
 def computed(
     name: str, *, sessions: int = SESSIONS, kinds: Sequence[str] = ("*",), programs: Sequence[str] = ("*",),
-    workers: int = 0, scheduler: str | None = None, cost: bool = True, say: Callable[[str], None] = lambda _: None,
+    workers: int = 0, scheduler: str | None = None, memory: bool = True, say: Callable[[str], None] = lambda _: None,
 ) -> Results:  # fmt: skip
     """The results of a set of cases, or of the kinds and programs that fit one of the patterns."""
     entries = [e for e in entries_of(name, sessions) if any(fnmatch(e.kind, pattern) for pattern in kinds)]
     names = programs_of(programs)
-    rows, seconds = run(entries, names, workers=workers, scheduler=scheduler, say=say)
-    peaks = {p: peak_of(_Simulated("hand-30", 0, SEALED), p) for p in names} if cost else {}
-    return Results(
-        made=made_by(name, entries, names),
-        rows=tuple(rows),
-        cost={p: {"seconds": round(seconds[p], 3), **({"megabytes": round(peaks[p])} if cost else {})} for p in names},
+    told = answers(
+        [(entry, of_entry(entry, names)) for entry in entries], workers=workers, scheduler=scheduler, say=say
     )
+    cost: dict[str, dict[str, float]] = {program: {"seconds": median_seconds(told, program)} for program in names}
+    for program in names if memory else ():
+        cost[program]["megabytes"] = round(peak_of(_Simulated("hand-30", 0, SEALED), program))
+    rows = tuple(Row.from_content(each.content) for each in told.values())
+    return Results(made=made_by(name, entries, names), rows=rows, cost=cost)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -282,7 +205,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--workers", type=int, default=0, help="processes; one a core where it is not given")
     parser.add_argument("--scheduler", help="of a dask cluster, as tcp://HOST:PORT")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the results (default evidence/results)")
-    parser.add_argument("--no-cost", action="store_true", help="memory is not measured")
+    parser.add_argument("--no-memory", action="store_true", help="memory is not measured")
     parser.add_argument("--against", type=Path, help="results that the new ones are held against; nothing is written")
     given = parser.parse_args(arguments)
     names = [given.set] if given.set else ["short"] if given.short else ["simulated", "short"]
@@ -295,7 +218,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         found = computed(
             name, sessions=given.sessions, kinds=given.kinds,
             programs=given.programs or (["tumble *"] if name == "short" else ["*"]), workers=given.workers,
-            scheduler=given.scheduler, cost=not (given.against or given.no_cost), say=say,
+            scheduler=given.scheduler, memory=not (given.against or given.no_memory), say=say,
         )  # fmt: skip
         print(file=sys.stderr)
         if given.against:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import os
 import platform
@@ -30,12 +31,31 @@ def digest_of(*parts: Path | str) -> str:
 
 @cache
 def source_of(program: str) -> str:
-    """The hash of all that a program's answers depend on beside the case."""
-    ours = [*FOLDER.parent.joinpath("src/tumble").rglob("*.py"), FOLDER / "tumble_methods.py"]
-    peers = FOLDER.joinpath("peers").glob("*.py")
-    files = sorted(ours if benchmark.named(program).ours else peers)
+    """The hash of all that a program's answers depend on beside the case: its own file and those of this folder that it
+    imports, of tumble's methods all of tumble, versions of libraries."""
+    one = benchmark.named(program)
+    files = files_of(getattr(one.estimate, "func", one.estimate).__module__)
+    if one.ours:
+        files |= set(FOLDER.parent.joinpath("src/tumble").rglob("*.py"))
     libraries = " ".join(f"{name} {version(name)}" for name in LIBRARIES)
-    return digest_of(*files, FOLDER / "case.py", FOLDER / "score.py", libraries)
+    return digest_of(*sorted(files), libraries)
+
+
+def files_of(module: str) -> set[Path]:
+    """The file of a module of this folder, and those that it imports, directly or not."""
+    files: set[Path] = set()
+    todo = [module]
+    while todo:
+        path = FOLDER.parent.joinpath(*todo.pop().split(".")).with_suffix(".py")
+        if path in files or not path.exists() or FOLDER not in path.parents:
+            continue
+        files.add(path)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                todo += [name.name for name in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                todo += [node.module, *(f"{node.module}.{name.name}" for name in node.names)]
+    return files
 
 
 def file_of(folder: Path, *parts: str) -> Path:

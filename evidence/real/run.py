@@ -2,10 +2,10 @@
 
     python -m evidence.real.run                 all cases, to evidence/results/real.json and docs/evidence/real.md
     python -m evidence.real.run xsens-mti kim   some sources, printed and not written
+    python -m evidence.real.run --programs 'imu*'    some programs: computed and kept, nothing written
     python -m evidence.real.run --page          the page of the results that are there
 
-What one program made of one case is a file in evidence/cache, by a hash of the readings, the program and its sources: a
-run that is stopped goes on where it was.
+What is computed is kept (`evidence.work`): a run that is stopped goes on where it was.
 """
 
 from __future__ import annotations
@@ -14,10 +14,9 @@ import argparse
 import hashlib
 import json
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from multiprocessing import get_context
+from fnmatch import fnmatch
 from typing import Any
 
 import numpy as np
@@ -29,21 +28,23 @@ from evidence.real.cases import READERS, cases, missing
 from evidence.real.page import RESULTS, real_page
 from evidence.real.scores import folds, prediction, repeatability
 from evidence.score import row_of
-from evidence.state import CACHE, FOLDER, digest_of, file_of, keep, made_now, source_of
+from evidence.state import FOLDER, digest_of, made_now
+from evidence.work import Entry, answers
 
 SCORES = ("force", "shape", "tilt")
+PROGRAMS = (OURS, benchmark.LINEAR.name, *(p.name for p in benchmark.PROGRAMS if p.name != OURS))
 CHIPS = (1, 6)
 """Of the eight of the array, one of either side of the board."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Fit:
-    """What a program made of a case, or of a part of it, and what that predicts of others, by their names."""
+    """What a program made of a case, or of a part of it, what that predicts of others, by their names, and the seconds
+    of the processor that it took."""
 
-    case: str
-    program: str
     found: Estimate | Refusal
     predicted: Mapping[str, Mapping[str, Any]]
+    seconds: float
 
     def gives(self, kind: Kind) -> bool:
         """Whether the program has these sensors and stands by them."""
@@ -56,7 +57,43 @@ class Fit:
         return self.found if self.found.gives("gyro") else replace(self.found, gyro=None, gyro_bias=None)
 
 
-# -------------------- fits and their files --------------------
+# -------------------- fits, and what is told of them --------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Makes a case anew in any process: a recording, or what is fitted or held out in one of its folds."""
+
+    source: str
+    recording: str
+    fold: int | None = None
+    held: bool = False
+
+    @property
+    def name(self) -> str:
+        """Of the case."""
+        role = "held out" if self.held else "fitted"
+        return self.recording if self.fold is None else f"{self.recording}, fold {self.fold + 1}, {role}"
+
+    def __call__(self) -> Case:
+        whole = next(case for case in cases(self.source) if case.name == self.recording)
+        return whole if self.fold is None else replace(folds(whole)[self.fold][self.held], name=self.name)
+
+
+@dataclass(frozen=True, slots=True)
+class Predicts:
+    """Tells what a program made of a case, and what that predicts of others."""
+
+    unseen: tuple[Part, ...]
+
+    def __call__(self, case: Case, program: str, found: Estimate | Refusal) -> dict[str, Any]:  # noqa: ARG002
+        if isinstance(found, Estimate):
+            try:
+                told = {part.name: asdict(prediction(found, part())) for part in self.unseen}
+                return {"found": content_of(found), "predicted": told}
+            except Exception as error:  # as of the program
+                found = Refusal(reason=f"failed, {type(error).__name__}: {error}")
+        return {"found": content_of(found), "predicted": {}}
 
 
 def key_of(case: Case) -> str:
@@ -71,14 +108,13 @@ def key_of(case: Case) -> str:
 def content_of(found: Estimate | Refusal) -> dict[str, Any]:
     """As a file has it."""
     if isinstance(found, Refusal):
-        return {"reason": found.reason, "seconds": found.seconds}
+        return {"reason": found.reason}
     arrays = {name: getattr(found, name) for name in ("accel", "accel_bias", "gyro", "gyro_bias")}
     return {
         **{name: None if value is None else np.asarray(value).tolist() for name, value in arrays.items()},
         "u": None if found.u is None else dict(found.u),
         "expanded": None if found.expanded is None else dict(found.expanded),
         "accepted": found.accepted, "refused": sorted(found.refused), "verdict": found.verdict,
-        "seconds": found.seconds,
     }  # fmt: skip
 
 
@@ -93,41 +129,8 @@ def found_from(content: Mapping[str, Any]) -> Estimate | Refusal:
     return Estimate(
         accel=accel, accel_bias=accel_bias, gyro=gyro, gyro_bias=gyro_bias,
         u=content["u"], expanded=content["expanded"], accepted=content["accepted"],
-        refused=frozenset(content["refused"]), verdict=content["verdict"], seconds=content["seconds"],
+        refused=frozenset(content["refused"]), verdict=content["verdict"],
     )  # fmt: skip
-
-
-def fitted(case: Case, program: str, unseen: Sequence[Case]) -> dict[str, Any]:
-    """What a program makes of a case, and what that predicts of others, as a file has it; an error of a program is a
-    refusal with its name."""
-    try:
-        found = benchmark.named(program).calibrate(case)
-        told = {} if isinstance(found, Refusal) else {one.name: asdict(prediction(found, one)) for one in unseen}
-    except Exception as error:
-        found, told = Refusal(reason=f"failed, {type(error).__name__}: {error}"), {}
-    return {"found": content_of(found), "predicted": told}
-
-
-def fits(todo: Sequence[tuple[Case, Sequence[Case]]], programs: Sequence[str], workers: int) -> list[Fit]:
-    """All programs on all these cases, each with those that it is to predict, from their files where they are there."""
-    scores = digest_of(FOLDER / "real" / "scores.py", FOLDER / "peers" / "rests.py")
-    jobs = []
-    for case, unseen in todo:
-        key = " ".join(map(key_of, (case, *unseen)))
-        for program in programs:
-            jobs.append((case, program, unseen, file_of(CACHE / "real", key, program, source_of(program), scores)))
-    pending = [job for job in jobs if not job[-1].exists()]
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        made = {pool.submit(fitted, case, name, unseen): path for case, name, unseen, path in pending}
-        for number, done in enumerate(as_completed(made), start=1):
-            keep(made[done], json.dumps(done.result()))
-            print(f"\r{number} of {len(pending)} fits", end="", file=sys.stderr, flush=True)
-    out = []
-    for case, program, _, path in jobs:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        found = found_from(content["found"])
-        out.append(Fit(case=case.name, program=program, found=found, predicted=content["predicted"]))
-    return out
 
 
 # -------------------- results --------------------
@@ -149,44 +152,69 @@ def predictions(of: Mapping[tuple[str, str], Fit], programs: Iterable[str],
             yield {"fitted": trained, "predicted": unseen, "program": program, **counts, **numbers}
 
 
-def pairs_of(whole: Sequence[Case]) -> tuple[list[Case], list[tuple[str, str]]]:
-    """Parts of recordings, and pairs of what is fitted and what is predicted: of a device with several sessions the
-    next session, else folds of the recording."""
-    parts, pairs = [], []
-    sessions: dict[str, list[Case]] = {}
-    for case in whole:
-        sessions.setdefault(case.device, []).append(case)
-    for of_device in sessions.values():
-        if "mimu4444" in of_device[0].device and len(of_device) > 1:
-            pairs += [(of_device[i].name, of_device[(i + 1) % len(of_device)].name) for i in range(len(of_device))]
+def pairs_of(real: Mapping[Part, Case]) -> list[tuple[Part, Part]]:
+    """What is fitted and what is predicted: of a device with several sessions the next session, else folds of the
+    recording."""
+    pairs = []
+    sessions: dict[str, list[Part]] = {}
+    for part, case in real.items():
+        sessions.setdefault(case.device, []).append(part)
+    for device, of_device in sessions.items():
+        if "mimu4444" in device and len(of_device) > 1:
+            pairs += [(of_device[i], of_device[(i + 1) % len(of_device)]) for i in range(len(of_device))]
             continue
-        for case in of_device:
+        for part in of_device:
             try:
-                cut = folds(case)
+                cut = folds(real[part])
             except Exception as error:  # no rests
-                print(f"{case.name}: {error}", file=sys.stderr)
+                print(f"{part.name}: {error}", file=sys.stderr)
                 continue
-            for number, (to_fit, held) in enumerate(cut, start=1):
-                names = f"{case.name}, fold {number}, fitted", f"{case.name}, fold {number}, held out"
-                parts += [replace(part, name=name) for part, name in zip((to_fit, held), names, strict=True)]
-                pairs.append(names)
-    return parts, pairs
+            pairs += [(replace(part, fold=i), replace(part, fold=i, held=True)) for i in range(len(cut))]
+    return pairs
 
 
-def computed(names: Sequence[str], workers: int, chips: Sequence[int] = CHIPS) -> dict[str, Any]:
-    """All results of these sources, of the array those of some chips."""
-    first, *others = (program.name for program in benchmark.PROGRAMS)
-    programs = [first, benchmark.LINEAR.name, *others]
+def entries_of(parts: Iterable[Part], pairs: Iterable[tuple[Part, Part]]) -> list[Entry]:
+    """All that is to be fitted, each with what it is to predict."""
+    scores = digest_of(FOLDER / "real" / "scores.py", FOLDER / "peers" / "rests.py")
+    unseen: dict[Part, list[Part]] = {part: [] for part in parts}
+    for fitted, held in pairs:
+        unseen.setdefault(fitted, []).append(held)
+    return [
+        Entry(
+            name=part.name,
+            kind=part.source,
+            key=" ".join((scores, *(key_of(one()) for one in (part, *held)))),
+            make=part,
+            tell=Predicts(tuple(held)),
+        )
+        for part, held in unseen.items()
+    ]
+
+
+def computed(
+    names: Sequence[str], *, programs: Sequence[str] = ("*",), chips: Sequence[int] = CHIPS, workers: int = 0,
+    scheduler: str | None = None, say: Callable[[str], None] = lambda _: None,
+) -> dict[str, Any]:  # fmt: skip
+    """All results of these sources and programs, of the array those of some chips."""
     kept = tuple(f"chip {chip}" for chip in chips)
-    whole = [case for case in cases(*names) if "chip" not in case.name or case.name.endswith(kept)]
+    every = {
+        Part(source, case.name): case
+        for source in names or READERS
+        for case in cases(source)
+        if "chip" not in case.name or case.name.endswith(kept)
+    }
+    whole = list(every.values())
     real = [case for case in whole if case.truth is None]
-    parts, pairs = pairs_of(real)
-    every = {case.name: case for case in (*whole, *parts)}
-    unseen: dict[str, list[Case]] = {case.name: [] for case in whole}
-    for trained, held in pairs:
-        unseen.setdefault(trained, []).append(every[held])
-    todo = [(every[name], held) for name, held in unseen.items()]
-    of = {(fit.case, fit.program): fit for fit in fits(todo, programs, workers)}
+    pairs = pairs_of({part: case for part, case in every.items() if case.truth is None})
+    entries = entries_of(every, pairs)
+    programs = [p for p in PROGRAMS if any(fnmatch(p, pattern) for pattern in programs)]
+    told = answers([(entry, programs) for entry in entries], workers=workers, scheduler=scheduler, say=say)
+    of = {
+        (case, program): Fit(
+            found=found_from(each.content["found"]), predicted=each.content["predicted"], seconds=each.seconds
+        )
+        for (case, program), each in told.items()
+    }
     rows = []
     for case in whole:
         for program in programs:
@@ -218,10 +246,10 @@ def computed(names: Sequence[str], workers: int, chips: Sequence[int] = CHIPS) -
         },
         "recordings": recordings(real),
         "rows": rows,
-        "predictions": list(predictions(of, programs, pairs)),
+        "predictions": list(predictions(of, programs, [(fitted.name, held.name) for fitted, held in pairs])),
         "repeatability": repeated,
         "seconds": {
-            program: round(float(np.median([of[case.name, program].found.seconds for case in real])), 3)
+            program: round(float(np.median([of[case.name, program].seconds for case in real])), 3)
             for program in programs
         },
         "simulated_by_others": truths,
@@ -266,12 +294,20 @@ def recordings(real: Sequence[Case]) -> list[dict[str, Any]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description="Programs on real recordings")
     parser.add_argument("sources", nargs="*", choices=[[], *READERS], help="some; all where none is named")
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--programs", nargs="+", default=["*"], help="some, by patterns such as 'imu*'")
+    parser.add_argument("--workers", type=int, default=0, help="processes; one a core where it is not given")
+    parser.add_argument("--scheduler", help="of a dask cluster, as tcp://HOST:PORT")
     parser.add_argument("--chips", type=int, nargs="+", default=CHIPS, help="of the array (default 1 and 6)")
     parser.add_argument("--page", action="store_true", help="only write the page of the results that are there")
     given = parser.parse_args()
     if not given.page:
-        results = computed(given.sources, given.workers, given.chips)
+        results = computed(
+            given.sources, programs=given.programs, chips=given.chips, workers=given.workers,
+            scheduler=given.scheduler, say=lambda words: print(f"\r{words}", end="", file=sys.stderr, flush=True),
+        )  # fmt: skip
+        print(file=sys.stderr)
+        if given.programs != ["*"]:
+            return
         if given.sources:
             print(real_page(results))
             return

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from evidence.case import NAMES, Array, Case, Estimate, matrix_of
 from evidence.peers.rests import found
-from evidence.real import get
+from evidence.real import get, run
 from evidence.real.cases import cases, normal_gravity, psins_truth
 from evidence.real.page import RESULTS, ratio, real_page
 from evidence.real.run import content_of, found_from
@@ -126,6 +126,25 @@ def test_folds_share_no_sample_and_hold_out_a_quarter_of_the_rests() -> None:
         assert not set(fitted.time) & set(held.time)
         assert (len(found(fitted).accel), len(found(held).accel)) == (15, 5)
     assert folds(turned_about(device(2), FEWEST)) == []
+
+
+def test_what_is_fitted_and_held_out_is_made_anew_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    case = turned_about(device(2), 20)
+    monkeypatch.setattr(run, "cases", lambda _: iter([replace(case, name="another"), case]))
+    whole = run.Part("source", "turned")
+    assert whole() is case
+    pairs = run.pairs_of({whole: case})
+    assert [[one.name for one in pair] for pair in pairs] == [
+        ["turned, fold 1, fitted", "turned, fold 1, held out"],
+        ["turned, fold 2, fitted", "turned, fold 2, held out"],
+    ]
+    for (fitted, held), (to_fit, unseen) in zip(pairs, folds(case), strict=True):
+        assert (fitted().name, held().name) == (fitted.name, held.name)
+        np.testing.assert_array_equal(fitted().time, to_fit.time)
+        np.testing.assert_array_equal(held().time, unseen.time)
+    entries = run.entries_of([whole], pairs)
+    assert [entry.name for entry in entries] == ["turned", *(fitted.name for fitted, _ in pairs)]
+    assert len({entry.key for entry in entries}) == 3
 
 
 def test_repeatability_is_the_scatter_over_sessions_and_over_u() -> None:

@@ -12,11 +12,12 @@ from typing import cast
 import numpy as np
 import pytest
 
-from evidence import programs, run, tumble_methods
+from evidence import programs, run, tumble_methods, work
 from evidence.case import NAMES, Case, Estimate, Program, Refusal, matrix_of
 from evidence.drift import compared, told
 from evidence.score import Row, as_expected, row_of, score_of
 from evidence.simulated.kinds import KINDS, named, simulated
+from evidence.state import FOLDER, files_of, source_of
 from tumble.campaigns.cluster import executor_for
 from tumble.campaigns.engine import Done
 
@@ -27,11 +28,11 @@ KIND_NAMES = ("hand-8", "cube-alone", "in-g")
 @pytest.fixture(autouse=True)
 def cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """No test reads what was computed before."""
-    monkeypatch.setattr(run, "CACHE", tmp_path / "cache")
+    monkeypatch.setattr(work, "CACHE", tmp_path / "cache")
 
 
 def computed(kinds: Sequence[str] = KIND_NAMES, **options: object) -> run.Results:
-    return run.computed("short", kinds=kinds, workers=1, cost=False, **options)  # type: ignore[arg-type]
+    return run.computed("short", kinds=kinds, workers=1, memory=False, **options)  # type: ignore[arg-type]
 
 
 # -------------------- scores --------------------
@@ -113,7 +114,7 @@ def test_a_program_that_cannot_run_is_told_from_one_that_gives_up() -> None:
 
 def test_two_runs_are_the_same_to_the_bit(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     one = computed()
-    monkeypatch.setattr(run, "CACHE", tmp_path / "another")
+    monkeypatch.setattr(work, "CACHE", tmp_path / "another")
     other = computed()
     assert one.rows == other.rows
     assert json.dumps(one.scores()) == json.dumps(other.scores())
@@ -122,12 +123,12 @@ def test_two_runs_are_the_same_to_the_bit(monkeypatch: pytest.MonkeyPatch, tmp_p
 
 def test_processes_of_a_cluster_make_what_one_process_makes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     one = computed(("hand-8", "in-g"), programs=("tumble joint",))
-    monkeypatch.setattr(run, "CACHE", tmp_path / "another")
+    monkeypatch.setattr(work, "CACHE", tmp_path / "another")
     entries = [e for e in run.entries_of("short", 1) if e.kind in ("hand-8", "in-g")]
     with executor_for(workers=2) as processes:
         (client,) = cast("partial[Iterator[Done]]", processes).args
-        rows, _ = run.run(entries, ["tumble joint"], scheduler=client.scheduler.address)
-    assert tuple(rows) == one.rows
+        told = work.answers([(entry, ["tumble joint"]) for entry in entries], scheduler=client.scheduler.address)
+    assert tuple(Row.from_content(each.content) for each in told.values()) == one.rows
 
 
 def test_what_was_done_is_not_done_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,19 +137,19 @@ def test_what_was_done_is_not_done_again(monkeypatch: pytest.MonkeyPatch) -> Non
     def never(*_: object) -> list[dict[str, object]]:
         raise AssertionError("computed again")
 
-    monkeypatch.setattr(run, "tried", never)
+    monkeypatch.setattr(work, "tried", never)
     assert computed(("hand-8",)).rows == first.rows
 
 
 def test_a_run_goes_on_where_it_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     done: list[int] = []
-    tried = run.tried
+    tried = work.tried
 
-    def counted(make: Callable[[], Case], names: Sequence[str]) -> list[dict[str, object]]:
+    def counted(make: Callable[[], Case], tell: work.Tell, names: Sequence[str]) -> list[dict[str, object]]:
         done.append(1)
-        return tried(make, names)
+        return tried(make, tell, names)
 
-    monkeypatch.setattr(run, "tried", counted)
+    monkeypatch.setattr(work, "tried", counted)
     computed(("hand-8",))
     computed(("hand-8", "cube-alone"))
     assert len(done) == 2
@@ -156,10 +157,25 @@ def test_a_run_goes_on_where_it_was_stopped(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_another_source_of_a_program_is_computed_again(monkeypatch: pytest.MonkeyPatch) -> None:
     entry = run.entries_of("short", 1)[0]
-    before = run._cached(entry, "tumble joint")
-    monkeypatch.setattr(run, "source_of", lambda _: "changed")
-    assert run._cached(entry, "tumble joint") != before
-    assert run._cached(replace(entry, key="another"), "tumble joint") != run._cached(entry, "tumble joint")
+    before = work.cached(entry, "tumble joint")
+    monkeypatch.setattr(work, "source_of", lambda _: "changed")
+    assert work.cached(entry, "tumble joint") != before
+    assert work.cached(replace(entry, key="another"), "tumble joint") != work.cached(entry, "tumble joint")
+
+
+def test_what_a_program_hangs_on_is_its_own_file_and_what_it_imports() -> None:
+    """Whatever changes in tumble, or in one peer, leaves what the other peers made as it is."""
+
+    def files(module: str) -> set[str]:
+        return {path.relative_to(FOLDER).as_posix() for path in files_of(module)}
+
+    assert files("evidence.peers.imu_tk") == {"peers/imu_tk.py", "peers/rests.py", "case.py"}
+    assert files("evidence.tumble_methods") == {"tumble_methods.py", "case.py"}
+    for program in programs.PROGRAMS:
+        module = getattr(program.estimate, "func", program.estimate).__module__
+        assert module.startswith("evidence.tumble_methods" if program.ours else "evidence.peers."), program.name
+    assert source_of("imu_tk") != source_of("Magneto")
+    assert source_of("tumble joint") == source_of("tumble staged")
 
 
 def test_an_error_of_a_program_is_its_result() -> None:
@@ -169,14 +185,14 @@ def test_an_error_of_a_program_is_its_result() -> None:
     bad = Program(name="broken", needs=frozenset(), estimate=broken, source="")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(programs, "PROGRAMS", (bad,))
-        row = run.tried(lambda: answered(0.0)[0], ["broken"])[0]["row"]
+        row = work.tried(lambda: answered(0.0)[0], run.told_of, ["broken"])[0]["told"]
     assert row["verdict"] == "gave up"
     assert "ZeroDivisionError" in row["said"]
 
 
 def test_results_say_of_what_they_are_and_are_read_again(tmp_path: Path) -> None:
     assert run.main(["short", "--kinds", "in-g", "--workers", "1", "--programs", "tumble joint",
-                     "--out", str(tmp_path), "--no-cost"]) == 0  # fmt: skip
+                     "--out", str(tmp_path), "--no-memory"]) == 0  # fmt: skip
     found = run.Results.read(tmp_path / "short.json")
     assert {"commit", "date", "machine", "series", "sessions", "kinds"} <= set(found.made)
     assert found.made["sessions"] == len(found.rows) == 1
