@@ -7,7 +7,7 @@ is right, said to be near another that is the right one, refused, or wrong witho
 
     python studies/log_guesses.py [N] [--seed S] [--sweep [WIDTH …]] [--short]
 
-`--sweep` does so with each of the `Widths` of `tumble.drafting.hypotheses.shown`, or with those named, halved and
+`--sweep` does so with each of the `Widths` of `tumble.diagnosis.turn_likelihood`, or with those named, halved and
 doubled; `--short` is 20 logs. Ends with 1 where more than 3 of 100 are wrong without a word.
 """
 
@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 import polars as pl
 
-from tumble.drafting.hypotheses.shown import WIDTHS, Widths
+from tumble.diagnosis.turn_likelihood import WIDTHS, Widths
 from tumble.drafting.new_session import NOTHING_GIVEN, written_session
 from tumble.errors import TumbleError
 from tumble.files import nothing_left

@@ -32,7 +32,7 @@ from scipy.linalg import rq
 
 from tests.support import ROOT, study
 from tumble.cli import main
-from tumble.drafting.hypotheses.shown import WIDTHS
+from tumble.diagnosis.turn_likelihood import WIDTHS
 from tumble.recording.log import open_log
 from tumble.recording.session_file import read_session
 from tumble.reduction.blocks.tuning import USUAL

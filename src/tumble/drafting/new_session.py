@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
+from tumble.diagnosis.turn_likelihood import WIDTHS, Widths
 from tumble.drafting.containers.archives import sheets_of, unzipped
 from tumble.drafting.detection import files_of, found_log
 from tumble.drafting.draft import Draft, session_text
 from tumble.drafting.found_log import HEAD_ROWS, SAMPLE_ROWS, FoundLog
-from tumble.drafting.hypotheses.shown import WIDTHS, Widths
 from tumble.drafting.hypotheses.weighed import weighed
 from tumble.drafting.mended import mended
 from tumble.drafting.sensors_apart import log_of_recording

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from tumble.diagnosis.carried_vertical import signed_permutations
+from tumble.diagnosis.turn_likelihood import signed_permutations
 from tumble.inference.sources import UncertaintyBudget, source
 from tumble.methods.magnetometer import NAMES as MAGNETOMETER_NAMES
 from tumble.methods.magnetometer import magnetometer

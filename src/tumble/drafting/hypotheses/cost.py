@@ -20,16 +20,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tumble.diagnosis.turn_likelihood import WIDTHS, TurnLikelihood, Widths, cost_of_any
 from tumble.drafting.draft import Draft
-from tumble.drafting.hypotheses.shown import WIDTHS, Shown, TurnLikelihood, Widths
+from tumble.drafting.hypotheses.shown import Shown
 from tumble.drafting.times import RATES_OF_LOGS, UNUSUAL, USUAL_RATES, Times, at_rate
 from tumble.earth import EARTH_RATE
 from tumble.recording.columns.names import ACCEL, GYRO
 from tumble.recording.columns.scales import CANDIDATES, FASTEST, ON_NO_SHEET, KnownScale
 from tumble.units import ACCEL_UNITS, DEGREE, DEGREE_PER_HOUR, G_STANDARD, GYRO_UNITS
 
-_SCALES, _RATES = math.log(1e6), math.log(RATES_OF_LOGS[1] / RATES_OF_LOGS[0])
-"""The range of the logarithm of a scale, and of a rate, of which nothing is known."""
+_RATES = math.log(RATES_OF_LOGS[1] / RATES_OF_LOGS[0])
+"""The range of the logarithm of a rate of which nothing is known."""
 _ODDS: Mapping[tuple[str | None, str | None], float] = {
     ("m/s^2", "rad/s"): 3.0, ("g", "deg/s"): 3.0, ("mg", "mdeg/s"): 5.0, ("m/s", "rad"): 30.0, ("m/s", "deg"): 30.0,
     ("m/s", "arcsec"): 30.0, ("cm/s^2", None): 5.0, (None, None): 30.0,
@@ -85,8 +86,8 @@ class Hypothesis:
 def ranked(shown: Shown, draft: Draft, widths: Widths = WIDTHS) -> list[Hypothesis]:
     """All hypotheses of a log that shows this, the cheapest first."""
     deviation = math.hypot(widths.scale, shown.length_u)
-    accels = list(_assumed(ACCEL, draft, _open(_SCALES, deviation), widths))
-    gyros = list(_assumed(GYRO, draft, _open(_SCALES, widths.scale), widths)) if GYRO in draft.triads else []
+    accels = list(_assumed(ACCEL, draft, cost_of_any(deviation), widths))
+    gyros = list(_assumed(GYRO, draft, cost_of_any(widths.scale), widths)) if GYRO in draft.triads else []
     if not shown.profiles:  # what counts are worth nothing tells
         counted = sum(math.exp(-0.5 * cost) for gyro, cost in gyros if gyro.unit is None and gyro.known)
         gyros = [(gyro, cost) for gyro, cost in gyros if gyro.unit is not None]
@@ -130,7 +131,7 @@ def _with_gyros(
         if profile is not None and of_rate is not None and gyro.unit is not None and not gyro.increment:
             rate = profile.found() * DEGREE / gyro.value
             if RATES_OF_LOGS[0] <= rate <= RATES_OF_LOGS[1]:
-                cost = of_rate - 2.0 * math.log(UNUSUAL) + _open(_RATES, widths.scale)
+                cost = of_rate - 2.0 * math.log(UNUSUAL) + cost_of_any(widths.scale, _RATES)
                 trials = (*every, at_rate(float(f"{rate:.4g}"), cost))
         for times in trials:
             found, cost = gyro, assumed
@@ -141,11 +142,6 @@ def _with_gyros(
             if profile is not None or gyro.unit is not None:
                 cost += sum(of_reading for of_reading, _ in readings(shown, found, times.rate, draft, widths))
             yield times, found, cost
-
-
-def _open(of_logarithm: float, deviation: float) -> float:
-    """What it costs that a number may be any in a range of its logarithm, against one of a table."""
-    return 2.0 * math.log(of_logarithm / (deviation * math.sqrt(2.0 * math.pi)))
 
 
 def _assumed(kind: str, draft: Draft, unknown: float, widths: Widths) -> Iterator[tuple[KnownScale, float]]:

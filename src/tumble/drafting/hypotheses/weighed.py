@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from tumble.diagnosis.carried_vertical import columns_said
+from tumble.diagnosis.turn_likelihood import WIDTHS, Widths, columns_said
 from tumble.drafting.draft import Draft
 from tumble.drafting.hypotheses.cost import Hypothesis, ranked, readings
-from tumble.drafting.hypotheses.shown import WIDTHS, Shown, Widths, shown_by
+from tumble.drafting.hypotheses.shown import Shown, shown_by
 from tumble.errors import TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO
 from tumble.recording.columns.scales import ONE, PER, KnownScale
@@ -126,7 +126,7 @@ def _of_times(draft: Draft, best: Hypothesis, shown: Shown, near: Sequence[Hypot
 def _q(best: Hypothesis, gyro: KnownScale) -> float:
     """The sum of the gyros' numbers over a radian that costs least, near that of a hypothesis."""
     assert best.profile is not None
-    return best.profile.found(math.log(gyro.reads(best.times.rate) * best.times.rate / DEGREE), 0.1)
+    return best.profile.found(math.log(gyro.reads(best.times.rate) * best.times.rate / DEGREE))
 
 
 def _comes_near(kind: str, scale: KnownScale, shown: Shown, best: Hypothesis, near: Sequence[Hypothesis]) -> str:
