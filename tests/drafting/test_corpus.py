@@ -23,6 +23,7 @@ from tumble.drafting.times import Stamps, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
 from tumble.planning.setup import Setup
+from tumble.recording.log import open_log
 from tumble.recording.session import Channels
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import Calibration, read_calibration
@@ -442,9 +443,24 @@ def off(found: SensorModel | None, channels: Channels, clean: Calibration, case:
     return float(max(np.abs(in_matrix).max(), np.abs(in_bias).max()))
 
 
+def samples(folder: Path) -> list[Array]:
+    """Intervals (m, 1), s, specific forces and rates (m, 3) of a session, and temperatures, where there are any."""
+    chunks = list(open_log(read_session(folder)).chunks())
+    every = [[c.dt[:, None], c.accel, *(a for a in (c.gyro, c.temperature) if a is not None)] for c in chunks]
+    return [np.concatenate(parts) for parts in zip(*every, strict=True)]
+
+
+def are_alike(one: list[Array], other: list[Array]) -> bool:
+    """Whether samples are the same but for what digits leave, a hundredth of the noise of a sample at most."""
+    small = (1e-9, 1e-5, 1e-5, 1e-3)
+    return [a.shape for a in one] == [b.shape for b in other] and all(
+        np.abs(a - b).max() < limit for a, b, limit in zip(one, other, small, strict=False)
+    )
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_a_log_of_the_world_gives_the_result_of_the_clean_one(
-    name: str, log: pl.DataFrame, clean: Calibration, tmp_path: Path
+    name: str, session: Path, log: pl.DataFrame, clean: Calibration, tmp_path: Path
 ) -> None:
     case = CASES[name]
     given = case.write(log, tmp_path)
@@ -454,6 +470,8 @@ def test_a_log_of_the_world_gives_the_result_of_the_clean_one(
     for words in case.said:
         assert words in made.stderr
     assert "look at this" not in made.stderr, made.stderr
+    if case.gyro and not case.noted and are_alike(samples(folder), samples(session)):
+        return  # the same samples give the same result
     result = CliRunner().invoke(main, ["calibrate", str(folder)])
     if case.gyro:
         assert result.exit_code == 0, (result.stderr, result.exception)
