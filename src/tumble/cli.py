@@ -93,9 +93,7 @@ COMMANDS: Mapping[str, Mapping[str, str]] = {
             "The least uncertainty a programme allows, the best next position, and better "
             "programmes; over temperature with the time in a chamber."
         ),
-        "budget": (
-            "Expected errors of a calibration before it is made, from the accuracy formulas, and the least possible."
-        ),
+        "budget": ("Expected errors of a calibration before it is made, what they are from, and the least possible."),
         "require": (
             "The table, the mounting and the rests that a wanted accuracy needs; what no table can give is named."
         ),

@@ -218,6 +218,9 @@ def test_every_command_and_option_is_documented(words: tuple[str, ...], command:
         if isinstance(parameter, click.Option):
             for spelling in parameter.opts:
                 assert f"`{spelling}" in text, f"tumble {' '.join(words)}: {spelling} is not documented"
+            if isinstance(parameter.type, click.Choice):
+                missing = [choice for choice in parameter.type.choices if f"`{choice}`" not in text]
+                assert not missing, f"tumble {' '.join(words)} {parameter.opts[0]}: {missing} not documented"
         else:
             assert str(parameter.make_metavar(click.Context(command))).strip("[].") in text
 
@@ -228,6 +231,8 @@ def test_no_option_is_documented_that_does_not_exist() -> None:
         known = {spelling for p in command.params if isinstance(p, click.Option) for spelling in p.opts} | {"--help"}
         named = set(re.findall(r"^\| `(--[a-z-]+)", section(text, "tumble " + " ".join(words)), re.M))
         assert named <= known, f"tumble {' '.join(words)}: {', '.join(sorted(named - known))} does not exist"
+        rows = re.findall(r"^\|(.*)\|$", section(text, "tumble " + " ".join(words)), re.M)
+        assert all(len(re.split(r"(?<!\\)\|", row)) == 3 for row in rows if row.startswith(" `-"))
 
 
 def pages() -> list[Path]:

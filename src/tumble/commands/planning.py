@@ -133,7 +133,7 @@ def plan(
 @ask.option("--iterations", "Passes of the methods.", 2, type=click.IntRange(1, 5))
 @ask.JSON
 def budget(method: tuple[PlannedMethod, ...], iterations: int, as_json: bool, **options: Any) -> None:
-    """Expected errors of a calibration before it is made, from the accuracy formulas, and the least possible."""
+    """Expected errors of a calibration before it is made, what they are from, and the least possible."""
     from tumble.planning.bounds import bound
     from tumble.planning.budget import budget
     from tumble.views.planning import budget_data, budget_table
