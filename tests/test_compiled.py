@@ -142,7 +142,7 @@ def test_a_stream_is_corrected_as_by_python_to_the_bit() -> None:
     for module in (fixed_point, as_python("sensors/fixed_point")):
         rows, warmth = np.zeros((42, 2 + 9 + 2 + 9)), np.array([[0.0, np.nan]] * 2)
         state = rows, warmth, np.array([-np.inf, 0.0, 0.0]), np.zeros((2, 3))
-        out, held, ready = (np.zeros((41, 2)), np.zeros((41, 3)), np.zeros((41, 3))), 0, 0
+        out, held, ready = (np.zeros((41, 4)), np.zeros((41, 3)), np.zeros((41, 3))), 0, 0
         for some, last in ((slice(17), False), (slice(17, None), True)):
             given, rest = (accel[some], gyro[some], time[some], celsius[some]), tuple(each[ready:] for each in out)
             sensors = (*sheets, own, own, 6, 6, True)

@@ -144,13 +144,16 @@ def test_sensors_follow_a_step_of_the_thermometer_with_the_lag() -> None:
     made, reference, lag = lagging()
     kelvin = np.where(np.arange(400) < 10, reference, reference + 20.0) + ZERO_CELSIUS
     still = np.tile([0.0, 0.0, G_STANDARD], (400, 1)), np.zeros((400, 3))
-    found = Corrector(made, sample_rate=100.0).add(*still, temperature=kelvin).rate
+    corrected = Corrector(made, sample_rate=100.0).add(*still, temperature=kelvin)
+    found = corrected.rate
     assert found is not None
     step = lag * (1.0 - np.exp(-0.01 / lag)) / 0.01
     risen = np.where(np.arange(400) < 10, 0.0, 1.0 - step * np.exp(-0.01 * (np.arange(400) - 10) / lag))
     _, expected = made.apply(*still, temperature=reference + 20.0 * risen + ZERO_CELSIUS)
     assert expected is not None
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-14)
+    sensors = reference + 20.0 * risen + ZERO_CELSIUS
+    np.testing.assert_allclose(corrected.temperature, sensors[:, None], rtol=0.0, atol=1e-10)
     assert np.abs(np.ptp(found, axis=0)).max() > 1e-3
 
 

@@ -123,6 +123,20 @@ def test_a_bias_that_moves_is_found_within_some_rests(kind: str, axis: int, size
     assert named[f"{kind}.bias.{'xyz'[axis]}"] == pytest.approx(size, abs=4.0 * found.change.u)
 
 
+def test_parameters_after_a_day_are_those_of_the_device_as_it_is_now() -> None:
+    observations = only_rests(seen(40, turns=False))
+    readings = observations.rests.gyro.copy()
+    readings[20:, 1] += 0.2 * DEGREE
+    scenario, calibration = device()
+    changed = replace(observations, rests=replace(observations.rests, gyro=readings))
+    chain, judged = chained(changed, calibration)
+    result, names = chain.result(tuple(each for rest in judged for each in rest.moved)), chain.instrument.names
+    u = np.sqrt(np.diag(result.covariance))
+    for name, more in (("gyro.bias.y", 0.2 * DEGREE), ("gyro.bias.x", 0.0), ("accel.scale.z", 0.0)):
+        i = names.index(name)
+        assert result.values[i] == pytest.approx(scenario.truth[name] + more, abs=4.0 * u[i]), name
+
+
 def test_nothing_is_said_of_what_stays() -> None:
     chain, judged = chained(only_rests(seen(60, turns=False)), device()[1])
     assert not [rest for rest in judged if rest.moved or not rest.learned]
@@ -343,7 +357,7 @@ def test_what_lasts_counts_anew_and_memory_does_not_grow(warm: Calibration) -> N
     kept = []
     for k, chunk in enumerate(chunks_of(*(still(60.0, seed=k) for k in range(40)))):
         watch.feed(chunk)
-        kept.append(sum(len(piece.time) for piece in watch._kept))
+        kept.append(sum(len(piece.time) for piece, *_ in watch._kept))
         del k
     watch.finish()
     assert watch.rests == pytest.approx(2400.0 / LONGEST, abs=1)

@@ -22,13 +22,15 @@ is larger, its parameter is set free, everything is solved again, and so on: tha
 change explains is judged by χ² = |z|² and the residuals, against MISFIT_CHANCE.
 
 The prior decides nothing of a change: it is beyond it. A change smaller than what turning on again may do is none.
+`tumble.methods.rest_chain` has the same of one rest after the other.
 """
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 from scipy import special
@@ -46,7 +48,7 @@ from tumble.rotation import unit_vector
 from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import limits_of
-from tumble.units import Array, IntArray
+from tumble.units import Array
 
 CHANCE = 0.009
 """How often the largest of the tests calls a calibration changed that is not."""
@@ -122,31 +124,6 @@ class CheckResult:
     values: Array
     covariance: Array
 
-    @staticmethod
-    def of(
-        instrument: Instrument,
-        alone: Tests,
-        candidates: IntArray,
-        limit: float,
-        *,
-        changes: tuple[ChangedParameter, ...],
-        misfit: Fit,
-        values: Array,
-        covariance: Array,
-    ) -> CheckResult:
-        """That of the tests of each of the candidates alone."""
-        names = instrument.names
-        return CheckResult(
-            changes=changes,
-            tests={names[j]: (float(alone.t[j] * alone.u[j]), float(alone.u[j])) for j in candidates},
-            detectable={names[j]: float((limit + special.ndtri(POWER)) * alone.u[j]) for j in candidates},
-            largest=float(np.abs(alone.t[candidates]).max()) if len(candidates) else 0.0,
-            limit=limit,
-            misfit=misfit,
-            values=values,
-            covariance=covariance,
-        )
-
     @property
     def explained(self) -> bool:
         """Whether chance and the changes explain the session."""
@@ -160,50 +137,117 @@ class CheckResult:
 
 def field_check(observations: Observations, known: KnownBefore) -> CheckResult:
     """What a session says of a calibration, see the module's docstring."""
-    instrument, limits = known.instrument, limits_of(known.instrument.names)
-    free, others = list[int](), list[dict[int, float]]()  # the changed parameters, and what is as likely instead
-    problem, point, about = _begun(observations, known)
-    first = None
+    session, limits = SessionRows(observations, known), limits_of(known.instrument.names)
+
+    def evidence_with(free: Sequence[int]) -> Evidence:
+        """Linearised where these parameters are free, within their limits."""
+        covariance, opened = known.covariance, np.array(free, dtype=int)
+        covariance[1 + opened, 1 + opened] += limits[opened] ** 2
+        left = session.left(covariance)
+        G, z, gain, A = update(left.R, left.d, known.covariance)
+        return Evidence(
+            z=z,
+            G=G,
+            values=known.values + (gain @ z)[1:],
+            covariance=(A @ known.covariance)[1:, 1:],
+            passed_on=A[1:],
+            squares=left.squares,
+            degrees=left.degrees,
+        )
+
+    return changes_in(evidence_with, known.instrument, known.doubt)
+
+
+def update(R: Array, d: Array, P: Array) -> tuple[Array, Array, Array, Array]:
+    """G and z of Eq. (1) for an x of covariance P (k, k), the gain P Gᵀ (k, p) with which z changes what is known of x,
+    and A = 1 − P Gᵀ G (k, k), by which the covariance becomes A P."""
+    L = np.linalg.cholesky(np.eye(len(R)) + R @ P @ R.T)
+    both = np.linalg.solve(L, np.column_stack([R, d]))
+    G, gain = both[:, :-1], P @ both[:, :-1].T
+    return G, both[:, -1], gain, np.eye(len(P)) - gain @ G
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Evidence:
+    """What is said beyond what was known: z (p,) and G (p, k) of Eq. (1), of the x at the beginning, of which the first
+    1 + m are gravity and the parameters; values (m,) and covariance (m, m) of the parameters by both together, where
+    nothing has changed, and by how much a change of x puts these off, `passed_on` (m, k); the sum of squares that no x
+    explains, and the degrees of freedom of all of them."""
+
+    z: Array
+    G: Array
+    values: Array
+    covariance: Array
+    passed_on: Array
+    squares: float
+    degrees: float
+
+
+def changes_in(
+    evidence_with: Callable[[Sequence[int]], Evidence],
+    instrument: Instrument,
+    doubt: Array,
+    found: tuple[ChangedParameter, ...] = (),
+) -> CheckResult:
+    """The changes beside those that are `found` already, by the evidence where some parameters are free; `doubt` is
+    D (1 + m, 1 + m) of what was known of x at the beginning."""
+    names, m, limits = instrument.names, len(instrument.names), limits_of(instrument.names)
+    already = [names.index(change.name) for change in found]
+    free, others, alone = list[int](), list[dict[str, float]](), dict[str, Any]()
     while True:
-        covariance, which = known.covariance.copy(), np.array(free, dtype=int)
-        covariance[1 + which, 1 + which] += limits[which] ** 2  # those set free, within their limits
-        problem = replace(problem, prior=Prior(covariance=covariance))
-        point, about, left = _iterated(problem, point, about, known.components)
-        tests = Tests.of(left, covariance, known.doubt)
-        candidates, limit, worst = tests.standing_out(instrument, free)
-        first = first or (tests, candidates, limit)
-        if worst is None or len(free) == MOST_CHANGES:
+        evidence = evidence_with(free)
+        opened = np.zeros(evidence.G.shape[1])
+        opened[[1 + j for j in free]] = limits[free] ** 2
+        whole, z, gain, _ = update(evidence.G, evidence.z, np.diag(opened))
+        G = whole[:, 1 : 1 + m]
+        u = 1.0 / np.maximum(np.linalg.norm(G, axis=0), 1e-300)
+        t, q = u * (G.T @ z), whole[:, : 1 + m].T @ G * u
+        inverse_degrees = np.einsum("ij,ik,kj->j", q, doubt, q) ** 2
+        seen = u[: instrument.linear_count] < limits[: instrument.linear_count] / DETERMINED
+        seen[[*free, *already]] = False
+        candidates, limit = np.flatnonzero(seen), np.inf
+        if len(candidates):
+            lower = np.linalg.qr(G[:, candidates] * u[candidates], mode="r")
+            drawn = _normal(len(lower) + 1)
+            wider = _student(drawn[:, -1:], inverse_degrees[candidates])
+            limit = float(np.quantile((np.abs(drawn[:, :-1] @ lower) * wider).max(axis=1), 1.0 - CHANCE))
+        largest = float(np.abs(t[candidates]).max(initial=0.0))
+        alone = alone or {
+            "tests": {names[j]: (float(t[j] * u[j]), float(u[j])) for j in candidates},
+            "detectable": {names[j]: float((limit + special.ndtri(POWER)) * u[j]) for j in candidates},
+            "largest": largest,
+            "limit": limit,
+        }
+        if largest <= limit or len(free) + len(already) >= MOST_CHANGES:
             break
+        worst, least = int(candidates[np.abs(t[candidates]).argmax()]), max(largest**2 - AS_LIKELY, limit**2) ** 0.5
         free.append(worst)
-        least = np.sqrt(max(tests.t[worst] ** 2 - AS_LIKELY, limit**2))
-        near = [int(j) for j in candidates if j != worst and abs(tests.t[j]) > least]
-        others.append({j: float(tests.t[j] * tests.u[j]) for j in near})
-    unfreed = Tests.of(left, known.covariance, known.doubt)
-    change, change_u, explained = unfreed.together(free)
-    S, PR = np.eye(len(left.d)) + left.R @ covariance @ left.R.T, covariance @ left.R.T
-    names = instrument.names
-    return CheckResult.of(
-        instrument,
-        *first,
-        changes=tuple(
-            ChangedParameter(
-                name=names[j],
-                unit=instrument.units[j],
-                value=float(change[i]),
-                u=float(change_u[i]),
-                others={names[k]: a for k, a in others[i].items()},
-            )
-            for i, j in enumerate(free)
+        others.append({names[j]: float(t[j] * u[j]) for j in candidates if j != worst and abs(t[j]) > least})
+
+    # the changes together, and what they explain of |z|²
+    Q, along = np.linalg.qr(evidence.G[:, [1 + j for j in free]])
+    inverse, explained = np.linalg.inv(along), Q.T @ evidence.z
+    together, together_u = inverse @ explained, np.sqrt((inverse**2).sum(axis=1))
+    passed = evidence.passed_on @ gain
+    return CheckResult(
+        **alone,
+        changes=found
+        + tuple(
+            ChangedParameter(name=names[j], unit=instrument.units[j], value=float(change), u=float(own_u), others=alike)
+            for j, change, own_u, alike in zip(free, together, together_u, others, strict=True)
         ),
         misfit=Fit(
-            chi_square=left.squares + float(unfreed.z @ unfreed.z) - explained,
-            degrees=float(left.degrees - len(free)),
+            chi_square=evidence.squares + float(evidence.z @ evidence.z - explained @ explained),
+            degrees=float(evidence.degrees - len(free)),
             scatter=0.0,
             unit="",
         ),
-        values=known.values + (PR @ np.linalg.solve(S, left.d))[1:],
-        covariance=(covariance - PR @ np.linalg.solve(S, PR.T))[1:, 1:],
+        values=evidence.values + passed @ z,
+        covariance=evidence.covariance + (evidence.passed_on * opened) @ evidence.passed_on.T - passed @ passed.T,
     )
+
+
+# -------------------- what a session leaves --------------------
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -217,101 +261,43 @@ class WhatIsLeft:
     degrees: int
 
 
-def left_by(observations: Observations, known: KnownBefore) -> WhatIsLeft:
-    """What a session leaves of Eq. (1), with attitudes that are unknown, where nothing has changed."""
-    problem, point, about = _begun(observations, known)
-    return _iterated(problem, point, about, known.components)[2]
+class SessionRows:
+    """The rows of a session, with attitudes that are unknown, about parameters that are found from them again and
+    again, from what was known on."""
 
+    def __init__(self, observations: Observations, known: KnownBefore) -> None:
+        instrument, turns, values = known.instrument, observations.turns, known.values
+        start = dict(zip(instrument.names, values.tolist(), strict=True))
+        observations = replace(observations, start=start)
+        self._components = known.components
+        self._problem = Problem.of(observations, Prior(covariance=known.covariance), instrument=instrument)
+        self._about = None if turns is None or not len(turns) else TurnsAbout.of(observations, instrument, values)
+        vertical = unit_vector(specific_force(instrument, values, observations.rests.accel))
+        attitudes = headings(self._problem, vertical, values, self._about)
+        self._point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes)
 
-def _begun(observations: Observations, known: KnownBefore) -> tuple[Problem, Point, TurnsAbout | None]:
-    """What was known, and attitudes of the verticals that it gives."""
-    instrument, turns = known.instrument, observations.turns
-    start = dict(zip(instrument.names, known.values.tolist(), strict=True))
-    problem = Problem.of(replace(observations, start=start), Prior(covariance=known.covariance), instrument=instrument)
-    about = None if turns is None or not len(turns) else TurnsAbout.of(observations, instrument, known.values)
-    vertical = unit_vector(specific_force(instrument, known.values, observations.rests.accel))
-    attitudes = headings(problem, vertical, known.values, about)
-    return problem, Point(values=known.values, gravity=observations.site.gravity, attitudes=attitudes), about
-
-
-def _iterated(
-    problem: Problem, point: Point, about: TurnsAbout | None, components: Components
-) -> tuple[Point, TurnsAbout | None, WhatIsLeft]:
-    """Gauss–Newton, and what the session's own rows leave at the end."""
-    for _ in range(MAX_ITERATIONS):
-        rows = linearise(problem, point, about)
-        step = solve(problem, rows, weights(problem, rows, components))
-        new, change = moved(problem, point, step)
-        integral = integrated(problem, new, about)
-        u = np.sqrt(np.diag(step.covariance)[1:])
-        if integral is about and np.all(np.abs(change) <= CONVERGED * u):
-            break
-        point, about = new, integral
-    rows = linearise(problem, point, about)
-    told = tell(problem, rows, weights(problem, rows, components))
-    session, off = told.sessions[0], np.append(point.gravity, point.values) - problem.measured[0]
-    angles = int(np.count_nonzero(np.diagonal(told.factor, axis1=1, axis2=2)[:, :3]))
-    left = WhatIsLeft(
-        R=session[:-1, :-1],
-        d=session[:-1, -1] + session[:-1, :-1] @ off,
-        squares=session[-1, -1] ** 2,
-        degrees=sum(each.shape[0] * each.shape[1] for each in told.whitened) - angles,
-    )
-    return point, about, left
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Tests:
-    """z (p,) and G (p, m) of Eq. (1), without the column of gravity; 1/ν (m,) of Eq. (3), and the tests t (m,) of
-    Eq. (2) with their u, infinite where the session says nothing."""
-
-    z: Array
-    G: Array
-    inverse_degrees: Array
-    t: Array
-    u: Array
-
-    @staticmethod
-    def of(left: WhatIsLeft, covariance: Array, doubt: Array) -> Tests:
-        """Those of what a session leaves."""
-        S = np.eye(len(left.d)) + left.R @ covariance @ left.R.T
-        both = np.linalg.solve(np.linalg.cholesky(S), np.column_stack([left.R, left.d]))
-        return Tests.whitened(both[:, :-1], both[:, -1], doubt)
-
-    @staticmethod
-    def whitened(with_gravity: Array, z: Array, doubt: Array) -> Tests:
-        """Those of z and G, with the column of gravity."""
-        G = with_gravity[:, 1:]
-        u = 1.0 / np.maximum(np.linalg.norm(G, axis=0), 1e-300)
-        q = with_gravity.T @ G * u
-        inverse = np.einsum("ij,ik,kj->j", q, doubt, q) ** 2
-        return Tests(z=z, G=G, inverse_degrees=inverse, t=u * (G.T @ z), u=u)
-
-    def together(self, free: Sequence[int]) -> tuple[Array, Array, float]:
-        """The changes (k,) of some parameters together, their u (k,), and how much of |z|² they explain."""
-        Q, R = np.linalg.qr(self.G[:, free])
-        along, inverse = Q.T @ self.z, np.linalg.inv(R)
-        return inverse @ along, np.sqrt((inverse**2).sum(axis=1)), float(along @ along)
-
-    def standing_out(self, instrument: Instrument, without: Container[int]) -> tuple[IntArray, float, int | None]:
-        """The parameters of the linear model that the session sees, beside some that are free; what the largest |t| of
-        them exceeds by chance; and the one that exceeds it most, None where none does."""
-        known = self.u < limits_of(instrument.names) / DETERMINED
-        candidates = np.array([j for j in range(instrument.linear_count) if known[j] and j not in without], dtype=int)
-        limit = self.limit(candidates)
-        if not len(candidates):
-            return candidates, limit, None
-        worst = int(candidates[np.argmax(np.abs(self.t[candidates]))])
-        return candidates, limit, worst if abs(self.t[worst]) > limit else None
-
-    def limit(self, candidates: IntArray) -> float:
-        """What the largest |t| of the candidates exceeds in CHANCE of all cases."""
-        if not len(candidates):
-            return np.inf
-        lower = np.linalg.qr(self.G[:, candidates] * self.u[candidates], mode="r")
-        drawn = _normal(len(lower) + 1)
-        wider = _student(drawn[:, -1:], self.inverse_degrees[candidates])
-        return float(np.quantile((np.abs(drawn[:, :-1] @ lower) * wider).max(axis=1), 1.0 - CHANCE))
+    def left(self, covariance: Array) -> WhatIsLeft:
+        """What the session leaves where x has this covariance: Gauss–Newton, and its own rows at the end."""
+        self._problem = problem = replace(self._problem, prior=Prior(covariance=covariance))
+        for _ in range(MAX_ITERATIONS):
+            rows = linearise(problem, self._point, self._about)
+            step = solve(problem, rows, weights(problem, rows, self._components))
+            point, change = moved(problem, self._point, step)
+            about = integrated(problem, point, self._about)
+            u = np.sqrt(np.diag(step.covariance)[1:])
+            if about is self._about and np.all(np.abs(change) <= CONVERGED * u):
+                break
+            self._point, self._about = point, about
+        rows = linearise(problem, self._point, self._about)
+        told = tell(problem, rows, weights(problem, rows, self._components))
+        session, off = told.sessions[0], np.append(self._point.gravity, self._point.values) - problem.measured[0]
+        angles = int(np.count_nonzero(np.diagonal(told.factor, axis1=1, axis2=2)[:, :3]))
+        return WhatIsLeft(
+            R=session[:-1, :-1],
+            d=session[:-1, -1] + session[:-1, :-1] @ off,
+            squares=session[-1, -1] ** 2,
+            degrees=sum(each.shape[0] * each.shape[1] for each in told.whitened) - angles,
+        )
 
 
 def _student(normal: Array, inverse_degrees: Array) -> Array:

@@ -38,7 +38,7 @@ not, it was no rest. `studies/watched_days.py` counts false alarms, and rests un
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,17 +47,18 @@ from scipy.linalg import block_diag
 from tumble.inference.estimate import DETERMINED, Fit
 from tumble.methods.field_check import (
     AS_LIKELY,
-    MOST_CHANGES,
     ChangedParameter,
     CheckResult,
+    Evidence,
     KnownBefore,
-    Tests,
-    left_by,
+    SessionRows,
+    changes_in,
+    update,
 )
 from tumble.methods.least_squares import as_normal
 from tumble.reduction.observations import Observations
 from tumble.sensors.parameters import group_name, limits_of, sensor_kind
-from tumble.units import Array, IntArray
+from tumble.units import Array
 
 RESTS_APART = 1e5
 """Rests from one false alarm to the next, on average, at least."""
@@ -109,36 +110,45 @@ class RestChain:
 
     def __init__(self, known: KnownBefore, drift: Mapping[str, float], *, rests_apart: float = RESTS_APART) -> None:
         instrument, components = known.instrument, known.components
-        self.instrument, self._limits = instrument, limits_of(instrument.names)
-        self._biases = np.array([i for i, n in enumerate(instrument.names) if group_name(n) in BIASES], dtype=int)
-        kinds = [sensor_kind(instrument.names[i]) for i in self._biases]
-        in_run = np.array([getattr(components, f"{kind}_in_run") for kind in kinds])
-        self._in_run, self._time = in_run**2, np.array([getattr(components, f"{kind}_time") for kind in kinds])
-        drifts = [drift.get(f"{group_name(name)}.drift", 0.0) for name in instrument.names[: instrument.linear_count]]
-        self._turned_on, linear = known.turned_on, 1 + np.arange(len(drifts))
-        self._turned_on_doubt = known.turned_on * np.sqrt(known.turned_on_inverse_degrees)
-        rate, self._columns = np.array(drifts) ** 2 * HOUR, np.concatenate([1 + self._biases, linear])
-        moves = rate > 0.0
-        time = np.where(moves, 2.0 * self._turned_on[linear] / np.where(moves, rate, 1.0), 1.0)
-        self._time = np.concatenate([self._time, np.maximum(time, 1.0)])
-        self._steady = np.concatenate([self._in_run, np.where(moves, self._turned_on[linear], 0.0)])
-        self._steady_doubt = np.concatenate([0.0 * self._in_run, np.where(moves, self._turned_on_doubt[linear], 0.0)])
+        names, m, linear = instrument.names, len(instrument.names), instrument.linear_count
+        self.instrument, self._limits = instrument, limits_of(names)
+        self._biases = biases = np.array([i for i, n in enumerate(names) if group_name(n) in BIASES], dtype=int)
+
+        # x: what does not change within a power-on, in-run biases, wandering; of each what it is made anew by, and when
+        kinds = [sensor_kind(names[i]) for i in biases]
+        in_run, in_run_time = (
+            np.array([getattr(components, f"{kind}_{what}") for kind in kinds]) for what in ("in_run", "time")
+        )
+        rate = np.array([drift.get(f"{group_name(name)}.drift", 0.0) for name in names[:linear]]) ** 2 * HOUR
+        wanders = np.where(rate > 0.0, known.turned_on[1 : 1 + linear], 0.0)
+        wanders_time = np.maximum(2.0 * wanders / np.where(rate > 0.0, rate, np.inf), 1.0)
+        turned_on_doubt = known.turned_on * np.sqrt(known.turned_on_inverse_degrees)
+        self._constant = 1 + m
+        self._time = np.concatenate([np.full(1 + m, np.inf), in_run_time, wanders_time])
+        self._steady = np.concatenate([known.turned_on, in_run**2, wanders])
+        unsure = np.where(rate > 0.0, turned_on_doubt[1 : 1 + linear], 0.0)
+        self._steady_doubt = np.concatenate([turned_on_doubt, 0.0 * in_run, unsure])
+        self._columns = np.concatenate([np.arange(1 + m), 1 + biases, np.arange(1, 1 + linear)])
+        """Which of gravity and the parameters each of x adds to."""
         back = np.linalg.inv(known.to_temperature)
         calibrated = back @ known.calibrated @ back.T
-        self._P = block_diag(calibrated + np.diag(self._turned_on), np.diag(self._steady))
-        self._D = block_diag(known.doubt_of(calibrated) + np.diag(self._turned_on_doubt), np.diag(self._steady_doubt))
-        self._doubt, n = self._D.copy(), len(self._P)
+        n = len(self._steady)
+        rest = np.zeros((n - 1 - m,) * 2)
+        self._P = block_diag(calibrated, rest) + np.diag(self._steady)
+        self._D = block_diag(known.doubt_of(calibrated), rest) + np.diag(self._steady_doubt)
+        self._doubt, self._values = self._D[: 1 + m, : 1 + m], back[1:, 1:] @ known.values
         self._x, self._Phi = np.zeros(n), np.eye(n)
         self._information, self._score = np.zeros((n, n)), np.zeros(n)
         self._squares = self._degrees = 0.0
         self._last: float | None = None
         self.rests = 0
+
         # the sums: of every bias, both signs, and every size
         signed = [sign * size for sign in (1.0, -1.0) for size in DETECTED]
-        self._of = np.repeat(np.arange(len(self._biases)), len(signed))
-        self._sizes = np.tile(signed, len(self._biases))
+        self._of = np.repeat(np.arange(len(biases)), len(signed))
+        self._sizes = np.tile(signed, len(biases))
         self.threshold = float(np.log(len(self._of) * rests_apart))
-        self._finest = np.full(len(self._biases), np.inf)
+        self._finest = np.full(len(biases), np.inf)
         self._forget()
 
     def _forget(self) -> None:
@@ -154,17 +164,20 @@ class RestChain:
         after another power-on."""
         rests = observations.rests
         start, middle = float(rests.start[0]), 0.5 * float(rests.start[0] + rests.stop[0])
-        if self._last is not None:
-            self._wait(middle - self._last if apart is None else apart)
+        if self._last is not None:  # the processes go on for some time, Eq. (1)
+            seconds = max(middle - self._last if apart is None else apart, 0.0)
+            F = np.exp(-seconds / self._time) if np.isfinite(seconds) else np.where(np.isinf(self._time), 1.0, 0.0)
+            anew = 1.0 - F**2
+            anew[: self._constant] = 0.0 if np.isfinite(seconds) else 1.0
+            self._x = F * self._x
+            self._P = F[:, None] * self._P * F + np.diag(anew * self._steady)
+            self._D = F[:, None] * self._D * F + np.diag(anew * self._steady_doubt)
+            self._Phi, self._mean = F[:, None] * self._Phi, F[:, None] * self._mean
         self._last = middle
         still = replace(known.components, accel_in_run=0.0, gyro_in_run=0.0)
-        left = left_by(observations, replace(known, components=still))
-        at_reference = left.R @ known.to_temperature
-        R = np.concatenate([at_reference, at_reference[:, self._columns]], axis=1)
-        S = np.eye(len(R)) + R @ self._P @ R.T
-        L = np.linalg.cholesky(S)
-        both = np.linalg.solve(L, np.column_stack([R, left.d - R @ self._x]))
-        G, z = both[:, :-1], both[:, -1]
+        left = SessionRows(observations, replace(known, components=still)).left(known.covariance)
+        R = (left.R @ known.to_temperature)[:, self._columns]
+        G, z, gain, A = update(R, left.d - R @ self._x, self._P)
 
         # the rest alone
         n = len(self._biases)
@@ -183,13 +196,11 @@ class RestChain:
 
         # the sums
         self._finest = np.minimum(self._finest, np.where(seen, u, np.inf))
-        anew = self.sums <= 0.0
         change = self._sizes * self._finest[self._of]
-        anew &= np.isfinite(change)
-        self._change[anew] = change[anew]
-        self._mean[:, anew] = 0.0
-        self._mean[1 + self._biases[self._of[anew]], anew] = change[anew]
-        for k in np.flatnonzero(anew):
+        anew_sums = (self.sums <= 0.0) & np.isfinite(change)
+        self._change[anew_sums], self._mean[:, anew_sums] = change[anew_sums], 0.0
+        self._mean[1 + self._biases[self._of[anew_sums]], anew_sums] = change[anew_sums]
+        for k in np.flatnonzero(anew_sums):
             self.sums[k] = self._said[k] = self._weight[k] = 0.0
             self._begun[k] = self.rests, start
         size, t, zeta = self._along(G, z, self._mean)
@@ -200,28 +211,15 @@ class RestChain:
 
         # what is learned
         if learned:
-            PG = self._P @ G.T
-            A = np.eye(len(self._P)) - PG @ G
             self._squares, self._degrees = self._squares + misfit.chi_square, self._degrees + left.degrees
             GPhi = G @ self._Phi
             self._information += GPhi.T @ GPhi
             self._score += GPhi.T @ z
-            self._x = self._x + PG @ z
+            self._x = self._x + gain @ z
             P = A @ self._P
             self._P, self._D = 0.5 * (P + P.T), A @ self._D @ A.T
             self._Phi, self._mean = A @ self._Phi, A @ self._mean
         return JudgedRest(tests=tests, misfit=misfit, learned=learned, moved=self._moved())
-
-    def _wait(self, seconds: float) -> None:
-        """The processes go on for some time, Eq. (1)."""
-        rho, anew = np.exp(-max(seconds, 0.0) / self._time), 0.0 if np.isfinite(seconds) else 1.0
-        F = np.concatenate([np.ones(len(self._turned_on)), rho])
-        fresh = np.concatenate([anew * self._turned_on, (1.0 - rho**2) * self._steady])
-        unsure = np.concatenate([anew * self._turned_on_doubt, (1.0 - rho**2) * self._steady_doubt])
-        self._x = F * self._x
-        self._P = F[:, None] * self._P * F + np.diag(fresh)
-        self._D = F[:, None] * self._D * F + np.diag(unsure)
-        self._Phi, self._mean = F[:, None] * self._Phi, F[:, None] * self._mean
 
     def _along(self, G: Array, z: Array, of: Array) -> tuple[Array, Array, Array]:
         """|μ|, t and ζ (k,) of Eq. (3) of changes (n, k) of the state."""
@@ -242,60 +240,43 @@ class RestChain:
         k = int(np.argmax(np.abs(t)))
         near = np.flatnonzero(np.abs(t) > np.sqrt(max(t[k] ** 2 - AS_LIKELY, 0.0)))
         changes = self._change * self._said / np.maximum(self._weight, 1e-300)
-        alike: dict[int, int] = {}
+        best: dict[int, float] = {}  # of each bias that which explains most
         for i in sorted(near.tolist(), key=lambda i: -abs(t[i])):
-            alike.setdefault(int(self._of[i]), i)
-        del alike[int(self._of[k])]
-        at = int(self._biases[self._of[k]])
+            best.setdefault(int(self._biases[self._of[i]]), float(changes[i]))
+        names, (worst, *others) = self.instrument.names, best
         changed = ChangedParameter(
-            name=self._name(k),
-            unit=self.instrument.units[at],
-            value=float(changes[k]),
+            name=names[worst],
+            unit=self.instrument.units[worst],
+            value=best[worst],
             u=float(abs(self._change[k]) / np.sqrt(self._weight[k])),
-            others={self._name(i): float(changes[i]) for i in alike.values()},
+            others={names[j]: best[j] for j in others},
         )
         moved = MovedBias(change=changed, rest=self._begun[k][0], since=self._begun[k][1])
-        free = self._biases[[self._of[k], *alike]]
+        free = np.array(list(best))
         self._P[1 + free, 1 + free] += self._limits[free] ** 2
         self._forget()
         return (moved,)
 
-    def _name(self, k: int) -> str:
-        return self.instrument.names[int(self._biases[self._of[k]])]
-
     def result(self, moved: tuple[MovedBias, ...] = ()) -> CheckResult:
         """What all rests so far say together, as a field check of one session with them; `moved` has what is known to
-        have moved."""
-        names, m = self.instrument.names, len(self.instrument.names)
+        have moved. Its parameters are those at the reference temperature as they are now."""
         values, vectors = np.linalg.eigh(self._information)
         kept = values > _LEAST * max(float(values[-1]), 1e-300)
         root, inverse = np.sqrt(values[kept]), vectors[:, kept]
-        whole, z = (root * inverse).T, (inverse.T @ self._score) / root
-        already = [names.index(each.change.name) for each in moved]
-        free = list[int]()
-        first: tuple[Tests, IntArray, float] | None = None
-        while True:
-            Q = np.linalg.qr(whole[:, [1 + j for j in free]])[0]
-            tests = Tests.whitened(
-                (whole - Q @ (Q.T @ whole))[:, : 1 + m], z - Q @ (Q.T @ z), self._doubt[: 1 + m, : 1 + m]
+        z = (inverse.T @ self._score) / root
+        now = (self._columns == np.arange(1, self._constant)[:, None]).astype(float)
+        in_run = slice(self._constant, self._constant + len(self._biases))
+        now[:, in_run] = 0.0  # which a recording that is corrected has anew
+
+        def evidence_with(_: Sequence[int]) -> Evidence:
+            return Evidence(
+                z=z,
+                G=(root * inverse).T,
+                values=self._values + now @ self._x,
+                covariance=now @ self._P @ now.T,
+                passed_on=now @ self._Phi,
+                squares=self._squares - float(z @ z),
+                degrees=self._degrees,
             )
-            candidates, limit, worst = tests.standing_out(self.instrument, (*free, *already))
-            first = first or (tests, candidates, limit)
-            if worst is None or len(free) + len(already) >= MOST_CHANGES:
-                break
-            free.append(worst)
-        change, u, explained = first[0].together(free)
-        changes = tuple(
-            ChangedParameter(
-                name=names[j], unit=self.instrument.units[j], value=float(change[i]), u=float(u[i]), others={}
-            )
-            for i, j in enumerate(free)
-        )
-        return CheckResult.of(
-            self.instrument,
-            *first,
-            changes=(*(each.change for each in moved), *changes),
-            misfit=Fit(chi_square=self._squares - explained, degrees=self._degrees - len(free), scatter=0.0, unit=""),
-            values=self._x[1 : 1 + m],
-            covariance=self._P[1 : 1 + m, 1 : 1 + m],
-        )
+
+        return changes_in(evidence_with, self.instrument, self._doubt, tuple(each.change for each in moved))

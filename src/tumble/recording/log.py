@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -53,10 +53,19 @@ class Chunk:
     temperature: Array | None
     magnetometer: Array | None = None
 
+    @property
+    def _arrays(self) -> dict[str, Any]:
+        names = "time", "dt", "accel", "gyro", "temperature", "magnetometer"
+        return {name: array for name in names if (array := getattr(self, name)) is not None}
+
     def part(self, rows: slice) -> Chunk:
         """Some of the samples."""
-        arrays = {name: getattr(self, name) for name in ("time", "dt", "accel", "gyro", "temperature", "magnetometer")}
-        return replace(self, **{name: array[rows] for name, array in arrays.items() if array is not None})
+        return replace(self, **{name: array[rows] for name, array in self._arrays.items()})
+
+    def followed_by(self, others: Chunk) -> Chunk:
+        """These samples and others of the same file."""
+        both: dict[str, Any] = {n: np.concatenate([array, others._arrays[n]]) for n, array in self._arrays.items()}
+        return replace(self, **both)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)

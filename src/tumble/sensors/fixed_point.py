@@ -238,7 +238,7 @@ def advance(
         stamp, the samples, and those that were dropped; and room (2, n) for solving.
     held : how many rows there are. Where readings are to be `moved`, the last of them is not corrected yet, and has to
         wait for the next, unless this is the `last` block.
-    out : stamps and flags (M, 2), force and rate (M, 3)."""
+    out : stamps, flags and temperatures of the sensors, K or °C as given (M, 2 + T), force and rate (M, 3)."""
     (accel, gyro, time, thermometer), (rows, warmth, clock, known), (stamps, force, rate) = given, state, out
     accel_sheet, gyro_sheet, of_accel, of_gyro, accel_steps, gyro_steps, feels = sensors
     count = _advance(
@@ -298,6 +298,8 @@ def _advance(
             )  # fmt: skip
         for j in range(stop - first):
             stamps[j, 0], stamps[j, 1] = rows[first + j, 0], rows[first + j, 1]
+            for p in range(spin - heat):
+                stamps[j, 2 + p] = celsius[first + j, p] + settings[6]
             x, y, z = force[j, 0], force[j, 1], force[j, 2]
             if x * x + y * y + z * z > settings[9]:
                 stamps[j, 1] += TOO_MUCH

@@ -45,13 +45,15 @@ _ROWS = 1 << 12
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Corrected:
     """Samples (N,) in the order in which they came: `time`, s; specific force (N, 3), m/s²; angular rate (N, 3), rad/s,
-    None without gyros; and `flags` (N,), the sum of 1 for a temperature, 2 for a rate and 4 for a force outside of what
-    was calibrated. All are views of memory that the next block writes over."""
+    None without gyros; `flags` (N,), the sum of 1 for a temperature, 2 for a rate and 4 for a force outside of what
+    was calibrated; and `temperature` (N, T), K, of the sensors that follow each thermometer. All are views of memory
+    that the next block writes over."""
 
     time: Array
     force: Array
     rate: Array | None
     flags: Array
+    temperature: Array
 
     def __len__(self) -> int:
         """How many samples there are."""
@@ -123,7 +125,7 @@ class Stream:
         )
         self._nothing = np.zeros((0, n)), np.zeros((0, m)), np.zeros(0), np.zeros((0, heat))
         self._lost = self._nothing[3]
-        self._out = np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 3))
+        self._out: tuple[Array, ...] = np.zeros((0, 2 + heat)), np.zeros((0, 3)), np.zeros((0, 3))
         self._view = self._views(0)
         self.reset()
 
@@ -143,7 +145,8 @@ class Stream:
         clock where None, and temperatures (N, T), lost ones not a number."""
         count = len(accel)
         if count + 1 > len(self._out[0]):
-            self._out = np.zeros((count + 1, 2)), np.zeros((count + 1, 3)), np.zeros((count + 1, 3))
+            widths = (each.shape[1] for each in self._out)
+            self._out = tuple(np.zeros((count + 1, width)) for width in widths)
             kept, *others = self._state
             rows = np.zeros((min(count, _ROWS) + 2, kept.shape[1]))
             rows[:2] = kept[:2]
@@ -182,7 +185,9 @@ class Stream:
 
     def _views(self, ready: int) -> Corrected:
         stamps, force, rate = (each[:ready] for each in self._out)
-        return Corrected(time=stamps[:, 0], force=force, rate=rate if self.gyros else None, flags=stamps[:, 1])
+        time, flags, temperature = stamps[:, 0], stamps[:, 1], stamps[:, 2:]
+        rates = rate if self.gyros else None
+        return Corrected(time=time, force=force, rate=rates, flags=flags, temperature=temperature)
 
 
 class Corrector:

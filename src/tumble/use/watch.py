@@ -1,10 +1,11 @@
 """A calibration watched while its device is used: every rest of a flight or a day tests it, as `tumble check` would.
 
 A stream is corrected by `tumble.Corrector`, which says what is outside of what was calibrated, and is reduced and
-searched for rests as any log is (`find_rests`), in windows of WINDOW blocks that are looked at every SEARCH blocks, so
-that memory does not grow and the same rests are found however the stream is cut. A rest counts once it has ended; one
-that lasts counts anew every LONGEST seconds. Each is judged by the rows of a field check against the calibration and
-what the rests before it have said (`tumble.methods.rest_chain`). The calibration is never changed.
+searched for rests as any log is (`find_rests`), at the temperatures of the sensors that the corrector has, in windows
+of WINDOW blocks that are looked at every SEARCH blocks, so that memory does not grow and the same rests are found
+however the stream is cut. A rest counts once it has ended; one that lasts counts anew every LONGEST seconds. Each is
+judged by the rows of a field check against the calibration and what the rests before it have said
+(`tumble.methods.rest_chain`). The calibration is never changed.
 
 Rests need not be level, and the attitude is unknown in each. Where nothing rests, as in flight, the floors that
 `find_rests` sets are those of the movement: what is noisier than SHAKEN times the rests of the calibration is no rest.
@@ -28,7 +29,6 @@ from tumble.reduction.observations import Observations, observe
 from tumble.reduction.rests.blemishes import without_blemishes
 from tumble.reduction.rests.matching import Match
 from tumble.reduction.rests.segmentation import RestSpan, find_rests
-from tumble.reduction.rests.thermometer import followed
 from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.rotation import unit_vector
@@ -131,12 +131,10 @@ class Watch:
         self._chain: RestChain | None = None
         self._grade = self._guessed_from = ""
         self._last_seen: Observations | None = None
-        self._lag = self.calibration.compensator.lag if self.calibration.compensator.warm else 0.0
-        self._follows: tuple[Array, Array] | None = None
-        """What the thermometers read last, and what the sensors had then, K."""
-        self._restarted = False
+        self._restarted = self._too_warm = False
         self._last: tuple[int, float] | None = None
-        self._too_warm = False
+        self._waiting: Chunk | None = None
+        """What is not corrected yet."""
         self._begin(-np.inf)
 
     def _begin(self, done: float) -> None:
@@ -147,8 +145,8 @@ class Watch:
             gyro=self._gyro,
             increments=self.session.log.increments,
         )
-        self._kept: list[Chunk] = []
-        self._corrected: list[tuple[Array, Array, BoolArray]] = []
+        self._kept: list[tuple[Chunk, Array, BoolArray]] = []
+        """What the reducer was fed, corrected specific force (m, 3), and whether it is outside of each of _RANGES."""
         self._count, self._done = 0, done
 
     # -------------------- samples --------------------
@@ -161,73 +159,58 @@ class Watch:
             first = float(chunk.time[0])
             if self._last is not None:
                 file, last = self._last
-                back = first < last - LATEST or (chunk.file != file and first <= last)
-                if back or first - dt - last > INTERRUPTED:
-                    out += self._interrupted(last, first, anew=back)
+                anew = first < last - LATEST or (chunk.file != file and first <= last)
+                if anew or first - dt - last > INTERRUPTED:
+                    out += self._search(ended=True)
+                    self._begin(-np.inf)
+                    self._waiting = None
+                    text = f"nothing came for {first - last:.1f} s; the watch goes on"
+                    if anew:
+                        self._corrector.reset()
+                        self._restarted, text = True, "the clock begins anew: taken for another power-on"
+                    out.append(Notice(time=first, text=text))
             gaps = np.flatnonzero(np.diff(chunk.time) - dt > INTERRUPTED)
-            count = min(step - self._count % step, len(chunk.time), int(gaps[0]) + 1 if len(gaps) else len(chunk.time))
+            waiting = 0 if self._waiting is None else len(self._waiting.time)
+            count = step - self._count % step + self._corrector.delay - waiting
+            count = min(count, len(chunk.time), int(gaps[0]) + 1 if len(gaps) else len(chunk.time))
             piece, chunk = chunk.part(slice(0, count)), chunk.part(slice(count, None))
-            out += self._take(piece)
             self._last = piece.file, float(piece.time[-1])
-            if self._count % step == 0:
+            out += self._take(piece)
+            if self._count and self._count % step == 0:
                 out += self._search()
         return out
 
     def _take(self, piece: Chunk) -> list[Event]:
-        """Correct some samples, and feed them to the reduction."""
+        """Correct some samples, and feed what is corrected now to the reduction; that its temperature leaves what was
+        calibrated, or is back."""
         heat = self._corrector.thermometers
-        temperature = None if piece.temperature is None else piece.temperature[:, :heat]
-        if self._gyro is None:
-            piece = replace(piece, gyro=None)
-        corrected = self._corrector.add(piece.accel, piece.gyro, time=piece.time, temperature=temperature)
-        outside = corrected.outside
-        flags = np.column_stack([outside[name] for name in _RANGES])
-        self._corrected.append((corrected.time.copy(), corrected.force.copy(), flags))
-        out = self._temperatures(corrected.time, outside["temperature"])
-        sensors = None if piece.temperature is None else self._sensors(piece.temperature)
-        self._feed(replace(piece, file=0, temperature=sensors))
-        return out
-
-    def _feed(self, piece: Chunk) -> None:
-        self._kept.append(piece)
-        self._reducer.feed(piece)
-        self._count += len(piece.time)
-
-    def _sensors(self, kelvin: Array) -> Array:
-        """The temperatures (m, T), K, of the sensors, which follow the thermometers with the calibration's lag."""
-        if self._lag == 0.0:
-            return kelvin
-        first = kelvin[0] if self._follows is None else self._follows[1]
-        before = kelvin[:1] if self._follows is None else self._follows[0][None]
-        series = np.concatenate([before, kelvin])
-        behind = np.column_stack([
-            followed(series[:, k], 1.0 / self.rate, abs(self._lag), first=float(first[k]))
-            for k in range(series.shape[1])
-        ])  # fmt: skip
-        self._follows = kelvin[-1].copy(), behind[-1].copy()
-        return np.asarray((behind if self._lag > 0.0 else 2.0 * series - behind)[1:])
-
-    def _temperatures(self, time: Array, too_warm: BoolArray) -> list[Event]:
-        """That the temperature leaves what was calibrated, and that it is back."""
-        if not len(time) or bool(too_warm[-1]) == self._too_warm:
+        celsius = None if piece.temperature is None else piece.temperature[:, :heat]
+        piece = replace(piece, file=0, gyro=None if self._gyro is None else piece.gyro)
+        corrected = self._corrector.add(piece.accel, piece.gyro, time=piece.time, temperature=celsius)
+        piece = piece if self._waiting is None else self._waiting.followed_by(piece)
+        ready = len(piece.time) - self._corrector.delay
+        piece, self._waiting = piece.part(slice(0, ready)), piece.part(slice(ready, None))
+        if not ready:
+            return []
+        outside = np.column_stack([corrected.outside[name][-ready:] for name in _RANGES])
+        if piece.temperature is not None:
+            others = piece.temperature[:, heat:]
+            piece = replace(piece, temperature=np.column_stack([corrected.temperature[-ready:], others]))
+        self._feed(piece, corrected.force[-ready:].copy(), outside)
+        too_warm = outside[:, 0]
+        if too_warm[-1] == self._too_warm:
             return []
         self._too_warm = bool(too_warm[-1])
         low, high = self._corrector.ranges.temperature
         there = "outside" if self._too_warm else "again within"
-        changed = np.flatnonzero(too_warm != self._too_warm)
-        at = float(time[int(changed[-1]) + 1 if len(changed) else 0])
-        return [Notice(time=at, text=f"temperature {there} {low:.1f} to {high:.1f} °C, which was calibrated")]
+        since = np.flatnonzero(np.append(True, too_warm[1:] != too_warm[:-1]))[-1]
+        text = f"temperature {there} {low:.1f} to {high:.1f} °C, which was calibrated"
+        return [Notice(time=float(piece.time[since]), text=text)]
 
-    def _interrupted(self, last: float, first: float, *, anew: bool) -> list[Event]:
-        out = self._search(ended=True)
-        self._begin(-np.inf)
-        if anew:
-            text = "the clock begins anew: taken for another power-on"
-            self._restarted, self._follows = True, None
-        else:
-            text = f"nothing came for {first - last:.1f} s; the watch goes on"
-        self._corrector.reset()
-        return [*out, Notice(time=first, text=text)]
+    def _feed(self, piece: Chunk, force: Array, outside: BoolArray) -> None:
+        self._kept.append((piece, force, outside))
+        self._reducer.feed(piece)
+        self._count += len(piece.time)
 
     # -------------------- rests --------------------
 
@@ -265,23 +248,24 @@ class Watch:
             out = [self._judged(seen, every.index(span)) for span in new]
         if K >= WINDOW:
             begin = max(min(lasting - 5.0, float(file.edges[K - CARRIED])), self._done)
-            kept, done, corrected = self._kept, self._done, self._corrected
-            self._begin(done)
-            self._corrected = [each for each in corrected if len(each[0]) and each[0][-1] > begin]
-            for piece in kept:
+            kept = self._kept
+            self._begin(self._done)
+            for piece, force, outside in kept:
                 rows = int(np.searchsorted(piece.time, begin, side="right"))
                 if rows < len(piece.time):
-                    self._feed(piece.part(slice(rows, None)))
+                    self._feed(piece.part(slice(rows, None)), force[rows:], outside[rows:])
         return out
 
     def _judged(self, seen: Observations, i: int) -> WatchedRest:
         """One of the rests that were seen, by the chain of those before."""
         rests, alone = seen.rests, seen.of_rest(i)
         start, stop = float(rests.start[i]), float(rests.stop[i])
-        time, force, flags = (np.concatenate(each) for each in zip(*self._corrected, strict=True))
+        pieces, forces, flags = zip(*self._kept, strict=True)
+        time = np.concatenate([piece.time for piece in pieces])
         within = (time > start) & (time <= stop)
-        mean = force[within].mean(axis=0) if within.any() else np.full(3, np.nan)
-        outside = tuple(name for name, share in zip(_RANGES, flags[within].mean(axis=0), strict=True) if share > 0.5)
+        mean = np.concatenate(forces)[within].mean(axis=0) if within.any() else np.full(3, np.nan)
+        shares = np.concatenate(flags)[within].mean(axis=0)
+        outside = tuple(name for name, share in zip(_RANGES, shares, strict=True) if share > 0.5)
         at = reference_of(alone)
         rest = WatchedRest(
             number=None,
