@@ -50,9 +50,9 @@ from tumble.registry.datasheet import Datasheet as Datasheet
 from tumble.registry.datasheet import datasheet as datasheet
 from tumble.registry.due import Due as Due
 from tumble.registry.due import due as due
+from tumble.registry.due import records as records
 from tumble.registry.monitor import Monitored as Monitored
 from tumble.registry.monitor import monitored as monitored
-from tumble.registry.records import records as records
 from tumble.registry.series import device_launches as device_launches
 from tumble.registry.series import device_type as device_type
 from tumble.registry.series import type_spread as type_spread

@@ -26,9 +26,8 @@ from tests.support.registry_writer import write_all
 from tumble.errors import InputError, MissingExtraError
 from tumble.registry import exchange
 from tumble.registry.adding import Added, Particulars, Submission, add, read_submission, set_limits, submission
-from tumble.registry.due import due
+from tumble.registry.due import due, records
 from tumble.registry.exchange import Imported, export_lines, import_file
-from tumble.registry.records import records
 from tumble.registry.series import calibration_in
 from tumble.registry.store import connect
 from tumble.registry.store.connect import Registry, open_registry

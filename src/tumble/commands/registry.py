@@ -137,7 +137,7 @@ def _print_record(opened: Registry, record: Record, as_json: bool, every: bool) 
 def list_(serial: str | None, as_json: bool, opened: Registry) -> None:
     """All devices with their latest record, or the records of the device SERIAL."""
     from tumble.registry.due import due as due_of
-    from tumble.registry.records import records
+    from tumble.registry.due import records
     from tumble.views.registry_lists import device_table, devices_data, record_table
 
     if serial is not None:

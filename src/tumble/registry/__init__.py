@@ -6,11 +6,10 @@ a record of its own that supersedes another, and the database itself refuses upd
     types      records, limits and forecasts as they are read back
     store      all that is asked of the database: transactions, tables, rows
     adding     a calibration file as something to add; adding calibrations, and limits of device types
-    records    the records of a device
     series     each parameter over the calibrations of a device, in one frame; verdicts; launches of a device or type
     trend      run to run, drift a year, as found against as left; when a drift meets a limit
     monitor    the history of a device against the limits that are in force
-    due        when which device is to be calibrated again
+    due        the records of a device; when which device is to be calibrated again
     exchange   export and import as JSON lines
 
 Needs the extra `tumble[registry]`.

@@ -1,9 +1,7 @@
-"""A calibration file as something to add.
+"""Adding calibrations, and limits of device types, to a registry.
 
-A file is known by its content: the SHA-256 of its JSON with sorted keys and without blanks. The same calibration is the
-same record however its file is laid out or called.
-
-Adding calibrations, and limits of device types, to a registry.
+A calibration file is known by its content: the SHA-256 of its JSON with sorted keys and without blanks. The same
+calibration is the same record however its file is laid out or called.
 """
 
 from __future__ import annotations
@@ -81,10 +79,19 @@ def submission(text: str, name: str, particulars: Particulars) -> Submission:
             raise InputError(
                 f"{name}: launches: expected 1 to {LONGEST_NAME} printable characters, found {session[:40]!r}"
             )
+    performed = particulars.performed
+    if performed is None and calibration.circumstances.date is not None:
+        performed = utc(calibration.circumstances.date, f"{name}: session.date")
+    elif performed is None:
+        if "created" not in calibration.provenance:
+            raise InputError(f"{name}: provenance.created: expected a time, found none; give --date")
+        performed = utc(calibration.provenance["created"], f"{name}: provenance.created")
+    if not is_past(performed):
+        raise InputError(f"{name}: expected a date that is past, found {performed:%Y-%m-%d}; give --date")
     return Submission(
         name=name,
         sha256=content_sha256(text),
-        performed=_performed(calibration, particulars, name),
+        performed=performed,
         particulars=particulars,
         file=text,
         calibration=calibration,
@@ -115,19 +122,6 @@ def utc(text: str, where: str) -> datetime:
 def is_past(moment: datetime) -> bool:
     """Whether it has happened; a day is left to time zones."""
     return moment <= datetime.now(UTC) + timedelta(days=1)
-
-
-def _performed(calibration: Calibration, particulars: Particulars, name: str) -> datetime:
-    performed = particulars.performed
-    if performed is None:
-        if calibration.circumstances.date is not None:
-            return utc(calibration.circumstances.date, f"{name}: session.date")
-        if "created" not in calibration.provenance:
-            raise InputError(f"{name}: provenance.created: expected a time, found none; give --date")
-        performed = utc(calibration.provenance["created"], f"{name}: provenance.created")
-    if not is_past(performed):
-        raise InputError(f"{name}: expected a date that is past, found {performed:%Y-%m-%d}; give --date")
-    return performed
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -178,7 +172,16 @@ def add_within(
     if known is not None:
         return known, False
     calibration, particulars, name = submission.calibration, submission.particulars, submission.name
-    corrected = _corrected(connection, submission)
+    supersedes, corrected = particulars.supersedes, None
+    if (supersedes is None) != (particulars.reason is None):
+        raise InputError(f"{name}: expected --supersedes NUMBER with --reason TEXT, found one of them")
+    if supersedes is not None:
+        corrected = rows.record_of(connection, supersedes)
+        if corrected.superseded_by is not None:
+            raise InputError(
+                f"record {supersedes}: expected one that is in force, found one superseded by "
+                f"{corrected.superseded_by}; supersede that one"
+            )
     of_device = rows.records_of_device(connection, calibration.serial)
     standing = [record for record in of_device if record.superseded_by is None and record != corrected]
     for record in standing:
@@ -189,7 +192,7 @@ def add_within(
             )
     logs = {log for _, log in logs_of(calibration)} - {""}
     for record in rows.records_with_logs(connection, logs):
-        if record.superseded_by is None and record.number != particulars.supersedes:
+        if record.superseded_by is None and record.number != supersedes:
             raise InputError(
                 f"{name}: expected a log that is not in the registry, found that of record {record.number} "
                 f"({record.serial}, {record.method}); to correct that record give --supersedes {record.number}"
@@ -198,6 +201,14 @@ def add_within(
     first = not standing if corrected is None else corrected.occasion == "incoming"
     occasion = particulars.occasion or ("incoming" if first else "periodic")
     limits = None if model is None else limits_of(model)
+    verdict: str | None = None
+    if limits is not None:  # in a word; none where they have none for such a check
+        parsed = parse_limits(limits.file, limits.systematic, limits.name)
+        try:
+            judged = verdict_at(calibration, parsed, occasion)
+            verdict = None if judged is None else judged.result
+        except InputError:
+            verdict = "other frame"
     values = {
         "sha256": submission.sha256,
         "serial": calibration.serial,
@@ -208,38 +219,12 @@ def add_within(
         "occasion": occasion,
         "state": particulars.state,
         "limits": None if limits is None else limits.number,
-        "verdict": None if limits is None else _judged(calibration, limits, occasion),
-        "supersedes": particulars.supersedes,
+        "verdict": verdict,
+        "supersedes": supersedes,
         "reason": particulars.reason,
         "added": added,
     }
     return rows.add_record(connection, values, submission.file, logs), True
-
-
-def _corrected(connection: Connection, submission: Submission) -> Record | None:
-    """The record that a submission corrects."""
-    number, reason = submission.particulars.supersedes, submission.particulars.reason
-    if (number is None) != (reason is None):
-        raise InputError(f"{submission.name}: expected --supersedes NUMBER with --reason TEXT, found one of them")
-    if number is None:
-        return None
-    record = rows.record_of(connection, number)
-    if record.superseded_by is not None:
-        raise InputError(
-            f"record {number}: expected one that is in force, found one superseded by {record.superseded_by}; "
-            "supersede that one"
-        )
-    return record
-
-
-def _judged(calibration: Calibration, limits: LimitsRecord, occasion: Occasion) -> str | None:
-    """What limits say of a calibration, in a word; None where they have none for such a check."""
-    parsed = parse_limits(limits.file, limits.systematic, limits.name)
-    try:
-        verdict = verdict_at(calibration, parsed, occasion)
-    except InputError:
-        return "other frame"
-    return None if verdict is None else verdict.result
 
 
 def set_limits(registry: Registry, model: str, file: str, systematic: str | None) -> tuple[LimitsRecord, bool]:

@@ -19,10 +19,9 @@ Source: ISO 16269-6:2014, annex of exact factors; Odeh & Owen, Tables for Normal
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -32,7 +31,7 @@ from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.registry.series import device_type
 from tumble.registry.store.connect import Registry
-from tumble.run.device_type import FEWEST_UNITS, DeviceType
+from tumble.run.device_type import FEWEST_UNITS
 from tumble.sensors.parameters import group_name, group_of
 from tumble.units import Array
 
@@ -111,56 +110,46 @@ def datasheet(registry: Registry, model: str) -> Datasheet:
         raise InputError(f"type {model!r}: expected at least {FEWEST_UNITS} units in the registry, found {known.units}")
     temperatures = [each.reference for each in known.known if each.reference is not None]
     reference = float(np.median(temperatures)) if temperatures else None
-    rows = tuple(_rows(known, reference))
-    return Datasheet(model=model, units=known.units, recordings=len(known.known), reference=reference, rows=rows)
 
+    def row(name: str, unit: str, values: Array, *, logarithm: bool = False, **u: float | None) -> DatasheetRow:
+        """A parameter whose units have these values; or their logarithms are normally distributed."""
+        normal = np.log(values) if logarithm else values
+        half = tolerance_factor(len(values)) * float(normal.std(ddof=1))
+        ends = np.array([normal.mean() - half, normal.mean() + half])
+        low, high = (np.exp(ends) if logarithm else ends).tolist()
+        term, inertial_term = TERMS.get(name if logarithm else group_name(name), ("", ""))
+        return DatasheetRow(
+            name=name,
+            term=term,
+            inertial_term=inertial_term,
+            unit=unit,
+            units=len(values),
+            least=float(values.min()),
+            typical=float(values.mean()),
+            most=float(values.max()),
+            between=float(values.std(ddof=1)),
+            run_to_run=u.get("run_to_run"),
+            u=u.get("u"),
+            low=low,
+            high=high,
+        )
 
-def _rows(known: DeviceType, reference: float | None) -> Iterator[DatasheetRow]:
-    """The parameters, then the in-run biases."""
-    for name, each in known.learned(reference).parameters.items():
-        u, between = float(np.sqrt(each.own_variances.mean())), float(each.values.std(ddof=1))
-        words: dict[str, Any] = {"u": u, "between": between, "run_to_run": each.run_to_run}
-        yield _row(name, group_of(name).unit, each.values, _interval(each.values), **words)
+    rows = [
+        row(
+            name,
+            group_of(name).unit,
+            each.values,
+            u=float(np.sqrt(each.own_variances.mean())),
+            run_to_run=each.run_to_run,
+        )
+        for name, each in known.learned(reference).parameters.items()
+    ]
     for kind, unit in (("accel", "m/s^2"), ("gyro", "rad/s")):
         sizes = np.array([size for size in known.in_run(kind) if size > 0.0])
         if len(sizes) >= FEWEST_UNITS:
-            low, high = _interval(np.log(sizes))
-            ends, between = (float(np.exp(low)), float(np.exp(high))), float(sizes.std(ddof=1))
-            yield _row(f"{kind}.in_run", unit, sizes, ends, u=None, between=between, run_to_run=None)
-
-
-def _row(
-    name: str,
-    unit: str,
-    values: Array,
-    ends: tuple[float, float],
-    *,
-    u: float | None,
-    between: float,
-    run_to_run: float | None,
-) -> DatasheetRow:
-    term, inertial_term = TERMS.get(name if name.endswith(".in_run") else group_name(name), ("", ""))
-    return DatasheetRow(
-        name=name,
-        term=term,
-        inertial_term=inertial_term,
-        unit=unit,
-        units=len(values),
-        least=float(values.min()),
-        typical=float(values.mean()),
-        most=float(values.max()),
-        between=between,
-        run_to_run=run_to_run,
-        u=u,
-        low=ends[0],
-        high=ends[1],
-    )
-
-
-def _interval(values: Array) -> tuple[float, float]:
-    """The tolerance interval of values."""
-    half = tolerance_factor(len(values)) * float(values.std(ddof=1))
-    return float(values.mean()) - half, float(values.mean()) + half
+            rows.append(row(f"{kind}.in_run", unit, sizes, logarithm=True))
+    recordings = len(known.known)
+    return Datasheet(model=model, units=known.units, recordings=recordings, reference=reference, rows=tuple(rows))
 
 
 @cache

@@ -1,4 +1,5 @@
-"""When which device is to be calibrated again: by the calendar, or earlier where its drift may carry it to a limit.
+"""The records of a device, or of all, and when which device is to be calibrated again: by the calendar, or earlier
+where its drift may carry it to a limit.
 
 A drift takes the files of all calibrations of a device to be known, and a registry has thousands of devices. So what
 is found of a device is kept in the registry when a calibration of it, or limits of its type, are added; of what is not
@@ -13,12 +14,34 @@ from datetime import date
 from itertools import islice
 
 from tumble.acceptance.schedule import content_of, schedule_of
+from tumble.errors import InputError
 from tumble.registry.store import rows
 from tumble.registry.store.connect import Registry
 from tumble.registry.types import Forecast, LimitsRecord, Record
 
 BATCH = 100
 """Forecasts that are kept in a transaction."""
+
+
+def records(registry: Registry, serial: str | None = None) -> list[Record]:
+    """The records of a device, or of all of them, superseded ones too, in the order in which they were performed.
+
+    Raises InputError for a device that has none.
+
+    >>> import tumble
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
+    >>> tumble.calibrate(folder).write("calibration.json")
+    >>> with tumble.open_registry("registry.sqlite", create=True) as registry:
+    ...     _ = tumble.add_calibration(registry, "calibration.json")
+    ...     found = tumble.records(registry, "mems-1")
+    >>> [record.method for record in found]
+    ['joint']
+    """
+    with registry.reading() as connection:
+        listed = rows.every_record(connection) if serial is None else rows.records_of_device(connection, serial)
+    if serial is not None and not listed:
+        raise InputError(f"device {serial!r}: expected a device of the registry, found none of this serial number")
+    return sorted(listed, key=lambda record: (record.performed, record.number))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

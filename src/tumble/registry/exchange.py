@@ -49,30 +49,31 @@ class Imported:
 
 def export_lines(registry: Registry) -> Iterator[str]:
     """The lines of an export, of one state of the registry."""
+
+    def line(**content: Any) -> str:
+        return json.dumps(content, ensure_ascii=False)
+
     with registry.reading() as connection:
         limits, records = rows.every_limits(connection), rows.every_record(connection)
-        yield _line(kind=KIND, format=FORMAT, limits=len(limits), calibrations=len(records))
+        yield line(kind=KIND, format=FORMAT, limits=len(limits), calibrations=len(records))
         for each in limits:
             stated = {key: getattr(each, key) for key in ("file", "systematic")}
-            yield _line(kind="limits", sha256=each.sha256, model=each.model, added=each.added.isoformat(), **stated)
-        limits_sha = {each.number: each.sha256 for each in limits}
-        record_sha = {record.number: record.sha256 for record in records}
+            yield line(kind="limits", sha256=each.sha256, model=each.model, added=each.added.isoformat(), **stated)
+        limits_sha: dict[int | None, str | None] = {None: None} | {each.number: each.sha256 for each in limits}
+        record_sha: dict[int | None, str | None] = {None: None} | {record.number: record.sha256 for record in records}
         for record in records:
-            yield _line(
+            yield line(
                 kind="calibration",
                 sha256=record.sha256,
                 performed=record.performed.isoformat(),
-                **{key: getattr(record, key) for key in ("occasion", "state")},
-                limits=None if record.limits is None else limits_sha[record.limits],
-                supersedes=None if record.supersedes is None else record_sha[record.supersedes],
+                occasion=record.occasion,
+                state=record.state,
+                limits=limits_sha[record.limits],
+                supersedes=record_sha[record.supersedes],
                 reason=record.reason,
                 added=record.added.isoformat(),
                 file=rows.file_of(connection, record.number),
             )
-
-
-def _line(**content: Any) -> str:
-    return json.dumps(content, ensure_ascii=False)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -146,78 +147,71 @@ def _entries(path: Path) -> Iterator[tuple[str, LimitsRecord | _Exported]]:
     try:
         check_regular(path)
         with path.open(encoding="utf-8") as opened:
-            yield from _checked(opened, str(path))
+            header = _parsed(next(opened, ""), f"{path}: line 1")
+            if header.get("kind") != KIND or header.get("format") != FORMAT:
+                raise InputError(
+                    f"{path}: line 1: expected an export of a tumble registry of format {FORMAT}, found another file"
+                )
+            limits, counts = set[str](), dict.fromkeys(_KEYS, 0)
+            for number, line in enumerate(opened, 2):
+                where = f"{path}: line {number}"
+                entry = _checked(_parsed(line, where), where, limits)
+                kind = "limits" if isinstance(entry, LimitsRecord) else "calibration"
+                counts[kind] += 1
+                yield where, entry
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: expected UTF-8 text, found {error.reason}") from error
+    stated = {"limits": header.get("limits", 0), "calibration": header.get("calibrations", 0)}
+    if counts != stated:
+        said, found = (f"{each['limits']} limits and {each['calibration']} calibrations" for each in (stated, counts))
+        raise InputError(
+            f"{path}: expected the numbers of records that line 1 says, {said}, found {found}; export it again"
+        )
 
 
-def _checked(lines: Iterator[str], path: str) -> Iterator[tuple[str, LimitsRecord | _Exported]]:
-    header = _parsed(next(lines, ""), f"{path}: line 1")
-    if header.get("kind") != KIND or header.get("format") != FORMAT:
-        raise InputError(
-            f"{path}: line 1: expected an export of a tumble registry of format {FORMAT}, found another file"
-        )
-    limits: set[str] = set()
-    counts = dict.fromkeys(_KEYS, 0)
-    for number, line in enumerate(lines, 2):
-        where = f"{path}: line {number}"
-        content = _parsed(line, where)
-        kind = content.get("kind")
-        if kind not in tuple(counts):
-            raise InputError(f"{where}: kind: expected limits or calibration, found {shown(kind)}")
-        for key in _KEYS[kind]:
-            if key not in content:
-                raise InputError(f"{where}: expected a line of an export, found one without {key!r}")
-            if not isinstance(content[key], str) and not (key in _MAY_BE_NULL and content[key] is None):
-                raise InputError(f"{where}: {key}: expected a text, found {shown(content[key])}")
-        added = utc(content["added"], f"{where}: added")
-        if not is_past(added):
-            raise InputError(f"{where}: added: expected a date that is past, found {content['added']!r}")
-        counts[kind] += 1
-        if kind == "limits":
-            parse_limits(content["file"], content["systematic"], where)
-            limits.add(content["sha256"])
-            given = {key: content[key] for key in ("sha256", "model", "file", "systematic")}
-            yield where, LimitsRecord(number=0, **given, added=added)
-            continue
-        for key, allowed in (("occasion", OCCASIONS), ("state", STATES)):
-            if content[key] not in tuple(allowed):
-                raise InputError(f"{where}: {key}: expected one of {', '.join(allowed)}, found {shown(content[key])}")
-        performed = utc(content["performed"], f"{where}: performed")
-        stated = {key: content[key] for key in ("occasion", "state", "reason")}
-        calibration = submission(content["file"], where, Particulars(performed=performed, **stated))
-        if content["limits"] is not None and content["limits"] not in limits:
-            raise _not_there("limits", content["limits"], where)
-        refers = {key: content[key] for key in ("limits", "supersedes")}
-        yield where, _Exported(submission=calibration, added=added, **refers)
-    stated_counts = {"limits": header.get("limits", 0), "calibration": header.get("calibrations", 0)}
-    if counts != stated_counts:
-        raise InputError(
-            f"{path}: expected the numbers of records that line 1 says, {_counts(stated_counts)}, found "
-            f"{_counts(counts)}; export it again"
-        )
+def _checked(content: dict[str, Any], where: str, limits: set[str]) -> LimitsRecord | _Exported:
+    """What is in a line; `limits` are those of the lines before it (SHA-256), to which its own are added."""
+    kind = content.get("kind")
+    if kind not in tuple(_KEYS):
+        raise InputError(f"{where}: kind: expected limits or calibration, found {shown(kind)}")
+    for key in _KEYS[kind]:
+        if key not in content:
+            raise InputError(f"{where}: expected a line of an export, found one without {key!r}")
+        if not isinstance(content[key], str) and not (key in _MAY_BE_NULL and content[key] is None):
+            raise InputError(f"{where}: {key}: expected a text, found {shown(content[key])}")
+    added = utc(content["added"], f"{where}: added")
+    if not is_past(added):
+        raise InputError(f"{where}: added: expected a date that is past, found {content['added']!r}")
+    if kind == "limits":
+        parse_limits(content["file"], content["systematic"], where)
+        limits.add(content["sha256"])
+        given = {key: content[key] for key in ("sha256", "model", "file", "systematic")}
+        return LimitsRecord(number=0, **given, added=added)
+    for key, allowed in (("occasion", OCCASIONS), ("state", STATES)):
+        if content[key] not in tuple(allowed):
+            raise InputError(f"{where}: {key}: expected one of {', '.join(allowed)}, found {shown(content[key])}")
+    stated = {key: content[key] for key in ("occasion", "state", "reason")}
+    particulars = Particulars(performed=utc(content["performed"], f"{where}: performed"), **stated)
+    calibration = submission(content["file"], where, particulars)
+    refers = {key: content[key] for key in ("limits", "supersedes")}
+    if refers["limits"] is not None and refers["limits"] not in limits:
+        raise _not_there("limits", refers["limits"], where)
+    return _Exported(submission=calibration, added=added, **refers)
 
 
 def _not_there(key: str, sha256: str, where: str) -> InputError:
     return InputError(f"{where}: expected a line of an export, found one without the {key} {sha256[:12]}… it names")
 
 
-def _counts(counts: Mapping[str, int]) -> str:
-    return f"{counts['limits']} limits and {counts['calibration']} calibrations"
-
-
 def _parsed(line: str, where: str) -> dict[str, Any]:
+    """The object of a line, without half a character in its texts, which no database keeps."""
     try:
         content = json_of(line)
     except ValueError as error:
         raise InputError(f"{where}: expected a line of JSON, found an error in its syntax: {error}") from None
-    if not isinstance(content, dict) or not all(map(_encodable, content.values())):
+    texts = [value for value in content.values() if isinstance(value, str)] if isinstance(content, dict) else [None]
+    if not all(text is not None and text == text.encode(errors="ignore").decode() for text in texts):
         raise InputError(f"{where}: expected a JSON object, found something else")
-    return content
-
-
-def _encodable(value: Any) -> bool:
-    """Whether a value is no text with half a character, which no database keeps."""
-    return not isinstance(value, str) or value == value.encode(errors="ignore").decode()
+    return dict(content)

@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
+from typing import Any
 
 from tumble.acceptance.conformity import judge_value
-from tumble.acceptance.limits import parse_limits
+from tumble.acceptance.limits import Limits, parse_limits
 from tumble.errors import InputError
-from tumble.registry.series import latest_comparison, past_of, series_of
+from tumble.registry.series import Past, Series, latest_comparison, past_of, series_of
 from tumble.registry.store import rows
 from tumble.registry.store.connect import Registry
 from tumble.registry.trend import Trend, forecast, trend_of
@@ -96,16 +97,8 @@ def monitored(registry: Registry, serial: str, parameter: str | None) -> Monitor
     if not chosen:
         known = ", ".join(each.name for each in series)
         raise InputError(f"device {serial!r}: expected one of {known}, found {parameter!r}")
-    between = {} if limits is None else {each.name: limits.of(each.name, "periodic") for each in chosen}
-    record, calibration = past[-1]
-    return Monitored(
-        latest=record,
-        frame=calibration.frame,
-        trends=[trend_of(each) for each in chosen],
-        limits={name: ends for name, ends in between.items() if ends is not None},
-        comparison=latest_comparison(past),
-        by_calendar=None if limits is None else limits.schedule.due(serial, record.performed.date()),
-    )
+    by_calendar = None if limits is None else limits.schedule.due(serial, past[-1][0].performed.date())
+    return _of_past(past, chosen, limits, comparison=latest_comparison(past), by_calendar=by_calendar)
 
 
 def first_forecast(registry: Registry, serial: str, given: LimitsRecord) -> Forecast | None:
@@ -116,12 +109,18 @@ def first_forecast(registry: Registry, serial: str, given: LimitsRecord) -> Fore
         past = past_of(registry, serial, limits.frame)
     except InputError:
         return None
-    series = series_of(past)
-    between = {each.name: limits.of(each.name, "periodic") for each in series}
-    watched = Monitored(
-        latest=past[-1][0],
-        frame=limits.frame,
-        trends=[trend_of(each) for each in series if between[each.name] is not None],
+    series = [each for each in series_of(past) if limits.of(each.name, "periodic") is not None]
+    return next(iter(_of_past(past, series, limits).forecasts()), None)
+
+
+def _of_past(past: Past, series: Sequence[Series], limits: Limits | None, **others: Any) -> Monitored:
+    """Series of a device against limits; `others` are the other fields."""
+    between = {} if limits is None else {each.name: limits.of(each.name, "periodic") for each in series}
+    record, calibration = past[-1]
+    return Monitored(
+        latest=record,
+        frame=calibration.frame,
+        trends=[trend_of(each) for each in series],
         limits={name: ends for name, ends in between.items() if ends is not None},
+        **others,
     )
-    return next(iter(watched.forecasts()), None)

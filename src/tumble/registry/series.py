@@ -8,16 +8,17 @@ The launches of a device, or of all devices of a type: how unstable they are fro
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
+from typing import TypeVar
 
 from tumble.acceptance.conformity import Verdict, verdict_at
 from tumble.acceptance.limits import parse_limits
 from tumble.errors import InputError
 from tumble.recording.session import Site
-from tumble.registry.records import records
+from tumble.registry.due import records
 from tumble.registry.store import rows
 from tumble.registry.store.connect import Registry
 from tumble.registry.types import Record, State
@@ -28,6 +29,7 @@ from tumble.run.device_type import DeviceType, known_calibration
 from tumble.run.type_spread import KnownLaunches, TypeSpread, known_launches
 from tumble.use.compare import Comparison, compare_calibrations
 
+_Known = TypeVar("_Known")
 Past = Sequence[tuple[Record, Calibration]]
 """The records of a device that are in force with what is in their files, in the order in which they were performed."""
 
@@ -159,7 +161,8 @@ def type_spread(registry: Registry, model: str, frame: str = "accelerometer") ->
     ...
     tumble.errors.InputError: type 'BCHE-501': expected calibrations of several launches in the registry, found none
     """
-    found = _launches(registry, [record for record in records(registry) if record.model == model], frame)
+    of_type = [record for record in records(registry) if record.model == model]
+    found = _known(registry, of_type, frame, known_launches)
     if not found:
         raise InputError(f"type {model!r}: expected calibrations of several launches in the registry, found none")
     return TypeSpread(model=model, frame=frame, known=found)
@@ -174,12 +177,8 @@ def device_type(registry: Registry, model: str) -> DeviceType:
     ...     tumble.device_type(registry, "BCHE-501").units
     0
     """
-    known = []
-    for record in records(registry):
-        if record.model == model and record.superseded_by is None:
-            with suppress(InputError):  # another frame
-                known.append(known_calibration(calibration_in(registry, record, "accelerometer")))
-    return DeviceType(model=model, known=tuple(each for each in known if each is not None))
+    of_type = [record for record in records(registry) if record.model == model]
+    return DeviceType(model=model, known=_known(registry, of_type, "accelerometer", known_calibration))
 
 
 def device_launches(registry: Registry, serial: str, frame: str = "accelerometer") -> tuple[KnownLaunches, ...]:
@@ -198,17 +197,19 @@ def device_launches(registry: Registry, serial: str, frame: str = "accelerometer
     >>> known.degrees
     1
     """
-    found = _launches(registry, records(registry, serial), frame)
+    found = _known(registry, records(registry, serial), frame, known_launches)
     if not found:
         raise InputError(f"device {serial!r}: expected a calibration of several launches in the registry, found none")
     return found
 
 
-def _launches(registry: Registry, of: Iterable[Record], frame: str) -> tuple[KnownLaunches, ...]:
-    """The launches behind those records that are in force."""
-    known = []
+def _known(
+    registry: Registry, of: Iterable[Record], frame: str, known: Callable[[Calibration], _Known | None]
+) -> tuple[_Known, ...]:
+    """What is known of the calibrations of those records that are in force and can be taken to a frame, if anything."""
+    found = []
     for record in of:
         if record.superseded_by is None:
             with suppress(InputError):  # another frame
-                known.append(known_launches(calibration_in(registry, record, frame)))
-    return tuple(launches for launches in known if launches is not None)
+                found.append(known(calibration_in(registry, record, frame)))
+    return tuple(each for each in found if each is not None)

@@ -41,7 +41,7 @@ drift that is not gives no forecast.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from itertools import pairwise
@@ -52,9 +52,10 @@ from scipy import special
 from tumble.methods.least_squares import scatter_of
 from tumble.registry.series import Series, SeriesPoint
 from tumble.registry.types import Forecast
-from tumble.result.coverage import apart, expanded_of, shared_gravity, welch_satterthwaite
+from tumble.result.coverage import apart, shared_gravity
 from tumble.result.shared_errors import shared_time_base
 from tumble.units import Array
+from tumble.use.compare import Difference
 
 YEAR = timedelta(days=365.25)
 COVERED = float(special.ndtr(2.0))
@@ -84,26 +85,12 @@ class Drift:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Change:
-    """What changed between two records: value with u, its degrees of freedom (None: known) and U, SI, and E_n =
-    value/U. Not by `adjustment`: in use."""
+class Change(Difference):
+    """What changed between two records. Not by `adjustment`: in use."""
 
     earlier: int
     later: int
     adjustment: bool
-    value: float
-    u: float | None
-    dof: float | None
-
-    @property
-    def expanded(self) -> float | None:
-        """U, SI; None without uncertainties."""
-        return None if self.u is None else expanded_of(self.u, self.dof)
-
-    @property
-    def e_n(self) -> float | None:
-        """E_n number: above 1 the two contradict each other, and the device has changed."""
-        return None if not self.expanded else self.value / self.expanded
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -127,7 +114,7 @@ class Trend:
 def trend_of(series: Series) -> Trend:
     """Run-to-run instability, drift and changes of a parameter."""
     points = series.points
-    spreads = [launch_values(p) for p in points if len(p.launches) > 1]
+    spreads = [np.array([value for value, _ in p.launches]) for p in points if len(p.launches) > 1]
     degrees = sum(len(values) - 1 for values in spreads)
     squares = sum(float(np.sum((values - values.mean()) ** 2)) for values in spreads)
     instability, drift = _instability_and_drift(points)
@@ -137,37 +124,25 @@ def trend_of(series: Series) -> Trend:
         run_to_run_degrees=degrees,
         instability=instability,
         drift=drift,
-        changes=tuple(_changes(points)),
+        changes=tuple(
+            Change.between(
+                earlier,
+                later,
+                *_shared([earlier, later]),
+                name=series.name,
+                unit=series.unit,
+                earlier=earlier.number,
+                later=later.number,
+                adjustment=later.state == "as-left",
+            )
+            for earlier, later in pairwise(points)
+        ),
     )
-
-
-def launch_values(point: SeriesPoint) -> Array:
-    """The values (L,) of the launches behind a point."""
-    return np.array([value for value, _ in point.launches])
 
 
 def years(points: Sequence[SeriesPoint]) -> Array:
     """When points were measured, years since the first."""
     return np.array([(p.performed - points[0].performed) / YEAR for p in points], dtype=float)
-
-
-def _changes(points: Sequence[SeriesPoint]) -> Iterable[Change]:
-    for earlier, later in pairwise(points):
-        known = earlier.u is not None and later.u is not None
-        before, after = _shared([earlier, later])
-        parts = [
-            apart(earlier.u, earlier.dof, before.tolist()),
-            apart(later.u, later.dof, after.tolist()),
-            (float(((after - before) ** 2).sum()), None),
-        ]
-        yield Change(
-            earlier=earlier.number,
-            later=later.number,
-            adjustment=later.state == "as-left",
-            value=later.value - earlier.value,
-            u=math.sqrt(sum(variance for variance, _ in parts)) if known else None,
-            dof=welch_satterthwaite(parts) if known else None,
-        )
 
 
 def _shared(points: Sequence[SeriesPoint]) -> Array:
@@ -202,7 +177,7 @@ def _instability_and_drift(points: Sequence[SeriesPoint]) -> tuple[float | None,
             return None, None
         of_mean[i] = own.sum() / max(count[i], 1) ** 2
         if count[i] > 1:
-            values = launch_values(p)
+            values = np.array([value for value, _ in p.launches])
             launch_variance.append(own)
             launch_square.append((values - values.mean()) ** 2)
     within, squares = (np.concatenate(each) if each else np.empty(0) for each in (launch_variance, launch_square))
@@ -262,7 +237,13 @@ def forecast(trend: Trend, limits: tuple[float, float]) -> Forecast | None:
     expected = drift.since + (limit - drift.level) / drift.per_year
     if not math.isfinite(limit) or not now < expected <= now + HORIZON:
         return None
-    earliest, latest = _between(drift, limit, trend.instability or 0.0)
+    # the roots of |limit − y(t)| = t(ν) u(y), Eq. (1)
+    k, off, b = (drift.expanded or 0.0) / drift.u, limit - drift.level, drift.per_year
+    A = b**2 - (k * drift.u) ** 2
+    half = off * b + k**2 * drift.level_with_drift
+    C = off**2 - k**2 * (drift.level_u**2 + (trend.instability or 0.0) ** 2)
+    root = math.sqrt(max(half**2 - A * C, 0.0))
+    earliest, latest = drift.since + (half - root) / A, drift.since + (half + root) / A
 
     def at(years: float) -> datetime:
         moment: timedelta = years * YEAR
@@ -276,14 +257,3 @@ def forecast(trend: Trend, limits: tuple[float, float]) -> Forecast | None:
         earliest=at(max(earliest, now)),
         latest=at(latest) if latest <= now + HORIZON else None,
     )
-
-
-def _between(drift: Drift, limit: float, instability: float) -> tuple[float, float]:
-    """The roots of |limit − y(t)| = t(ν) u(y), Eq. (1), years since the first calibration."""
-    k = (drift.expanded or 0.0) / drift.u
-    off, b = limit - drift.level, drift.per_year
-    A = b**2 - (k * drift.u) ** 2
-    half = off * b + k**2 * drift.level_with_drift
-    C = off**2 - k**2 * (drift.level_u**2 + instability**2)
-    root = math.sqrt(max(half**2 - A * C, 0.0))
-    return drift.since + (half - root) / A, drift.since + (half + root) / A

@@ -21,6 +21,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import inf, sqrt
 from pathlib import Path
+from typing import Any, Protocol, Self
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc, stdtr
@@ -32,7 +33,6 @@ from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.coverage import UNLEARNED, apart, expanded_of, welch_satterthwaite
 from tumble.result.file import text_of
 from tumble.result.further import remarks as remarks_of
-from tumble.result.parts import Parameter
 from tumble.result.shared_errors import shared_errors
 from tumble.units import Array
 from tumble.use.foreign import IMU_TK, KALIBR, foreign_calibration, is_foreign
@@ -41,6 +41,17 @@ CHANCE = 0.01
 """How often the largest difference of two calibrations that agree is called one."""
 LEAST_PROBABILITY = 1e-3
 """Two calibrations contradict each other where chance exceeds their χ² less often than this."""
+
+
+class Known(Protocol):
+    """A value as it is known, SI, in a calibration or over time."""
+
+    @property
+    def value(self) -> float: ...
+    @property
+    def u(self) -> float | None: ...
+    @property
+    def dof(self) -> float | None: ...
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -56,16 +67,36 @@ class Difference:
     u: float | None
     dof: float | None = None
 
+    @classmethod
+    def between(cls, first: Known, second: Known, g: Array, h: Array, **others: Any) -> Self:
+        """The difference of a parameter of which what both share changes the first by `g` (k,), the second by `h` (k,);
+        `others` are the other fields."""
+        parts: list[tuple[float, float | None]] = [
+            (float(((g - h) ** 2).sum()), None),
+            apart(first.u, first.dof, g.tolist()),
+            apart(second.u, second.dof, h.tolist()),
+        ]
+        variance = sum(variance for variance, _ in parts)
+        if variance < UNLEARNED * ((first.u or 0.0) ** 2 + (second.u or 0.0) ** 2):
+            variance = 0.0
+        known = first.u is not None and second.u is not None
+        u, dof = (sqrt(variance), welch_satterthwaite(parts)) if known else (None, None)
+        return cls(first=first.value, second=second.value, u=u, dof=dof, **others)
+
     @property
     def value(self) -> float:
         """second − first."""
         return self.second - self.first
 
     @property
+    def expanded(self) -> float | None:
+        """U, SI; None without uncertainties."""
+        return None if self.u is None else expanded_of(self.u, self.dof)
+
+    @property
     def e_n(self) -> float | None:
-        """The E_n number; None without uncertainties that have one."""
-        expanded = expanded_of(self.u, self.dof) if self.u else None
-        return None if expanded is None else self.value / expanded
+        """The E_n number, above 1 where the two contradict each other; None without uncertainties that have one."""
+        return self.value / self.expanded if self.expanded else None
 
     @property
     def by_chance(self) -> float | None:
@@ -156,7 +187,10 @@ def compare_calibrations(
     for k, calibration in enumerate((a, b)):
         order, changes = list(calibration), [np.zeros((len(calibration), 0)), *(each[k] for each in sources.values())]
         shared.append(np.concatenate(changes, axis=1)[[order.index(name) for name in common]])
-    differences = tuple(_difference(a[name], b[name], g, h) for name, g, h in zip(common, *shared, strict=True))
+    differences = tuple(
+        Difference.between(a[name], b[name], g, h, name=name, unit=a[name].unit)
+        for name, g, h in zip(common, *shared, strict=True)
+    )
     covariances, covariance = (a.covariance_of(common), b.covariance_of(common)), None
     if covariances[0] is not None and covariances[1] is not None:
         covariance = covariances[0] + covariances[1] - shared[0] @ shared[1].T - shared[1] @ shared[0].T
@@ -178,27 +212,6 @@ def compare_calibrations(
         probability=probability,
         missing=tuple(name for name in (*a, *b) if name not in common),
         remarks=(*remarks, *(second.notes if foreign else ())),
-    )
-
-
-def _difference(first: Parameter, second: Parameter, g: Array, h: Array) -> Difference:
-    """The difference of a parameter of which what both share changes the first by `g` (k,), the second by `h` (k,)."""
-    known = first.u is not None and second.u is not None
-    parts: list[tuple[float, float | None]] = [
-        (float(((g - h) ** 2).sum()), None),
-        apart(first.u, first.dof, g.tolist()),
-        apart(second.u, second.dof, h.tolist()),
-    ]
-    variance = sum(variance for variance, _ in parts)
-    if variance < UNLEARNED * ((first.u or 0.0) ** 2 + (second.u or 0.0) ** 2):
-        variance = 0.0
-    return Difference(
-        name=first.name,
-        unit=first.unit,
-        first=first.value,
-        second=second.value,
-        u=sqrt(variance) if known else None,
-        dof=welch_satterthwaite(parts) if known else None,
     )
 
 

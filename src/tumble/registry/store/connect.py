@@ -8,8 +8,8 @@ database from its first query to its last and waits for nobody.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -43,11 +43,9 @@ class Registry:
     @contextmanager
     def reading(self) -> Iterator[Connection]:
         """A transaction that sees one state of the database. Raises InputError, one line, where the database fails."""
-        with self._transaction(
-            {} if _is_file(self.engine.url) else {"isolation_level": "REPEATABLE READ"}
-        ) as connection:
+        with self._transaction(**{} if _is_file(self.engine.url) else {"isolation_level": "REPEATABLE READ"}) as begun:
             try:
-                yield connection
+                yield begun
             except (ValueError, TypeError) as error:  # of a column that is not what it was written as
                 raise InputError(
                     f"{self.name}: the registry cannot be used: expected what was written into it, found a damaged "
@@ -57,17 +55,13 @@ class Registry:
     @contextmanager
     def writing(self) -> Iterator[Connection]:
         """A transaction that is the only writer's, committed when the block ends without an error."""
-        with self._transaction({"tumble_writes": True}) as connection:
-            yield connection
+        with self._transaction(tumble_writes=True) as begun:
+            yield begun
 
     @contextmanager
-    def _transaction(self, options: Mapping[str, Any]) -> Iterator[Connection]:
-        with (
-            in_one_line(self.name),
-            self.engine.connect() as connection,
-            connection.execution_options(**options).begin(),
-        ):
-            yield connection
+    def _transaction(self, **options: Any) -> Iterator[Connection]:
+        with in_one_line(self.name), self.engine.connect() as begun, begun.execution_options(**options).begin():
+            yield begun
 
 
 @contextmanager
@@ -96,19 +90,29 @@ def _connected(place: str | None, create: bool) -> Registry:
 
     url = _url(place)
     file = Path(url.database or "") if _is_file(url) else None
-    new = file is not None and not file.exists()
-    name = str(file) if file else url.render_as_string(hide_password=True)
+    name, new = str(file) if file else url.render_as_string(hide_password=True), False
     if file is not None:
-        _prepare(file, create, default=place is None)
-    if file is not None and not create and _never_written(file):
-        url = url.set(database=f"file:{quote(str(file.resolve()))}", query={"immutable": "1", "uri": "true"})
+        new = not file.exists()
+        if file.is_dir():
+            raise InputError(f"{file}: expected a registry, found a folder")
+        if new and not create:
+            raise InputError(f"{file}: expected a registry, found no such file; `tumble registry add` makes one")
+        if new and place is None:  # the user's own data folder is made too, no other
+            file.parent.mkdir(parents=True, exist_ok=True)
+        if new and not file.parent.is_dir():
+            raise InputError(f"{file}: expected a folder for the registry, found no {file.parent}; make it first")
+        beside = (file.with_name(file.name + ending) for ending in ("-wal", "-journal"))
+        if not create and not os.access(file.parent, os.W_OK) and not any(each.exists() for each in beside):
+            # where nothing can be written nobody does while it is read; SQLite would make files beside it
+            url = url.set(database=f"file:{quote(str(file.resolve()))}", query={"immutable": "1", "uri": "true"})
     registry = Registry(name=name, engine=_engine(url, name))
     try:
         with registry.reading() as connection:
             if has_tables(connection, name, create):
                 return registry
-        with in_one_line(name):
-            _keep_a_write_ahead_log(registry.engine)
+        if file is not None:  # readers do not wait for writers then; the file remembers it
+            with in_one_line(name), closing(registry.engine.raw_connection()) as raw:
+                raw.cursor().execute("PRAGMA journal_mode = WAL")
         with registry.writing() as connection:  # of programs that open a new registry at once, the first makes them
             if not has_tables(connection, name, create):
                 make_tables(connection)
@@ -118,17 +122,6 @@ def _connected(place: str | None, create: bool) -> Registry:
             file.unlink()
         raise
     return registry
-
-
-def _keep_a_write_ahead_log(engine: Engine) -> None:
-    """On SQLite readers do not wait for writers then. The file remembers it."""
-    if not _is_file(engine.url):
-        return
-    raw = engine.raw_connection()
-    try:
-        raw.cursor().execute("PRAGMA journal_mode = WAL")
-    finally:
-        raw.close()
 
 
 def extra_named() -> AbstractContextManager[None]:
@@ -165,29 +158,8 @@ def default_file() -> Path:
     return user_data_path("tumble", appauthor=False) / FILE_NAME
 
 
-def _never_written(file: Path) -> bool:
-    """Whether a file is on a medium where nothing can be written, so that nobody does while it is read; SQLite would
-    make files beside it."""
-    beside = (file.with_name(file.name + ending) for ending in ("-wal", "-journal"))
-    return not os.access(file.parent, os.W_OK) and not any(each.exists() for each in beside)
-
-
 def _is_file(url: URL) -> bool:
     return url.get_backend_name() == "sqlite"
-
-
-def _prepare(file: Path, create: bool, *, default: bool) -> None:
-    """Check that the file is there, or can be made: the user's own data folder is made too, no other."""
-    if file.is_dir():
-        raise InputError(f"{file}: expected a registry, found a folder")
-    if file.exists():
-        return
-    if not create:
-        raise InputError(f"{file}: expected a registry, found no such file; `tumble registry add` makes one")
-    if default:
-        file.parent.mkdir(parents=True, exist_ok=True)
-    if not file.parent.is_dir():
-        raise InputError(f"{file}: expected a folder for the registry, found no {file.parent}; make it first")
 
 
 def _engine(url: URL, name: str) -> Engine:
@@ -199,29 +171,25 @@ def _engine(url: URL, name: str) -> Engine:
         engine = create_engine(url, connect_args=arguments)
     except (ValueError, TypeError) as error:
         raise InputError(f"{name}: expected a URL of a registry, found {error}") from error
-    if _is_file(url):
-        event.listen(engine, "connect", _set_up_sqlite)
-        event.listen(engine, "begin", _begin_sqlite)
-    else:
-        event.listen(engine, "begin", _begin_postgresql)
+    on_file = _is_file(url)
+
+    def set_up(connection: Any, _: object) -> None:
+        connection.isolation_level = None  # transactions are begun below, not by the driver
+        for pragma in ("foreign_keys = ON", "synchronous = FULL"):
+            connection.execute(f"PRAGMA {pragma}")
+
+    def begin(connection: Connection) -> None:
+        writes = connection.get_execution_options().get("tumble_writes", False)
+        if on_file:
+            connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+        elif writes:
+            connection.exec_driver_sql(f"SET LOCAL lock_timeout = '{PATIENCE:.0f}s'")
+            connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({WRITERS_LOCK})")
+
+    if on_file:
+        event.listen(engine, "connect", set_up)
+    event.listen(engine, "begin", begin)
     return engine
-
-
-def _set_up_sqlite(connection: Any, _: object) -> None:
-    connection.isolation_level = None  # transactions are begun by _begin_sqlite, not by the driver
-    for pragma in ("foreign_keys = ON", "synchronous = FULL"):
-        connection.execute(f"PRAGMA {pragma}")
-
-
-def _begin_sqlite(connection: Connection) -> None:
-    writes = connection.get_execution_options().get("tumble_writes", False)
-    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
-
-
-def _begin_postgresql(connection: Connection) -> None:
-    if connection.get_execution_options().get("tumble_writes", False):
-        connection.exec_driver_sql(f"SET LOCAL lock_timeout = '{PATIENCE:.0f}s'")
-        connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({WRITERS_LOCK})")
 
 
 @contextmanager

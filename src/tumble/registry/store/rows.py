@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import bindparam, func, insert, select
@@ -40,32 +40,12 @@ ones."""
 # -------------------- calibrations --------------------
 
 
-def _utc(moment: datetime) -> datetime:
-    """A time as the database keeps it, in UTC without a zone, with its zone."""
-    return moment.replace(tzinfo=UTC)
-
-
-def _kept(moment: datetime) -> datetime:
-    """A time as the database keeps it."""
-    return moment.astimezone(UTC).replace(tzinfo=None)
-
-
-def _record(values: Mapping[str, Any]) -> Record:
-    """The record of the values of its columns."""
-    times = {"performed": _utc(values["performed"]), "added": _utc(values["added"])}
-    return Record(**{**values, **times})
-
-
-def _limits(values: Mapping[str, Any]) -> LimitsRecord:
-    return LimitsRecord(**{**values, "added": _utc(values["added"])})
-
-
 def record_of(connection: Connection, number: int) -> Record:
     """The record of a number. Raises InputError where there is none."""
     row = connection.execute(_OF_NUMBER, {"of": number}).first()
     if row is None:
         raise InputError(f"record {number}: expected a record of the registry, found none of this number")
-    return _record(row._asdict())
+    return Record(**row._asdict())
 
 
 def number_of(connection: Connection, sha256: str) -> int | None:
@@ -75,17 +55,17 @@ def number_of(connection: Connection, sha256: str) -> int | None:
 
 def every_record(connection: Connection) -> list[Record]:
     """All records, superseded ones too, by number."""
-    return [_record(row._asdict()) for row in connection.execute(_EVERY)]
+    return [Record(**row._asdict()) for row in connection.execute(_EVERY)]
 
 
 def records_of_device(connection: Connection, serial: str) -> list[Record]:
     """The records of a device, superseded ones too, by number."""
-    return [_record(row._asdict()) for row in connection.execute(_OF_DEVICE, {"of": serial})]
+    return [Record(**row._asdict()) for row in connection.execute(_OF_DEVICE, {"of": serial})]
 
 
 def records_with_logs(connection: Connection, logs: Iterable[str]) -> list[Record]:
     """The records that stand on one of these logs (SHA-256)."""
-    return [_record(row._asdict()) for row in connection.execute(_OF_LOGS, {"of": sorted(logs)})]
+    return [Record(**row._asdict()) for row in connection.execute(_OF_LOGS, {"of": sorted(logs)})]
 
 
 def file_of(connection: Connection, number: int) -> str:
@@ -100,8 +80,7 @@ def hashes(connection: Connection) -> set[str]:
 
 def add_record(connection: Connection, values: Mapping[str, Any], file: str, logs: Iterable[str]) -> int:
     """The number of a new record with these values of its columns, its file, and the logs (SHA-256) it stands on."""
-    times = {"performed": _kept(values["performed"]), "added": _kept(values["added"])}
-    number = int(connection.execute(_ADD, {**values, **times}).scalar_one())
+    number = int(connection.execute(_ADD, values).scalar_one())
     connection.execute(insert(CONTENT), {"calibration": number, "file": file})
     rows = [{"calibration": number, "sha256": log} for log in sorted(logs)]
     if rows:
@@ -114,7 +93,7 @@ def add_record(connection: Connection, values: Mapping[str, Any], file: str, log
 
 def every_limits(connection: Connection) -> list[LimitsRecord]:
     """All limits of all types, former ones too, in the order in which they came in force."""
-    return [_limits(row._asdict()) for row in connection.execute(_LIMITS)]
+    return [LimitsRecord(**row._asdict()) for row in connection.execute(_LIMITS)]
 
 
 def limits_in_force(connection: Connection) -> dict[str, LimitsRecord]:
@@ -128,9 +107,9 @@ def add_limits(connection: Connection, model: str, file: str, systematic: str | 
     digest = hashlib.sha256("\0".join(parts).encode()).hexdigest()
     query = select(LIMITS).where(LIMITS.c.sha256 == digest)
     if connection.execute(query).first() is None:
-        values = {"sha256": digest, "model": model, "file": file, "systematic": systematic, "added": _kept(added)}
+        values = {"sha256": digest, "model": model, "file": file, "systematic": systematic, "added": added}
         connection.execute(insert(LIMITS), values)
-    return _limits(connection.execute(query).one()._asdict())
+    return LimitsRecord(**connection.execute(query).one()._asdict())
 
 
 # -------------------- devices --------------------
@@ -154,17 +133,15 @@ def latest_records(connection: Connection, serials: Iterable[str] | None = None)
         .outerjoin(FORECAST, kept)
         .where(~corrected)
     )
-    names = [column.name for column in _C]
-    latest: dict[str, LatestRecord] = {}
+    names, latest = [column.name for column in _C], dict[str, LatestRecord]()
     for last, count, limits, kept_last, *values in connection.execute(query):
-        record = _record({"superseded_by": None, **dict(zip(names, values[len(_OF_A_FORECAST) :], strict=True))})
+        of_forecast, of_record = values[: len(_OF_A_FORECAST)], values[len(_OF_A_FORECAST) :]
+        record = Record(superseded_by=None, **dict(zip(names, of_record, strict=True)))
         known = latest.get(record.serial)
         if known is not None and known.record.number > record.number:  # of one moment the one added last
             continue
-        forecast = None
-        if values[0] is not None:
-            of_forecast: list[Any] = [_utc(each) if isinstance(each, datetime) else each for each in values]
-            forecast = Forecast(**dict(zip(_OF_A_FORECAST, of_forecast, strict=False)))
+        met = of_forecast[0] is not None
+        forecast = Forecast(**dict(zip(_OF_A_FORECAST, of_forecast, strict=True))) if met else None
         latest[record.serial] = LatestRecord(
             record=record, last=last, count=count, limits=limits, is_kept=kept_last is not None, forecast=forecast
         )
@@ -174,13 +151,11 @@ def latest_records(connection: Connection, serials: Iterable[str] | None = None)
 def keep_forecasts(connection: Connection, forecasts: Mapping[str, tuple[LatestRecord, Forecast | None]]) -> None:
     """Keep what was found of devices, by serial number, unless they have changed or it is kept meanwhile."""
     now = {each.record.serial: each for each in latest_records(connection, forecasts)}
-    rows = []
-    for serial, (each, forecast) in forecasts.items():
-        if now.get(serial) != each:
-            continue
-        values = {} if forecast is None else {name: getattr(forecast, name) for name in _OF_A_FORECAST}
-        values |= {name: _kept(moment) for name, moment in values.items() if isinstance(moment, datetime)}
-        keys = {"limits": each.limits, "serial": serial, "last": each.last, "count": each.count}
-        rows.append({**dict.fromkeys(_OF_A_FORECAST), **values, **keys})
+    rows = [
+        {name: getattr(forecast, name, None) for name in _OF_A_FORECAST}
+        | {"limits": each.limits, "serial": serial, "last": each.last, "count": each.count}
+        for serial, (each, forecast) in forecasts.items()
+        if now.get(serial) == each
+    ]
     if rows:
         connection.execute(insert(FORECAST), rows)

@@ -7,6 +7,7 @@ listed by. Times are in UTC, and kept without a zone. The database itself refuse
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from sqlalchemy import (
@@ -20,6 +21,7 @@ from sqlalchemy import (
     String,
     Table,
     Text,
+    TypeDecorator,
     insert,
     inspect,
 )
@@ -27,13 +29,27 @@ from sqlalchemy import (
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
-    from sqlalchemy import Connection
+    from sqlalchemy import Connection, Dialect
 
 VERSION = "v0002"
 """Of the tables below; another number for every change of them."""
 
-
 METADATA = MetaData()
+
+
+class Utc(TypeDecorator[datetime]):
+    """A time with its zone, kept in UTC without one."""
+
+    impl, cache_ok = DateTime, True
+
+    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002
+        """As the database keeps it."""
+        return None if value is None else value.astimezone(UTC).replace(tzinfo=None)
+
+    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002
+        """As it is read."""
+        return None if value is None else value.replace(tzinfo=UTC)
+
 
 SCHEMA_VERSION = Table("schema_version", METADATA, Column("version_num", String(32), primary_key=True))
 
@@ -45,7 +61,7 @@ LIMITS = Table(
     Column("model", Text, nullable=False, index=True),
     Column("file", Text, nullable=False),  # the TOML file
     Column("systematic", Text),  # the calibration file it names
-    Column("added", DateTime, nullable=False),
+    Column("added", Utc, nullable=False),
     sqlite_autoincrement=True,
 )
 
@@ -58,14 +74,14 @@ CALIBRATION = Table(
     Column("model", Text),
     Column("method", Text, nullable=False),
     Column("frame", Text, nullable=False),
-    Column("performed", DateTime, nullable=False),
+    Column("performed", Utc, nullable=False),
     Column("occasion", String(16), nullable=False),  # incoming, periodic
     Column("state", String(16), nullable=False),  # as-found, as-left, unchanged
     Column("limits", ForeignKey("limits.number")),  # that were in force
     Column("verdict", String(24)),  # by them
     Column("supersedes", ForeignKey("calibration.number"), unique=True),
     Column("reason", Text),
-    Column("added", DateTime, nullable=False),
+    Column("added", Utc, nullable=False),
     Index("calibration_of_device", "serial", "performed", "number"),
     sqlite_autoincrement=True,
 )
@@ -94,9 +110,9 @@ FORECAST = Table(  # what takes too long to be found whenever it is asked which 
     Column("name", Text),  # the parameter; without one no limit is met
     Column("unit", Text),
     Column("limit", Float),
-    Column("expected", DateTime),
-    Column("earliest", DateTime),
-    Column("latest", DateTime),
+    Column("expected", Utc),
+    Column("earliest", Utc),
+    Column("latest", Utc),
 )
 
 _KEPT = ("limits", "calibration", "content", "log", "forecast")
@@ -140,11 +156,12 @@ def make_tables(connection: Connection) -> None:
     else:
         refusals = [
             "CREATE FUNCTION refuse_change() RETURNS trigger LANGUAGE plpgsql AS "
-            f"$$ BEGIN RAISE EXCEPTION '{_REFUSED}'; END $$"
-        ] + [
-            f"CREATE TRIGGER {table}_is_kept BEFORE UPDATE OR DELETE OR TRUNCATE ON {table} "
-            "FOR EACH STATEMENT EXECUTE FUNCTION refuse_change()"
-            for table in _KEPT
+            f"$$ BEGIN RAISE EXCEPTION '{_REFUSED}'; END $$",
+            *(
+                f"CREATE TRIGGER {table}_is_kept BEFORE UPDATE OR DELETE OR TRUNCATE ON {table} "
+                "FOR EACH STATEMENT EXECUTE FUNCTION refuse_change()"
+                for table in _KEPT
+            ),
         ]
     for statement in refusals:
         connection.exec_driver_sql(statement)
