@@ -3,20 +3,26 @@
     python -m evidence.pages            writes them anew from evidence/results
 
 A page that is made is its results and nothing else: a test compares it with what is made again. In a page that is
-written by hand a figure of a result stands between two comments, which name it, and is put there by the same command
-(what stands in backticks is an example):
+written by hand a figure or a table of a result stands between two comments, which name it, and is put there by the same
+command (what stands in backticks is an example). Results are those of the benchmark and of studies (studies/results):
 
     `<!-- figure: simulated | tumble joint | all | covered -->95.2 %<!-- end -->`
+    `<!-- figure: field_check | made | date -->2026-11-26<!-- end -->`
+    `<!-- table: field_check | checks --> … <!-- end -->`
+
+A table that a test compares with what is computed says which: `<!-- tested: tests/… -->` stands above it. All other
+tables of docs/evidence have no result yet; `without_result` counts them.
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -33,6 +39,11 @@ ASKED = {"rms": 1.15, "beyond_3": 0.01, "covered": 0.92}
 """What is asked of z and of 95 % intervals."""
 GOOD = "accept"
 FIGURE = re.compile(r"(?<!`)(<!-- figure: ([^>]*?) -->)(.*?)(<!-- end -->)", re.S)
+TABLE = re.compile(r"(?<!`)(<!-- table: ([^>]*?) -->\n)(.*?)(<!-- end -->)", re.S)
+LINES = r"(?:^ *\|.*\|$\n?)+"
+TESTED = re.compile(rf"^ *<!-- tested: (\S+) -->\n+{LINES}", re.M)
+MADE = ("simulated.md", "real.md")
+"""Pages of docs/evidence that are made of results alone."""
 WORDS = {
     "accel.bias": "bias", "accel.scale": "scale", "accel.axis": "axes",
     "gyro.bias": "bias", "gyro.scale": "scale", "gyro.axis": "axes",
@@ -397,33 +408,82 @@ def all_results() -> dict[str, Results]:
 
 
 def with_figures(text: str, results: Mapping[str, Results]) -> str:
-    """A page with the figures of today between its comments. Raises KeyError for one that no result has."""
+    """A page with the figures and tables of today between its comments. Raises KeyError for one that no result has."""
 
     def put(match: re.Match[str]) -> str:
         return f"{match[1]}{figure(match[2], results)}{match[4]}"
 
-    return FIGURE.sub(put, text)
+    def put_table(match: re.Match[str]) -> str:
+        return f"{match[1]}\n{table_of(match[2])}\n\n{match[4]}"
+
+    return TABLE.sub(put_table, FIGURE.sub(put, text))
+
+
+def of_study(name: str) -> Mapping[str, Any]:
+    """What a study has stored. Raises KeyError where there is nothing."""
+    path = ROOT / "studies" / "results" / f"{name}.json"
+    if not path.exists():
+        raise KeyError(name)
+    return cast("Mapping[str, Any]", json.loads(path.read_text(encoding="utf-8")))
+
+
+def table_of(name: str) -> str:
+    """A table by its name: study | table."""
+    study, table_name = (word.strip() for word in name.split("|"))
+    if study == "evidence":
+        return summary(table_name)
+    head, *rows = of_study(study)["tables"][table_name]
+    return table(head, rows)
 
 
 def figure(name: str, results: Mapping[str, Results]) -> str:
-    """A figure by its name: set | program | kind or all | score, or set | made | what is said of the run."""
+    """A figure by its name: set | program | kind or all | score, or set | made | what is said of the run; of a study
+    study | figures or made | which."""
     of_set, *keys = (word.strip() for word in name.split("|"))
     if of_set == "real":
         from evidence.real.page import real_figure
 
         return real_figure(keys)
+    if of_set not in ("simulated", "short"):
+        part, key = keys
+        value = of_study(of_set)[part][key]
+        return f"{value[:12]}" if key == "commit" else f"{value}"
     if keys[0] == "made":
-        return str(results[of_set].made[keys[1]])
-    value: Any = results[of_set].scores()
+        value = results[of_set].made[keys[1]]
+        return f"{value[:12]}" if keys[1] == "commit" else f"{value}"
+    value = results[of_set].scores()
     for key in keys:
         value = value[key]
     shares = ("beyond_2", "beyond_3", "covered")
     return share(value) if keys[-1] in shares else f"{value}" if isinstance(value, int) else number(value)
 
 
+def without_result(text: str) -> int:
+    """How many tables of numbers of a page are written by hand, and compared with nothing."""
+    left = TESTED.sub("", TABLE.sub("", re.sub(r"^```.*?^```$", "", text, flags=re.M | re.S)))
+    tables = re.findall(LINES, left, re.M)
+    return sum(bool(re.search(r"\d", re.sub(r"\A.*\n.*\n", "", each))) for each in tables)
+
+
+def summary(name: str) -> str:
+    """A table about the evidence itself: `pages`, of every page how many of its tables are of a result or compared by a
+    test, and how many are not."""
+    if name != "pages":
+        raise KeyError(name)
+    rows = []
+    for path in sorted((ROOT / "docs/evidence").glob("*.md")):
+        text = path.read_text(encoding="utf-8")
+        traced = len(TABLE.findall(text)) + len(TESTED.findall(text))
+        hand = without_result(text)
+        if path.name not in (*MADE, "index.md") and traced + hand:
+            title = text.partition("\n")[0].removeprefix("# ")
+            rows.append([f"[{title}]({path.name})", f"{traced}", f"{hand or ''}"])
+    return table(["page", "tables of results", "by hand"], rows)
+
+
 def written_by_hand() -> list[Path]:
     """Pages that may hold figures."""
-    made = {ROOT / "docs/evidence/simulated.md", ROOT / "docs/evidence/real.md"}
+    made = {ROOT / "docs/evidence" / name for name in MADE}
     return [
         path
         for path in sorted([ROOT / "README.md", *ROOT.glob("paper/*.md"), *ROOT.glob("docs/**/*.md")])

@@ -159,7 +159,7 @@ def made_by(name: str, entries: Sequence[Entry], programs: Sequence[str]) -> dic
     counts = {len(some) for some in _by_kind(entries).values()}
     return {
         "set": name,
-        **made_now(DECIDES),
+        **made_now("src", *(f"evidence/{name}" for name in DECIDES)),
         "series": SHORT if name == "short" else SEALED,
         "kinds": len(_by_kind(entries)),
         "sessions": len(entries),

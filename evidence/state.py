@@ -7,14 +7,11 @@ import hashlib
 import os
 import platform
 import subprocess
-from collections.abc import Sequence
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
-
-from evidence import programs as benchmark
 
 FOLDER = Path(__file__).parent
 CACHE = FOLDER / "cache"
@@ -33,7 +30,9 @@ def digest_of(*parts: Path | str) -> str:
 def source_of(program: str) -> str:
     """The hash of all that a program's answers depend on beside the case: its own file and those of this folder that it
     imports, of tumble's methods all of tumble, versions of libraries."""
-    one = benchmark.named(program)
+    from evidence.programs import named
+
+    one = named(program)
     files = files_of(getattr(one.estimate, "func", one.estimate).__module__)
     if one.ours:
         files |= set(FOLDER.parent.joinpath("src/tumble").rglob("*.py"))
@@ -71,14 +70,14 @@ def keep(path: Path, text: str) -> None:
     path.with_suffix(".part").replace(path)
 
 
-def made_now(decides: Sequence[str]) -> dict[str, Any]:
-    """Of which state of the sources, when and where something is made; of this folder these files decide."""
+def made_now(*decides: str) -> dict[str, Any]:
+    """Of which state of the sources, when and where something is made; these paths of the repository decide."""
 
     def git(*words: str) -> str:
         done = subprocess.run(["git", *words], cwd=FOLDER.parent, capture_output=True, text=True, check=False)
         return done.stdout.strip()
 
-    changed = git("status", "--porcelain", "--", "src", *(f"evidence/{name}" for name in decides))
+    changed = git("status", "--porcelain", "--", *decides)
     info = Path("/proc/cpuinfo")
     lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
     model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")

@@ -7,7 +7,7 @@ parameters do not; the error of gravity is common to them. With devices `alike`,
 type, those of the next trials, count beside them as those of a registry do. All 21 parameters are judged, each against
 an upper limit that lies exactly at its true value: the guard band promises that at most 2.275 % pass.
 
-    python studies/coverage_of_limits.py [--short]
+    python studies/coverage_of_limits.py [--short] [--store]
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from math import inf, sqrt
 
 import numpy as np
+from stored import shown, store
 
 from tumble.acceptance.conformity import judge_value
 from tumble.inference.joint import joint
@@ -158,16 +159,18 @@ def _session(scenario: Scenario, off: float, launches: int, rng: np.random.Gener
 
 def main(trials: int) -> int:
     """Print a line for each case, and the answer; 1 where the limits do not protect."""
-    print("launches  alike  rests  scatter   covered   passed at the limit")
+    rows = [["launches", "of other devices", "rests", "scatter", "covered, %", "passed at the limit, %"]]
     protected = True
     for case in CASES:
         found = run(case, trials)
-        print(
-            f"{case.launches:8d} {case.alike:6d} {case.rests:6d} {case.scatter:8.0f} {100.0 * found.covered:8.2f} % "
-            f"{100.0 * found.passed:8.2f} %"
-        )
+        others = f"{case.alike} times {case.launches}" if case.alike else ""
+        shares = [f"{100.0 * share:.1f}" for share in (found.covered, found.passed)]
+        rows.append([f"{case.launches}", others, f"{case.rests}", f"{case.scatter:.0f}", *shares])
         chance = 5.0 * sqrt(0.025 / found.values * CORRELATED)
         protected = protected and found.passed < 0.025 + chance
+    print(shown(rows))
+    if "--store" in sys.argv and trials >= 100:
+        store("coverage_of_limits", {"limits": rows}, seed=1, N=trials)
     print(f"Does a device at its limit pass in 2.5 % at most? {'Yes, within chance' if protected else 'No'}")
     return 0 if protected else 1
 

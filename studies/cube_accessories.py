@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from stored import store
 
 from tumble.methods.paper.accelerometers import scalar_rows
 from tumble.methods.quadric import fit_many
@@ -172,9 +173,11 @@ def agrees(row: Row, condition: float, figures: tuple[float, float, float]) -> b
     )
 
 
-def main(draws: int) -> None:
-    """Print the table and the answer."""
+def main(draws: int, *, kept: bool = False) -> None:
+    """Print the tables and the answer; `kept`: store them."""
     rng = np.random.default_rng(17)
+    accessories = [["needs", "positions", "rank", "cond", "scale ppm", "axis µrad", "bias µg", "fit/theory", "case °"]]
+    believed = [["plate", "placements", "scale ppm", "axis µrad", "bias µg"]]
     heads = ("scale ppm", "axis µrad", "bias µg", "fit/theory", "case °")
     print(f"{'needs':24s}{'positions':26s}{'rank':>5s}{'cond':>8s}" + "".join(f"{h:>12s}" for h in heads))
     same = True
@@ -184,28 +187,31 @@ def main(draws: int) -> None:
         rank = int((singular > 1e-9 * singular[0]).sum())
         case = alignment_of_the_case(row.verticals, max(draws // 20, 20), rng)
         last = f"{'':>12s}" if case is None else f"{case:12.3f}"
+        shown = "" if case is None else f"{case:.2f}"
         if rank < 9:
+            accessories.append([row.needs, row.positions, f"{rank}", "refused", *[""] * 4, shown])
             print(f"{row.needs:24s}{row.positions:26s}{rank:5d}" + f"{'refused: not all nine':>44s}" + f"{last:>24s}")
             continue
         figures = largest(np.diag(np.linalg.inv(H.T @ H)))
         condition = float(singular[0] / singular[-1])
         same &= agrees(row, condition, figures)
         ratio = errors_of_the_fit(row.verticals, draws, rng)
+        cells = [f"{condition:.2f}", *(f"{value:.0f}" for value in figures), f"{ratio:.3f}", shown]
+        accessories.append([row.needs, row.positions, f"{rank}", *cells])
         print(
             f"{row.needs:24s}{row.positions:26s}{rank:5d}{condition:8.2f}"
             + "".join(f"{value:12.0f}" for value in figures)
             + f"{ratio:12.3f}{last}"
         )
     print(f"\n{'from the cross axes, plate and cube believed':50s}{'':13s}" + "".join(f"{h:>12s}" for h in heads[:3]))
-    cross = {
-        "6 faces, placements scatter by 0.1°": (False, PLATE, 0.0),
-        "12 placements, faces twice by 180°, scatter 0.1°": (True, PLATE, 0.0),
-        "6 faces, plate leans by 0.1°": (False, 0.0, PLATE),
-        "12 placements, faces twice by 180°, leans by 0.1°": (True, 0.0, PLATE),
-    }
-    for name, (doubled, scatter, lean) in cross.items():
-        found = from_cross_axes(doubled, scatter, lean, max(draws // 4, 50), rng)
-        print(f"{name:63s}" + "".join(f"{value:12.0f}" for value in found))
+    plates = {"scatters by 0.1°": (PLATE, 0.0), "leans by 0.1°, else perfect": (0.0, PLATE)}
+    for plate, (scatter, lean) in plates.items():
+        for placements, doubled in (("6 faces", False), ("12: each face twice, turned by 180°", True)):
+            found = from_cross_axes(doubled, scatter, lean, max(draws // 4, 50), rng)
+            believed.append([plate, placements, *(f"{value:.0f}" for value in found)])
+            print(f"{f'{plate}, {placements}':63s}" + "".join(f"{value:12.0f}" for value in found))
+    if kept:
+        store("cube_accessories", {"accessories": accessories, "plate alone": believed}, seed=17, N=draws)
     if not same:
         sys.exit("the figures of the method (§3) do not come out")
     print(
@@ -216,4 +222,5 @@ def main(draws: int) -> None:
 
 
 if __name__ == "__main__":
-    main(draws=200 if "--short" in sys.argv[1:] else 4000)
+    short = "--short" in sys.argv[1:]
+    main(draws=200 if short else 4000, kept="--store" in sys.argv[1:] and not short)

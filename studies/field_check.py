@@ -5,7 +5,7 @@ method, full model), turns it on again, by which its parameters change as is usu
 three, four and five rests in any attitude, with and without the turns between them. Then one parameter of one axis,
 drawn, has changed: 0.5 % of scale, 5 mg, 0.2 °/s.
 
-    python studies/field_check.py [--short]
+    python studies/field_check.py [--short] [--store]
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from stored import shown, store
 
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
@@ -157,18 +158,24 @@ def main() -> int:
     """Print the shares, and whether they are what the check promises."""
     unchanged, changed = (6, 2) if "--short" in sys.argv else (150, 30)
     found = shares(unchanged, (NOTHING,), seed=1) | shares(changed, tuple(CHANGES), seed=2)
-    print("| rests | turns | changed | checks | found, % | right parameter named, % |")
-    print("|---|---|---|---|---|---|")
-    for (case, group), share in sorted(found.items(), key=lambda one: (-one[0][0].turns, one[0][0].rests)):
-        turns = "yes" if case.turns else "no"
-        named = "" if group == NOTHING else f"{100.0 * share.named / share.checks:.0f}"
-        print(f"| {case.rests} | {turns} | {group} | {share.checks} | {100.0 * share.part:.1f} | {named} |")
+    groups = (NOTHING, *CHANGES)
+    rows = [["rests", "turns", "false alarms", "5 mg", "0.5 % accelerometer", "0.2 °/s", "0.5 % gyro", "rightly named"]]
+    for case in CASES:
+        cells = [
+            f"{found[case, g].found} of {found[case, g].checks}" if (case, g) in found else "not seen" for g in groups
+        ]
+        right = [found[case, g] for g in CHANGES if (case, g) in found]
+        named = f"{sum(share.named for share in right)} of {sum(share.found for share in right)}"
+        rows.append([f"{case.rests}", "yes" if case.turns else "no", *cells, named])
+    print(shown(rows))
     alarms = [share for (_, group), share in found.items() if group == NOTHING]
     total, checks = sum(s.found for s in alarms), sum(s.checks for s in alarms)
     allowed = 0.01 * checks + SIGMAS * np.sqrt(0.01 * checks)
     weakest = min(s.part for (case, group), s in found.items() if group != NOTHING and case.turns)
     holds = total <= allowed and weakest >= 0.9 - SIGMAS * np.sqrt(0.09 / changed)
     print(f"false alarms {total} of {checks}; with the turns, the change found least often: {100.0 * weakest:.0f} %")
+    if "--store" in sys.argv and "--short" not in sys.argv:
+        store("field_check", {"checks": rows}, {"alarms": f"{total}", "checks": f"{checks}"}, seed="1, 2", N="150, 30")
     answer = "Yes" if holds else "No"
     print(f"Does a check find these changes in 90 %, and in 1 % one that is none? {answer}")
     return 0 if holds else 1

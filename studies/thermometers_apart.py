@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy import stats
+from stored import shown, store
 
 from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
@@ -86,14 +87,17 @@ def main() -> int:
         for t, kind in enumerate(KINDS):
             every[f"that of {kind}"].append(errors(scenario, with_one(observations, t)))
     rms: dict[tuple[str, str], float] = {}
-    print(f"{count} units; z of accelerometers and gyros, and coverage of intervals of 95 %")
+    rows = [["thermometer", "accelerometers", "gyros"]]
     for way, runs in every.items():
-        print(f"  {way:14}", end="")
+        cells = []
         for kind in KINDS:
             z = np.concatenate([run[kind] for run in runs])
             rms[way, kind] = float(np.sqrt(np.mean(z**2)))
-            print(f"{rms[way, kind]:8.2f} {100.0 * np.mean(np.abs(z) < 1.96):6.1f} % of {len(z)}", end="")
-        print()
+            cells.append(f"{rms[way, kind]:.2f}, {100.0 * np.mean(np.abs(z) < 1.96):.1f} % of {len(z)}")
+        rows.append([way, *cells])
+    print(f"{count} units; z of accelerometers and gyros, and coverage of intervals of 95 %\n{shown(rows)}")
+    if "--store" in sys.argv and count >= 20:
+        store("thermometers_apart", {"thermometers": rows}, seed="from 0", N=count)
     honest = max(rms["each its own", kind] for kind in KINDS) < (1.9 if count < 20 else 1.1)
     wrong = min(rms["that of gyro", "accel"], rms["that of accel", "gyro"]) > 1.5
     print(f"\nDoes each chip need its own thermometer? {'Yes' if honest and wrong else 'No'}")

@@ -22,6 +22,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cache
 
 import numpy as np
+from stored import shown, store
 
 from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
@@ -78,6 +79,11 @@ class Count:
     def wrong(self) -> tuple[int, int, int, int]:
         """The counts alone."""
         return self.false, self.missed, self.bad, self.sound
+
+    @property
+    def cells(self) -> list[str]:
+        """As a row of a table has it."""
+        return [*map(str, self.wrong), f"{self.rms:.2f}"]
 
 
 def session(grade: str, situation: str, seed: int) -> Session:
@@ -182,8 +188,8 @@ def main() -> int:
     counted = len(judges) * POSITIONS
     usual = sum((judge.count(USUAL) for judge in judges), Count())
     print(f"{len(judges)} sessions, {counted} positions, {sum(len(j.session.bad) for j in judges)} bad samples, seed 1")
-    print(f"{'threshold':20s}{'times':>7s}{'false':>7s}{'missed':>8s}{'bad':>6s}{'sound':>7s}{'rms z':>8s}")
-    print(f"{'as they are':27s}{usual.false:7d}{usual.missed:8d}{usual.bad:6d}{usual.sound:7d}{usual.rms:8.2f}")
+    head = ["threshold", "times", "false rests", "missed rests", "bad samples kept", "sound ones left out", "rms z"]
+    rows = [head, ["as they are", "", *usual.cells]]
     near, decides = list[str](), set[str]()
     for name, factor, tuning in swept(names):
         found = sum((judge.count(tuning) for judge in judges), Count())
@@ -192,10 +198,10 @@ def main() -> int:
         decides.add(name)
         if 0.7 < factor < 1.5 and (sum(found.wrong) > sum(usual.wrong) or found.rms > MOST_Z):
             near.append(name)
-        print(
-            f"{name:20s}{factor:7.2g}{found.false:7d}{found.missed:8d}{found.bad:6d}{found.sound:7d}{found.rms:8.2f}",
-            flush=True,
-        )
+        rows.append([f"`{name}`", f"{factor:.2g}", *found.cells])
+    print(shown(rows))
+    if "--store" in sys.argv[1:] and not short:
+        store("tuning", {"thresholds": rows}, seed=1, N=len(judges))
     print(
         f"\nThese decide nothing here, from half to twice: {', '.join(n for n in names if n not in decides) or 'none'}."
     )

@@ -10,7 +10,7 @@ False alarms are counted at the threshold of the watch, and at lower ones, where
 to hold: there the sums go on as they would without a decision. Then the bias of one axis, drawn, moves after 30 rests:
 at once, or by a ramp.
 
-    python studies/watched_days.py [--short]
+    python studies/watched_days.py [--short] [--store]
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from typing import Literal
 
 import numpy as np
 from field_check import GRADE, device, turned_on_again
+from stored import shown, store
 
 from tumble.methods.rest_chain import BIASES, HOUR, RESTS_APART, RestChain
 from tumble.reduction.observations import Observations
@@ -141,8 +142,8 @@ def delays(count: int, change: str, *, seed: int) -> tuple[list[int | None], int
 def main() -> int:
     """Print counts and delays, and whether the bound holds."""
     quiet, moved = (2, 1) if "--short" in sys.argv else (60, 20)
-    print("| what turning on changed | days of 100 rests | " + " | ".join(f"one in {a:g} rests" for a in APART) + " |")
-    print("|---" * (2 + len(APART)) + "|")
+    quiet_rows = [["what turning on changed", "days", *(f"one in {apart:g}" for apart in APART)]]
+    moved_rows = [["change", "found", "rests until found, median", "most"]]
     holds = True
     for way in WAYS:
         found = quiet_days(quiet, way, seed=1)
@@ -152,14 +153,16 @@ def main() -> int:
             allowed = found.days * min(1.0, RESTS / apart)
             holds &= days <= allowed + SIGMAS * np.sqrt(max(allowed, 1.0))
             row.append(f"{days}, at most {allowed:g}")
-        print(f"| {way} | {found.days} | {' | '.join(row)} |")
-    print("\n| change after 30 rests | days | found | rests until found: median | most |\n|---|---|---|---|---|")
+        quiet_rows.append([way, f"{found.days}", *row])
     for change in CHANGES:
         after, false = delays(moved, change, seed=2)
         found_after = [k for k in after if k is not None]
-        median = f"{np.median(found_after):.0f} | {max(found_after)}" if found_after else " | "
-        print(f"| {change} | {len(after)} | {len(found_after)} | {median} |")
+        times = [f"{np.median(found_after):.0f}", f"{max(found_after)}"] if found_after else ["", ""]
+        moved_rows.append([change, f"{len(found_after)} of {len(after)}", *times])
         holds &= false == 0 and len(found_after) >= 0.9 * len(after) - SIGMAS * np.sqrt(0.09 * len(after))
+    print(f"{shown(quiet_rows)}\n\n{shown(moved_rows)}")
+    if "--store" in sys.argv and "--short" not in sys.argv:
+        store("watched_days", {"quiet": quiet_rows, "moved": moved_rows}, seed="1, 2", N=f"{quiet}, {moved}")
     answer = "Yes" if holds else "No"
     print(f"Does a watch alarm no oftener than it says, and find these changes? {answer}")
     return 0 if holds else 1

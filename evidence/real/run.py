@@ -14,7 +14,7 @@ import argparse
 import hashlib
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatch
 from typing import Any
@@ -29,12 +29,12 @@ from evidence.real.page import RESULTS, real_page
 from evidence.real.scores import folds, prediction, repeatability
 from evidence.score import row_of
 from evidence.state import FOLDER, digest_of, made_now
-from evidence.work import Entry, answers
+from evidence.work import Entry, Told, answers
 
 SCORES = ("force", "shape", "tilt")
 PROGRAMS = (OURS, benchmark.LINEAR.name, *(p.name for p in benchmark.PROGRAMS if p.name != OURS))
-CHIPS = (1, 6)
-"""Of the eight of the array, one of either side of the board."""
+CHIPS = tuple(range(1, 9))
+"""Of the array."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -191,11 +191,16 @@ def entries_of(parts: Iterable[Part], pairs: Iterable[tuple[Part, Part]]) -> lis
     ]
 
 
-def computed(
-    names: Sequence[str], *, programs: Sequence[str] = ("*",), chips: Sequence[int] = CHIPS, workers: int = 0,
-    scheduler: str | None = None, say: Callable[[str], None] = lambda _: None,
-) -> dict[str, Any]:  # fmt: skip
-    """All results of these sources and programs, of the array those of some chips."""
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Plan:
+    """Cases by what makes them, and what is fitted to predict what."""
+
+    cases: Mapping[Part, Case]
+    pairs: Sequence[tuple[Part, Part]]
+
+
+def planned(names: Sequence[str], chips: Sequence[int] = CHIPS) -> Plan:
+    """The cases of these sources, or of all, of the array those of some chips."""
     kept = tuple(f"chip {chip}" for chip in chips)
     every = {
         Part(source, case.name): case
@@ -203,12 +208,13 @@ def computed(
         for case in cases(source)
         if "chip" not in case.name or case.name.endswith(kept)
     }
-    whole = list(every.values())
+    return Plan(cases=every, pairs=pairs_of({part: case for part, case in every.items() if case.truth is None}))
+
+
+def results_of(plan: Plan, told: Mapping[tuple[str, str], Told]) -> dict[str, Any]:
+    """All results, of what all programs made of all cases."""
+    whole, pairs, programs = list(plan.cases.values()), plan.pairs, PROGRAMS
     real = [case for case in whole if case.truth is None]
-    pairs = pairs_of({part: case for part, case in every.items() if case.truth is None})
-    entries = entries_of(every, pairs)
-    programs = [p for p in PROGRAMS if any(fnmatch(p, pattern) for pattern in programs)]
-    told = answers([(entry, programs) for entry in entries], workers=workers, scheduler=scheduler, say=say)
     of = {
         (case, program): Fit(
             found=found_from(each.content["found"]), predicted=each.content["predicted"], seconds=each.seconds
@@ -239,7 +245,7 @@ def computed(
     ]  # fmt: skip
     return {
         "made": {
-            **made_now(("*.py",)),
+            **made_now("src", "evidence/*.py"),
             "cases": len(real),
             "programs": list(programs),
             "missing": missing(),
@@ -297,17 +303,20 @@ def main() -> None:
     parser.add_argument("--programs", nargs="+", default=["*"], help="some, by patterns such as 'imu*'")
     parser.add_argument("--workers", type=int, default=0, help="processes; one a core where it is not given")
     parser.add_argument("--scheduler", help="of a dask cluster, as tcp://HOST:PORT")
-    parser.add_argument("--chips", type=int, nargs="+", default=CHIPS, help="of the array (default 1 and 6)")
+    parser.add_argument("--chips", type=int, nargs="+", default=CHIPS, help="of the array (default all eight)")
     parser.add_argument("--page", action="store_true", help="only write the page of the results that are there")
     given = parser.parse_args()
     if not given.page:
-        results = computed(
-            given.sources, programs=given.programs, chips=given.chips, workers=given.workers,
+        plan = planned(given.sources, given.chips)
+        programs = [p for p in PROGRAMS if any(fnmatch(p, pattern) for pattern in given.programs)]
+        told = answers(
+            [(entry, programs) for entry in entries_of(plan.cases, plan.pairs)], workers=given.workers,
             scheduler=given.scheduler, say=lambda words: print(f"\r{words}", end="", file=sys.stderr, flush=True),
         )  # fmt: skip
         print(file=sys.stderr)
-        if given.programs != ["*"]:
+        if programs != list(PROGRAMS):
             return
+        results = results_of(plan, told)
         if given.sources:
             print(real_page(results))
             return

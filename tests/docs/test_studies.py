@@ -12,7 +12,7 @@ import pytest
 
 from tests.support import ROOT
 
-SHARED = {"accuracy_formulas.py"}
+SHARED = {"accuracy_formulas.py", "stored.py"}
 """What studies and tests share, and is no study."""
 STUDIES = sorted(path for path in (ROOT / "studies").glob("*.py") if path.name not in SHARED)
 PICTURES = {"gallery.py", "readme_picture.py"}
