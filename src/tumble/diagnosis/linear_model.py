@@ -12,7 +12,8 @@ takes A⁺ B φ for parameters:
     ΔX = A⁺ B φ,   cov(ΔX) = A⁺ B Σ (A⁺ B)ᵀ,   cov(ΔX, −φ) = −A⁺ B Σ,   Σ = diag(σ²)
 
 The groups stay at nothing, so that −φ is their error. With it the corrected force in the attitudes of the rests is as
-well known as the fit has it, and in others as badly as the groups allow.
+well known as the fit has it, and in others as badly as the groups allow. Where the rests show that σ is too small, it
+is what `joint` widens the prior of a group to (`GroupFinding.prior_widened`).
 
 This is docs/explanation/mathematics.md (36) with usual sizes; the columns are those of Eq. (12) of the turntable paper,
 for any number of sensors.
@@ -55,12 +56,8 @@ def judged(estimate: Estimate, observations: Observations, whole: Observations) 
     """An estimate of the linear model with a likelihood by which its residuals are judged, and with what the velocities
     of turns say of lost samples; `whole` are the observations that know the usual sizes of all groups."""
     if estimate.linearised is None and not estimate.unobservable and estimate.converged:
-        seen = observations if estimate.gyro is not None else observations.of_accelerometers()
-        try:
-            beside = joint(seen)
-        except np.linalg.LinAlgError:
-            return estimate
-        if beside.converged and not linear_names(beside.unobservable):
+        beside = by_joint(observations if estimate.gyro is not None else observations.of_accelerometers())
+        if beside is not None:
             estimate = replace(estimate, linearised=beside.linearised)
     if estimate.linearised is None or not whole.unstamped or estimate.gyro is None:
         return estimate
@@ -70,6 +67,15 @@ def judged(estimate: Estimate, observations: Observations, whole: Observations) 
     if lost.damage > DAMAGE:
         return replace(estimate, reasons=(*estimate.reasons, damaging(lost)[1]))
     return replace(estimate, remarks=(*estimate.remarks, f"probable cause: {lost.sentence}"))
+
+
+def by_joint(observations: Observations) -> Estimate | None:
+    """What `joint` makes of observations; None where it does not converge or leaves a linear parameter open."""
+    try:
+        found = joint(observations)
+    except np.linalg.LinAlgError:
+        return None
+    return found if found.converged and not linear_names(found.unobservable) else None
 
 
 def left_out(estimate: Estimate, observations: Observations, whole: Observations) -> tuple[str, ...]:
@@ -99,37 +105,47 @@ def taken_as_nothing(estimate: Estimate) -> tuple[str, ...]:
     if not estimate.groups:
         return ()
     return (
-        f"the method {estimate.method} takes all of it as nothing and has its usual size in u; the method joint finds "
-        "what the session shows of it, and --terms linear leaves it out",
+        f"the method {estimate.method} takes all of it as nothing and has its size in u; the method joint finds what "
+        "the session shows of it, and --terms linear leaves it out",
     )
 
 
 def moved_by(names: set[str], observations: Observations) -> Array:
     """Standard deviations (m,) by which groups of their usual sizes move bias, scale factors and axis angles of the
     accelerometers in a fit to the rests that does not have them."""
-    return np.asarray(np.linalg.norm(left_out_of(observations, names=names).by_usual, axis=1))
+    return np.asarray(np.linalg.norm(left_out_of(observations, names=names).moved, axis=1))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LeftOut:
-    """The `instrument` with the groups that are left out, the standard deviations (k,) of these, by how much one of
-    each `moves` the parameters (m, k) of the linear model, and what it `leaves` (r, k) in the rows that these are
-    fitted to, in units of their standard deviations."""
+    """The `instrument` with the groups that are left out, the `usual` standard deviations (k,) of these, how many times
+    too small they are (k,), by how much one of each `moves` the parameters (m, k) of the linear model, and what it
+    `leaves` (r, k) in the rows that these are fitted to, in units of their standard deviations."""
 
     instrument: Instrument
     usual: Array
+    too_small: Array
     moves: Array
     leaves: Array
 
     @property
-    def by_usual(self) -> Array:
-        """What their usual sizes move (m, k)."""
-        return self.moves * self.usual
+    def sizes(self) -> Array:
+        """The standard deviations (k,) that are counted with."""
+        return self.usual * self.too_small
+
+    @property
+    def moved(self) -> Array:
+        """What these move (m, k)."""
+        return self.moves * self.sizes
 
 
-def left_out_of(observations: Observations, sigma: Array | None = None, names: Container[str] | None = None) -> LeftOut:
+def left_out_of(
+    observations: Observations, sigma: Array | None = None, names: Container[str] | None = None,
+    beside: Estimate | None = None,
+) -> LeftOut:  # fmt: skip
     """The groups of the accelerometers of which the observations know a usual size, those of `names` alone where there
-    are any, and what they do in a fit to rests with standard deviations `sigma` (N,), equal ones where None."""
+    are any, and what they do in a fit to rests with standard deviations `sigma` (N,), equal ones where None. Their
+    sizes are widened as those of the estimate `beside`."""
     seen = observations.of_accelerometers()
     usual = {name: size for name, size in seen.usual.items() if names is None or name in names}
     whole = instruments_of(replace(seen, usual=usual))[0]
@@ -147,17 +163,27 @@ def left_out_of(observations: Observations, sigma: Array | None = None, names: C
         rows = rows / np.repeat(sigma, block.size - 2)[:, None]
     A, B = np.split(rows, [instrument.linear_count], axis=1)
     moves = np.linalg.pinv(A, rcond=_NOTHING) @ B
+    too_small = np.ones(B.shape[1])
+    for group in () if beside is None else beside.groups:
+        if group.name in instrument.members:
+            members = instrument.members[group.name]
+            too_small[members.start - A.shape[1] : members.stop - A.shape[1]] = group.prior_widened
     return LeftOut(
-        instrument=instrument, usual=problem.measured[1][1 + A.shape[1] :], moves=moves, leaves=B - A @ moves
+        instrument=instrument,
+        usual=problem.measured[1][1 + A.shape[1] :],
+        too_small=too_small,
+        moves=moves,
+        leaves=B - A @ moves,
     )
 
 
 def with_left_out(estimate: Estimate, found: LeftOut, gravity: float) -> Estimate:
     """An estimate of the accelerometers, with degrees of freedom, with the groups it leaves out, which are nothing
-    within their usual sizes, and their part in its covariance."""
-    instrument, moved, k, first = found.instrument, found.by_usual, len(found.usual), found.instrument.linear_count
-    linear, crossed = estimate.covariance + moved @ moved.T, -moved * found.usual
-    covariance = np.block([[linear, crossed], [crossed.T, np.diag(found.usual**2)]])
+    within their sizes, and their part in its covariance."""
+    instrument, moved, sizes, first = found.instrument, found.moved, found.sizes, found.instrument.linear_count
+    k, crossed = len(sizes), -moved * sizes
+    linear = estimate.covariance + moved @ moved.T
+    covariance = np.block([[linear, crossed], [crossed.T, np.diag(sizes**2)]])
     values = np.append(estimate.values, np.zeros(k))
     assert estimate.degrees is not None
     degrees = estimate.degrees * (np.diag(linear) / np.diag(estimate.covariance)) ** 2
@@ -166,7 +192,7 @@ def with_left_out(estimate: Estimate, found: LeftOut, gravity: float) -> Estimat
             name=name,
             kept=True,
             prior=float(found.usual[members.start - first]),
-            prior_widened=1.0,
+            prior_widened=float(found.too_small[members.start - first]),
             learned=(0.0,) * (members.stop - members.start),
         )
         for name, members in ((group.name, instrument.members[group.name]) for group in instrument.further)
@@ -177,8 +203,8 @@ def with_left_out(estimate: Estimate, found: LeftOut, gravity: float) -> Estimat
         budget = budget.carried(wide)
         for name, members in instrument.members.items():
             own = slice(members.start - first, members.stop - first)
-            by = np.vstack([-moved, np.diag(found.usual)])[:, own]
-            size, unit = float(found.usual[own.start]), instrument.units[members.start]
+            by = np.vstack([-moved, np.diag(sizes)])[:, own]
+            size, unit = float(sizes[own.start]), instrument.units[members.start]
             budget = budget.beside(source(f"prior.{name}", size, unit), by @ by.T)
     return replace(
         estimate,

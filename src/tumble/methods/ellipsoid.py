@@ -8,14 +8,17 @@ parameters are refused as a whole. Gyros, turns, Earth's rate and programme are 
 
 Rests alone hardly tell a quadratic term from a bias. So groups beyond the linear model whose usual size is known are
 in the result as nothing within that size, and in the covariance (`tumble.diagnosis.linear_model`); the values of bias,
-scale factors and axis angles are those of the method.
+scale factors and axis angles are those of the method. Where the rests of a session show that a group is larger than is
+usual, its size is the one that the method `joint` finds in them.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from tumble.diagnosis.linear_model import left_out_of, with_left_out
+from tumble.diagnosis.linear_model import by_joint, left_out_of, with_left_out
 from tumble.diagnosis.observability import Refusal
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Fit
@@ -44,7 +47,8 @@ def ellipsoid(observations: Observations) -> Estimate:
         block=block,
     )
     if not isinstance(found, Refusal):
-        return estimate_of(found, observations)
+        beside = by_joint(observations.of_accelerometers()) if observations.usual and found.converged else None
+        return estimate_of(found, observations, beside)
     if not len(found.null):
         raise np.linalg.LinAlgError(found.reason)
     model = block.nominal()
@@ -68,8 +72,9 @@ def ellipsoid(observations: Observations) -> Estimate:
     )
 
 
-def estimate_of(found: EllipsoidFit, observations: Observations) -> Estimate:
-    """The estimate of a fit to the rests of observations, its covariance zero where the fit has none."""
+def estimate_of(found: EllipsoidFit, observations: Observations, beside: Estimate | None = None) -> Estimate:
+    """The estimate of a fit to the rests of observations, its covariance zero where the fit has none. `beside` is that
+    of the method joint of the same rests, which tells how large groups of parameters are, and how rests are judged."""
     block, gravity = observations.accel_block, observations.site.gravity
     covariance = np.zeros((9, 9)) if found.covariance is None else found.covariance
     variance = np.diag(covariance)
@@ -100,4 +105,5 @@ def estimate_of(found: EllipsoidFit, observations: Observations) -> Estimate:
     up = unit_vector(found.model.apply(observations.rests.accel))
     variance = np.einsum("ip,ipq,iq->i", up, observations.rests.accel_covariance, up) + found.scatter**2
     sigma = np.where(found.used, np.sqrt(variance), np.inf)
-    return with_left_out(estimate, left_out_of(observations, sigma), gravity)
+    estimate = replace(estimate, linearised=None if beside is None else beside.linearised)
+    return with_left_out(estimate, left_out_of(observations, sigma, beside=beside), gravity)
