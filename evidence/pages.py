@@ -414,7 +414,7 @@ def with_figures(text: str, results: Mapping[str, Results]) -> str:
         return f"{match[1]}{figure(match[2], results)}{match[4]}"
 
     def put_table(match: re.Match[str]) -> str:
-        return f"{match[1]}\n{table_of(match[2])}\n\n{match[4]}"
+        return f"{match[1]}\n{table_of(match[2], results)}\n\n{match[4]}"
 
     return TABLE.sub(put_table, FIGURE.sub(put, text))
 
@@ -427,11 +427,11 @@ def of_study(name: str) -> Mapping[str, Any]:
     return cast("Mapping[str, Any]", json.loads(path.read_text(encoding="utf-8")))
 
 
-def table_of(name: str) -> str:
-    """A table by its name: study | table."""
+def table_of(name: str, results: Mapping[str, Results]) -> str:
+    """A table by its name: study | table, or evidence | one of SUMMARIES."""
     study, table_name = (word.strip() for word in name.split("|"))
     if study == "evidence":
-        return summary(table_name)
+        return SUMMARIES[table_name](results)
     head, *rows = of_study(study)["tables"][table_name]
     return table(head, rows)
 
@@ -465,11 +465,8 @@ def without_result(text: str) -> int:
     return sum(bool(re.search(r"\d", re.sub(r"\A.*\n.*\n", "", each))) for each in tables)
 
 
-def summary(name: str) -> str:
-    """A table about the evidence itself: `pages`, of every page how many of its tables are of a result or compared by a
-    test, and how many are not."""
-    if name != "pages":
-        raise KeyError(name)
+def sources_of_tables(_: Mapping[str, Results]) -> str:
+    """Of every page how many of its tables are of a result or compared by a test, and how many are not."""
     rows = []
     for path in sorted((ROOT / "docs/evidence").glob("*.md")):
         text = path.read_text(encoding="utf-8")
@@ -477,8 +474,51 @@ def summary(name: str) -> str:
         hand = without_result(text)
         if path.name not in (*MADE, "index.md") and traced + hand:
             title = text.partition("\n")[0].removeprefix("# ")
-            rows.append([f"[{title}]({path.name})", f"{traced}", f"{hand or ''}"])
+            rows.append([f"[{title}]({path.name})", f"{traced or ''}", f"{hand or ''}"])
     return table(["page", "tables of results", "by hand"], rows)
+
+
+def all_programs(results: Mapping[str, Results]) -> str:
+    """A line for each program, of both sets: of simulated sessions those of which acceptance is expected, and those of
+    no use or with a cause that is to be named; of real ones what is predicted, over the default method."""
+    from evidence.real.page import WAYS, real_figure
+
+    rows_of = by(results["simulated"].rows, "program")
+    expected = {kind.name: kind.expected for kind in KINDS}
+    ways = [(score, way.split()[1]) for score in ("force", "tilt") for way in list(WAYS)[:2]]
+    lines = []
+    for program, rows in rows_of.items():
+        able = [row for row in rows if row.verdict != "cannot run"]
+        good = [row for row in able if expected[row.kind] == GOOD]
+        useless = [row for row in able if expected[row.kind] in ("refuse", "name the cause")]
+        score, cells = score_of(good), []
+        for what, way in ways:
+            try:
+                cells.append("1" if program == OURS else real_figure([what, program, way, "ratio"]))
+            except KeyError:
+                cells.append("–")
+        usable, silent = sum(row.verdict in USABLE for row in good), sum(row.silent_wrong for row in able)
+        lines.append([
+            program, f"{usable} of {len(good)}", number(score.rms), share(score.covered),
+            f"{silent}" if score.rms is not None else "–",
+            f"{sum(row.verdict == 'accepted' for row in useless)} of {len(useless)}", *cells,
+        ])  # fmt: skip
+    head = ["program", "good ones calibrated", "rms of error/u", "covered", "silently wrong", "useless ones calibrated",
+            "rests of the next session", "rests held out", "turns of the next session", "turns held out"]  # fmt: skip
+    return table(head, lines)
+
+
+def all_losses(results: Mapping[str, Results]) -> str:
+    """What is against tumble, of both sets, as a list."""
+    from evidence.real.page import RESULTS as REAL
+    from evidence.real.page import real_losses
+
+    simulated = results["simulated"]
+    kinds = [kind for kind in KINDS if any(row.kind == kind.name for row in simulated.rows)]
+    return losses(simulated, kinds) + "\n" + real_losses(json.loads(REAL.read_text(encoding="utf-8")))
+
+
+SUMMARIES = {"pages": sources_of_tables, "programs": all_programs, "losses": all_losses}
 
 
 def written_by_hand() -> list[Path]:

@@ -19,6 +19,8 @@ sys.path.insert(0, str(ROOT))
 
 from evidence.state import made_now  # noqa: E402
 
+BEGUN = made_now("src", "studies/*.py")
+"""The state of the sources when the study began."""
 RESULTS = ROOT / "studies" / "results"
 Table = Sequence[Sequence[str]]
 
@@ -31,7 +33,7 @@ def shown(table: Table) -> str:
 
 def store(study: str, tables: Mapping[str, Table], figures: Mapping[str, str] | None = None, **said: object) -> None:
     """Write the tables of a study, and single figures of its text, with what else is said of the run: seed, N."""
-    made = {"command": f"python studies/{study}.py --store", **said, **made_now("src", f"studies/{study}.py")}
+    made = {"command": f"python studies/{study}.py --store", **said, **BEGUN}
     RESULTS.mkdir(exist_ok=True)
     content = {"made": made, "figures": dict(figures or {}), "tables": {name: list(t) for name, t in tables.items()}}
     text = json.dumps(content, ensure_ascii=False, indent=1) + "\n"
