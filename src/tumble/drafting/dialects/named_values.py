@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
-from tumble.drafting.dialects.spelling import LONGEST_LINE, Spelling, of_named_values
+from tumble.drafting.dialects.spelling import LONGEST_LINE, Spelling, listed, spelt_alike
 from tumble.recording.text.dialect import Dialect, is_clock
 
 # A word is looked at from its first letter, and once: a line of nothing but letters takes no longer than another one.
@@ -41,19 +41,30 @@ _QUANTITIES = ("velocity", "acceleration", "rate", "field")
 
 def named_values(lines: Sequence[str]) -> Spelling | None:
     """The names and numbers that most lines have; None where they have none."""
-    return of_named_values(cells, lines, "names before the numbers")
+    return spelt_alike(lines, lambda line: _row(cells(line)), listed("names before the numbers"))
+
+
+def _row(named: Mapping[str, str]) -> tuple[tuple[str, ...], list[str]]:
+    return tuple(named), list(named.values())
 
 
 def cells(line: str) -> dict[str, str]:
-    """Names and numbers of a line; a time before the first name is one too, and a name before three numbers three."""
+    """Names and numbers of a line; a time before the first name is one too, and a name before three numbers three. An
+    axis has the name of the sensor that stands before several, `GYRO: X=0.1, Y=…`, else the words before it, `Linear
+    Accel X = 0.1, Y = …`, which are those of the axes behind it too."""
     keys, groups = (list(pattern.finditer(line[:LONGEST_LINE])) for pattern in (_KEY, _GROUP))
     if not keys:
         return {}
     first = min(name.start() for name in (keys[0], *groups[:1]))
     when = _WHEN.sub("", _WORDS.sub("", line[:first])).strip(" []")
     values = {_TIME: when} if is_clock(when) or _NUMBER.fullmatch(when) else {}
-    for key, name, after in zip(keys, _names(line, keys, groups), [*keys[1:], None], strict=True):
-        numbers = _NUMBER.findall(line[key.end() : after.start() if after else None])
+    words, end = "", 0
+    for key, after in zip(keys, [*keys[1:], None], strict=True):
+        of = [group[1] for group in groups if group.end() <= key.start() and key[0].rstrip().endswith("=")]
+        before = _WORDS.search(_BEHIND.sub("", line[end : key.start()]))
+        words, end = before[1] if before else words, key.end()
+        name = "_".join([*of[-1:], key[1]]) if of or len(key[1]) > 1 else f"{words} {key[1]}".strip()
+        numbers = _NUMBER.findall(line[end : after.start() if after else None])
         unit = f" [{key[2]}]" if key[2] else ""
         if len(numbers) == 1:
             values[name + unit] = numbers[0]
@@ -62,19 +73,6 @@ def cells(line: str) -> dict[str, str]:
             name = f"{word[1]} {name}" if word else name
             values |= {f"{name}_{axis}{unit}": number for axis, number in zip("xyz", numbers, strict=True)}
     return values
-
-
-def _names(line: str, keys: Sequence[re.Match[str]], groups: Sequence[re.Match[str]]) -> list[str]:
-    """The names in a line: an axis with the sensor that stands before several, `GYRO: X=0.1, Y=…`, else with the words
-    before it, `Linear Accel X = 0.1, Y = …`, which are those of the axes behind it too."""
-    names, words, end = [], "", 0
-    for key in keys:
-        of = [group[1] for group in groups if group.end() <= key.start() and key[0].rstrip().endswith("=")]
-        before = _WORDS.search(_BEHIND.sub("", line[end : key.start()]))
-        words = before[1] if before else words
-        end = key.end()
-        names.append("_".join([*of[-1:], key[1]]) if of or len(key[1]) > 1 else f"{words} {key[1]}".strip())
-    return names
 
 
 def several_lines(lines: Sequence[str]) -> Spelling | None:
@@ -121,24 +119,20 @@ def _samples() -> Callable[[str], tuple[dict[str, str], int] | None]:
     return fed
 
 
-# -------------------- objects of JSON --------------------
-
-
 def json_lines(lines: Sequence[str]) -> Spelling | None:
-    """The objects that most lines are; None where they are none."""
-    return of_named_values(_json_cells, lines, "objects of JSON")
+    """The objects of JSON, or as Python prints them, that most lines are; None where they are none."""
 
+    def row(line: str) -> tuple[tuple[str, ...], list[str]] | None:
+        text = line.strip().removeprefix("[").removesuffix("]").strip().removesuffix(",")
+        if not text.startswith("{") or len(text) > LONGEST_LINE:
+            return None
+        for spelt in (text, text.replace("'", '"')):
+            with suppress(ValueError, RecursionError):
+                read = json.loads(spelt)
+                return _row(dict(values_of(read))) if isinstance(read, dict) else None
+        return None
 
-def _json_cells(line: str) -> dict[str, str]:
-    """Names and values of the object in a line; nothing where it is none."""
-    text = line.strip().removeprefix("[").removesuffix("]").strip().removesuffix(",")
-    if not text.startswith("{") or len(text) > LONGEST_LINE:
-        return {}
-    for spelt in (text, text.replace("'", '"')):  # JSON, or as Python prints it
-        with suppress(ValueError, RecursionError):
-            read = json.loads(spelt)
-            return dict(values_of(read)) if isinstance(read, dict) else {}
-    return {}
+    return spelt_alike(lines, row, listed("objects of JSON"))
 
 
 def values_of(read: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:

@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Sequence
 from functools import reduce
 
-from tumble.drafting.dialects.spelling import LEAST_NUMBERS, Spelling, most_common
+from tumble.drafting.dialects.spelling import LEAST_NUMBERS, Columns, Spelling, spelt_alike
 from tumble.errors import InputError
 
 _MAG = tuple(f"Mag{axis} [gauss]" for axis in "XYZ")
@@ -33,30 +33,19 @@ _LEAST_SHARE, _MOST = 0.1, 0.5
 
 
 def sentences(lines: Sequence[str]) -> Spelling | None:
-    """The sentences that most lines are; None where they are none."""
+    """The sentences that most lines are; None where they are none. A damaged one is no row."""
 
-    def kind(parts: Sequence[str]) -> tuple[str, int] | None:
-        return (parts[0], len(parts) - 1) if len(parts) > LEAST_NUMBERS else None
+    def row(line: str) -> tuple[tuple[str, int], list[str]] | None:
+        body, _, check = line.strip().removeprefix("$").partition("*")
+        whole = line.lstrip().startswith("$") and check.upper() == f"{reduce(lambda c, b: c ^ b, body.encode(), 0):02X}"
+        name, *values = body.split(",") if whole else [""]
+        return ((name, len(values)), values) if len(values) >= LEAST_NUMBERS else None
 
-    common = most_common((kind(_parts(line)) for line in lines), lines)
-    if common is None:
-        return None
-    names = _FIELDS.get(common[0], ())
-    if names and len(names) != common[1]:
-        return None
+    def columns(kind: tuple[str, int]) -> Columns | None:
+        names = _FIELDS.get(kind[0], ())
+        return (names, f"sentences ${kind[0]}") if len(names) in (0, kind[1]) else None
 
-    def values(line: str) -> list[str]:
-        parts = _parts(line)
-        return parts[1:] if kind(parts) == common else []
-
-    return Spelling(names=names, values=values, said=f"sentences ${common[0]}")
-
-
-def _parts(line: str) -> list[str]:
-    """Name and values of a sentence; nothing where a line is none, or damaged."""
-    body, _, check = line.strip().removeprefix("$").partition("*")
-    whole = line.lstrip().startswith("$") and check.upper() == f"{reduce(lambda c, b: c ^ b, body.encode(), 0):02X}"
-    return body.split(",") if whole else []
+    return spelt_alike(lines, row, columns)
 
 
 def novatel(lines: Sequence[str]) -> Spelling | None:

@@ -4,7 +4,7 @@ copy of a log, line by line, as a table, or as several."""
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,9 @@ LEAST_NUMBERS = 3
 LONGEST_LINE = 4096
 MOST_SENSORS = 20
 _SHARE = 0.8
-T = TypeVar("T")
+T = TypeVar("T", bound=Hashable)
+Columns = tuple[tuple[str, ...], str]
+"""The names of columns, none where lines have none, and how their spelling is called."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -41,30 +43,33 @@ def most_common(of_lines: Iterable[T | None], lines: Sequence[str]) -> T | None:
     return item if count > max(_SHARE * sum(bool(line.strip()) for line in lines), 1) else None
 
 
-def of_named_values(cells: Callable[[str], Mapping[str, str]], lines: Sequence[str], said: str) -> Spelling | None:
-    """The spelling of lines that name their values, of which `cells` gives names and values; None where most lines name
-    no or other ones."""
-    names = most_common((tuple(cells(line)) for line in lines), lines)
-    if names is None or len(names) < LEAST_NUMBERS:
+def spelt_alike(
+    lines: Sequence[str],
+    row: Callable[[str], tuple[T, Sequence[str]] | None],
+    columns: Callable[[T], Columns | None],
+    *,
+    below_names: bool = False,
+) -> Spelling | None:
+    """The spelling of lines of which `row` gives what they have in common, and their values, None of one that is no
+    row; and `columns` the names. None where most lines have nothing in common. A first line `below_names` is left
+    out."""
+    common = most_common((read[0] if (read := row(line)) else None for line in lines), lines)
+    named = None if common is None else columns(common)
+    if named is None:
         return None
 
-    def values(line: str) -> Sequence[str]:
-        row = cells(line)
-        return list(row.values()) if tuple(row) == names else []
-
-    return Spelling(names=names, values=values, said=f"{said} ({', '.join(names)})")
-
-
-def below_names(
-    names: tuple[str, ...], lines: Sequence[str], numbers: Callable[[str], list[str] | None], said: str
-) -> Spelling:
-    """The spelling of rows, of which `numbers` gives the values, below a first line with `names`."""
-
     def values(line: str) -> Sequence[str] | None:
-        row = numbers(line)
-        return row if row is not None else None if line == lines[0] else []
+        read = row(line)
+        if read is not None and read[0] == common:
+            return read[1]
+        return None if below_names and line == lines[0] else []
 
-    return Spelling(names=names, values=values, said=f"{said} ({', '.join(names)})")
+    return Spelling(names=named[0], values=values, said=named[1])
+
+
+def listed(said: str) -> Callable[[tuple[str, ...]], Columns | None]:
+    """Names as they are, where they are enough for readings, in a spelling that is called so."""
+    return lambda names: (names, f"{said} ({', '.join(names)})") if len(names) >= LEAST_NUMBERS else None
 
 
 def copied(
