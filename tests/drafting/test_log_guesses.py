@@ -13,8 +13,7 @@ from tumble.drafting.dialects.named_values import cells
 from tumble.drafting.dialects.respelled import respelled
 from tumble.drafting.draft import Draft
 from tumble.drafting.found_log import samples_in
-from tumble.drafting.hypotheses.cost import ranked
-from tumble.drafting.hypotheses.shown import Shown, length_and_zero
+from tumble.drafting.hypotheses.cost import Shown, length_and_zero, ranked
 from tumble.drafting.new_session import Given, new_session
 from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column
 from tumble.errors import InputError, LogError

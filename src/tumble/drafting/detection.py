@@ -1,9 +1,11 @@
-"""What files of text or Parquet are: how they are written, and which columns are those of which sensors."""
+"""What files of text or Parquet are: how they are written, and which columns are those of which sensors; and which
+files hold no readings tumble can use, or hold them in a form that other programs read, and what to do."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+import struct
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -12,9 +14,7 @@ import numpy as np
 import polars as pl
 
 from tumble.documents import check_regular
-from tumble.drafting.containers.json_document import tables_of_json
-from tumble.drafting.containers.other_formats import check_is_log
-from tumble.drafting.containers.sensor_rows import split_by_header, split_by_sensor
+from tumble.drafting.containers.several_sensors import split_by_header, split_by_sensor, tables_of_json
 from tumble.drafting.dialects.respelled import respelled
 from tumble.drafting.found_log import LONGEST, SAMPLE_ROWS, FoundLog, Stated, samples_in
 from tumble.drafting.mended import nanoseconds_of
@@ -22,16 +22,31 @@ from tumble.drafting.sensors_apart import are_sensors_apart, of_sensors_apart
 from tumble.drafting.times import times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
-from tumble.recording.columns.names import ACCEL, GYRO, Sensors, columns_by_name, is_no_sensor, time_unit, unit_of_name
-from tumble.recording.columns.numbers import ToldColumns, columns_by_data, time_by_data
+from tumble.recording.columns.names import ACCEL, GYRO, columns_by_name, is_no_sensor, time_unit, unit_of_name
+from tumble.recording.columns.numbers import columns_by_data, time_by_data
 from tumble.recording.log_source import readable
 from tumble.recording.readers import ENDINGS, source_of
-from tumble.recording.text.dialect import LINE_BYTES, Dialect, Top, dialect_of, is_clock
+from tumble.recording.text.dialect import LINE_BYTES, Dialect, dialect_of, is_clock
 from tumble.recording.text.pieces import opened
 
 _SEEN_BYTES = 1 << 18
 _GROWING = 0.9  # of the steps of stamps that are those of rows
 _NO_LOGS = (".toml", ".json", ".md", ".pdf", ".png", ".html")
+_DELIMITER_WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
+_BINARY = (
+    (0, b"\xb5b", "UBX of a u-blox receiver", "write its ESF-RAW messages as a table with a row a sample (pyubx2)"),
+    (0, b"$IMURAW", "IMR of Waypoint", "write it as text in Inertial Explorer"),
+    (0, b"H Product:Blackbox", "a black box of Betaflight", "decode it with blackbox_decode, and give the .csv"),
+    (0, b"\xfa\xff", "MTB of Xsens", "export it as text in MT Manager, with Acc and Gyr"),
+    (4, b"ftyp", "a video", "write its sensors as CSV, of a GoPro with a reader of GPMF"),
+    (0, b"TDSm", "TDMS of LabVIEW", "export it as CSV"),
+    (0, b"SQLite format 3", "a database", "export its readings as CSV"),
+    (0, b"%PDF", "a document", "give the file with the readings"),
+    (257, b"ustar", "an archive of several files (tar)", "unpack it, and give its files"),
+)
+_RECORD = struct.Struct("<17d")
+_WEEK, _HALF_TURN = 604_800.0, 3.1416
+_OXTS = 30
 
 
 def files_of(log: Path) -> list[Path]:
@@ -77,7 +92,7 @@ def found_log(files: Sequence[Path], folder: OutputFolder, stated: Stated = Mapp
         apart = of_sensors_apart(logs, folder)
         return replace(apart, said=(*apart.said, *omitted))
     whole = [log for log in logs if ACCEL in log.columns.triads]
-    beside = [log for log in logs if whole and log not in whole and not all(map(str.isdecimal, log.cells))]
+    beside = [log for log in logs if whole and log not in whole and not log.unnamed]
     omitted += tuple(f"{log.files[0].name} has no accelerometers and is left out" for log in beside)
     logs = [log for log in logs if log not in beside]
     first = logs[0]
@@ -113,7 +128,7 @@ def _found(file: Path, folder: OutputFolder) -> list[FoundLog]:
         seen = stream.read(_SEEN_BYTES)
     if not seen:
         raise _NoRowsError(f"{file}: expected a log, found an empty file")
-    check_is_log(file, seen)
+    _check_is_log(file, seen)
     if parts := split_by_header(file, seen, folder):
         return [log for part in parts for log in _found(part, folder)]
     copied = respelled(file, seen, folder) or tables_of_json(file, seen, folder)
@@ -121,48 +136,64 @@ def _found(file: Path, folder: OutputFolder) -> list[FoundLog]:
         parts, remark = copied
         return [replace(log, said=(remark, *log.said)) for part in parts for log in _found(part, folder)]
     dialect_and_top = dialect_of(seen)
-    if dialect_and_top is None:
-        if max(map(len, seen.split(b"\n"))) > LINE_BYTES // 8 or b"\0" in seen[:1000]:
-            raise InputError(f"{file}: expected a log of rows of numbers, found something else; is it a recording?")
-        raise _NoRowsError(f"{file}: expected rows of readings below the names of the columns, found none")
-    if parts := split_by_sensor(file, seen, *dialect_and_top, folder):
-        return [log for part in parts for log in _found(part, folder)]
-    return [_found_text(file, seen, *dialect_and_top)]
-
-
-def _found_text(file: Path, seen: bytes, dialect: Dialect, top: Top) -> FoundLog:
-    plain = dialect == Dialect() and top.lines == 1 and "".join(file.suffixes[-2:]).lower().endswith(ENDINGS)
-    lines = seen.decode(dialect.encoding, errors="replace").split("\n")[top.lines : top.lines + SAMPLE_ROWS]
-    rows = [row for line in lines if len(row := dialect.cells(line)) == len(top.names)]
-    if len(rows) < 2:
+    if dialect_and_top is None and (max(map(len, seen.split(b"\n"))) > LINE_BYTES // 8 or b"\0" in seen[:1000]):
+        raise InputError(f"{file}: expected a log of rows of numbers, found something else; is it a recording?")
+    if dialect_and_top is not None:
+        dialect, top = dialect_and_top
+        if parts := split_by_sensor(file, seen, dialect, top, folder):
+            return [log for part in parts for log in _found(part, folder)]
+        lines = seen.decode(dialect.encoding, errors="replace").split("\n")[top.lines : top.lines + SAMPLE_ROWS]
+        rows = [row for line in lines if len(row := dialect.cells(line)) == len(top.names)]
+    if dialect_and_top is None or len(rows) < 2:
         raise _NoRowsError(f"{file}: expected rows of readings below the names of the columns, found none")
     cells = {name: [row[j] for row in rows] for j, name in enumerate(top.names) if name}
     filled = {name: [cell for cell in column if cell.strip()] for name, column in cells.items()}
     numbers = {name for name, column in filled.items() if any(dialect.is_number(c) or is_clock(c) for c in column)}
     words = {name for name, column in filled.items() if column} - numbers  # as week and seconds, `2022:120847.300`
+    how = [f"{_DELIMITER_WORDS[dialect.delimiter]} between the values"]
+    how += ["decimal commas"] if dialect.decimal == "," else []
+    how += [dialect.encoding] if dialect.encoding != "utf-8" else []
+    how += ["columns without names"] if not dialect.header else []
+    how += [f"{top.lines} lines above the numbers"] if top.lines > 1 else []
+    plain = dialect == Dialect() and top.lines == 1 and "".join(file.suffixes[-2:]).lower().endswith(ENDINGS)
     log = FoundLog(
         files=(file,),
         keys={} if plain else dialect.keys(),
         columns=columns_by_name([name for name in top.names if top.names.count(name) == 1 and name not in words]),
         remarks=top.remarks,
         cells=cells,
-        said=() if plain else (_described(dialect, top),),
+        said=() if plain else (f"text: {', '.join(how)}",),
         dialect=None if plain else dialect,
     )
     clock = next((name for name in cells if log.is_clock(name)), None)
-    return log.with_columns(time=clock) if log.columns.time is None else log
+    return [log.with_columns(time=clock) if log.columns.time is None else log]
 
 
-_DELIMITER_WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
-
-
-def _described(dialect: Dialect, top: Top) -> str:
-    parts = [f"{_DELIMITER_WORDS[dialect.delimiter]} between the values"]
-    parts += ["decimal commas"] if dialect.decimal == "," else []
-    parts += [dialect.encoding] if dialect.encoding != "utf-8" else []
-    parts += ["columns without names"] if not dialect.header else []
-    parts += [f"{top.lines} lines above the numbers"] if top.lines > 1 else []
-    return f"text: {', '.join(parts)}"
+def _check_is_log(file: Path, seen: bytes) -> None:
+    """Raises InputError that names the format of a file, by its first bytes `seen`, and what to do: one of the table,
+    records of 17 numbers, a time of the week that grows, a latitude, a longitude and more, or one line of 30 numbers
+    that begins with a latitude and a longitude."""
+    for start, mark, name, advice in _BINARY:
+        if seen[start : start + len(mark)] == mark:
+            raise InputError(f"{file}: expected a log, found {name}; {advice}")
+    if file.stat().st_size % _RECORD.size == 0 and len(seen) >= 3 * _RECORD.size:
+        first, second = (_RECORD.unpack_from(seen, k * _RECORD.size) for k in (0, 1))
+        angles = [abs(first[k]) for k in (1, 2, 7, 8)]
+        grows = 0.0 <= first[0] < second[0] < first[0] + 1.0 < 2.0 * _WEEK
+        if grows and 1e-6 < max(angles) <= 2.0 * _HALF_TURN and max(map(abs, (*first[1:], *second[1:]))) < 1e6:
+            raise InputError(
+                f"{file}: expected readings of accelerometers and gyros, found a trajectory (SBET), which a filter has "
+                "made of them; write the raw readings of the same mission as text"
+            )
+    try:
+        values = [float(cell) for cell in seen.split()] if b"\n" not in seen.strip() else []
+    except ValueError:
+        return
+    if len(values) == _OXTS and abs(values[0]) <= 90.0 and abs(values[1]) <= 180.0:
+        raise InputError(
+            f"{file}: expected a log, found one sample of a vehicle that moves (oxts of KITTI, a file for each); a "
+            "drive has no rests in other attitudes to calibrate from: record some, in one table"
+        )
 
 
 def _numeric(log: FoundLog) -> list[str]:
@@ -177,28 +208,23 @@ def _numeric(log: FoundLog) -> list[str]:
 def _by_data(log: FoundLog) -> FoundLog:
     """A log whose accelerometers, and gyros unless they are named, are told by their numbers, if they can be. Columns
     whose names say that they are something else are left aside; gx, gy and gz may be no gyros."""
-    known = log.columns
+    known, names, numeric = log.columns, list(log.names), _numeric(log)
     named = {kind: sensors for kind, sensors in known.triads.items() if kind != ACCEL}
-    told = _told(log, named)
-    if ACCEL not in told.columns.triads and GYRO in named:
-        named = {kind: sensors for kind, sensors in named.items() if kind != GYRO}
-        told = _told(log, named)
-    triads = {kind: replace(s, unit=unit_of_name(kind, s.columns[0])) for kind, s in told.columns.triads.items()}
-    if ACCEL not in triads:
-        return log
-    time = known.time or told.columns.time
-    return log.with_columns(told.said(named), triads=triads | named, time=time, others=(), times=())
-
-
-def _told(log: FoundLog, named: Mapping[str, Sensors]) -> ToldColumns:
-    """What the columns of a log are by their numbers, but for those of sensors that are named."""
-    names = list(log.names)
-    taken = {column for sensors in named.values() for column in sensors.columns} | {log.columns.time}
-    numeric = [n for n in _numeric(log) if n not in taken and names.count(n) == 1 and not is_no_sensor(n)]
-    read = log.read(numeric) if len(numeric) >= 3 else np.empty((0, len(numeric)))
-    every = np.full((samples_in(read), len(names)), np.nan)
-    every[:, [names.index(name) for name in numeric]] = read[: len(every)]
-    return columns_by_data(names, every)
+    for beside in (named, {kind: sensors for kind, sensors in named.items() if kind != GYRO}):
+        taken = {column for sensors in beside.values() for column in sensors.columns} | {known.time}
+        free = [n for n in numeric if n not in taken and names.count(n) == 1 and not is_no_sensor(n)]
+        read = log.read(free) if len(free) >= 3 else np.empty((0, len(free)))
+        every = np.full((samples_in(read), len(names)), np.nan)
+        every[:, [names.index(name) for name in free]] = read[: len(every)]
+        told = columns_by_data(names, every)
+        if ACCEL in told.columns.triads:
+            found = told.columns.triads.items()
+            triads = {kind: replace(s, unit=unit_of_name(kind, s.columns[0])) for kind, s in found}
+            time = known.time or told.columns.time
+            return log.with_columns(told.said(beside), triads=triads | beside, time=time, others=(), times=())
+        if GYRO not in named:
+            break
+    return log
 
 
 def _with_finest_time(log: FoundLog) -> FoundLog:
@@ -208,13 +234,12 @@ def _with_finest_time(log: FoundLog) -> FoundLog:
         trial = log.with_columns(time=name, time_unit=time_unit(name or ""))
         stamps = trial.stamps()
         steps = np.zeros(1) if stamps is None else np.diff(stamps.values)
-        if np.mean(steps >= 0.0) > _GROWING and np.any(steps > 0.0) and nanoseconds_of(trial) is not None:
+        finest = np.mean(steps > 0.0) > _GROWING
+        whole_seconds = np.mean(steps >= 0.0) > _GROWING and np.any(steps > 0.0) and nanoseconds_of(trial) is not None
+        is_time = stamps is not None and times_of_column(stamps) is not None
+        if whole_seconds or (finest and is_time):
             return trial
-        if stamps is None or times_of_column(stamps) is None:
-            continue
-        if np.mean(steps > 0.0) > _GROWING:
-            return trial
-        growing.append(trial)
+        growing += [trial] if is_time else []
     return next(iter(growing), log)
 
 

@@ -69,6 +69,11 @@ class FoundLog:
         return next(self.sources()).names
 
     @property
+    def unnamed(self) -> bool:
+        """Whether the columns of a text have no names, and so numbers from 1."""
+        return all(map(str.isdecimal, self.cells))
+
+    @property
     def clock(self) -> str | None:
         """The column of times of day, where that of the time is one."""
         column = self.columns.time

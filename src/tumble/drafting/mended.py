@@ -24,7 +24,7 @@ from tumble.recording.formats import TIME
 from tumble.recording.log_source import LogSource
 from tumble.recording.rows.gaps import JUMP
 from tumble.recording.writer import write_tables
-from tumble.units import TIME_UNITS, Array, BoolArray
+from tumble.units import TIME_UNITS, Array
 
 _TICK = 1e-4  # s, of an Xsens SampleTimeFine
 _TENTHS_OF_MICROSECONDS = (6.2e17, 6.7e17), (1.2e17, 1.7e17)  # of dates from 1965 to 2139
@@ -44,6 +44,8 @@ Step = Callable[[Iterator[pl.DataFrame]], Iterator[pl.DataFrame]]
 """Mends the tables of a file, one after the other."""
 Mend = tuple[str, Step]
 """What is said of a step, and the step."""
+Edges = list[tuple[int, int]]
+"""First and last + 1 row of parts of a log."""
 
 
 def mended(log: FoundLog, folder: OutputFolder, rate: float | None) -> FoundLog:
@@ -56,11 +58,11 @@ def mended(log: FoundLog, folder: OutputFolder, rate: float | None) -> FoundLog:
     mends = _rows_that_are_samples(log)
     time, in_seconds, of_time = _time(log, rate)
     unsigned = [kind for kind in (ACCEL, GYRO) if kind in triads and _wrapped(log.read(triads[kind].columns))]
-    positions, told = None, ""
-    if not mends and not of_time and rate is None and len(log.files) == 1:
-        positions, told = _recordings(log)
-    if positions is None:
-        positions, told = _positions_apart(log, unsigned=ACCEL in unsigned)
+    parts, told = None, ""
+    if not mends and not of_time and rate is None:
+        parts, told = _recordings(log)
+    if parts is None:
+        parts, told = _positions_apart(log, unsigned=ACCEL in unsigned)
     if unsigned:
         named = " and ".join({ACCEL: "accelerometers", GYRO: "gyros"}[kind] for kind in unsigned)
         said = f"{named}: numbers of 16 bits that were read without their sign: 65536 taken off where it is due"
@@ -79,9 +81,9 @@ def mended(log: FoundLog, folder: OutputFolder, rate: float | None) -> FoundLog:
         return (table.filter(pl.all_horizontal(pl.col(stamp).is_finite())) if stamp else table for table in read)
 
     files: list[Path] = []
-    if positions is not None:
+    if parts is not None:
         whole = pl.concat(tables(next(log.sources())))
-        for number, (start, stop) in enumerate(positions, 1):
+        for number, (start, stop) in enumerate(parts, 1):
             files.append(folder.new_file(f"position-{number:02d}.parquet"))
             write_tables(files[-1], iter([whole.slice(start, stop - start)]))
     else:
@@ -103,54 +105,56 @@ def _each(mend: Callable[[pl.DataFrame], pl.DataFrame]) -> Step:
 
 
 def _rows_that_are_samples(log: FoundLog) -> list[Mend]:
-    """Leaves out rows that are no samples: what memory was filled with behind the last, and rows of other sensors."""
+    """Leaves out rows that are no samples: what memory was filled with behind the last, and rows of other sensors, be
+    they many, at the beginning, or most of them between samples that follow each other as usual, so that none is a lost
+    sample."""
     mends: list[Mend] = []
     sensors = [c for kind, triad in log.columns.triads.items() if kind != MAGNETOMETER for c in triad.columns]
     read = log.read(sensors)
-    samples = len(read)
+    samples, one = len(read), len(log.files) == 1
     filled = len(read) > 0 and all(len(set(three)) == 1 for three in np.nan_to_num(read[-1]).reshape(-1, 3).tolist())
-    if filled and len(log.files) == 1 and len(read) < LONGEST:
+    if filled and one and len(read) < LONGEST:
         samples = samples_in(read)
     if samples < len(read):
-        said = f"rows: the last {len(read) - samples} are all alike and no samples: left out"
-        mends.append((said, partial(_first_rows, count=samples)))
+
+        def first_rows(tables: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
+            count = samples
+            for table in tables:
+                yield table.head(count)
+                count -= min(count, table.height)
+
+        mends.append((f"rows: the last {len(read) - samples} are all alike and no samples: left out", first_rows))
     whole = np.asarray(np.isfinite(read[:samples]).mean(axis=1) >= _READ_SHARE)
     blank = int(np.count_nonzero(~whole))
-    one = len(log.files) == 1 and samples > 0
-    if blank > _BLANK_SHARE * samples or (one and blank and (not whole[0] or _are_between(log, whole))):
+    others = blank > _BLANK_SHARE * samples
+    if one and blank and not others:
+        others = not whole[0]
+        stamps = log.stamps()
+        time = np.empty(0) if stamps is None else stamps.values[:samples]
+        if len(time) == samples and whole[1:].any() and np.isfinite(time[~whole]).any():  # messages have no time
+            steps, between = np.diff(time[whole]), np.diff(np.flatnonzero(whole)) > 1
+            others |= bool(between.any() and np.median(steps[between]) < JUMP * np.median(steps))
+    if others:
         said = f"rows: {blank} of {samples} have no readings of these sensors, as rows of others: left out"
         has_readings = pl.mean_horizontal(pl.col(sensors).is_finite()) >= _READ_SHARE
         mends.append((said, _each(lambda table: table.filter(has_readings))))
     return mends
 
 
-def _first_rows(tables: Iterator[pl.DataFrame], count: int) -> Iterator[pl.DataFrame]:
-    for table in tables:
-        yield table.head(count)
-        count -= min(count, table.height)
-
-
-def _are_between(log: FoundLog, whole: BoolArray) -> bool:
-    """Whether most rows without readings are between samples that follow each other as usual: none is a lost sample."""
-    stamps = log.stamps()
-    time = np.empty(0) if stamps is None else stamps.values[: len(whole)]
-    if len(time) < len(whole) or not whole[1:].any() or not np.isfinite(time[~whole]).any():  # messages have no time
-        return False
-    samples = np.flatnonzero(whole)
-    steps = np.diff(time[samples])
-    between = np.diff(samples) > 1
-    return bool(between.any() and np.median(steps[between]) < JUMP * np.median(steps))
-
-
 def _time(log: FoundLog, rate: float | None) -> tuple[list[str], bool, list[Mend]]:
     """The columns of the time, whether the steps make a column TIME of them, s, and what is mended."""
-    column = log.columns.time
-    if rate is None and column is None and (intervals := _intervals(log)) is not None:
-        name, unit = intervals
-        said = f"time: none, but column {name!r} has the intervals between samples, in {unit}: added up"
-        return [name], True, [(said, lambda read: _seconds(name, TIME_UNITS[unit])(_added_up(read, name)))]
+    column, counter, interval = log.columns.time, log.columns.counter, log.columns.interval
+    if rate is not None and column is not None:
+        return [column], False, []
+    if rate is None and column is None and interval is not None and len(log.files) == 1:
+        steps = log.read([interval])[:, 0]
+        steps = steps[np.isfinite(steps)]
+        times = times_of_column(Stamps(column=interval, values=np.cumsum(steps), unit=time_unit(interval)))
+        if times is not None and not (steps < 0.0).any():
+            unit, added = times.keys.get("time_unit", "s"), partial(_grown, column=interval, overflow=None)
+            said = f"time: none, but column {interval!r} has the intervals between samples, in {unit}: added up"
+            return [interval], True, [(said, lambda read: _seconds(interval, TIME_UNITS[unit])(added(read)))]
     if column is None:
-        counter = log.columns.counter
         counts = np.empty(0) if counter is None else np.diff(log.read([counter])[:, 0])
         counts = counts[np.isfinite(counts)]
         if counter is None or not len(counts) or counts.min() < 1.0 or np.median(counts) != 1.0 or counts.max() == 1.0:
@@ -158,18 +162,16 @@ def _time(log: FoundLog, rate: float | None) -> tuple[list[str], bool, list[Mend
         said = f"time: none, but column {counter!r} counts the samples and shows some to be missing"
         per_second = rate or times_without_column(None, log.remarks).rate
         return [counter], True, [(said, _seconds(counter, 1.0 / per_second))]
-    if rate is not None:
-        return [column], False, []
     nanoseconds = nanoseconds_of(log)
     if nanoseconds is not None:
         said = f"time: columns {column!r} and {nanoseconds!r}, seconds and nanoseconds, added"
         return [column, nanoseconds], True, [(said, _seconds(column, 1.0, nanoseconds))]
     mends: list[Mend] = []
-    tick = _tick(log)
+    tick = _tick(log, column)
     overflow = None if log.clock is not None else overflow_of(log.read([column])[:, 0])
     if overflow is not None:
         said = f"time: column {column!r} starts anew at {overflow:.10g}: that much is added where it does"
-        mends.append((said, partial(_unwound, column=column, overflow=overflow)))
+        mends.append((said, partial(_grown, column=column, overflow=overflow)))
     if tick is not None:
         mends.append((f"time: column {column!r} in ticks of {tick:g} s, made seconds", _seconds(column, tick)))
     return [column], tick is not None, mends
@@ -181,38 +183,21 @@ def _seconds(column: str, factor: float, nanoseconds: str | None = None) -> Step
     return _each(lambda table: table.rename({column: TIME}).with_columns(pl.col(TIME) * factor + part))
 
 
-def _added_up(tables: Iterator[pl.DataFrame], column: str) -> Iterator[pl.DataFrame]:
-    """Makes the intervals in a column times."""
-    last = 0.0
-    for table in tables:
-        stamps = last + table[column].fill_nan(0.0).cum_sum().to_numpy()
-        last = float(stamps[-1]) if len(stamps) else last
-        yield table.with_columns(pl.Series(column, stamps))
-
-
-def _unwound(tables: Iterator[pl.DataFrame], column: str, overflow: float) -> Iterator[pl.DataFrame]:
-    """Makes the stamps of a counter that starts anew at `overflow` ones that grow. What is not finite stays so."""
+def _grown(tables: Iterator[pl.DataFrame], column: str, overflow: float | None) -> Iterator[pl.DataFrame]:
+    """Makes stamps that grow of those of a counter that starts anew at `overflow`, where what is not finite stays so;
+    or, where that is None, of the intervals between samples."""
     last: float | None = None
     for table in tables:
         stamps = table[column].to_numpy().copy()
+        if overflow is None:
+            stamps = (last or 0.0) + np.cumsum(np.nan_to_num(stamps, posinf=np.inf, neginf=-np.inf))
         known = np.isfinite(stamps)
         read = stamps[known]
-        if len(read):
+        if overflow is not None and len(read):
             behind = 0.0 if last is None else np.rint((last - read[0]) / overflow)
             stamps[known] += overflow * (behind + np.cumsum(np.diff(read, prepend=read[:1]) < -0.5 * overflow))
-            last = float(stamps[known][-1])
+        last = float(stamps[known][-1]) if len(read) else last
         yield table.with_columns(pl.Series(column, stamps))
-
-
-def _intervals(log: FoundLog) -> tuple[str, str] | None:
-    """The column of the intervals from sample to sample, and their unit."""
-    column = log.columns.interval
-    if column is None or len(log.files) > 1:
-        return None
-    steps = log.read([column])[:, 0]
-    steps = steps[np.isfinite(steps)]
-    times = times_of_column(Stamps(column=column, values=np.cumsum(steps), unit=time_unit(column)))
-    return None if times is None or (steps < 0.0).any() else (column, times.keys.get("time_unit", "s"))
 
 
 def nanoseconds_of(log: FoundLog) -> str | None:
@@ -221,11 +206,10 @@ def nanoseconds_of(log: FoundLog) -> str | None:
     return next((n for n in log.names if _NANO.search(n) and _NANO.sub("", n) == log.columns.time), None)
 
 
-def _tick(log: FoundLog) -> float | None:
+def _tick(log: FoundLog, column: str) -> float | None:
     """The unit, s, of times in none that a session names: of an Xsens SampleTimeFine, microseconds where steps are
     thousands; of dates in days; and of those in tenths of microseconds since the year 1 or 1601."""
-    column = log.columns.time
-    if column is None or log.columns.time_unit is not None or log.clock is not None:
+    if log.columns.time_unit is not None or log.clock is not None:
         return None
     stamps = log.read([column], rows=10_000)[:, 0]
     if not np.isfinite(np.diff(stamps)).any():
@@ -259,21 +243,20 @@ def _unwrapped(columns: Array) -> Array:
 # -------------------- positions without turns between them --------------------
 
 
-def _recordings(log: FoundLog) -> tuple[list[tuple[int, int]] | None, str]:
-    """First and last + 1 row of recordings of which each has a clock that was started anew, and what is said."""
+def _recordings(log: FoundLog) -> tuple[Edges | None, str]:
+    """The recordings in a file of which each has a clock that was started anew, and what is said."""
     stamps = log.stamps()
-    if stamps is None or stamps.clock or len(stamps.values) >= LONGEST:
+    if len(log.files) > 1 or stamps is None or stamps.clock or len(stamps.values) >= LONGEST:
         return None, ""
     recordings = recordings_of(stamps.values[np.isfinite(stamps.values)])
-    number = 0 if recordings is None else len(recordings)
-    return recordings, f"time: the clock starts anew, so that there are {number} recordings: a file each"
+    said = f"time: the clock starts anew, so that there are {len(recordings or ())} recordings: a file each"
+    return recordings, said
 
 
-def _positions_apart(log: FoundLog, *, unsigned: bool) -> tuple[list[tuple[int, int]] | None, str]:
-    """First and last + 1 row of positions that follow each other without a turn: by a column that names them, or where
-    gravity jumps from one row to the next while nothing moves before and after; None where there are none. With
-    `unsigned`, 16 bits of the accelerometers were read without their sign. Raises InputError for positions of too few
-    rows."""
+def _positions_apart(log: FoundLog, *, unsigned: bool) -> tuple[Edges | None, str]:
+    """The positions that follow each other in a file without a turn: by a column that names them, or where gravity
+    jumps from one row to the next while nothing moves before and after; None where there are none. With `unsigned`, 16
+    bits of the accelerometers were read without their sign. Raises InputError for positions of too few rows."""
     if len(log.files) > 1:
         return None, ""
     accel = log.read(log.columns.triads[ACCEL].columns)

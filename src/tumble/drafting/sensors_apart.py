@@ -52,29 +52,33 @@ def log_of_recording(
         raise InputError(f"{recording}: expected a message {message!r}, found {', '.join(m.name for m in with_accel)}")
     accel = max(candidates, key=lambda m: m.gyro is not None) if message is None else candidates[0]
     gyro = accel if accel.gyro else next((m for m in found if m.gyro and _pairs(accel, m)), None)
-    log = folder.new_file("log.parquet")
-    temperatures = _temperatures(accel, gyro)
+    taken = [accel] if gyro is None or gyro is accel else [accel, gyro]
+    # the temperatures beside the accelerometers and the gyros, else thermometers of their own
+    beside = [m.temperatures for m in taken if m.temperatures]
+    one_each = len(beside) == 2 and max(map(len, beside)) == 1
+    temperatures = beside[0] + beside[1] if one_each else next(iter(beside), ())
     apart = [] if temperatures else [m for m in found if m.thermometer]
     thermometers = _thermometers_of(accel, gyro, apart)
+    unused = [m.name for m in apart if m not in thermometers]
+    others = [m.name for m in with_accel if m not in taken]
+    log = folder.new_file("log.parquet")
     as_log(log, accel, gyro, thermometers)
     said = [f"{recording.name}: message {accel.name}, written to {log}"]
     said += [f"temperature from {thermometer.name}, interpolated" for thermometer in thermometers]
-    unused = [m.name for m in apart if m not in thermometers]
     said += [f"other thermometers, not used: {', '.join(unused)}"] if unused else []
     triads = accel.triads
     if gyro is not None and gyro is not accel:
         said.append(f"gyros from {gyro.name}; the accelerometers are interpolated at their times")
         triads = {ACCEL: accel.triads[ACCEL], GYRO: gyro.triads[GYRO]}
-    others = [m.name for m in with_accel if m not in (accel, gyro)]
     said += [f"also there, and not used: {', '.join(others)} (--message takes another)"] if others else []
-    said += [remark for remark in {m.remark: None for m in (accel, gyro) if m is not None} if remark]
+    said += [remark for remark in {m.remark: None for m in taken} if remark]
     columns = Columns(
         time=TIME if accel.timed else None,
         time_unit=None,
         triads=triads,
         temperatures=temperatures or tuple(t for m in thermometers for t in m.temperatures),
     )
-    imu = {kind: sensor for m in (gyro, accel) if m is not None for kind, sensor in m.imu.items()}
+    imu = {kind: sensor for m in reversed(taken) for kind, sensor in m.imu.items()}
     return FoundLog(files=(log,), keys={}, columns=columns, said=tuple(said)), imu
 
 
@@ -87,17 +91,8 @@ def _thermometers_of(accel: Message, gyro: Message | None, apart: Sequence[Messa
 
     near = sorted(apart, key=shared, reverse=True)
     first = {m.temperatures: m for m in reversed(near)}
-    each = [first.get((f"{kind}_temperature",)) for kind in (ACCEL, GYRO)]
-    both = [m for m in each if m is not None]
+    both = [first[of_kind] for kind in (ACCEL, GYRO) if (of_kind := (f"{kind}_temperature",)) in first]
     return both if gyro is not None and len(both) == 2 else near[:1]
-
-
-def _temperatures(accel: Message, gyro: Message | None) -> tuple[str, ...]:
-    """The columns of the temperatures beside the accelerometers and beside the gyros."""
-    beside = [m.temperatures for m in {id(m): m for m in (accel, gyro) if m is not None}.values() if m.temperatures]
-    if len(beside) == 2 and max(map(len, beside)) == 1:
-        return beside[0] + beside[1]
-    return next(iter(beside), ())
 
 
 def _pairs(accel: Message, gyro: Message) -> bool:
@@ -120,8 +115,8 @@ def are_sensors_apart(logs: Sequence[FoundLog]) -> bool:
         return False
     by_kind = _by_kind(logs)
     if set(by_kind) == {ACCEL, GYRO}:
-        return all(len(log.cells) <= 1 + len("xyz") for log in by_kind.values() if _without_names(log))
-    return not any(log.columns.triads or _without_names(log) for log in logs)
+        return all(len(log.cells) <= 1 + len("xyz") for log in by_kind.values() if log.unnamed)
+    return not any(log.columns.triads or log.unnamed for log in logs)
 
 
 def _by_kind(logs: Sequence[FoundLog]) -> dict[str, FoundLog]:
@@ -132,10 +127,11 @@ def _by_kind(logs: Sequence[FoundLog]) -> dict[str, FoundLog]:
         name = log.files[0].stem
         named = next((kind for kind in (ACCEL, GYRO) if kind in log.columns.triads), None)
         kind = named or next((k for k, pattern in SENSOR_WORDS.items() if pattern.search(name)), None)
-        if kind == ACCEL and not _NOT_ACCEL.search(name) and ACCEL in by_kind:
-            by_kind[ACCEL] = by_kind[ACCEL] if _reads_gravity(by_kind[ACCEL]) or not _reads_gravity(log) else log
-        if kind is not None and not (kind == ACCEL and _NOT_ACCEL.search(name)):
-            by_kind.setdefault(kind, log)
+        if kind is None or (kind == ACCEL and _NOT_ACCEL.search(name)):
+            continue
+        better = kind == ACCEL and ACCEL in by_kind and not _reads_gravity(by_kind[ACCEL]) and _reads_gravity(log)
+        if kind not in by_kind or better:
+            by_kind[kind] = log
     uncalibrated = [log for log in logs if _UNCALIBRATED.search(log.files[0].stem)]
     return {ACCEL: uncalibrated[0], **by_kind} if uncalibrated else by_kind
 
@@ -154,21 +150,16 @@ def of_sensors_apart(logs: Sequence[FoundLog], folder: OutputFolder) -> FoundLog
     by_kind = _by_kind(logs)
     if ACCEL not in by_kind:
         logs[0].check_has_accelerometers()
-    accel, gyro = _message(by_kind[ACCEL], ACCEL), _message(by_kind[GYRO], GYRO) if GYRO in by_kind else None
+    read = {kind: _message(by_kind[kind], kind) for kind in (ACCEL, GYRO) if kind in by_kind}
     joined = folder.new_file("log.parquet")
-    as_log(joined, accel, gyro)
+    as_log(joined, read[ACCEL], read.get(GYRO))
     named = " and ".join(log.files[0].name for log in by_kind.values())
-    columns = Columns(time=TIME, time_unit="s", triads={**accel.triads, **({} if gyro is None else gyro.triads)})
+    columns = Columns(time=TIME, time_unit="s", triads={kind: m.triads[kind] for kind, m in read.items()})
     unused = [log.files[0].name for log in logs if log not in by_kind.values()]
     also = (f"also there, and not used: {', '.join(unused)}",) if unused else ()
     said = f"{named}: one log at the times of the gyros, written to {joined}"
-    fastest = accel if gyro is None else gyro
+    fastest = read.get(GYRO, read[ACCEL])
     return FoundLog(files=(joined,), keys={}, columns=columns, said=(said, *also, fastest.remark))
-
-
-def _without_names(log: FoundLog) -> bool:
-    """Whether the columns of a log have no names."""
-    return all(name.isdecimal() for name in log.cells)
 
 
 def _three(log: FoundLog, kind: str) -> tuple[FoundLog, list[str]]:
@@ -176,7 +167,7 @@ def _three(log: FoundLog, kind: str) -> tuple[FoundLog, list[str]]:
     one that grows."""
     if kind in log.columns.triads:
         return log, list(log.columns.triads[kind].columns)
-    if not _without_names(log):
+    if not log.unnamed:
         renamed = {f"{'a' if kind == ACCEL else 'g'} {name.split()[0] if name else name}": name for name in log.cells}
         sensors = columns_by_name(renamed).triads.get(kind)
         return log, [] if sensors is None else [renamed[column] for column in sensors.columns]

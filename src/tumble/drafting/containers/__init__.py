@@ -1,2 +1,2 @@
 """Files that hold logs: archives, workbooks, documents of JSON, rows of several sensors. Each becomes files of its own
-in the session's folder; `other_formats` names what holds none."""
+in the session's folder."""
