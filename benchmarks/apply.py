@@ -17,8 +17,8 @@ import polars as pl
 from calibrate import ONE_RUN, TUMBLE, machine
 
 from tumble.planning.setup import Setup
+from tumble.recording.readers import write_tables
 from tumble.recording.session_file import write_session
-from tumble.recording.writer import write_tables
 from tumble.run.calibrate import calibrate
 from tumble.simulation.session import simulate_session
 

@@ -15,8 +15,7 @@ import tumble
 from tumble.errors import InputError, LogError
 from tumble.files import nothing_left, whole_file
 from tumble.recording.panic import COMMAND_LINE
-from tumble.recording.readers import source_of
-from tumble.recording.writer import write_tables
+from tumble.recording.readers import source_of, write_tables
 
 
 def test_a_file_that_fails_leaves_the_one_that_was_there(tmp_path: Path) -> None:

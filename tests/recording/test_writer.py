@@ -12,7 +12,7 @@ import polars as pl
 import pytest
 
 from tumble.recording.log import one_ahead
-from tumble.recording.writer import write_tables
+from tumble.recording.readers import write_tables
 
 TABLE = pl.DataFrame({"t": [float(row) for row in range(1000)]})
 MANY = 20_000

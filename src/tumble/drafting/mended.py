@@ -22,8 +22,8 @@ from tumble.files import OutputFolder
 from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, time_unit
 from tumble.recording.formats import TIME
 from tumble.recording.log_source import LogSource
+from tumble.recording.readers import write_tables
 from tumble.recording.rows.gaps import JUMP
-from tumble.recording.writer import write_tables
 from tumble.units import TIME_UNITS, Array
 
 _TICK = 1e-4  # s, of an Xsens SampleTimeFine

@@ -19,7 +19,7 @@ import numpy as np
 
 from tumble.brief import Brief
 from tumble.errors import LogError, TumbleError, did_you_mean
-from tumble.recording.log_source import LogSource, readable
+from tumble.recording.log_source import LogSource, first_numbers, readable
 from tumble.recording.readers import Samples, source_of
 from tumble.recording.rows.gaps import Bridge, Gap, Grid
 from tumble.recording.rows.timed import check_head, regular_grid, rounded_grid, rows_of
@@ -172,7 +172,7 @@ def open_log(session: Session) -> Log:
         _check_columns(source, spec)
     for source in sources:
         # the first times of a file, as it has them; of one without, the first numbers of a sensor
-        heads.append(source.head(spec.time or spec.accel.columns[0], HEAD_ROWS, clock=spec.clock))
+        heads.append(first_numbers(source, spec.time or spec.accel.columns[0], HEAD_ROWS, clock=spec.clock))
         if not len(heads[-1]):
             raise LogError(f"{source.path}: expected a log, found no rows; the file is empty")
         if len(heads[-1]) < _SHORTEST_ROWS:

@@ -70,9 +70,6 @@ class LogSource(Protocol):
     def names(self) -> tuple[str, ...]:
         """Its column names in order."""
 
-    def head(self, column: str, rows: int, *, clock: bool = False) -> Array:
-        """The first numbers of a column, at most `rows`."""
-
     def first_date(self, column: str) -> str | None:
         """The date with the time, ISO 8601, in the first row of a column; None where it has no date."""
 

@@ -1,32 +1,26 @@
 """The files of a log, each as tables of a bounded size: Parquet and text files, tables in memory, what was kept of a
-file that is looked at several times."""
+file that is looked at several times; and tables written to a file as a stream, whole or not at all."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import chain, tee
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
+from polars.io.plugins import register_io_source
 
 from tumble.documents import check_regular
-from tumble.errors import LogError, TumbleError
-from tumble.recording.log_source import (
-    LogSource,
-    Unread,
-    ending_of,
-    first_numbers,
-    in_column,
-    readable,
-    rows_of_numbers,
-)
+from tumble.errors import InputError, LogError, TumbleError
+from tumble.files import ending_in, whole_file
+from tumble.recording.log_source import LogSource, Unread, ending_of, in_column, readable, rows_of_numbers
 from tumble.recording.panic import wait_for_last_words, without_panic
 from tumble.recording.text.dialect import Dialect
 from tumble.recording.text.text_log import text_log
-from tumble.units import Array
 
 ENDINGS = (".csv", ".csv.gz", ".csv.zst", ".parquet")
 """Endings of the files that are read without being told how they are written."""
@@ -83,11 +77,6 @@ class TableLog:
     @property
     def names(self) -> tuple[str, ...]:
         return tuple(self.types)
-
-    def head(self, column: str, rows: int, *, clock: bool = False) -> Array:
-        table = self._collected(self._scan([column], column if clock else None).head(rows))
-        self._check_no_nulls(table, 1)
-        return table[column].to_numpy()
 
     def first_date(self, column: str) -> str | None:
         if not isinstance(self.types[column], pl.Datetime):
@@ -210,21 +199,16 @@ def _table(data: Data) -> pl.DataFrame:
 # -------------------- files that are looked at several times --------------------
 
 
-@dataclass(kw_only=True, slots=True, eq=False)
-class _Kept:
-    """Tables that were read, and those that are coming."""
-
-    tables: list[tuple[pl.DataFrame, list[Unread]]] = field(default_factory=list)
-    coming: Iterator[tuple[pl.DataFrame, list[Unread]]] | None = None
+Tables = Iterator[tuple[pl.DataFrame, list[Unread]]]
 
 
 @dataclass(frozen=True, kw_only=False, slots=True, eq=False)
 class KeptLog:
     """A file of a log that is looked at several times, and read once: the tables of the columns that were asked for are
-    kept as far as they were read, of long files the first."""
+    kept as far as they were read, of long files none."""
 
     source: LogSource
-    _kept: dict[tuple[tuple[str, ...], str | None], _Kept] = field(default_factory=dict)
+    _kept: dict[tuple[tuple[str, ...], str | None], Tables] = field(default_factory=dict)
 
     @property
     def path(self) -> Path:
@@ -234,38 +218,22 @@ class KeptLog:
     def names(self) -> tuple[str, ...]:
         return self.source.names
 
-    def head(self, column: str, rows: int, *, clock: bool = False) -> Array:
-        return first_numbers(self, column, rows, clock=clock)
-
     def first_date(self, column: str) -> str | None:
         return self.source.first_date(column)
 
-    def tables(self, columns: Sequence[str], clock: str | None = None) -> Iterator[tuple[pl.DataFrame, list[Unread]]]:
+    def tables(self, columns: Sequence[str], clock: str | None = None) -> Tables:
         """Those of the columns, or of more columns that were read already."""
-        wanted = set(columns)
-        key = tuple(columns), clock
+        wanted, key = set(columns), (tuple(columns), clock)
         for read in self._kept:
             if wanted <= set(read[0]) and (read[1] == clock or read[1] not in wanted):
                 key = read
-        kept = self._kept.setdefault(key, _Kept())
-        if kept.coming is None:
-            kept.coming = self.source.tables(*key)
-        place, rows = 0, 0
+        self._kept[key], tables = tee(self._kept.get(key) or self.source.tables(*key))
+        rows = 0
         try:
-            while True:
-                if place < len(kept.tables):
-                    table, unread = kept.tables[place]
-                    place += 1
-                elif (coming := next(kept.coming, None)) is None:
-                    return
-                else:
-                    table, unread = coming
-                    if rows < _KEPT_ROWS:
-                        kept.tables.append(coming)
-                        place += 1
-                    else:  # it goes on, and who comes next reads anew
-                        self._kept.pop(key, None)
+            for table, unread in tables:
                 rows += table.height
+                if rows > _KEPT_ROWS:  # it goes on, and who comes next reads anew
+                    self._kept.pop(key, None)
                 yield table.select(columns), [u for u in unread if u.column is None or u.column in wanted]
         except TumbleError:
             self._kept.pop(key, None)
@@ -276,3 +244,38 @@ class KeptLog:
 
     def place(self, row: int, column: str | None = None) -> str:
         return self.source.place(row, column)
+
+
+# -------------------- tables written --------------------
+
+FORMATS = (".csv", ".parquet")
+
+
+def write_tables(path: Path, tables: Iterator[pl.DataFrame]) -> None:
+    """Write tables of the same columns one below the other. Memory does not grow with their number, and an error on
+    the way, of the tables too, leaves what was there before.
+
+    Raises InputError for a name that ends otherwise than in .csv or .parquet, and for columns that CSV cannot hold."""
+    ending = ending_in(path, *FORMATS)
+    failed: list[BaseException] = []
+    first = next(tables)
+    unwritten = [name for name, kind in first.schema.items() if kind.is_nested() or kind in (pl.Binary, pl.Object)]
+    if ending == ".csv" and unwritten:
+        raise InputError(
+            f"{path}: expected columns of one value a row, which CSV has, found {unwritten[0]!r} of the type "
+            f"{first.schema[unwritten[0]]}; write a .parquet file"
+        )
+
+    def source(*_: object) -> Iterator[pl.DataFrame]:
+        try:
+            yield from chain([first], tables)  # a chain has no end of its own: polars may drop the source in any thread
+        except (Exception, KeyboardInterrupt) as error:  # polars would make it one of its own, or drop it there
+            failed.append(error)
+            raise
+
+    stream = register_io_source(source, schema=first.schema, validate_schema=True)
+    with whole_file(path) as temporary, temporary.open("wb") as file:  # by name a thread may make it anew, too late
+        try:
+            (stream.sink_csv if ending == ".csv" else stream.sink_parquet)(file, maintain_order=True)
+        except Exception as error:
+            raise (*failed, error)[0] from None

@@ -54,9 +54,7 @@ def read_session(folder: FilePath) -> Session:
         raise SessionError(f"{path}: expected UTF-8 text, found {error.reason}; save it as UTF-8") from None
     except OSError as error:
         raise SessionError(f"{path}: expected a readable file, found: {error.strerror}") from None
-    session = validated(SessionDocument, content, str(path), SessionError).si(path.parent)
-    _check_files(session, str(path))
-    return _compared(session)
+    return _complete(validated(SessionDocument, content, str(path), SessionError).si(path.parent), str(path))
 
 
 def session_of(description: Mapping[str, Any], data: Data | None = None) -> Session:
@@ -85,21 +83,24 @@ def session_of(description: Mapping[str, Any], data: Data | None = None) -> Sess
         if isinstance(log, Mapping):
             description = {**description, "log": {**log, "file": [part.name for part in samples]}}
     session = validated(SessionDocument, description, where, SessionError).si(None)
-    session = replace(session, log=replace(session.log, files=samples or session.log.files))
-    _check_files(session, where)
-    return _compared(session)
+    return _complete(replace(session, log=replace(session.log, files=samples or session.log.files)), where)
 
 
-def _compared(session: Session) -> Session:
-    """A session whose log's clock was compared with the second one that it has."""
-    if session.log.reference_clock is None:
+def _complete(session: Session, where: str) -> Session:
+    """A session whose files are there, and whose log's clock was compared with the second one that it may have."""
+    log, passport = session.log, session.device.systematic
+    for file in log.files:
+        if isinstance(file, Path) and not file.is_file():
+            raise SessionError(f"{where}: log.file: expected a log at {file}, found no such file")
+    if passport is not None and not passport.is_file():
+        raise SessionError(f"{where}: device.systematic: expected a calibration file at {passport}, found no such file")
+    if log.reference_clock is None:
         return session
     from tumble.recording.readers import source_of
     from tumble.recording.rows.reference_clock import clock_rate
 
-    log = session.log
-    found = clock_rate([source_of(file, log.dialect) for file in log.files], log)
-    return replace(session, log=replace(log, clock_rate=found.rate, clock_u=found.u))
+    rate, u = clock_rate([source_of(file, log.dialect) for file in log.files], log)
+    return replace(session, log=replace(log, clock_rate=rate, clock_u=u))
 
 
 def session_from(given: Session | FilePath) -> Session:
@@ -133,15 +134,6 @@ def write_session(folder: FilePath, content: Mapping[str, Any]) -> None:
             temporary.write_text(tomli_w.dumps(content), encoding="utf-8")
     except OSError as error:
         raise SessionError(f"{path}: expected a folder to write to, found: {error.strerror}") from None
-
-
-def _check_files(session: Session, where: str) -> None:
-    for file in session.log.files:
-        if isinstance(file, Path) and not file.is_file():
-            raise SessionError(f"{where}: log.file: expected a log at {file}, found no such file")
-    passport = session.device.systematic
-    if passport is not None and not passport.is_file():
-        raise SessionError(f"{where}: device.systematic: expected a calibration file at {passport}, found no such file")
 
 
 def description_of(session: Session) -> dict[str, Any]:

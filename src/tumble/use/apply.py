@@ -32,13 +32,12 @@ from tumble.recording.arrays import SI
 from tumble.recording.columns.names import unit_of_name
 from tumble.recording.log import one_ahead, open_log
 from tumble.recording.log_source import rows_of_numbers
-from tumble.recording.readers import source_of
+from tumble.recording.readers import source_of, write_tables
 from tumble.recording.rows.gaps import side_by_side
 from tumble.recording.session import Channels, Session
 from tumble.recording.session_file import description_of, session_from
 from tumble.recording.text.dialect import DIALECT_KEYS
 from tumble.recording.text.text_log import times_of
-from tumble.recording.writer import write_tables
 from tumble.result.accepted import accepted_accelerometers, accepted_part
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.correction import corrected

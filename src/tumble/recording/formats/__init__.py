@@ -23,8 +23,8 @@ import polars as pl
 from tumble.errors import InputError, needs_extra
 from tumble.recording.columns.names import Sensors
 from tumble.recording.columns.patterns import ACCEL, GYRO, MAGNETOMETER
+from tumble.recording.readers import write_tables
 from tumble.recording.session import AutopilotSensor
-from tumble.recording.writer import write_tables
 
 _READERS = {
     "ros": ("rosbags", (".bag", ".db3", ".mcap")),

@@ -19,14 +19,13 @@ Source: H. Künsch, Annals of Statistics 17 (1989) 1217, the delete-a-block jack
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from tumble.errors import LogError
 from tumble.recording.log_source import LogSource
 from tumble.recording.session import LogSpec
-from tumble.units import Array
+from tumble.units import Array, BoolArray
 
 BLOCKS = 10
 FAR = 6.0
@@ -42,18 +41,9 @@ FURTHEST = 0.01
 """A rate that is off by more is no clock's, but a wrong unit or column."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ClockRate:
-    """Seconds of the second clock in a second of the log's, with its standard uncertainty, and the time, s, over which
-    they were compared."""
-
-    rate: float
-    u: float
-    seconds: float
-
-
-def clock_rate(sources: Sequence[LogSource], spec: LogSpec) -> ClockRate:
-    """The rate of a log's clock by its `reference_clock`. Raises LogError where the two cannot be compared."""
+def clock_rate(sources: Sequence[LogSource], spec: LogSpec) -> tuple[float, float]:
+    """Seconds of a log's `reference_clock` in a second of its own, with the standard uncertainty. Raises LogError where
+    the two cannot be compared."""
     reference, time = spec.reference_clock, spec.time
     assert reference is not None
     assert time is not None
@@ -81,11 +71,20 @@ def clock_rate(sources: Sequence[LogSource], spec: LogSpec) -> ClockRate:
     if len(t) < FEWEST:
         raise LogError(f"{where}: expected at least {FEWEST} stamps at which it moves, found {len(t)}; leave it out")
 
+    def line(kept: BoolArray) -> tuple[float, Array]:
+        """ρ by the stamps that are kept, and what all are off the line."""
+        count = np.maximum(np.bincount(number[kept], minlength=number.max() + 1), 1)
+        about = []
+        for values in (t, c):
+            means = np.bincount(number[kept], values[kept] - values[0], minlength=number.max() + 1) / count
+            about.append(values - values[0] - means[number])
+        x, y = about
+        rate = float(x[kept] @ y[kept]) / float(x[kept] @ x[kept])
+        return rate, np.abs(y - rate * x)
+
     kept = np.ones(len(t), dtype=bool)
     for _ in range(5):
-        x, y = _about_means(t, number, kept), _about_means(c, number, kept)
-        rate = float(x[kept] @ y[kept]) / float(x[kept] @ x[kept])
-        off = np.abs(y - rate * x)
+        rate, off = line(kept)
         far = off > FAR * 1.4826 * float(np.median(off[kept])) + 1e-9
         if np.array_equal(far, ~kept):
             break
@@ -100,19 +99,10 @@ def clock_rate(sources: Sequence[LogSource], spec: LogSpec) -> ClockRate:
             f"{where}: expected a clock that goes as the log's does, to {FURTHEST:.0%}, found a rate of {rate:.4g} "
             f"with {np.mean(~kept):.0%} of its stamps off; check its unit, and that of log.time"
         )
-    parts = np.array_split(np.flatnonzero(kept), BLOCKS)
     rates = []
-    for part in parts:
+    for part in np.array_split(np.flatnonzero(kept), BLOCKS):
         others = kept.copy()
         others[part] = False
-        x, y = _about_means(t, number, others), _about_means(c, number, others)
-        rates.append(float(x[others] @ y[others]) / float(x[others] @ x[others]))
+        rates.append(line(others)[0])
     jitter = np.sqrt((BLOCKS - 1.0) / BLOCKS * np.sum((np.array(rates) - np.mean(rates)) ** 2))
-    return ClockRate(rate=rate, u=float(np.hypot(jitter, reference.u)), seconds=seconds)
-
-
-def _about_means(values: Array, number: Array, kept: Array) -> Array:
-    """Values about the mean of those that are kept of their file."""
-    count = np.maximum(np.bincount(number[kept], minlength=number.max() + 1), 1)
-    means = np.bincount(number[kept], values[kept] - values[0], minlength=number.max() + 1) / count
-    return np.asarray(values - values[0] - means[number])
+    return rate, float(np.hypot(jitter, reference.u))

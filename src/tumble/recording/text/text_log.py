@@ -21,7 +21,7 @@ import numpy as np
 import polars as pl
 
 from tumble.errors import LogError
-from tumble.recording.log_source import Kind, Unread, first_numbers, in_column, readable, rows_of_numbers
+from tumble.recording.log_source import Kind, Unread, in_column, readable, rows_of_numbers
 from tumble.recording.session import LogSpec
 from tumble.recording.text.dialect import (
     BLANKS,
@@ -53,9 +53,6 @@ class TextLog:
     dialect: Dialect
     top: int
     """Lines above the first data row."""
-
-    def head(self, column: str, rows: int, *, clock: bool = False) -> Array:
-        return first_numbers(self, column, rows, clock=clock)
 
     def first_date(self, column: str) -> str | None:
         return date_of(self._cell(next(self.pieces(), b""), column))
