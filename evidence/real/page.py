@@ -164,7 +164,7 @@ def real_page(results: Mapping[str, Any]) -> str:
         "## What is calibrated",
         table(["program", "cases", "accelerometers", "gyros", "neither", "s, median"], answered(results)),
         "A case counts where the program has numbers for the sensors and stands by them. Only tumble and ArduPilot "
-        "have a verdict. Among the cases are some of no use, such as two attitudes, or three.",
+        f"have a verdict. {fewer(made)}Among the cases are some of no use, such as two attitudes, or three.",
         "## Rests that were not seen",
         "What the length of the corrected specific force misses g by, µg (rms over rests, median over pairs), and the "
         f"geometric mean of the ratio to `{OURS}`, with its standard error, over the N pairs that both have. Between "
@@ -198,6 +198,14 @@ def real_losses(results: Mapping[str, Any]) -> str:
     force, tilt = (predicted(results, *score)[1] for score in ASKED)
     heads = {"Unseen rests": force, "Unseen turns": tilt, "Repeatability": repeated(results)[1]}
     return where({**heads, "Refused": refused(results)})
+
+
+def fewer(made: Mapping[str, Any]) -> str:
+    """Which programs had only some chips of the array."""
+    given = made.get("fewer", {}).items()
+    return "".join(
+        f"{program}, which takes long, had {' and '.join(chips)} of the array alone. " for program, chips in given
+    )
 
 
 def where(heads: Mapping[str, Sequence[str]]) -> str:
