@@ -95,7 +95,7 @@ def sampled(fitted: Maximum, draws: int, seed: int) -> tuple[Array, Array, float
                 phi, value = tried, there
         path.append(phi[walking])
         if i >= 0:
-            here = conditional(fitted, phi)
+            here = conditional(evaluated(fitted, phi))
             means.append(here.step)
             within += here.covariance / draws
     return np.mean(means, axis=0), within + np.cov(np.array(means).T), accepted / draws

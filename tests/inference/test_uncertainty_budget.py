@@ -86,7 +86,7 @@ def test_the_sources_are_the_covariance(name: str) -> None:
         to_session[biases] += along[:, q:]
         expected = to_session @ expected @ to_session.T
         expected[np.ix_(biases, biases)] += np.einsum("ibd,icd->bc", noise, noise)
-    found = conditional(fitted, fitted.best.phi).covariances(noise_roots(fitted.free, fitted.at))
+    found = conditional(fitted.best).covariances(noise_roots(fitted.free, fitted.at))
     u = np.sqrt(np.diag(expected)[1:])
     together = np.sum(list(found.values()), axis=0)[1:, 1:]
     np.testing.assert_allclose(together / np.outer(u, u), expected[1:, 1:] / np.outer(u, u), rtol=0.0, atol=1e-12)
@@ -123,7 +123,7 @@ def test_every_source_is_what_a_session_varies_by_where_it_alone_does(name: str)
     it, all else without error, and estimated."""
     fitted = fitted_of(SESSIONS[name]())
     problem = at_best(fitted)[0]
-    expected = conditional(fitted, fitted.best.phi).covariances(noise_roots(fitted.free, fitted.at))
+    expected = conditional(fitted.best).covariances(noise_roots(fitted.free, fitted.at))
     whole = np.sqrt(np.sum([np.diag(each) for each in expected.values()], axis=0))[1:]
     draw, seen = Drawn(fitted, problem, np.random.default_rng(7)), 0
     for source, covariance in expected.items():

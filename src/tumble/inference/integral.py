@@ -1,11 +1,11 @@
 """The posterior with the hyperparameters integrated out, by importance sampling: docs/explanation/mathematics.md,
 section 11.
 
-Integrated is over the elements of φ that matter: along which, a standard deviation either way, a parameter of the
-linear model moves by more than NOTICED of its u, or its u by as much. The others stay at the maximum. Points φ_i are of
-a fixed low-discrepancy sequence, so that a result is the same to the last digit. The proposal q is a Gaussian copula:
-ℓ along every element through the maximum, by cubics between KNOTS where it and its score are taken, is that element's
-own density, of which
+Integrated is over every element of φ but the sizes of groups of which the session shows nothing. The points z_i are of
+a fixed low-discrepancy sequence, so that a result is the same to the last digit, moved so that their mean and their
+covariance are exactly those of the normal distribution: of anything quadratic in z they give the mean without an error,
+however many elements there are. The proposal q is a Gaussian copula: ℓ along every element through the maximum, by
+cubics between KNOTS where it and its score are taken, is that element's own density, of which
 
     φ = F⁻¹(N(z)),   z normal with the correlations of the curvature of −ℓ
 
@@ -40,17 +40,16 @@ POINTS = 64
 MOST_PARAMETERS = 200
 """Of an array of more parameters the maximum alone is taken: priors and scatter matter least to it, and a point costs a
 hundred times as much."""
-KNOTS = (-1.0, 1.0, -5.0, -2.5, 2.0)
-"""Where ℓ is looked at along an element of φ, in standard deviations by its curvature, and in which order: after the
-first two an element that moves nothing is left."""
+POINTS_EACH = 2
+"""Times the elements of φ: so many points at least."""
+KNOTS, FURTHER = (-1.0, 1.0), (-5.0, -2.5, 2.0)
+"""Where ℓ is looked at along an element of φ, in standard deviations by its curvature, and where else"""
+BENT = 0.05
+"""where it is so far or more from the parabola of its curvature at the first."""
 FINE = 241
 """Points of the densities along the elements."""
 TAIL = 4.0
 """Standard deviations beyond the last knots that they reach."""
-WIDER = 1.15
-"""Times what the curvature says: the proposal is to be wider than the posterior."""
-NOTICED = 0.1
-"""Of u: an element of φ that does less to the parameters is not integrated over."""
 POOR = 0.7
 """Shape of the Pareto distribution of the weights from which on the integral is not to be relied on."""
 SHOWN = 0.2
@@ -86,18 +85,19 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
     """The posterior about a maximum; with a single point that at the maximum itself."""
     best = fitted.best
     points = 1 if len(best.step.parameters) > MOST_PARAMETERS else points
+    axes, correlation = _axes(fitted) if points > 1 else ([], np.zeros((0, 0)))
+    points = max(points, POINTS_EACH * len(axes)) if axes else 1
     phi, log_q = best.phi[None].repeat(points, axis=0), np.zeros(points)
-    if points > 1:
-        axes, correlation = _axes(fitted)
+    if axes:
         value, vectors = np.linalg.eigh(correlation)
-        normal = special.ndtri(_sequence(points, len(axes)))
-        z = WIDER * normal @ (vectors * np.sqrt(value)) @ vectors.T
+        normal = _normal(points, len(axes))
+        z = normal @ (vectors * np.sqrt(value)) @ vectors.T
         log_q -= 0.5 * (normal**2).sum(axis=1)
         for own, axis in zip(z.T, axes, strict=True):
             x = np.interp(special.ndtr(own), axis.cumulative, axis.phi)
             phi[:, axis.element] = x
             log_q += np.interp(x, axis.phi, axis.log_density) + 0.5 * own**2
-    every = [conditional(fitted, own) for own in phi]
+    every = [conditional(Evaluated.of(fitted.free, fitted.entries, fitted.at, own)) for own in phi]
     weight, pareto = smoothed(np.array([each.value for each in every]) - log_q)
     steps, within = np.array([each.step for each in every]), np.array([each.covariance for each in every])
     process, own = (np.array([getattr(each, f"process_{name}") for each in every]) for name in ("step", "covariance"))
@@ -138,35 +138,28 @@ class _Axis:
 
 
 def _axes(fitted: Maximum) -> tuple[list[_Axis], Array]:
-    """ℓ along every element of φ that matters, and the correlations (k, k) of these by its curvature."""
+    """ℓ along the elements of φ of which the session shows something, and their correlations (k, k) by its
+    curvature."""
     best, bounded = fitted.best, fitted.entries.bounded
-    linear = slice(1, 1 + fitted.free.instrument.linear_count)
-    q, mean, u = (
-        len(fitted.free.own_known),
-        best.known.parameters[linear],
-        np.sqrt(best.step.covariance.diagonal()[linear]),
-    )
     axes, bends = list[_Axis](), list[Array]()
     for i, h in enumerate(fitted.entries):
         at_bound = bool(bounded[i] and best.phi[i] <= 0.0)
         bend = best.information[i, i] if at_bound else fitted.curvature[i, i]
         size = 1.0 / np.sqrt(max(bend, best.prior[2, i]))
         told = best.told if h.place in ("group", "own group") else None  # what the rows tell does not know of sizes
-        there, matters = {0.0: best}, False
-        for away in (away for away in KNOTS if away > 0.0 or not at_bound):
-            phi = best.phi.copy()
-            phi[i] += away * size
-            here = there[away] = Evaluated.of(fitted.free, fitted.entries, fitted.at, phi, told)
-            if abs(away) == 1.0:
-                moved = np.abs(here.known.parameters[linear] - mean) / u
-                wider = np.abs(np.sqrt((here.known.roots[0, q:][linear] ** 2).sum(axis=1)) / u - 1.0)
-                matters |= bool(max(moved.max(), wider.max()) > NOTICED)
-                matters = matters and not (at_bound and here.slope(i)[1] - h.within**-2 <= SHOWN)
-            if away == 1.0 and not matters:
+        there, shown, parabola = {0.0: best}, True, not at_bound
+        for knots in (KNOTS, FURTHER):
+            for away in (away for away in knots if away > 0.0 or not at_bound):
+                phi = best.phi.copy()
+                phi[i] += away * size
+                here = there[away] = Evaluated.of(fitted.free, fitted.entries, fitted.at, phi, told)
+                parabola = parabola and abs(here.value - best.value + 0.5 * away**2) < BENT
+            shown = not at_bound or there[1.0].slope(i)[1] - h.within**-2 > SHOWN
+            if parabola or not shown:
                 break
-        if matters:
-            knots = [(away * size, each.value - best.value, each.slope(i)[0]) for away, each in sorted(there.items())]
-            axes.append(_axis(i, best.phi[i], knots, size, h.within if at_bound else 0.0))
+        if shown:
+            along = [(away * size, each.value - best.value, each.slope(i)[0]) for away, each in sorted(there.items())]
+            axes.append(_axis(i, best.phi[i], along, size, h.within if at_bound else 0.0))
             bends.append(0.0 * best.phi if at_bound else (there[-1.0].gradient - there[1.0].gradient) / (2.0 * size))
     elements = [axis.element for axis in axes]
     curvature = np.array(bends).reshape(len(axes), len(best.phi))[:, elements]
@@ -226,10 +219,9 @@ class Conditional:
         return out.covariances()
 
 
-def conditional(fitted: Maximum, phi: Array) -> Conditional:
+def conditional(here: Evaluated) -> Conditional:
     """The posterior at φ."""
-    here = Evaluated.of(fitted.free, fitted.entries, fitted.at, phi)
-    known, biases, mean = here.known, 1 + fitted.free.biases, None
+    known, biases, mean = here.known, 1 + here.problem.biases, None
     step, root = known.parameters.copy(), known.roots[0][len(here.problem.own_known) :].copy()
     process = root[biases]
     if here.told.process is not None and len(here.problem.parts) == 1:
@@ -250,13 +242,16 @@ def conditional(fitted: Maximum, phi: Array) -> Conditional:
     )
 
 
-def _sequence(points: int, dimensions: int) -> Array:
-    """Additive recurrence: points (points, D) of low discrepancy in the unit cube, by the root of x^{D+1} = x + 1."""
+def _normal(points: int, dimensions: int) -> Array:
+    """Points (points, D) of the normal distribution, of its mean and covariance: an additive recurrence of low
+    discrepancy in the unit cube, by the root of x^{D+1} = x + 1, made so."""
     root = 2.0
     for _ in range(60):
         root = (1.0 + root) ** (1.0 / (dimensions + 1.0))
     steps = root ** -np.arange(1.0, dimensions + 1.0)
-    return np.asarray((0.5 + np.outer(np.arange(1, points + 1), steps)) % 1.0)
+    normal = special.ndtri((0.5 + np.outer(np.arange(1, points + 1), steps)) % 1.0)
+    normal -= normal.mean(axis=0)
+    return np.linalg.solve(np.linalg.cholesky(normal.T @ normal / points), normal.T).T
 
 
 def smoothed(log_weight: Array) -> tuple[Array, float]:

@@ -8,9 +8,8 @@ it, with groups of the usual size, the posterior of each by itself is
     λ of a group, told c ± √v apart from its prior s                 p(λ) Π [(λ²s² + v) e^{(s² + v)/(λ²s² + v)}]^{−1/2}
 
 the logarithm of the likelihood being that which is expected. What counts of them is the mean of σ², and the size of the
-prior with which a parameter has the mean of its variances 1/(1/λ²s² + 1/v); a group that hardly matters to the linear
-model is left as it is, as the integral leaves it. Of in-run biases the size is that of the
-set-up: rests tell it.
+prior with which a parameter has the mean of its variances 1/(1/λ²s² + 1/v); a group of which the session shows nothing
+(`SHOWN`) is left as it is, as the integral leaves it. Of in-run biases the size is that of the set-up: rests tell it.
 """
 
 from __future__ import annotations
@@ -20,11 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from tumble.inference.hyperparameters import SCATTER, Components, Hyperparameter, table
-from tumble.inference.integral import NOTICED
+from tumble.inference.hyperparameters import SCATTER, Components, table
+from tumble.inference.integral import SHOWN
 from tumble.inference.likelihood import Problem, Rows, noise_of
 from tumble.inference.maximum import LEAST_DEGREES
-from tumble.inference.step import Step, left, scatter_score, solve
+from tumble.inference.step import left, scatter_score, solve
 from tumble.units import Array
 
 FINE = 400
@@ -46,28 +45,16 @@ def expected(problem: Problem, rows: Rows, components: Components) -> tuple[Prob
             degrees = 2.0 * float(information[SCATTER.index(h.name)]) * h.usual**4
             if degrees > LEAST_DEGREES:
                 scatter[h.name] = h.usual * _expected_scatter(degrees)
-        elif h.place == "group" and _matters(problem, step, h):
-            known[h.members] *= _expected_size(known[h.members], variances[:1, len(own) + 1 :][:, h.members], h.within)
-        elif h.place == "own group":
-            own[h.members] *= _expected_size(own[h.members], variances[:, h.members], h.within)
+        if h.place in ("group", "own group"):
+            of, variance = (known, variances[:1, len(own) + 1 :]) if h.place == "group" else (own, variances)
+            usual, v = of[h.members], variance[:, h.members]
+            learned = np.clip(1.0 - v / usual**2, 0.0, 1.0)
+            larger = np.exp(2.0 * (2.0 * learned.sum() + h.within**-2) ** -0.5)
+            if 2.0 * (larger * learned / (larger * learned + 1.0 - learned)).sum() > SHOWN:
+                of[h.members] *= _expected_size(usual, v, h.within)
     sizes = np.append(problem.measured[1][0], known)
     wider = replace(problem, measured=(problem.measured[0], sizes), own_known=own)
     return wider, replace(components, **scatter)
-
-
-def _matters(problem: Problem, step: Step, h: Hyperparameter) -> bool:
-    """Whether a linear parameter, or its u, changes by more than NOTICED of u where a group is larger by a standard
-    deviation of what is known of its size. With C the covariance, S the prior and K the change of the precision, a
-    parameter moves by M ĉ, M = C (K⁻¹ − C)⁻¹, ĉ having the covariance S − C, and its variance by M C."""
-    C, s2 = step.covariance[1:, 1:], problem.measured[1][1:][h.members] ** 2
-    linear, own = slice(problem.instrument.linear_count), C[h.members, h.members]
-    size = (2.0 * np.clip(1.0 - own.diagonal() / s2, 0.0, 1.0).sum() + h.within**-2) ** -0.5
-    K = np.diag(-np.expm1(-2.0 * size) / s2)
-    M = np.linalg.solve(np.eye(len(K)) - K @ own, K @ C[h.members, linear]).T
-    known = C.diagonal()[linear]
-    moved = np.einsum("ia,ab,ib->i", M, np.diag(s2) - own, M) / known
-    wider = np.sqrt(1.0 + (M * C[linear, h.members]).sum(axis=1) / known) - 1.0
-    return bool(max(moved.max() ** 0.5, wider.max()) > NOTICED)
 
 
 def _expected_scatter(degrees: float) -> float:
