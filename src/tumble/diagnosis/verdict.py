@@ -14,7 +14,7 @@ from tumble.diagnosis.undetermined import (
     undetermined,
 )
 from tumble.inference.estimate import FIT_SIGMAS, Estimate, Outcome
-from tumble.inference.integral import POOR
+from tumble.inference.integral import rough
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.segmentation import Segmentation
 from tumble.sensors.parameters import sensor_kind
@@ -24,9 +24,6 @@ SCATTER_LIMIT, TURN_SCATTER_LIMIT = 1e-3 * G_STANDARD, 1.0 * DEGREE
 """Of readings at rest by the methods that have one scatter and leave nothing out, and of turns by all."""
 MOST_LEFT_OUT = 1.0 / 3.0
 """Of the rests or turns: where more do not fit, it is not they that are wrong."""
-FEWEST_POINTS = 10.0
-"""Effective points of the integral over the hyperparameters, below which u is as good as a few points say, where their
-weights are poor, too."""
 
 
 def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed: bool = False) -> Outcome:
@@ -65,7 +62,7 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
         remarks.append((("accel",), as_six_faces_give(estimate, observations, missing)))
     remarks += [*poor, *apart, *(((), remark) for remark in estimate.remarks), *judged.remarks]
     integral = estimate.integral
-    if integral is not None and integral.pareto > POOR and integral.effective < FEWEST_POINTS:
+    if integral is not None and rough(integral.pareto, integral.effective):
         said = "u rests on a few points of the integral over what the model does not know of itself: it is a rough one"
         remarks.append(((), said))
     return Outcome(

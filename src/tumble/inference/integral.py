@@ -50,8 +50,10 @@ FINE = 241
 """Points of the densities along the elements."""
 TAIL = 4.0
 """Standard deviations beyond the last knots that they reach."""
-POOR = 0.7
-"""Shape of the Pareto distribution of the weights from which on the integral is not to be relied on."""
+POOR, ENOUGH = 0.7, 10.0
+"""Shape of the Pareto distribution of the weights from which on the integral is not to be relied on where fewer points
+than this are effective: it is taken again with four times as many, but no more than"""
+MOST_POINTS = 256
 SHOWN = 0.2
 """Twice the members of a group of which the session learns something where it is as large as its prior allows for: of
 less, its size is not shown at all, and stays that of the sheet."""
@@ -99,6 +101,9 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
             log_q += np.interp(x, axis.phi, axis.log_density) + 0.5 * own**2
     every = [conditional(Evaluated.of(fitted.free, fitted.entries, fitted.at, own)) for own in phi]
     weight, pareto = smoothed(np.array([each.value for each in every]) - log_q)
+    effective = float(1.0 / (weight**2).sum())
+    if rough(pareto, effective) and 1 < points < MOST_POINTS:
+        return posterior(fitted, 4 * points)
     steps, within = np.array([each.step for each in every]), np.array([each.covariance for each in every])
     process, own = (np.array([getattr(each, f"process_{name}") for each in every]) for name in ("step", "covariance"))
     deviations = np.sqrt(np.diagonal(within, axis1=1, axis2=2))
@@ -120,7 +125,7 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
         process_covariance=np.tensordot(weight, own, axes=1)
         + ((process - process_mean).T * weight) @ (process - process_mean),
         points=points,
-        effective=float(1.0 / (weight**2).sum()),
+        effective=effective,
         pareto=pareto,
         hyperparameters=_summary(fitted, phi, weight),
     )
@@ -240,6 +245,11 @@ def conditional(here: Evaluated) -> Conditional:
         process_step=known.parameters[biases],
         process_covariance=process @ process.T,
     )
+
+
+def rough(pareto: float, effective: float) -> bool:
+    """Whether an integral rests on a few points, by the shape of their weights and their effective number."""
+    return pareto > POOR and effective < ENOUGH
 
 
 def _normal(points: int, dimensions: int) -> Array:
