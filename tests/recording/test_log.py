@@ -25,6 +25,7 @@ from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.rows import gaps as bridging
 from tumble.recording.rows import timed as timed_rows
 from tumble.recording.rows.gaps import Gap
+from tumble.recording.session import Session
 from tumble.recording.session_file import description_of, read_session, write_session
 from tumble.recording.text import pieces as text_pieces
 from tumble.reduction.blocks.reducer import reduce_log
@@ -199,20 +200,16 @@ CSV_FAULTS: dict[str, tuple[Callable[[Lines], Lines], str]] = {
 
 
 @pytest.mark.parametrize("name", CSV_FAULTS)
-def test_fault_of_a_csv_log_is_named_with_its_place(name: str, tmp_path: Path) -> None:
+def test_fault_of_a_csv_log_is_named_with_its_place_however_the_file_is_cut(name: str, tmp_path: Path) -> None:
     change, said = CSV_FAULTS[name]
-    message = refusal(lambda: whole(csv_log(tmp_path, change(lines()))))
-    assert message.startswith(f"{tmp_path / 'log.csv'}:")
-    assert said in message
-
-
-@pytest.mark.parametrize("name", CSV_FAULTS)
-def test_fault_is_the_same_however_the_file_is_cut(name: str, tmp_path: Path) -> None:
-    change, said = CSV_FAULTS[name]
-    table = change(lines())
-    for size in (60, 700):
+    (tmp_path / "log.csv").write_text(text(change(lines())), encoding="utf-8")
+    write_session(tmp_path, content("log.csv"))
+    session = read_session(tmp_path)
+    for size in (1 << 18, 60, 700):
         with mock.patch.multiple(text_pieces, _PIECE_BYTES=size, _FIRST_PIECE_BYTES=size):
-            assert said in refusal(lambda: whole(csv_log(tmp_path, table)))
+            message = refusal(lambda: whole(open_log(session)))
+        assert message.startswith(f"{tmp_path / 'log.csv'}:")
+        assert said in message
 
 
 def test_faultless_base_reads_without_a_gap(tmp_path: Path) -> None:
@@ -465,13 +462,22 @@ LONG_NUMBERS = st.from_regex(r"[+-]?[0-9]{1,25}\.?[0-9]{0,25}([eE][+-]?[0-9]{1,2
 )
 
 
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    """A session of one CSV file, which may be written anew."""
+    return csv_log(tmp_path_factory.mktemp("good"), lines()).session
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.one_of(PLAIN_NUMBERS, LONG_NUMBERS), min_size=20, max_size=60))
-def test_numbers_are_those_of_python(tmp_path_factory: pytest.TempPathFactory, values: list[str]) -> None:
+def test_numbers_are_those_of_python(good: Session, values: list[str]) -> None:
     table = lines()
     for row, value in enumerate(values, 100):
         table[row][1] = value
-    accel = whole(csv_log(tmp_path_factory.mktemp("s"), table))["accel"][:, 0]
+    (file,) = good.log.files
+    assert isinstance(file, Path)
+    file.write_text(text(table), encoding="utf-8")
+    accel = whole(open_log(good))["accel"][:, 0]
     expected = np.array([float(line[1]) for line in table[1:]])
     assert np.isfinite(expected).all()
     assert accel.tobytes() == expected.tobytes()

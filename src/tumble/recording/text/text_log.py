@@ -13,7 +13,7 @@ import csv
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -58,13 +58,88 @@ class TextLog:
         return date_of(self._cell(next(self.pieces(), b""), column))
 
     def tables(self, columns: Sequence[str], clock: str | None = None) -> Iterator[tuple[pl.DataFrame, list[Unread]]]:
-        first, text = 1, _Text(self, columns, clock)
+        first, day = 1, None
         for piece in self.pieces():
-            if clock is not None and text.day is None:
-                text.day = day_of(self._cell(piece, clock))
-            table, unread = text.table(piece, first)
+            if clock is not None and day is None:  # the day from which a clock counts
+                day = day_of(self._cell(piece, clock))
+            table, unread = self._rows(piece, first, columns, clock, day or 0)
             first += table.height
             yield table, unread
+
+    def _rows(
+        self, piece: bytes, first: int, columns: Sequence[str], clock: str | None, day: int
+    ) -> tuple[pl.DataFrame, list[Unread]]:
+        """The rows of a piece that begins with data row `first`. Where there is something to be said about them, it is
+        halved until few lines are left, which Python reads."""
+        fast = self._at_once(piece, columns, clock, day)
+        if fast is not None:
+            return fast, []
+        middle = piece.find(b"\n", len(piece) // 2) + 1
+        if len(piece) <= _SLOW_BYTES or not 0 < middle < len(piece):
+            return self._line_by_line(piece, first, columns, clock, day)
+        above, unread = self._rows(piece[:middle], first, columns, clock, day)
+        below, more = self._rows(piece[middle:], first + above.height, columns, clock, day)
+        return pl.concat([above, below]), unread + more
+
+    def _at_once(self, piece: bytes, columns: Sequence[str], clock: str | None, day: int) -> pl.DataFrame | None:
+        """The rows of a piece as polars reads them; None where it refuses, leaves a value empty, or may have filled up
+        rows of too few values with nulls from the end."""
+        kinds = {name: pl.String if name == clock else pl.Float64 for name in columns}
+        schema = {(n if n in kinds else f"\0{j}"): kinds.get(n, pl.String) for j, n in enumerate(self.names)}
+        comma = self.dialect.decimal == ","
+        try:
+            table = pl.read_csv(piece, has_header=False, schema=schema, separator=self.separator, decimal_comma=comma)
+        except pl.exceptions.PolarsError:
+            return None
+        ends = np.frombuffer(piece, dtype=np.uint8) == ord("\n")  # four times as fast as `bytes.count`
+        if table.height != int(np.count_nonzero(ends)) + (not piece.endswith(b"\n")):
+            return None
+        short = self.names[-1] not in kinds and table.to_series(-1).null_count() > 0
+        if short and piece.count(self.separator.encode()) != table.height * (len(self.names) - 1):
+            return None
+        used = table.select(pl.col(columns))
+        if clock is not None:
+            used = used.with_columns(seconds_of(used[clock], day).alias(clock))
+        return None if any(column.null_count() for column in used) else used
+
+    def _line_by_line(
+        self, piece: bytes, first: int, columns: Sequence[str], clock: str | None, day: int
+    ) -> tuple[pl.DataFrame, list[Unread]]:
+        """What `_rows` gives, by Python's csv and float(), which can say what is wrong in which row; of values that
+        cannot be read the first of a row."""
+        ended = piece.endswith(b"\n")
+        lines = piece.decode("utf-8", errors="replace").removesuffix("\n").split("\n")
+        numbers = np.full((len(lines), len(columns)), np.nan)
+        unread: list[Unread] = []
+        for i, line in enumerate(line.removesuffix("\r") for line in lines):
+            fault: tuple[str, Kind, str | None] | None = None
+            values: list[str] = []
+            if not line.strip() or self.dialect.is_comment(line):
+                fault = line if line.strip() else "a blank line", Kind.NO_ROW, None
+            else:
+                try:
+                    values = self.cells(line)
+                except csv.Error as error:
+                    fault = str(error), Kind.ROW, None
+            if fault is None and len(values) != len(self.names):
+                with_numbers = any(self.dialect.is_number(v.strip()) for v in values)
+                fault = (f"{len(values)} values", Kind.ROW, None) if with_numbers else (line.strip(), Kind.TEXT, None)
+            for j, column in enumerate(columns if fault is None else ()):
+                cell = values[self.names.index(column)]
+                try:
+                    if column == clock:
+                        numbers[i, j] = float(seconds_of(pl.Series([cell], dtype=pl.String), day)[0])
+                    elif "_" in cell:  # a date such as 2026_06_15, which float() takes for a number
+                        raise ValueError(cell)
+                    else:
+                        numbers[i, j] = float(cell.replace(",", ".") if self.dialect.decimal == "," else cell)
+                except (TypeError, ValueError):
+                    fault = fault or (cell, Kind.VALUE, column)
+            if fault is not None:
+                text, kind, at = fault
+                cut = i == len(lines) - 1 and not ended and kind != Kind.NO_ROW
+                unread.append(Unread(row=first + i, column=at, found=text, kind=Kind.CUT if cut else kind))
+        return pl.DataFrame(numbers, schema=list(columns), orient="row"), unread
 
     def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
         """Columns without a name, or with that of another, get a number. Of a log of a stated dialect, what cannot be
@@ -115,95 +190,6 @@ class TextLog:
 
     def place(self, row: int, column: str | None = None) -> str:
         return f"{self.path}: row {row} (line {row + self.top})" + in_column(column)
-
-
-@dataclass(kw_only=False, slots=True)
-class _Text:
-    """The numbers of some columns in pieces of a text log. `day`: the day from which a clock counts."""
-
-    source: TextLog
-    columns: Sequence[str]
-    clock: str | None
-    day: int | None = None
-
-    def table(self, piece: bytes, first: int) -> tuple[pl.DataFrame, list[Unread]]:
-        """The rows of a piece that begins with data row `first`. Where there is something to be said about them, it is
-        halved until few lines are left, which Python reads."""
-        fast = self._at_once(piece)
-        if fast is not None:
-            return fast, []
-        middle = piece.find(b"\n", len(piece) // 2) + 1
-        if len(piece) <= _SLOW_BYTES or not 0 < middle < len(piece):
-            return self._line_by_line(piece, first)
-        above, unread = self.table(piece[:middle], first)
-        below, more = self.table(piece[middle:], first + above.height)
-        return pl.concat([above, below]), unread + more
-
-    def _at_once(self, piece: bytes) -> pl.DataFrame | None:
-        """The rows of a piece as polars reads them; None where it refuses, leaves a value empty, or may have filled up
-        rows of too few values with nulls from the end."""
-        names, separator = self.source.names, self.source.separator
-        kinds = {name: pl.String if name == self.clock else pl.Float64 for name in self.columns}
-        schema = {(n if n in kinds else f"\0{j}"): kinds.get(n, pl.String) for j, n in enumerate(names)}
-        comma = self.source.dialect.decimal == ","
-        try:
-            table = pl.read_csv(piece, has_header=False, schema=schema, separator=separator, decimal_comma=comma)
-        except pl.exceptions.PolarsError:
-            return None
-        ends = np.frombuffer(piece, dtype=np.uint8) == ord("\n")  # four times as fast as `bytes.count`
-        if table.height != int(np.count_nonzero(ends)) + (not piece.endswith(b"\n")):
-            return None
-        short = names[-1] not in kinds and table.to_series(-1).null_count() > 0
-        if short and piece.count(separator.encode()) != table.height * (len(names) - 1):
-            return None
-        used = table.select(pl.col(self.columns))
-        if self.clock is not None:
-            used = used.with_columns(seconds_of(used[self.clock], self.day or 0).alias(self.clock))
-        return None if any(column.null_count() for column in used) else used
-
-    def _line_by_line(self, piece: bytes, first: int) -> tuple[pl.DataFrame, list[Unread]]:
-        """What `table` gives, by Python's csv and float(), which can say what is wrong in which row."""
-        ended = piece.endswith(b"\n")
-        lines = piece.decode("utf-8", errors="replace").removesuffix("\n").split("\n")
-        numbers = np.full((len(lines), len(self.columns)), np.nan)
-        unread: list[Unread] = []
-        for i, line in enumerate(lines):
-            fault = self._numbers(line.removesuffix("\r"), numbers[i])
-            if fault is not None:
-                cut = i == len(lines) - 1 and not ended and fault.kind != Kind.NO_ROW
-                unread.append(replace(fault, row=first + i, kind=Kind.CUT if cut else fault.kind))
-        return pl.DataFrame(numbers, schema=list(self.columns), orient="row"), unread
-
-    def _numbers(self, line: str, out: Array) -> Unread | None:
-        """Put the numbers of a line into `out`, NaN where one cannot be read; what was found instead of the first."""
-        dialect, names = self.source.dialect, self.source.names
-
-        def unread(found: str, kind: Kind, column: str | None = None) -> Unread:
-            return Unread(row=0, column=column, found=found, kind=kind)
-
-        if not line.strip() or dialect.is_comment(line):
-            return unread(line if line.strip() else "a blank line", Kind.NO_ROW)
-        try:
-            values = self.source.cells(line)
-        except csv.Error as error:
-            return unread(str(error), Kind.ROW)
-        if len(values) != len(names):
-            if any(dialect.is_number(v.strip()) for v in values):
-                return unread(f"{len(values)} values", Kind.ROW)
-            return unread(line.strip(), Kind.TEXT)
-        fault: Unread | None = None
-        for j, column in enumerate(self.columns):
-            cell = values[names.index(column)]
-            try:
-                if column == self.clock:
-                    out[j] = float(seconds_of(pl.Series([cell], dtype=pl.String), self.day or 0)[0])
-                elif "_" in cell:  # a date such as 2026_06_15, which float() takes for a number
-                    raise ValueError(cell)
-                else:
-                    out[j] = float(cell.replace(",", ".") if dialect.decimal == "," else cell)
-            except (TypeError, ValueError):
-                fault = fault or unread(cell, Kind.VALUE, column)
-        return fault
 
 
 def _with_tabs(piece: bytes) -> bytes:
