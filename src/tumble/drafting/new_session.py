@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ from tumble.recording.formats import is_recording
 from tumble.recording.log import Log
 from tumble.recording.readers import source_of
 from tumble.recording.rows.gaps import is_reading
-from tumble.recording.session import sensors_content
+from tumble.recording.session import AutopilotSensor, sensors_content
 from tumble.recording.session.log_tables import RAW
 from tumble.recording.session_file import SESSION_FILE, session_of
 from tumble.run.observed import Progress
@@ -117,10 +117,22 @@ def written_session(
         raise InputError(f"--sample-rate: expected a positive number, found {given.sample_rate:g}")
     files = [inner for file in files for inner in unzipped(file, folder)]
     files = [sheet for file in files for sheet in sheets_of(file, folder)]
-    draft = _of_files(files, folder, given)
+    imu: Mapping[str, AutopilotSensor] = {}
+    if not (recordings := [file for file in files if is_recording(file) or file.is_dir()]):
+        log = found_log(files, folder, given.columns)
+    elif given.columns:
+        raise InputError(
+            f"--{', --'.join(given.columns)}: expected a log of text or Parquet, found {recordings[0].name}, whose "
+            "messages say what is what; --message takes one"
+        )
+    elif len(recordings) < len(files):
+        raise InputError(f"{recordings[0]}: expected one recording, found other files too; give each its own session")
+    else:
+        log, imu = log_of_recording(recordings, folder, given.message)
+    draft = _of_log(mended(log, folder, given.sample_rate), given.sample_rate)
     site = {"site": {"latitude_deg": given.latitude}} if given.latitude is not None else {}
     serial = given.serial or folder.path.resolve().name or "unknown"
-    device = {**draft.content.get("device", {}), "serial": serial}
+    device = {"serial": serial, **({"imu": sensors_content(imu)} if imu else {})}
     draft = replace(draft, content={**draft.content, "device": device, **site})
     session_of(draft.content)  # checked as a session is
     draft, faults = weighed(draft, progress, widths)
@@ -134,23 +146,6 @@ def written_session(
 
 
 # -------------------- what is known from names and first numbers --------------------
-
-
-def _of_files(files: list[Path], folder: OutputFolder, given: Given) -> Draft:
-    recordings = [f for f in files if is_recording(f) or f.is_dir()]
-    if not recordings:
-        log = mended(found_log(files, folder, given.columns), folder, given.sample_rate)
-        return _of_log(log, given.sample_rate)
-    if given.columns:
-        raise InputError(
-            f"--{', --'.join(given.columns)}: expected a log of text or Parquet, found {recordings[0].name}, whose "
-            "messages say what is what; --message takes one"
-        )
-    if len(files) > 1 and len(recordings) < len(files):
-        raise InputError(f"{recordings[0]}: expected one recording, found other files too; give each its own session")
-    recorded, imu = log_of_recording(recordings, folder, given.message)
-    draft = _of_log(mended(recorded, folder, given.sample_rate), given.sample_rate)
-    return replace(draft, content={**draft.content, "device": {"imu": sensors_content(imu)}} if imu else draft.content)
 
 
 def _of_log(log: FoundLog, rate: float | None) -> Draft:
@@ -251,39 +246,31 @@ def _row_as_read(draft: Draft) -> str:
 
 
 def _thermometers(log: FoundLog, columns: Sequence[str]) -> tuple[dict[str, Any] | None, str]:
-    """The table [log.temperature], None where numbers are raw. Columns in several units are, as raw ones, with what
-    their numbers are worth."""
-    empty = [column for column in columns if not len(log.readings(column))]
-    if empty:
+    """The table [log.temperature], None where numbers are raw. A unit is that of the name, or in which the numbers are
+    temperatures of the air on Earth or of a chamber; columns in several are, as raw ones, with what their numbers are
+    worth."""
+    listed, units, said = list(columns), list[str](), list[str]()
+    if empty := [column for column in columns if not len(log.readings(column))]:
         return None, f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
-    found = {column: _temperature_unit(log, column) for column in columns}
-    listed, units = list(columns), [found[column][0] for column in columns]
+    for column in columns:
+        middle = float(np.median(log.readings(column)))
+        likely = next((unit for unit, (low, high) in _LIKELY.items() if low <= middle <= high), RAW)
+        named = temperature_unit(column)
+        units.append(named or likely)
+        said.append(f"{column} in {units[-1]} ({'from the name' if named else 'by its numbers'})")
+        if units[-1] == RAW:
+            return None, (
+                f"temperature: {column}, about {middle:.6g}, in no unit that is known; to use it, add "
+                f'[log.temperature] with columns = {json.dumps(listed)}, unit = "raw", scale, raw numbers per degC, '
+                "and offset, that at 0 degC"
+            )
     whose = {1: "", 2: ", accelerometers and gyros"}.get(len(listed), ", one a sensor, accelerometers first")
-    said = ", ".join(f"{column} in {unit} ({how})" for column, (unit, how, _) in found.items())
-    if RAW in units:
-        column = listed[units.index(RAW)]
-        return None, (
-            f"temperature: {column}, about {found[column][2]:.6g}, in no unit that is known; to use it, add "
-            f'[log.temperature] with columns = {json.dumps(listed)}, unit = "raw", scale, raw numbers per degC, and '
-            "offset, that at 0 degC"
-        )
     table: dict[str, Any] = {"columns": listed, "unit": units[0]}
     if len(set(units)) > 1:
         worth = [TEMPERATURE_UNITS[unit] for unit in units]
         scale, offset = [1.0 / gain for gain, _ in worth], [-shift / gain for gain, shift in worth]
         table |= {"unit": RAW, "scale": scale, "offset": offset}
-    return table, f"temperature: {said}{whose}"
-
-
-def _temperature_unit(log: FoundLog, column: str) -> tuple[str, str, float]:
-    """The unit that the name of a column says, or in which its numbers are temperatures of the air on Earth or of a
-    chamber; how it was found; and their median."""
-    middle = float(np.median(log.readings(column)))
-    named = temperature_unit(column)
-    if named is not None:
-        return named, "from the name", middle
-    likely = next((unit for unit, (low, high) in _LIKELY.items() if low <= middle <= high), RAW)
-    return likely, "by its numbers", middle
+    return table, f"temperature: {', '.join(dict.fromkeys(said))}{whose}"
 
 
 def _magnitude(log: FoundLog, sensors: Sensors) -> float:

@@ -52,11 +52,7 @@ class Unread:
         if self.kind is Kind.CUT:
             return "the last line is cut"
         if self.column is not None:
-            return (
-                f"{shown!r} in '{self.column[:_SHOWN]}'"
-                if shown.strip()
-                else f"an empty value in '{self.column[:_SHOWN]}'"
-            )
+            return f"{repr(shown) if shown.strip() else 'an empty value'} in '{self.column[:_SHOWN]}'"
         return shown if self.kind is Kind.ROW or shown == "a blank line" else repr(shown)
 
 

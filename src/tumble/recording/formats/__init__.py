@@ -15,7 +15,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import polars as pl
@@ -118,27 +117,24 @@ def messages(*paths: Path) -> list[Message]:
 
     Raises InputError, one line, for an unknown or damaged file and for a recording without inertial sensors, and
     MissingExtraError where the extra `formats` is not installed."""
-    modules = {path: _module(path) for path in paths}
     found: list[Message] = []
-    for path, module in modules.items():
+    nothing: list[str] = []
+    for path in paths:
+        reader = _reader(path)
+        if reader is None:
+            raise InputError(f"{path}: expected a recording that ends in {', '.join(ENDINGS)}, found another")
+        if not path.exists():
+            raise InputError(f"{path}: expected a recording, found no such file")
+        with needs_extra(f"{path}: reading it", "formats", _READERS[reader][0]):
+            module = import_module(f"tumble.recording.formats.{reader}")
         with _intact(path):
             read: list[Message] = module.messages(path)
         found += [replace(message, rows=partial(_rows, path, message)) for message in read]
+        nothing.append(module.NOTHING)
     if not any(message.accel for message in found):
-        alone = "gyros alone" if any(message.gyro for message in found) else modules[paths[0]].NOTHING
+        alone = "gyros alone" if any(message.gyro for message in found) else nothing[0]
         raise InputError(f"{paths[0]}: expected messages with accelerometers, found {alone}")
     return found
-
-
-def _module(path: Path) -> ModuleType:
-    """The reader of a recording."""
-    reader = _reader(path)
-    if reader is None:
-        raise InputError(f"{path}: expected a recording that ends in {', '.join(ENDINGS)}, found another")
-    if not path.exists():
-        raise InputError(f"{path}: expected a recording, found no such file")
-    with needs_extra(f"{path}: reading it", "formats", _READERS[reader][0]):
-        return import_module(f"tumble.recording.formats.{reader}")
 
 
 def _rows(path: Path, message: Message) -> Iterator[pl.DataFrame]:
