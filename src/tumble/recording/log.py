@@ -12,6 +12,7 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -168,8 +169,13 @@ def open_log(session: Session) -> Log:
         )
     spec, heads = session.log, list[Array]()
     sources = tuple(source_of(file, spec.dialect) for file in spec.files)
-    for source in sources:
-        _check_columns(source, spec)
+    for source, column in product(sources, spec.columns):
+        if (count := source.names.count(column)) == 0:
+            shown = ", ".join(source.names[:12]) + (", …" if len(source.names) > 12 else "")
+            hint = did_you_mean(column, source.names, alike=0.5)
+            raise LogError(f"{source.path}: expected a column '{column}', found {shown[:200]}{hint}")
+        if count > 1:
+            raise LogError(f"{source.path}: expected one column '{column}', found {count}; rename one")
     for source in sources:
         # the first times of a file, as it has them; of one without, the first numbers of a sensor
         heads.append(first_numbers(source, spec.time or spec.accel.columns[0], HEAD_ROWS, clock=spec.clock))
@@ -202,20 +208,6 @@ def one_ahead(parts: Iterator[T]) -> Iterator[T]:
         while (part := ahead.result()) is not None:
             ahead = beside.submit(next, parts, None)
             yield part
-
-
-# -------------------- what is checked when a log is opened --------------------
-
-
-def _check_columns(source: LogSource, spec: LogSpec) -> None:
-    names = source.names
-    for column in spec.columns:
-        if column not in names:
-            hint = did_you_mean(column, names, alike=0.5)
-            shown = ", ".join(names[:12]) + (", …" if len(names) > 12 else "")
-            raise LogError(f"{source.path}: expected a column '{column}', found {shown[:200]}{hint}")
-        if names.count(column) > 1:
-            raise LogError(f"{source.path}: expected one column '{column}', found {names.count(column)}; rename one")
 
 
 def _grid(source: LogSource, spec: LogSpec, head: Array) -> Grid:

@@ -18,6 +18,7 @@ from tumble.recording.text.pieces import SMALL_BYTES, largest_unpacked
 
 _MOST_FILES = 200
 _PIECE_BYTES = 1 << 20
+_HIDDEN = re.compile(r"(^|/)(\.(?!/)|__MACOSX)")
 _NO_LOGS = (".toml", ".json", ".md", ".pdf", ".png", ".jpg", ".html", ".zip")
 
 DAMAGED = (zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, EOFError, zlib.error, lzma.LZMAError)
@@ -42,7 +43,8 @@ def unzipped(archive: Path, folder: OutputFolder) -> list[Path]:
     files: list[Path] = []
     try:
         with zipfile.ZipFile(archive) as opened:
-            members = [m for m in opened.infolist() if not m.is_dir() and _may_be_log(PurePosixPath(m.filename))]
+            members = [m for m in opened.infolist() if not m.is_dir() and _HIDDEN.search(m.filename) is None]
+            members = [m for m in members if PurePosixPath(m.filename).suffix.lower() not in _NO_LOGS]
             if not 0 < len(members) <= _MOST_FILES or sum(m.file_size for m in members) > limit:
                 raise InputError(
                     f"{archive}: expected 1 to {_MOST_FILES} files of at most {limit / 1e6:.3g} MB together, found "
@@ -57,11 +59,6 @@ def unzipped(archive: Path, folder: OutputFolder) -> list[Path]:
         said = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{archive}: expected a sound archive, found: {said[:200]}") from None
     return files
-
-
-def _may_be_log(name: PurePosixPath) -> bool:
-    hidden = any(part.startswith((".", "__MACOSX")) for part in name.parts)
-    return not hidden and name.suffix.lower() not in _NO_LOGS
 
 
 def sheets_of(workbook: Path, folder: OutputFolder) -> list[Path]:

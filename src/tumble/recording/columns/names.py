@@ -77,20 +77,24 @@ def columns_by_name(names: Iterable[str]) -> Columns:
     """What the columns of a table are."""
     names = list(names)
     warm = {name: place for name in names if (place := thermometer(_split(name)[0])) is not None}
-    triads: dict[str, Sensors] = {}
-    others: list[str] = []
-    stems = _stems(name for name in names if name not in warm)
+    stems: dict[tuple[str, str], dict[str, str]] = {}  # columns by kind and name without the axis, and then by axis
+    for name in names:
+        words, unit = _split(name)
+        for axis, stem in (_axes(words) or _alone(words)) if name not in warm else ():
+            if (kind_told := sensor_kind(stem, unit)) is not None:
+                stems.setdefault((kind_told, stem), {}).setdefault(axis, name)
+                break
 
     def doubt(stem: tuple[tuple[str, str], Mapping[str, str]]) -> float:
         (kind, name), axes = stem
         return -score(kind, name, _split(next(iter(axes.values())))[1])
 
+    triads: dict[str, Sensors] = {}
+    others: list[str] = []
     for (kind, stem), axes in sorted(stems.items(), key=doubt):
-        if set(axes) != set("xyz"):
-            continue
-        if kind in triads:
+        if set(axes) == set("xyz") and kind in triads:
             others.append(stem)
-        else:
+        elif set(axes) == set("xyz"):
             triads[kind] = _triad(kind, [axes[axis] for axis in "xyz"])
     for kind in (ACCEL, GYRO):
         along = [next((n for n in names if score(kind, _direction_first(n), axis=axis)), None) for axis in "xyz"]
@@ -177,19 +181,6 @@ def in_order(names: Sequence[str]) -> tuple[str, str, str]:
         names = [of_axis[axis] for axis in "xyz"]
     x, y, z = names
     return x, y, z
-
-
-def _stems(names: Iterable[str]) -> dict[tuple[str, str], dict[str, str]]:
-    """Columns by kind and name without the axis, and then by axis."""
-    found: dict[tuple[str, str], dict[str, str]] = {}
-    for name in names:
-        words, unit = _split(name)
-        for axis, stem in _axes(words) or _alone(words):
-            kind = sensor_kind(stem, unit)
-            if kind is not None:
-                found.setdefault((kind, stem), {}).setdefault(axis, name)
-                break
-    return found
 
 
 def _direction_first(name: str) -> str:

@@ -98,63 +98,54 @@ def columns_by_data(names: Sequence[str], read: Array) -> ToldColumns:
     if not len(read):
         return ToldColumns(columns=Columns(time=None, time_unit=None, triads={}))
     growing = [j for j in range(len(names)) if grows(read[:, j])]
-    read_at_all = [j for j in range(len(names)) if j not in growing and np.isfinite(read[:, j]).mean() > 0.5]
-    attitudes = _attitudes(read, read_at_all)
-    numbers = [j for j in read_at_all if j not in attitudes and _is_sensor(read[:, j])]
-    runs = [(j, j + 1, j + 2) for j in numbers if j + 1 in numbers and j + 2 in numbers]
-    runs = [run for run in runs if _are_one_sensor([names[j] for j in run])]
-    enough = bool(runs) and len(read) >= _FEWEST_ROWS
-    ranked = _hypotheses(read, runs, numbers, fused=bool(attitudes)) if enough else []
-    best = {ACCEL: ranked[0].accel, GYRO: ranked[0].gyro} if ranked else {}
-    return ToldColumns(
-        columns=Columns(
-            time=time_by_data(names, read) or (names[growing[0]] if growing else None),
-            time_unit=None,
-            triads={
-                kind: Sensors(columns=in_order([names[j] for j in run]), unit=None)
-                for kind, run in best.items()
-                if run is not None
-            },
-        ),
-        rivals=_weighed(names, ranked) if ranked else "",
-    )
-
-
-def _weighed(names: Sequence[str], ranked: Sequence[_Hypothesis]) -> str:
-    """The next hypotheses after the best, of the same accelerometers, of others and of none, in words."""
-    best = ranked[0]
-    rivals = (next((h for h in ranked[1:] if (h.accel == best.accel) == same), None) for same in (True, False))
+    time = time_by_data(names, read) or (names[growing[0]] if growing else None)
+    ranked = _hypotheses(names, read, [j for j in range(len(names)) if j not in growing])
+    if not ranked:
+        return ToldColumns(columns=Columns(time=time, time_unit=None, triads={}))
+    best, *others = ranked
+    triads = {
+        kind: Sensors(columns=in_order([names[j] for j in run]), unit=None)
+        for kind, run in ((ACCEL, best.accel), (GYRO, best.gyro))
+        if run is not None
+    }
+    # the next hypotheses after the best, of the same accelerometers, of others and of none
+    rivals = (next((h for h in others if (h.accel == best.accel) == same), None) for same in (True, False))
     further = [(rival.cost - best.cost, rival.said(names)) for rival in rivals if rival is not None]
     further.append((_LIMIT - best.of_accel, "no accelerometers at all"))
     listed = ", ".join(f"{said} (cost +{cost:.1f})" for cost, said in sorted(further))
     doubt = "; too near to be sure: state --accel, --gyro" if min(further)[0] < _APART else ""
-    return f"columns: next would be {listed}; +{_APART:g} is 20 times less likely{doubt}"
+    return ToldColumns(
+        columns=Columns(time=time, time_unit=None, triads=triads),
+        rivals=f"columns: next would be {listed}; +{_APART:g} is 20 times less likely{doubt}",
+    )
 
 
-def _hypotheses(read: Array, runs: Sequence[Run], numbers: Sequence[int], *, fused: bool) -> list[_Hypothesis]:
-    """All hypotheses, the cheapest first. Beside what a filter has `fused`, accelerometers are in a unit or counts of
+def _hypotheses(names: Sequence[str], read: Array, columns: Sequence[int]) -> list[_Hypothesis]:
+    """All hypotheses, the cheapest first. Beside what a filter has fused, accelerometers are in a unit or counts of
     data sheets."""
-    quiet = _quiet(read[:, numbers])
-    if not quiet.any():
+    filled = [j for j in columns if np.isfinite(read[:, j]).mean() > 0.5]
+    attitudes = _attitudes(read, filled)
+    numbers = [j for j in filled if j not in attitudes and _is_sensor(read[:, j])]
+    runs = [(j, j + 1, j + 2) for j in numbers if j + 1 in numbers and j + 2 in numbers]
+    runs = [run for run in runs if _are_one_sensor([names[j] for j in run])]
+    if not runs or len(read) < _FEWEST_ROWS or not (quiet := _quiet(read[:, numbers])).any():
         return []
     noise = {run: _unlike_noise(read[:, run], quiet) for run in runs}
     # where columns side by side are counted in threes, three are some of two threes
     first = {j: next(k for k in range(j, -1, -1) if k - 1 not in numbers) for j in numbers}
     amid = {run: _AMID * ((run[0] - first[run[0]]) % len(run) != 0) for run in runs}
-    accels = {run: _cost_of_accelerometers(read[:, run], quiet, fused=fused) + noise[run] + amid[run] for run in runs}
-    found = [_Hypothesis(cost=cost, of_accel=cost, accel=run, gyro=None) for run, cost in accels.items()]
-    for accel, cost in accels.items():
-        if cost > _CARRIED + _LIMIT:
-            continue
-        for gyro in runs:
+    found: list[_Hypothesis] = []
+    for accel in runs:
+        cost = _cost_of_accelerometers(read[:, accel], quiet, fused=bool(attitudes)) + noise[accel] + amid[accel]
+        found.append(_Hypothesis(cost=cost, of_accel=cost, accel=accel, gyro=None))
+        for gyro in runs if cost <= _CARRIED + _LIMIT else ():
             if not set(gyro) & set(accel):
                 carried = _cost_of_turns(read[:, gyro], read[:, accel], quiet)
                 place = 0.1 * abs(gyro[0] - accel[0]) + 0.5 * (gyro[0] < accel[0])
                 beside = carried + _unsteady(read[:, gyro], quiet) + noise[gyro] + amid[gyro] + place - _LIMIT
                 of_accel = cost + min(carried, 0.0)
                 found.append(_Hypothesis(cost=cost + beside, of_accel=of_accel, accel=accel, gyro=gyro))
-    found = [h for h in found if h.of_accel <= _LIMIT]
-    return sorted(found, key=lambda h: h.cost)
+    return sorted((h for h in found if h.of_accel <= _LIMIT), key=lambda h: h.cost)
 
 
 def _cost_of_accelerometers(columns: Array, quiet: BoolArray, *, fused: bool) -> float:

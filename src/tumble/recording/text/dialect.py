@@ -146,11 +146,22 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
     return Top(names=names, lines=first, remarks=tuple(filter(None, remarks)))
 
 
+def _names(cells: Sequence[str], rows: Sequence[Sequence[str]], dialect: Dialect) -> tuple[str, ...] | None:
+    """The names in a line, as many as the rows below have columns; None where it has none."""
+    names = names_of_rows([cell.strip().strip('"') for cell in cells], rows)
+    if len(names) != len(rows[0]) or not names[1] or sum(map(bool, names)) < _LEAST_NUMBERS:
+        return None
+    return None if sum(map(dialect.is_number, names)) > len(names) // 2 else names
+
+
 def _grouped(names: tuple[str, ...], above: Sequence[str]) -> tuple[str, ...] | None:
     """Names of which some come again, x, y, z, x, y, z, with what stands above them, over the first of each group; None
     where that does not tell them apart."""
-    plain = [_plain(name) for name in names]
-    again = [bool(name) and plain.count(name) > 1 for name in plain]
+
+    def plain(names: Sequence[str]) -> list[str]:
+        return [re.sub(r"\s*[\[(].*", "", name).lower() for name in names]  # without units
+
+    again = [bool(name) and plain(names).count(name) > 1 for name in plain(names)]
     if not any(again) or len(above) != len(names):
         return None
     group, found = "", []
@@ -160,21 +171,8 @@ def _grouped(names: tuple[str, ...], above: Sequence[str]) -> tuple[str, ...] | 
             found.append(f"{group} {name}".strip())
         else:
             found.append(f"{own} [{_bare(name)}]" if own and name and _are_units([name]) else name or own)
-    every = [_plain(name) for name in found if name]
+    every = plain([name for name in found if name])
     return tuple(found) if len(set(every)) == len(every) else None
-
-
-def _plain(name: str) -> str:
-    """A name without its unit."""
-    return re.sub(r"\s*[\[(].*", "", name).lower()
-
-
-def _names(cells: Sequence[str], rows: Sequence[Sequence[str]], dialect: Dialect) -> tuple[str, ...] | None:
-    """The names in a line, as many as the rows below have columns; None where it has none."""
-    names = names_of_rows([cell.strip().strip('"') for cell in cells], rows)
-    if len(names) != len(rows[0]) or not names[1] or sum(map(bool, names)) < _LEAST_NUMBERS:
-        return None
-    return None if sum(map(dialect.is_number, names)) > len(names) // 2 else names
 
 
 def names_of_rows(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
