@@ -18,6 +18,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatch
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -79,8 +80,14 @@ class Part:
         return self.recording if self.fold is None else f"{self.recording}, fold {self.fold + 1}, {role}"
 
     def __call__(self) -> Case:
-        whole = next(case for case in cases(self.source) if case.name == self.recording)
+        whole = recording_of(self.source, self.recording)
         return whole if self.fold is None else replace(folds(whole)[self.fold][self.held], name=self.name)
+
+
+@lru_cache(maxsize=4)
+def recording_of(source: str, name: str) -> Case:
+    """The recording of a name, read once for what is fitted to it and predicted of it."""
+    return next(case for case in cases(source) if case.name == name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,17 +191,18 @@ def pairs_of(real: Mapping[Part, Case]) -> list[tuple[Part, Part]]:
     return pairs
 
 
-def entries_of(parts: Iterable[Part], pairs: Iterable[tuple[Part, Part]]) -> list[Entry]:
+def entries_of(whole: Mapping[Part, Case], pairs: Iterable[tuple[Part, Part]]) -> list[Entry]:
     """All that is to be fitted, each with what it is to predict."""
     scores = digest_of(FOLDER / "real" / "scores.py", FOLDER / "peers" / "rests.py")
-    unseen: dict[Part, list[Part]] = {part: [] for part in parts}
+    keys = {part: key_of(case) for part, case in whole.items()}
+    unseen: dict[Part, list[Part]] = {part: [] for part in whole}
     for fitted, held in pairs:
         unseen.setdefault(fitted, []).append(held)
     return [
         Entry(
             name=part.name,
             kind=part.source,
-            key=" ".join((scores, *(key_of(one()) for one in (part, *held)))),
+            key=" ".join((scores, *(keys.get(one) or key_of(one()) for one in (part, *held)))),
             make=part,
             tell=Predicts(tuple(held)),
         )

@@ -142,7 +142,7 @@ def test_what_is_fitted_and_held_out_is_made_anew_by_its_name(monkeypatch: pytes
         assert (fitted().name, held().name) == (fitted.name, held.name)
         np.testing.assert_array_equal(fitted().time, to_fit.time)
         np.testing.assert_array_equal(held().time, unseen.time)
-    entries = run.entries_of([whole], pairs)
+    entries = run.entries_of({whole: case}, pairs)
     assert [entry.name for entry in entries] == ["turned", *(fitted.name for fitted, _ in pairs)]
     assert len({entry.key for entry in entries}) == 3
 
