@@ -283,12 +283,17 @@ def ratio_table(results: Results, kinds: Sequence[Kind]) -> str:
 
 def useless_table(results: Results, kinds: Sequence[Kind]) -> str:
     """Of recordings that should not be used as they are, a line for each program."""
-    bad = {kind.name for kind in kinds if kind.expected in ("refuse", "name the cause")}
-    lines = []
+    expected, lines = {kind.name: kind.expected for kind in kinds}, []
     for program, rows in by(results.rows, "program").items():
-        able = [row for row in rows if row.kind in bad and row.verdict != "cannot run"]
+        able = useless(rows, expected)
         lines.append([program, f"{len(able)}", f"{sum(row.verdict == 'accepted' for row in able)}"])
     return table(["program", "N", "calibrated without a word"], lines)
+
+
+def useless(rows: Sequence[Row], expected: Mapping[str, str]) -> list[Row]:
+    """Those of recordings that should not be used as they are, and that the program can run."""
+    bad = ("refuse", "name the cause")
+    return [row for row in rows if expected.get(row.kind) in bad and row.verdict != "cannot run"]
 
 
 # -------------------- pictures --------------------
@@ -437,8 +442,9 @@ def table_of(name: str, results: Mapping[str, Results]) -> str:
 
 
 def figure(name: str, results: Mapping[str, Results]) -> str:
-    """A figure by its name: set | program | kind or all | score, or set | made | what is said of the run; of a study
-    study | figures or made | which."""
+    """A figure by its name: set | program | kind or all | score; set | over joint | program | group, errors over those
+    of the default method; set | useless | program, how many recordings of no use it calibrates without a word; set |
+    made | what is said of the run; of a study study | figures or made | which."""
     of_set, *keys = (word.strip() for word in name.split("|"))
     if of_set == "real":
         from evidence.real.page import real_figure
@@ -451,6 +457,17 @@ def figure(name: str, results: Mapping[str, Results]) -> str:
     if keys[0] == "made":
         value = results[of_set].made[keys[1]]
         return f"{value[:12]}" if keys[1] == "commit" else f"{value}"
+    rows, expected = results[of_set].rows, {kind.name: kind.expected for kind in KINDS}
+    if keys[0] == "over joint":
+        good = [row for row in rows if expected[row.kind] == GOOD]
+        of = {name: {row.case: row for row in good if row.program == name} for name in (OURS, keys[1])}
+        ratio = over_ours(of[keys[1]], of[OURS], keys[2])
+        if ratio is None:
+            raise KeyError(name)
+        return f"{number(ratio[0])} ± {number(ratio[0] * ratio[1])}"
+    if keys[0] == "useless":
+        bad = useless([row for row in rows if row.program == keys[1]], expected)
+        return f"{sum(row.verdict == 'accepted' for row in bad)} of {len(bad)}"
     value = results[of_set].scores()
     for key in keys:
         value = value[key]
@@ -490,7 +507,7 @@ def all_programs(results: Mapping[str, Results]) -> str:
     for program, rows in rows_of.items():
         able = [row for row in rows if row.verdict != "cannot run"]
         good = [row for row in able if expected[row.kind] == GOOD]
-        useless = [row for row in able if expected[row.kind] in ("refuse", "name the cause")]
+        bad = useless(rows, expected)
         score, cells = score_of(good), []
         for what, way in ways:
             try:
@@ -501,7 +518,7 @@ def all_programs(results: Mapping[str, Results]) -> str:
         lines.append([
             program, f"{usable} of {len(good)}", number(score.rms), share(score.covered),
             f"{silent}" if score.rms is not None else "–",
-            f"{sum(row.verdict == 'accepted' for row in useless)} of {len(useless)}", *cells,
+            f"{sum(row.verdict == 'accepted' for row in bad)} of {len(bad)}", *cells,
         ])  # fmt: skip
     head = ["program", "good ones calibrated", "rms of error/u", "covered", "silently wrong", "useless ones calibrated",
             "rests of the next session", "rests held out", "turns of the next session", "turns held out"]  # fmt: skip

@@ -90,15 +90,17 @@ def predicted(results: Mapping[str, Any], score: str, unit: float) -> tuple[str,
 
 
 def real_figure(keys: Sequence[str]) -> str:
-    """A figure of the results by its name: recordings, sources, or made | what; repeated | program | group | deviation
-    or over_u; or the score, a program, what is predicted (session, quarter, row) and median or ratio. Raises KeyError
-    where there is none."""
+    """A figure of the results by its name: recordings, sources, refused, or made | what; repeated | program | group |
+    deviation or over_u; or the score, a program, what is predicted (session, quarter, row) and median or ratio. Raises
+    KeyError where there is none."""
     results = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
     match list(keys):
         case ["recordings"]:
             return f"{sum(one['recordings'] for one in results['recordings'])}"
         case ["sources"]:
             return f"{len(results['recordings'])}"
+        case ["refused"]:
+            return f"{sum('accelerometers' in line for line in refused(results))}"
         case ["made", what]:
             value = f"{results['made'][what]}"
             return value[:12] if what == "commit" else value

@@ -192,6 +192,12 @@ def test_a_figure_is_put_where_its_name_is_and_one_that_no_result_has_is_refused
     assert f"-->{3 * len(KINDS)}<!-- end -->" in out
     assert "-->100.0 %<!-- end -->" in out
     assert with_figures(out, {"simulated": made_up}) == out
+    results = {"simulated": made_up}
+    assert figure("simulated | over joint | imu_tk | accel.bias", results) == "1.00 ± 0.00"
+    bad = sum(kind.expected in ("refuse", "name the cause") for kind in KINDS)
+    assert figure("simulated | useless | imu_tk", results) == f"{3 * bad} of {3 * bad}"
+    with pytest.raises(KeyError):
+        figure("simulated | over joint | imu_tk | gyro.axis", results)
     with pytest.raises(KeyError):
         figure("simulated | tumble joint | no such kind | rms", {"simulated": made_up})
     with pytest.raises(KeyError):

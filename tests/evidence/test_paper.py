@@ -27,8 +27,23 @@ def test_the_head_has_what_the_journal_asks_for() -> None:
 def test_it_has_the_length_and_the_sections_that_the_journal_asks_for() -> None:
     body = re.sub(r"<!--.*?-->", "", TEXT.split("---", 2)[2], flags=re.S)
     assert 750 <= len(body.split()) <= 1750
-    for section in ("Summary", "Statement of need", "Evidence", "Limits", "References"):
-        assert f"\n# {section}\n" in TEXT
+    sections = dict(re.findall(r"^# (.+)\n((?:(?!^# ).*\n?)*)", body, re.M))
+    assert {"Summary", "Statement of need", "Evidence", "Limits", "Software design", "References"} <= set(sections)
+    assert 100 <= len(sections["Summary"].split()) <= 250
+    assert not re.findall(r"^#{2,}", body, re.M)
+
+
+def test_every_picture_is_there() -> None:
+    for path in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", TEXT):
+        assert (PAPER.parent / path).exists(), path
+
+
+def test_every_number_of_the_evidence_is_of_a_result_or_counts_what_a_test_counts() -> None:
+    """Digits in the section that are put there by no result file: only those of names and published digits, which
+    tests/evidence/test_peers.py compares."""
+    evidence = TEXT.split("\n# Evidence\n")[1].split("\n# ")[0]
+    by_hand = re.sub(r"<!-- figure: .*?<!-- end -->|\[@\w+\]|!\[[^\]]*\]\([^)]*\)", "", evidence, flags=re.S)
+    assert set(re.findall(r"\d[\d.]*", by_hand)) <= {"0.035", "0.02", "1", "4", "95"}
 
 
 def test_all_that_is_cited_is_in_the_bibliography_and_the_reverse() -> None:
