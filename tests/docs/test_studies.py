@@ -29,6 +29,7 @@ ANSWERS = {
     "cube_accessories.py": "The plate biases and scale factors; a wedge, a vee or a nest the angles",
     "damaged_inputs.py": "Does a damaged input end otherwise than it should? No.",
     "departures.py": "accepted without a word? Only what no turn of the session shows.",
+    "ellipsoid_sizes.py": "Is u of the ellipsoid method honest where rests show how large groups are? Yes",
     "faults.py": "Does a fault of the machine end otherwise than it should? No.",
     "device_types.py": "Is a type of three units or more an honest prior? Yes",
     "field_check.py": "Does a check find these changes in 90 %, and in 1 % one that is none? Yes",
