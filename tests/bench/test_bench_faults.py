@@ -24,8 +24,7 @@ from tests.support import ROOT
 from tests.support.bench_driver import SITE, TOKEN, Bench, served
 from tests.support.browser import eventually
 from tumble.bench import results
-from tumble.bench.opening import station_of
-from tumble.bench.station import Station
+from tumble.bench.station import Station, station_of
 from tumble.bench.web import connections, serve, server
 from tumble.bench.web.access import Access, lasting_token
 from tumble.errors import CalibrationError, InputError

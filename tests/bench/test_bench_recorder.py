@@ -34,7 +34,6 @@ from tumble.bench.session_folder import (
     in_si,
     leave_out,
     session_to_record,
-    take_back,
 )
 from tumble.errors import InputError
 from tumble.recording.session import Exclusion
@@ -578,7 +577,7 @@ def test_what_is_left_out_is_added_to_a_file_that_stays_as_it_is(folder: Path) -
     leave_out(folder, Exclusion(rest=3, reason="<script>"))
     assert read_session(folder).excluded == (longer, Exclusion(rest=3, reason="<script>"))
     assert path.read_text().startswith(before.rstrip("\n"))
-    take_back(folder, Exclusion(rest=3, reason="<script>"))
+    leave_out(folder, None, instead_of=Exclusion(rest=3, reason="<script>"))
     assert read_session(folder).excluded == (longer,)
 
 

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 from tests.support.bench_driver import SITE, TOKEN, Bench, served
 from tests.support.browser import Browser, chromium, eventually, inaccessible
-from tumble.bench.opening import stations_of
+from tumble.bench.station import stations_of
 from tumble.bench.web.server import listed
 from tumble.cli import main
 from tumble.errors import InputError

@@ -14,9 +14,8 @@ from tests.support.bench_driver import SITE, Bench
 from tests.support.browser import eventually
 from tumble.bench.follow.faults import SampleWatch
 from tumble.bench.follow.wishes import wishes
-from tumble.bench.opening import station_of
 from tumble.bench.record.sources import source_of
-from tumble.bench.station import Station
+from tumble.bench.station import Station, station_of
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.log import open_log

@@ -45,8 +45,9 @@ def flights(made: Calibration, name: str, at: list[int], rng: np.random.Generato
     """Errors (N, T, 9) of attitude, velocity and position, N, U, E, after so many steps: readings of a device
     with drawn parameters, noise and in-run biases, corrected by its calibration and integrated by pyins."""
     import pandas as pd
+    from pyins._numba_integrate import integrate  # of its Integrator, whose tables take most of the time
     from pyins.sim import generate_imu
-    from pyins.strapdown import Integrator, compute_increments_from_imu
+    from pyins.strapdown import compute_increments_from_imu
     from pyins.transform import compute_lla_difference, mat_from_rph, mat_to_rph
     from pyins.util import ACCEL_COLS, GYRO_COLS, LLA_COLS, RPH_COLS, VEL_COLS
 
@@ -65,6 +66,11 @@ def flights(made: Calibration, name: str, at: list[int], rng: np.random.Generato
     values = np.array([made[each].value if each in made else 0.0 for each in instrument.names])
     _, noise, _ = noise_of(made, "mems")
     root = np.linalg.cholesky(covariance + 1e-30 * np.eye(len(usual)))
+    lla, velocity, attitude = (true[columns].to_numpy() for columns in (LLA_COLS, VEL_COLS, RPH_COLS))
+    of_truth, (places, speeds, mat_nb) = (
+        mat_from_rph(attitude[at]),
+        (lla.copy(), velocity.copy(), mat_from_rph(attitude)),
+    )
     out = np.empty((FLIGHTS[name], len(at), 9))
     for each in out:
         K = instrument.all_coefficients(values + root @ rng.standard_normal(len(values)))
@@ -78,13 +84,12 @@ def flights(made: Calibration, name: str, at: list[int], rng: np.random.Generato
         corrected = known.force(read[0])
         both = np.hstack([known.rate(read[1], corrected), corrected]) * STEP
         frame = pd.DataFrame(both, index=imu.index, columns=GYRO_COLS + ACCEL_COLS)
-        integrator = Integrator(true.iloc[0])
-        integrator.integrate(compute_increments_from_imu(frame, "increment"))
-        said, truth = integrator.trajectory.iloc[at], true.iloc[at]
-        turned = mat_from_rph(said[RPH_COLS]) @ np.swapaxes(mat_from_rph(truth[RPH_COLS]), 1, 2)
-        each[:, :3] = rotation_vector(turned) @ NED
-        each[:, 3:6] = (said[VEL_COLS].to_numpy() - truth[VEL_COLS].to_numpy()) @ NED
-        each[:, 6:] = compute_lla_difference(said[LLA_COLS].to_numpy(), truth[LLA_COLS].to_numpy()) @ NED
+        dt, theta, dv = np.split(compute_increments_from_imu(frame, "increment").to_numpy(), [1, 4], axis=1)
+        turned_by, moved_by = np.ascontiguousarray(theta), np.ascontiguousarray(dv)
+        integrate(dt[:, 0].copy(), places, speeds, mat_nb, turned_by, moved_by, 0, with_altitude=True)
+        each[:, :3] = rotation_vector(mat_nb[at] @ np.swapaxes(of_truth, 1, 2)) @ NED
+        each[:, 3:6] = (speeds - velocity)[at] @ NED
+        each[:, 6:] = compute_lla_difference(places[at], lla[at]) @ NED
     return out
 
 

@@ -75,7 +75,7 @@ class Answers:
         if not self._added:
             return "nothing was left out here"
         one = self._added.pop()
-        session_folder.take_back(self._folder, one)
+        session_folder.leave_out(self._folder, None, instead_of=one)
         self._open = None if self._open == one else self._open
         return "taken back"
 

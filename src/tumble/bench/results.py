@@ -31,9 +31,9 @@ def shown(calibration: Calibration) -> dict[str, Any]:
 
     units, rows = shown_units(calibration.parameters), []
     for each in calibration.parameters:
-        (size, unit), u = units[each.name], each.u or 0.0
-        value, last = rounded(each.value / size, u / size)
-        row = {"name": each.name, "group": group_name(each.name), "value": value, "u": last, "unit": unit}
+        size, unit = units[each.name]
+        value, u = rounded(each.value / size, (each.u or 0.0) / size)
+        row = {"name": each.name, "group": group_name(each.name), "value": value, "u": u, "unit": unit}
         rows.append(row | {"size": size, "u_si": each.u})
     return {
         "accepted": calibration.outcome.accepted,

@@ -12,7 +12,7 @@ import numpy as np
 from tumble.bench.follow.faults import Fault
 from tumble.bench.follow.rests import SHORTEST_REST, Blocks, Progress, attitude_now, nearest_positions, verticals
 from tumble.bench.follow.wishes import Task
-from tumble.bench.state import Answer, EstimateShown, PositionShown, Screen, State, Trace
+from tumble.bench.state import Answer, EstimateShown, PositionShown, RestShown, Screen, State, Trace
 from tumble.programme.positions import ANY_MOVE
 from tumble.programme.sheet_pictures import ghost
 from tumble.programme.sheet_words import move_text, points_of, signed_angle
@@ -40,56 +40,69 @@ def screen(
     task: Task, progress: Progress, fault: Fault | None, estimate: EstimateShown | None, *, go_on: bool
 ) -> Screen:
     """The screen, and what every screen shows. `go_on`: although all that is wanted is reached."""
-    blocks, taken, current = progress.blocks, len(progress.groups), progress.current
-    complete = task.positions is not None and taken >= task.positions
+    blocks, groups, current = progress.blocks, progress.groups, progress.current
+    complete = task.positions is not None and len(groups) >= task.positions
     shown: Screen
     if fault is not None:
         shown = {"screen": "fault", "headline": "Not good", **_where(task, progress, fault.place)}
         shown["fault"] = asdict(fault)
-    elif not taken:
+    elif not groups:
         shown = {"screen": "waiting", "headline": "Waiting for rest", **_where(task, progress)}
     elif current is not None and not progress.judged[-1].enough:
         shown = _at_rest(task, progress)
     elif complete or (current is not None and estimate is not None and estimate["enough"] and not go_on):
-        shown = _done(task, taken, estimate, complete=complete)
+        shown = _done(task, len(groups), estimate, complete=complete)
     else:
         shown = _turn(task, progress)
-    limit = math.inf if progress.limits is None else progress.limits.scatter
+
+    # the time, s, that the positions of the programme still take. One takes the rest and the move that the programme
+    # allows for or, as soon as they outvote that, what those before took: the median of all, of the first rest, which
+    # may be a warm-up, no more than is allowed for. What goes beyond that now shortens nothing
+    to_go = None
+    if task.positions is not None and groups:
+        rest = max(task.wanted.rest, SHORTEST_REST)
+        begun = [group[0].start for group in groups]
+        begun[0] = max(begun[0], groups[0][-1].stop - rest)
+        each = float(np.median([rest + MOVE, *np.diff(begun)]))
+        further, since = max(0, task.positions - len(groups)), progress.now - groups[-1][0].start
+        to_go = max(0.0, each - since) + (further - 1) * each + rest if further else max(0.0, rest - since)
     always: Screen = {
         "seconds": progress.now,
-        "scatter": {"now": float(np.sqrt(blocks.force[-10:].var(axis=0).sum())), "limit": limit},
+        "scatter": {
+            "now": float(np.sqrt(blocks.force[-10:].var(axis=0).sum())),
+            "limit": math.inf if progress.limits is None else progress.limits.scatter,
+        },
         "sphere": {
-            "taken": [group[-1].vertical.tolist() for group in progress.groups],
+            "taken": [group[-1].vertical.tolist() for group in groups],
             "gains": None if estimate is None else estimate["gains"],
         },
         "temperature": None if blocks.temperature is None else float(blocks.temperature[-10:].mean() - ZERO_CELSIUS),
-        "to_go": _to_go(task, progress),
+        "to_go": to_go,
         "fault": None,
     }
     return always | shown
-
-
-def _to_go(task: Task, progress: Progress) -> float | None:
-    """The time, s, that the positions of the programme still take. One takes the rest and the move that the programme
-    allows for or, as soon as they outvote that, what those before took: the median of all, of the first rest, which may
-    be a warm-up, no more than is allowed for. What goes beyond that now shortens nothing."""
-    groups = progress.groups
-    if task.positions is None or not groups:
-        return None
-    rest = max(task.wanted.rest, SHORTEST_REST)
-    begun = [group[0].start for group in groups]
-    begun[0] = max(begun[0], groups[0][-1].stop - rest)
-    each = float(np.median([rest + MOVE, *np.diff(begun)]))
-    further = max(0, task.positions - len(groups))
-    since = progress.now - groups[-1][0].start
-    return max(0.0, each - since) + (further - 1) * each + rest if further else max(0.0, rest - since)
 
 
 def _where(task: Task, progress: Progress, place: int | None = None) -> Screen:
     """Which position the unit is in, or is to be in: that of this place in the course, from 0, or the present one."""
     at = len(progress.groups) - (1 if progress.lasts else 0) if place is None else place
     index = _index(task, progress, at)
-    return {"rest": {"number": at + 1, "of": task.positions}, "position": _position(task, progress, index, at)}
+    rest: RestShown = {"number": at + 1, "of": task.positions}
+    if task.programme is None or index is None:
+        return {"rest": rest, "position": None}
+    position, move = task.programme.positions[index], task.move(index) if at else ANY_MOVE
+    x, y, z = points_of(position)
+    attitude = attitude_now(task.programme, progress, index, at)
+    shown: PositionShown = {
+        "number": index + 1,
+        "label": position.label,
+        "points": {"X": x, "Y": y, "Z": z},
+        "move": move_text(move),
+        "angle": None if move.angle is None else signed_angle(move.angle),
+        "picture": f"picture/{index}.svg?{hashlib.sha256(position.attitude.encode()).hexdigest()[:8]}",
+        "ghost": None if attitude is None else ghost(attitude),
+    }
+    return {"rest": rest, "position": shown}
 
 
 def _index(task: Task, progress: Progress, at: int) -> int | None:
@@ -103,24 +116,6 @@ def _index(task: Task, progress: Progress, at: int) -> int | None:
     if rests:
         seen = nearest_positions(programme, verticals(rests, programme, task.session.site.gravity))
     return seen[at] if at < len(seen) else next((k for k in range(len(programme.positions)) if k not in seen), None)
-
-
-def _position(task: Task, progress: Progress, index: int | None, at: int) -> PositionShown | None:
-    if task.programme is None or index is None:
-        return None
-    position = task.programme.positions[index]
-    move = task.move(index) if at else ANY_MOVE
-    x, y, z = points_of(position)
-    attitude = attitude_now(task.programme, progress, index, at)
-    return {
-        "number": index + 1,
-        "label": position.label,
-        "points": {"X": x, "Y": y, "Z": z},
-        "move": move_text(move),
-        "angle": None if move.angle is None else signed_angle(move.angle),
-        "picture": f"picture/{index}.svg?{hashlib.sha256(position.attitude.encode()).hexdigest()[:8]}",
-        "ghost": None if attitude is None else ghost(attitude),
-    }
 
 
 def _at_rest(task: Task, progress: Progress) -> Screen:
@@ -157,18 +152,13 @@ def _turn(task: Task, progress: Progress) -> Screen:
         arrived = abs(done - angle) < NEARLY if angle is not None else done > 2.0 * NEARLY
     label = "to any new position" if index is None else f"to position {index + 1}"
     full = None if task.session.log.gyro is None else task.session.log.gyro.range
+    degrees = [None if value is None else value / DEGREE for value in (done, angle, rate, full)]
     return {
         "screen": "turn",
         "headline": "Hold still: the unit is not yet at rest" if arrived else f"Turn now {label}",
-        "rest": {"number": at + 1, "of": task.positions},
-        "position": _position(task, progress, index, at),
+        **_where(task, progress, at),
         "early": "" if progress.judged[-1].enough else f"rest {at} was left before the wanted u",
-        "turn": {
-            "done": None if done is None else done / DEGREE,
-            "angle": None if angle is None else angle / DEGREE,
-            "rate": None if rate is None else rate / DEGREE,
-            "full_scale": None if full is None else full / DEGREE,
-        },
+        "turn": {"done": degrees[0], "angle": degrees[1], "rate": degrees[2], "full_scale": degrees[3]},
     }
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Mapping
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +66,8 @@ def begin_for(folder: Path, listen: str, serial: str | None, site: Mapping[str, 
             log = {key: value for key, value in content["log"].items() if key not in _DIALECT}
             write_session(folder, {**content, "log": {**log, "file": "log.csv"}})
         return
-    log = in_si()
+    motioncal = kind == "serial" and rest.endswith(":motioncal")
+    log = dict(MOTIONCAL_LOG) if motioncal else in_si()
     if kind == "simulator":
         log["gyro"] = log["gyro"] | {"range": FULL_SCALE}
         there = {"latitude_deg": LATITUDE_DEG, "gravity": GRAVITY}
@@ -83,8 +85,6 @@ def begin_for(folder: Path, listen: str, serial: str | None, site: Mapping[str, 
             f"{folder}: expected --serial (of the unit) and --latitude (of the place) for a new session, found no "
             f"{' and no '.join(missing)}"
         )
-    if kind == "serial" and rest.endswith(":motioncal"):
-        log = dict(MOTIONCAL_LOG)
     begin(folder, log=log, serial=serial, site=site, programme=programme)
 
 
@@ -113,29 +113,18 @@ def begin_next(folder: Path, serial: str) -> Path:
     content["device"] = {**content["device"], "serial": serial}
     content.pop("exclude", None)
     name = plain_name(serial)
-    number, made = 1, folder.parent / name
-    while made.exists():
-        number += 1
-        made = folder.parent / f"{name}-{number}"
+    names = chain([name], (f"{name}-{number}" for number in count(2)))
+    made = next(made for each in names if not (made := folder.parent / each).exists())
     write_session(made, content)
     return made
 
 
-def leave_out(folder: Path, one: Exclusion, instead_of: Exclusion | None = None) -> None:
-    """Add a table [[exclude]] at the end of session.toml, or put it in the place of one added before; whatever else is
-    in the file stays as it is."""
-    _rewrite(folder, "" if instead_of is None else _table(instead_of), _table(one))
-
-
-def take_back(folder: Path, one: Exclusion) -> None:
-    """Take a table [[exclude]] out of session.toml that was added to it."""
-    _rewrite(folder, _table(one), "")
-
-
-def _rewrite(folder: Path, old: str, new: str) -> None:
-    """Take a table out of session.toml and put another at its end."""
+def leave_out(folder: Path, one: Exclusion | None, instead_of: Exclusion | None = None) -> None:
+    """Add a table [[exclude]] at the end of session.toml, in the place of one that was added before or, where None,
+    take that one out; whatever else is in the file stays as it is."""
     path = folder / SESSION_FILE
-    before, _, after = text_of_document(path).rpartition(old) if old else (text_of_document(path), "", "")
+    text, old, new = text_of_document(path), *("" if each is None else _table(each) for each in (instead_of, one))
+    before, _, after = text.rpartition(old) if old else (text, "", "")
     text = f"{before}{after}".rstrip("\n") + "\n" + new
     toml_of(text, str(path))
     with whole_file(path) as temporary:

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +21,14 @@ from tumble.bench.answers import Answers
 from tumble.bench.follow.estimates import Estimates
 from tumble.bench.follow.faults import Fault, faults_of_rests
 from tumble.bench.follow.live import Live
-from tumble.bench.follow.rests import Progress
 from tumble.bench.follow.wishes import Task, Wanted
 from tumble.bench.record.intake import NOTHING_RECEIVED, Intake
-from tumble.bench.record.sources import LineSource
+from tumble.bench.record.sources import LineSource, source_of
 from tumble.bench.record.virtual_table import VirtualTable
 from tumble.bench.state import State, Trace
-from tumble.errors import TumbleError
+from tumble.errors import InputError, TumbleError
+from tumble.programme.positions import programme as built_in
+from tumble.recording.session_file import SESSION_FILE
 
 log = logging.getLogger(__name__)
 
@@ -139,7 +141,7 @@ class Station:
         if progress is not None and progress.limits is not None:
             if progress.calm_from is None:
                 self._answers.moved(progress.now)
-            fault = self._fault(progress)
+            fault, _ = self._present_fault()
             self._estimates.ask(progress, self._answers.excluded)
             shown = screens.screen(self.task, progress, fault, self._estimates.shown, go_on=self._answers.go_on)
             wrong, taken = None if fault is None else fault.key, len(progress.groups)
@@ -176,15 +178,14 @@ class Station:
         state["answers"] = screens.answers(state)
         return state
 
-    def _fault(self, progress: Progress) -> Fault | None:
-        """The first fault that is not answered."""
-        faults = (*self._live.faults, *faults_of_rests(self.task, progress))
-        return next((fault for fault in faults if fault.key not in self._answers.answered), None)
-
     def _present_fault(self) -> tuple[Fault | None, float]:
-        """What is wrong with the log as it was read last, and the time until which it was read, s."""
+        """The first fault of the log as it was read last that is not answered, and the time until which it was read,
+        s."""
         progress = self._live.now
-        return (None, 0.0) if progress is None else (self._fault(progress), progress.now)
+        if progress is None:
+            return None, 0.0
+        faults = (*self._live.faults, *faults_of_rests(self.task, progress))
+        return next((fault for fault in faults if fault.key not in self._answers.answered), None), progress.now
 
     @property
     def _table(self) -> VirtualTable | None:
@@ -295,3 +296,59 @@ def _said_of(error: Exception, what: str) -> str:
     """What is said of an error of the program, which the log of the process has in full."""
     log.error(what, exc_info=error)
     return " ".join(f"{what} ({type(error).__name__}: {error})".split())
+
+
+# -------------------- from the words of the command line --------------------
+
+
+def stations_of(
+    folders: Sequence[Path],
+    listen: Sequence[str] = (),
+    *,
+    serials: Sequence[str] = (),
+    site: Mapping[str, Any],
+    programme: str | None = None,
+    **wishes: Any,
+) -> list[Station]:
+    """The benches of session folders: of each what stands after its --listen, and its --serial, in their order; of none
+    where another program writes the log. `wishes` are those of a `Station`. Raises InputError."""
+    for given, option in ((listen, "--listen"), (serials, "--serial")):
+        if given and len(given) != len(folders):
+            raise InputError(
+                f"{option}: expected none, or one for each of the {len(folders)} sessions, found {len(given)}"
+            )
+    resolved = [folder.resolve() for folder in folders]
+    for folder, place in zip(folders, resolved, strict=True):
+        if resolved.count(place) > 1:
+            raise InputError(
+                f"{folder}: expected every session once, found it twice; give each bench a folder of its own"
+            )
+        if not listen and not (folder / SESSION_FILE).exists():
+            raise InputError(
+                f"{folder}: expected a session folder, or --listen with what to record into it, found neither"
+            )
+    return [
+        station_of(folder, source, serial=serial, site=site, programme=programme, **wishes)
+        for folder, source, serial in zip_longest(folders, listen, serials)
+    ]
+
+
+def station_of(
+    folder: Path,
+    listen: str | None,
+    *,
+    serial: str | None = None,
+    site: Mapping[str, Any],
+    programme: str | None = None,
+    **wishes: Any,
+) -> Station:
+    """The bench of a session folder, made where it is new, and of what stands after --listen; the source is made anew
+    each time recording begins. Raises InputError."""
+    if programme is not None:
+        built_in(programme)
+    if listen is None:
+        return Station(folder, None, **wishes)
+    if not (folder / SESSION_FILE).exists():
+        session_folder.begin_for(folder, listen, serial, site, programme)
+    source = listen.removesuffix(":motioncal")
+    return Station(folder, lambda: source_of(source), **wishes)

@@ -7,7 +7,7 @@ first line names such a column a temperature, °C.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from itertools import chain, pairwise
 from pathlib import Path
 
@@ -33,48 +33,18 @@ TEMPERATURE = "temperature"
 
 class LiveSamples:
     """The samples of a source: `session` says its columns, sensors and site, or None, of a source in SI that is of a
-    calibrated device, at the calibration's site. `refused` counts lines that were no rows."""
+    calibrated device, at the calibration's site."""
 
     def __init__(self, source: LineSource, calibration: Calibration, session: Session | None = None) -> None:
-        self.source, self.refused = source, 0
-        self._before = b""
-        self.session = session if session is not None else self._in_si(calibration)
-        self._spec = self.session.log
-        self._lines = Lines(columns=self._spec.columns, clock=self._spec.time, refuse=self._refuse)
-        self._clock = Clock(spec=self._spec)
-        self._file = 0
-        self._last = -np.inf
-
-    def _refuse(self, _: bytes) -> None:
-        self.refused += 1
-
-    def _in_si(self, calibration: Calibration) -> Session:
-        """The session of a source in SI, by its first line."""
-        ended = False
-        while b"\n" not in self._before and not ended:
-            try:
-                self._before += self.source.read(READ_SECONDS)
-            except Ended:
-                ended = True
-        site = calibration.site
-        if site is None:
-            raise InputError(
-                f"{self.source.name}: expected a calibration with its site, found none; name a session with "
-                "--session, which has the latitude and the columns"
-            )
-        log = {key: value for key, value in in_si().items() if key != "file"}
-        first = self._before.partition(b"\n")[0].decode("utf-8", errors="replace")
-        if TEMPERATURE in [name.strip() for name in first.split(",")]:
-            log[TEMPERATURE] = {"columns": [TEMPERATURE], "unit": "degC"}
-        if calibration.gyro is None:
-            del log["gyro"]
-        at = {"height_m": site.height, "gravity": site.gravity, "gravity_u": site.gravity_u}
-        if site.latitude is not None:
-            at["latitude_deg"] = site.latitude / DEGREE
-        columns = [log["time"], *log["accel"]["columns"], *log.get("gyro", {}).get("columns", [])]
-        columns += log.get(TEMPERATURE, {}).get("columns", [])
-        described = {"format": 1, "device": {"serial": calibration.serial}, "site": at, "log": log}
-        return session_of(described, {name: np.zeros(1) for name in columns})
+        self.source, self._before = source, b""
+        if session is None:
+            with suppress(Ended):
+                while b"\n" not in self._before:
+                    self._before += source.read(READ_SECONDS)
+            session = _in_si(self._before.partition(b"\n")[0], source.name, calibration)
+        self.session, spec = session, session.log
+        self._lines = Lines(columns=spec.columns, clock=spec.time, refuse=lambda _: None)
+        self._clock = Clock(spec=spec)
 
     @property
     def interval(self) -> float | None:
@@ -83,26 +53,49 @@ class LiveSamples:
 
     def chunks(self) -> Iterator[Chunk]:
         """What comes, until the source ends; a clock that goes back begins another file."""
+        spec, file, last, ended = self.session.log, 0, -np.inf, False
         with closing(self.source):
-            try:
-                while True:
-                    data = self._before or self.source.read(READ_SECONDS)
-                    self._before = b""
-                    yield from self._samples(data)
-            except Ended:
-                yield from self._samples(b"\n")
+            while not ended:
+                try:
+                    data, self._before = self._before or self.source.read(READ_SECONDS), b""
+                except Ended:
+                    data, ended = b"\n", True
+                rows = self._lines.numbers(self._lines.cut(data))
+                back = np.zeros(0, dtype=int)
+                if spec.time is not None and len(rows):
+                    time = rows[:, 0] * spec.time_factor
+                    back = np.flatnonzero(np.diff(time, prepend=last) < -LATEST)
+                    last = float(time[-1])
+                for begin, end in pairwise([0, *back.tolist(), len(rows)]):
+                    if begin in back:
+                        self._clock, file = Clock(spec=spec, interval=self._clock.interval), file + 1
+                    samples = self._clock.samples(rows[begin:end]) if end > begin else None
+                    if samples is not None and len(samples.time):
+                        yield samples.chunk(spec, file)
 
-    def _samples(self, data: bytes) -> Iterator[Chunk]:
-        spec, rows = self._spec, self._lines.numbers(self._lines.cut(data))
-        time = np.zeros(0) if spec.time is None or not len(rows) else rows[:, 0] * spec.time_factor
-        back = np.flatnonzero(np.diff(time, prepend=self._last) < -LATEST) if len(time) else np.zeros(0, dtype=int)
-        self._last = float(time[-1]) if len(time) else self._last
-        for begin, end in pairwise([0, *back.tolist(), len(rows)]):
-            if begin in back:
-                self._clock, self._file = Clock(spec=spec, interval=self._clock.interval), self._file + 1
-            samples = self._clock.samples(rows[begin:end]) if end > begin else None
-            if samples is not None and len(samples.time):
-                yield samples.chunk(spec, self._file)
+
+def _in_si(first: bytes, name: str, calibration: Calibration) -> Session:
+    """The session of a source in SI, by its first line."""
+    site = calibration.site
+    if site is None:
+        raise InputError(
+            f"{name}: expected a calibration with its site, found none; name a session with --session, which has the "
+            "latitude and the columns"
+        )
+    log = {key: value for key, value in in_si().items() if key != "file"}
+    columns = [log["time"], *log["accel"]["columns"]]
+    if calibration.gyro is None:
+        del log["gyro"]
+    else:
+        columns += log["gyro"]["columns"]
+    if TEMPERATURE in [column.strip() for column in first.decode("utf-8", errors="replace").split(",")]:
+        log[TEMPERATURE] = {"columns": [TEMPERATURE], "unit": "degC"}
+        columns.append(TEMPERATURE)
+    at = {"height_m": site.height, "gravity": site.gravity, "gravity_u": site.gravity_u}
+    if site.latitude is not None:
+        at["latitude_deg"] = site.latitude / DEGREE
+    described = {"format": 1, "device": {"serial": calibration.serial}, "site": at, "log": log}
+    return session_of(described, {column: np.zeros(1) for column in columns})
 
 
 def opened(source: str, calibration: Calibration, session: Session | None) -> tuple[Watch, Iterator[Chunk]]:

@@ -51,7 +51,7 @@ def bench(
     another program writes there is followed. Several are several benches, each with a page of its own, and a list of
     them.
     """
-    from tumble.bench.opening import stations_of
+    from tumble.bench.station import stations_of
     from tumble.bench.web.serve import serve
 
     told = {"latitude_deg": latitude, "gravity": gravity}

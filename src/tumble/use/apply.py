@@ -145,8 +145,8 @@ def applied(calibration: Calibration | FilePath, session: Session | FilePath) ->
     compensator = calibration.compensator
     found = positions_by_group(p.name for p in calibration.parameters)
     out = [f"{absent}; their columns are copied as they are" for absent in calibration.absent]
-    if np.any(compensator.levers) and not _is_moved(session, compensator):
-        without = "the calibration" if session.log.gyro is not None else "the session"
+    without = "the calibration" if session.log.gyro is not None else "the session"
+    if np.any(compensator.levers) and (session.log.gyro is None or compensator.gyro is None):
         out.append(f"lever arms are not corrected: {without} has no gyros")
     elif np.any(compensator.levers):
         out.append("lever arms: the readings of the accelerometers are moved to the place of the last one")
@@ -204,20 +204,16 @@ def _tables(
     numbers = [column for part in parts for column in part.channels.columns]  # the other columns are as they are
     if spec.dialect is not None and spec.dialect.decimal == ",":  # all that the session names
         numbers = [column for column in spec.columns if not (spec.clock and column == spec.time)]
-    rates, blocks = session.log.gyro is not None, (session.accel_block, session.gyro_block)
+    rates, blocks = spec.gyro is not None, (session.accel_block, session.gyro_block)
     thermometers = tuple(np.zeros(0, dtype=np.int64) if block is None else block.thermometer for block in blocks)
     heat = 1 if spec.temperature is None else len(spec.temperature.columns)
     stream = Stream(compensator, interval, gyros=rates, thermometers=thermometers, heat=heat)  # type: ignore[arg-type]  # two
-    for file in session.log.files:
-        source = source_of(file, session.log.dialect)
-        warm = compensator.warm and bool(compensator.references)
-        reader = _Reader(
-            path=source.path, session=session, parts=parts, interval=interval, moved=stream.moved, warm=warm
-        )
+    for file in spec.files:
+        source = source_of(file, spec.dialect)
         for added in (column for part in parts for column in part.added if column in source.names):
             raise InputError(f"{source.path}: expected no column '{added}', the block's vector gets it; rename it")
         slices = chain.from_iterable(t.iter_slices(_SLICE) for t in one_ahead(source.whole(numbers)))
-        for table, true in _corrected(slices, reader, stream):
+        for table, true in _corrected(slices, source.path, session, parts, compensator, stream, interval):
             names = table.columns if names is None else names
             if table.columns != names:
                 raise LogError(
@@ -231,95 +227,63 @@ def _tables(
 
 
 def _corrected(
-    tables: Iterable[pl.DataFrame], reader: _Reader, stream: Stream
+    tables: Iterable[pl.DataFrame],
+    path: Path,
+    session: Session,
+    parts: tuple[_Correction, ...],
+    compensator: Compensator,
+    stream: Stream,
+    interval: float,
 ) -> Iterator[tuple[pl.DataFrame, dict[str, Array]]]:
     """Tables of one file and the true vectors (N, 3) of their rows by kind of sensor, increments where the readings
     are. They come by the delay of the stream later than the rows: the last one with the next table."""
+    spec, increments = session.log, [part.kind for part in parts if part.increments]
+    irregular = spec.time is not None and not spec.regular and (stream.moved or bool(increments))
+    warm = compensator.warm and bool(compensator.references)
     table, dt, whole, late = None, dict[str, Array](), dict[str, Array](), 0
+    last: float | None = None
     for following in chain((t for t in tables if t.height or not stream.delay), [None]):
-        given, intervals = (None, dict[str, Array]()) if following is None else reader.read(following)
-        now = stream.finish() if given is None else stream.add(*given)
+        intervals = dict[str, Array]()
+        if following is None:
+            now = stream.finish()
+        else:
+            time = celsius = None
+            with rows_of_numbers(path):
+                if irregular:
+                    time = times_of(following[spec.time or ""], spec)
+                if spec.temperature is not None and warm:
+                    numbers = following.select(pl.col(spec.temperature.columns).cast(pl.Float64)).to_numpy()
+                    celsius = np.asarray(spec.temperature.to_celsius(numbers), dtype=float)
+            if increments:  # each is the integral over its step in time, less the samples that are missing in it
+                steps = np.full(following.height, interval)
+                if time is not None:
+                    steps = np.diff(time, prepend=time[0] - interval if last is None else last)
+                    last = float(time[-1])
+                    if not (steps > 0.0).all():
+                        at = time[np.argmin(steps > 0.0)]
+                        raise LogError(
+                            f"{path}: expected times that increase, found {at:.9g} s after a later one; cut the log"
+                        )
+                    steps /= np.maximum(np.floor(steps / interval + 0.5), 1.0)
+                intervals = dict.fromkeys(increments, steps[:, None])
+            means = {
+                part.kind: part.readings(following) / intervals.get(part.kind, 1.0)
+                for part in parts
+                if part.kind != "mag"
+            }
+            now = stream.add(means["accel"], means.get("gyro"), time, celsius)
         true = {"accel": now.force} | ({} if now.rate is None else {"gyro": now.rate})
         if table is not None:
             late = stream.delay
             for kind, vectors in true.items():
                 whole[kind][-late:] = vectors[:late]
-            yield table, _increments(whole, dt)
+            yield table, whole | {kind: whole[kind] * step for kind, step in dt.items()}
         if not stream.delay and following is not None:
-            yield following, _increments(true, intervals)
+            yield following, true | {kind: true[kind] * step for kind, step in intervals.items()}
         elif following is not None:
             table, dt, whole = following, intervals, {kind: np.empty((following.height, 3)) for kind in true}
             for kind, vectors in true.items():
                 whole[kind][: len(vectors) - late] = vectors[late:]
-
-
-def _increments(vectors: dict[str, Array], dt: dict[str, Array]) -> dict[str, Array]:
-    """Vectors (N, 3) by kind, those that have intervals as increments over them."""
-    return vectors | {kind: vectors[kind] * interval for kind, interval in dt.items()}
-
-
-def _is_moved(session: Session, compensator: Compensator) -> bool:
-    """Whether accelerometers are moved to one point: they have lever arms, and the session has the rates."""
-    return session.log.gyro is not None and compensator.gyro is not None and bool(np.any(compensator.levers))
-
-
-@dataclass(kw_only=True, slots=True, eq=False)
-class _Reader:
-    """Readings, times and temperatures of one file, table after table. `moved`: whether lever arms need the times;
-    `warm`: whether parameters change with temperature; `last`: time of the last row, s."""
-
-    path: Path
-    session: Session
-    parts: tuple[_Correction, ...]
-    interval: float
-    moved: bool
-    warm: bool
-    last: float | None = None
-
-    def read(
-        self, table: pl.DataFrame
-    ) -> tuple[tuple[Array, Array | None, Array | None, Array | None], dict[str, Array]]:
-        """What `Stream.add` takes of the rows of a table, and the intervals (N, 1), s, of increments by kind."""
-        rows = {part.kind: part.readings(table) for part in self.parts if part.kind != "mag"}
-        increments = [part.kind for part in self.parts if part.increments]
-        time = self._times(table)
-        dt = dict.fromkeys(increments, self._intervals(time, table.height)[:, None]) if increments else {}
-        means = {kind: readings / dt[kind] if kind in dt else readings for kind, readings in rows.items()}
-        return (means["accel"], means.get("gyro"), time, self._temperatures(table)), dt
-
-    @property
-    def _regular(self) -> bool:
-        return self.session.log.time is None or self.session.log.regular
-
-    def _times(self, table: pl.DataFrame) -> Array | None:
-        if self._regular or not (self.moved or any(part.increments for part in self.parts)):
-            return None
-        assert self.session.log.time is not None
-        with rows_of_numbers(self.path):
-            return times_of(table[self.session.log.time], self.session.log)
-
-    def _intervals(self, time: Array | None, rows: int) -> Array:
-        """What each increment is the integral over, s."""
-        if time is None:
-            return np.full(rows, self.interval)
-        before = time[0] - self.interval if self.last is None else self.last
-        self.last = float(time[-1])
-        steps = np.diff(time, prepend=before)
-        if not (steps > 0.0).all():
-            at = time[np.argmin(steps > 0.0)]
-            raise LogError(
-                f"{self.path}: expected times that increase, found {at:.9g} s after a later one; cut the log"
-            )
-        return np.asarray(steps / np.maximum(np.floor(steps / self.interval + 0.5), 1.0))
-
-    def _temperatures(self, table: pl.DataFrame) -> Array | None:
-        """Temperatures (N, T), °C, of the thermometers, where parameters change with them."""
-        thermometers = self.session.log.temperature
-        if thermometers is None or not self.warm:
-            return None
-        with rows_of_numbers(self.path):
-            numbers = table.select(pl.col(thermometers.columns).cast(pl.Float64)).to_numpy()
-        return np.asarray(thermometers.to_celsius(numbers), dtype=float)
 
 
 # -------------------- was it worth it --------------------

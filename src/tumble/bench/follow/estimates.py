@@ -102,12 +102,43 @@ def estimate_so_far(
 def _shown(
     task: Task, reduction: Reduction, spans: tuple[RestSpan, ...], excluded: tuple[Exclusion, ...]
 ) -> EstimateShown:
+    """An estimate for the page."""
     began = time.thread_time()
     session, wanted = task.session, task.wanted
     estimate = estimate_so_far(session, task.grade, reduction, spans, excluded)
     if estimate is None:
         return {**_NO_ESTIMATE, "rests": len(spans)}
-    groups = _reached(estimate, wanted.group)
+
+    # what of the wishes is reached, by group in the order of the parameters, other groups passed over: the largest u in
+    # the unit in which `tumble calibrate` shows it, and whether the data tell all of the group
+    groups: list[GroupShown] = []
+    for group, rows in positions_by_group(estimate.names).items():
+        if (aim := wanted.group.get(group)) is None:
+            continue
+        u, determined = float(estimate.u[rows].max()), bool(estimate.observable[rows].all())
+        size, unit = shown_in(group, estimate.units[rows[0]], float(np.sqrt(np.mean(estimate.values[rows] ** 2))))
+        reached: GroupShown = {
+            "group": group,
+            "unit": unit,
+            "u": u / size,
+            "wanted": aim / size,
+            "determined": determined,
+            "enough": determined and u <= aim,
+        }
+        groups.append(reached)
+
+    # what does not fit, and what may be the cause
+    rest, turn = np.nan_to_num(estimate.rest_sigmas), np.nan_to_num(estimate.turn_sigmas)
+    i, j = int(np.argmax(rest)) if len(rest) else 0, int(np.argmax(turn)) if len(turn) else 0
+    cause = ""
+    if not estimate.converged:
+        cause = "the readings contradict each other: are the axes, their senses and the units right?"
+    elif rest.max(initial=0.0) > FIT_SIGMAS:
+        start = f"{spans[i].start:.0f} s"
+        cause = f"rest {i + 1} ({start}) does not fit by {rest[i]:.0f}σ: moved, knocked or still settling"
+    elif turn.max(initial=0.0) > FIT_SIGMAS:
+        cause = f"turn {j + 1} does not fit by {turn[j]:.0f}σ: clipped, samples lost, or a knock in it"
+
     remaining = _gains(estimate, wanted.group, session.accel_block, wanted.accel, session.site.gravity)
     best = int(np.argmin(remaining))
     upwards = [f"{name} {'up' if v > 0 else 'down'}" for name, v in zip("XYZ", DIRECTIONS[best], strict=True) if v]
@@ -122,33 +153,10 @@ def _shown(
         ],
         "gains": remaining.tolist(),
         "next": f"{', '.join(upwards)}: accelerometers to {100.0 * remaining[best]:.0f} % of u",
-        "cause": _cause(estimate, spans),
+        "cause": cause,
         "unknowns": len(estimate.names),
         "seconds": time.thread_time() - began,
     }
-
-
-def _reached(estimate: Estimate, wanted: Mapping[str, float]) -> list[GroupShown]:
-    """What of the wishes is reached, by group in the order of the parameters, other groups passed over: the largest u
-    in the unit in which `tumble calibrate` shows it, and whether the data tell all of the group."""
-    groups: list[GroupShown] = []
-    for group, rows in positions_by_group(estimate.names).items():
-        if group not in wanted:
-            continue
-        u, determined = float(estimate.u[rows].max()), bool(estimate.observable[rows].all())
-        rms = float(np.sqrt(np.mean(estimate.values[rows] ** 2)))
-        size, unit = shown_in(group, estimate.units[rows[0]], rms)
-        groups.append(
-            {
-                "group": group,
-                "unit": unit,
-                "u": u / size,
-                "wanted": wanted[group] / size,
-                "determined": determined,
-                "enough": determined and u <= wanted[group],
-            }
-        )
-    return groups
 
 
 def _gains(estimate: Estimate, wanted: Mapping[str, float], block: Block, rest_u: float, gravity: float) -> Array:
@@ -165,17 +173,3 @@ def _gains(estimate: Estimate, wanted: Mapping[str, float], block: Block, rest_u
     Ch = h @ C
     variance = np.diag(C) - Ch**2 / (rest_u**2 + np.einsum("qm,qm->q", h, Ch))[:, None]
     return np.asarray(np.sqrt((np.maximum(variance, 0.0) / weight**2).sum(axis=1)) / before)
-
-
-def _cause(estimate: Estimate, spans: tuple[RestSpan, ...]) -> str:
-    """What does not fit, and what may be the cause."""
-    if not estimate.converged:
-        return "the readings contradict each other: are the axes, their senses and the units right?"
-    rest, turn = np.nan_to_num(estimate.rest_sigmas), np.nan_to_num(estimate.turn_sigmas)
-    if len(rest) and rest.max() > FIT_SIGMAS:
-        k = int(np.argmax(rest))
-        return f"rest {k + 1} ({spans[k].start:.0f} s) does not fit by {rest[k]:.0f}σ: moved, knocked or still settling"
-    if len(turn) and turn.max() > FIT_SIGMAS:
-        k = int(np.argmax(turn))
-        return f"turn {k + 1} does not fit by {turn[k]:.0f}σ: clipped, samples lost, or a knock in it"
-    return ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,24 +77,23 @@ class SampleWatch:
                 self._run[p], self._since[p] = len(time) - 1 - changes[-1], time[changes[-1]]
             else:
                 self._run[p] += len(time)
-        seen: list[Fault] = []
+        coarse = 2 * (self._repeats - self._run) > self._count
+        stuck = (self._run >= self._least) & ~coarse & (self._run.min() < 0.5 * self._least)
+        full, faults = FULL * (np.inf if self._full_scale is None else self._full_scale), list[Fault]()
         for p, column in enumerate(self._columns):
-            clipped = time[np.abs(values[:, p]) >= FULL * (np.inf if self._full_scale is None else self._full_scale)]
-            if len(clipped):
-                seen += self._named_anew("clipped", column, float(clipped[0]), float(clipped[-1]), "turn more slowly")
-            coarse = 2 * (self._repeats[p] - self._run[p]) > self._count
-            if self._run[p] >= self._least and not coarse and self._run.min() < 0.5 * self._least:
-                remedy = "look at the sensor and its cable"
-                seen += self._named_anew("stuck", column, float(self._since[p]), float(time[-1]), remedy)
-        return seen
-
-    def _named_anew(self, kind: str, column: str, start: float, stop: float, remedy: str) -> list[Fault]:
-        """The fault of a column; none where it was named a short time before."""
-        if start < self._named.get((kind, column), -np.inf) + _AGAIN_SECONDS:
-            return []
-        self._named[kind, column] = start
-        said = f"{column} is {kind} at {start:.1f} s: {remedy}, and record anew; such a log cannot be calibrated"
-        return [Fault(kind=kind, said=said, start=start, stop=stop, choices=("anew", "go_on"))]
+            clipped = time[np.abs(values[:, p]) >= full]
+            seen = [("clipped", clipped[0], clipped[-1], "turn more slowly")] if len(clipped) else []
+            seen += [("stuck", self._since[p], time[-1], "look at the sensor and its cable")] if stuck[p] else []
+            for kind, first, last, remedy in seen:
+                start, stop = float(first), float(last)
+                if start < self._named.get((kind, column), -np.inf) + _AGAIN_SECONDS:
+                    continue
+                self._named[kind, column] = start
+                said = (
+                    f"{column} is {kind} at {start:.1f} s: {remedy}, and record anew; such a log cannot be calibrated"
+                )
+                faults.append(Fault(kind=kind, said=said, start=start, stop=stop, choices=("anew", "go_on")))
+        return faults
 
 
 def gap_fault(start: float, stop: float, missing: int) -> Fault:
@@ -105,57 +105,78 @@ def gap_fault(start: float, stop: float, missing: int) -> Fault:
 # -------------------- rests and the turns between them --------------------
 
 
-def faults_of_rests(task: Task, progress: Progress) -> list[Fault]:
+def faults_of_rests(task: Task, progress: Progress) -> Iterator[Fault]:
     """What is wrong with the rests and the turns between them: knocks, positions, and what is not steady."""
-    if not progress.groups:
-        return []
-    faults = [_knocked(progress)]
-    if task.programme is not None and task.programme.ordered:
-        faults.append(_off_course(task, task.programme, progress))
-    elif task.programme is not None:
-        rests = [group[-1] for group in progress.groups]
-        units = verticals(rests, task.programme, task.session.site.gravity)
-        said = f"this is no position of {task.programme.name}"
-        for rest, k in zip(rests, nearest_positions(task.programme, units), strict=True):
+    blocks, groups, current, programme = progress.blocks, progress.groups, progress.current, task.programme
+    if not groups:
+        return
+
+    # a rest that was cut in two before it was enough
+    if current is not None and len(groups[-1]) > 1 and not progress.judged[0].enough:
+        start, stop = groups[-1][-2].start, groups[-1][-2].stop
+        if current.start - stop <= KNOCK_SECONDS:
+            said = f"knock at {stop:.1f} s, {stop - start:.0f} s into this rest"
+            yield Fault(kind="knock", said=said, start=start, stop=stop, choices=("again", "keep_first", "go_on"))
+
+    # positions that are none of the programme's
+    if programme is not None and programme.ordered:
+        yield from _off_course(task, programme, progress)
+    elif programme is not None:
+        rests = [group[-1] for group in groups]
+        units = verticals(rests, programme, task.session.site.gravity)
+        said = f"this is no position of {programme.name}"
+        for rest, k in zip(rests, nearest_positions(programme, units), strict=True):
             if k is None:
-                faults.append(Fault(kind="wrong position", said=said, start=rest.start, stop=rest.stop))
-    faults += [_put_down(progress, task.wanted.accel), _warmed(progress, task.wanted.warming)]
-    return [fault for fault in faults if fault is not None]
+                yield Fault(kind="wrong position", said=said, start=rest.start, stop=rest.stop)
+
+    # a rest that lasts and began while the unit still moved slowly: its first blocks differ from its last ones by more
+    # than their scatter allows, and by enough to move its mean by more than the wanted u
+    if current is not None and current.last - current.first >= 2 * PUT_DOWN_BLOCKS:
+        force = blocks.force[current.first : current.last]
+        apart = np.abs(force[:PUT_DOWN_BLOCKS].mean(axis=0) - force[-PUT_DOWN_BLOCKS:].mean(axis=0))
+        scatter = np.sqrt(0.5 * (np.diff(force[PUT_DOWN_BLOCKS // 2 :], axis=0) ** 2).mean(axis=0))
+        seen = apart > PUT_DOWN_SIGMAS * scatter * np.sqrt(2.0 / PUT_DOWN_BLOCKS)
+        if float(np.max(apart * seen)) * PUT_DOWN_BLOCKS / len(force) > task.wanted.accel:
+            off = float(np.max(apart)) / G_STANDARD * 1e3
+            said = f"rest {len(groups)} was put down with movement: it began {off:.2g} mg from where it is now"
+            yield Fault(kind="movement", said=said, start=current.start, stop=current.stop)
+
+    # the temperature, which is named again each time that it has changed by as much more
+    if blocks.temperature is not None:
+        first, limit = groups[0][0], task.wanted.warming
+        change = blocks.temperature - float(blocks.temperature[first.first : first.last].mean())
+        now = float(change[-CALM_BLOCKS:].mean())
+        if steps := int(abs(now) / limit):
+            since = float(blocks.edges[int(np.argmax(np.abs(change) >= steps * limit))])
+            said = (
+                f"drift of temperature: {abs(now):.2g} K {'warmer' if now > 0.0 else 'colder'} than at the first rest"
+            )
+            said += "; wait until it is steady, or go on: the change is then one more unknown"
+            yield Fault(kind="temperature", said=said, start=since, stop=progress.now, choices=("go_on",))
 
 
-def _knocked(progress: Progress) -> Fault | None:
-    """A rest that was cut in two before it was enough."""
-    current, group = progress.current, progress.groups[-1]
-    if current is None or len(group) < 2:
-        return None
-    before = group[-2]
-    if progress.judged[0].enough or current.start - before.stop > KNOCK_SECONDS:
-        return None
-    said = f"knock at {before.stop:.1f} s, {before.stop - before.start:.0f} s into this rest"
-    choices = ("again", "keep_first", "go_on")
-    return Fault(kind="knock", said=said, start=before.start, stop=before.stop, choices=choices)
-
-
-def _off_course(task: Task, programme: Programme, progress: Progress) -> Fault | None:
+def _off_course(task: Task, programme: Programme, progress: Progress) -> Iterator[Fault]:
     """The first rest that is not the next position of a programme in order, by its vertical, or that was reached by
     another turn than the programme's, by the gyros; else the turn under way where it goes against its sense."""
-    blocks, groups = progress.blocks, progress.groups
-    rests = [group[-1] for group in groups]
+    groups, rests = progress.groups, [group[-1] for group in progress.groups]
     expected = np.array([position.vertical_b for position in programme.positions])
     for k, vertical in enumerate(verticals(rests, programme, task.session.site.gravity)):
+        start, stop = rests[k].start, rests[k].stop
         if k >= len(expected):
             said = f"one position more than the programme's {k}"
-            return Fault(kind="surplus", said=said, start=rests[k].start, stop=rests[k].stop)
+            yield Fault(kind="surplus", said=said, start=start, stop=stop)
+            return
         off = np.arccos(np.clip(expected @ vertical, -1.0, 1.0))
         nearest = int(np.argmin(off))
         if off[k] > POSITION_LIMIT:
             like = f"this is {nearest + 1}" if off[nearest] <= POSITION_LIMIT else "this is none of the programme"
             wanted = f"wanted {k + 1} ({programme.positions[k].label})"
             said = f"wrong position: {like}, {wanted}; it is {off[k] / DEGREE:.0f}° off"
-            return Fault(kind="wrong position", said=said, start=rests[k].start, stop=rests[k].stop, place=k)
+            yield Fault(kind="wrong position", said=said, start=start, stop=stop, place=k)
+            return
         turn, increments = task.turn_b(k), None
         if turn is not None:
-            increments = blocks.turned(rests[k - 1].last, groups[k][0].first, rests[k - 1].rate)
+            increments = progress.blocks.turned(rests[k - 1].last, groups[k][0].first, rests[k - 1].rate)
         if turn is None or increments is None:
             continue
         (axis_b, angle), turned = turn, increments.sum(axis=0)
@@ -163,54 +184,19 @@ def _off_course(task: Task, programme: Programme, progress: Progress) -> Fault |
             continue
         done = float(turned @ axis_b)
         across = float(np.linalg.norm(turned - done * axis_b)) / DEGREE
-        kind = "wrong turn"
-        said = (
-            f"another turn than the programme's: {_degrees(done)} about its axis and {across:.0f}° across it, wanted "
-        )
-        said += _degrees(angle)
+        kind, about = "wrong turn", f"{_degrees(done)} about its axis and {across:.0f}° across it"
+        said = f"another turn than the programme's: {about}, wanted {_degrees(angle)}"
         if np.linalg.norm(turned + angle * axis_b) <= TURN_LIMIT:
             kind = "wrong way"
             said = f"turned the wrong way: {_degrees(done)} instead of {_degrees(angle)}; turn back the way you came"
-        return Fault(kind=kind, said=said, start=groups[k][0].start, stop=rests[k].stop, place=k)
-    turn, turned = task.turn_b(len(groups)), progress.turned
-    if progress.lasts or turn is None or turned is None or -float(turned @ turn[0]) * np.sign(turn[1]) < WRONG_WAY:
-        return None
-    said = f"this is the wrong way: wanted {move_text(task.move(len(groups)))}; turn back"
-    return Fault(kind="turning wrong", said=said, start=rests[-1].stop, stop=rests[-1].stop, choices=("go_on",))
-
-
-def _put_down(progress: Progress, wanted: float) -> Fault | None:
-    """Whether the rest that lasts began while the unit still moved slowly: its first blocks differ from its last ones
-    by more than their scatter allows, and by enough to move its mean by more than the `wanted` u, m/s²."""
-    rest = progress.current
-    if rest is None or rest.last - rest.first < 2 * PUT_DOWN_BLOCKS:
-        return None
-    force = progress.blocks.force[rest.first : rest.last]
-    apart = np.abs(force[:PUT_DOWN_BLOCKS].mean(axis=0) - force[-PUT_DOWN_BLOCKS:].mean(axis=0))
-    scatter = np.sqrt(0.5 * (np.diff(force[PUT_DOWN_BLOCKS // 2 :], axis=0) ** 2).mean(axis=0))
-    seen = apart > PUT_DOWN_SIGMAS * scatter * np.sqrt(2.0 / PUT_DOWN_BLOCKS)
-    if float(np.max(apart * seen)) * PUT_DOWN_BLOCKS / len(force) <= wanted:
-        return None
-    off = float(np.max(apart)) / G_STANDARD * 1e3
-    said = f"rest {len(progress.groups)} was put down with movement: it began {off:.2g} mg from where it is now"
-    return Fault(kind="movement", said=said, start=rest.start, stop=rest.stop)
-
-
-def _warmed(progress: Progress, limit: float) -> Fault | None:
-    """Whether the temperature has changed since the first rest by more than the `limit`, K; named again each time that
-    it has changed by as much more."""
-    blocks, first = progress.blocks, progress.groups[0][0]
-    if blocks.temperature is None:
-        return None
-    change = blocks.temperature - float(blocks.temperature[first.first : first.last].mean())
-    now = float(change[-CALM_BLOCKS:].mean())
-    steps = int(abs(now) / limit)
-    if steps == 0:
-        return None
-    since = float(blocks.edges[int(np.argmax(np.abs(change) >= steps * limit))])
-    warmer = f"{abs(now):.2g} K {'warmer' if now > 0.0 else 'colder'} than at the first rest"
-    said = f"drift of temperature: {warmer}; wait until it is steady, or go on: the change is then one more unknown"
-    return Fault(kind="temperature", said=said, start=since, stop=progress.now, choices=("go_on",))
+        yield Fault(kind=kind, said=said, start=groups[k][0].start, stop=stop, place=k)
+        return
+    turn, turned_now = task.turn_b(len(groups)), progress.turned
+    if progress.lasts or turn is None or turned_now is None:
+        return
+    if -float(turned_now @ turn[0]) * np.sign(turn[1]) >= WRONG_WAY:
+        said = f"this is the wrong way: wanted {move_text(task.move(len(groups)))}; turn back"
+        yield Fault(kind="turning wrong", said=said, start=rests[-1].stop, stop=rests[-1].stop, choices=("go_on",))
 
 
 def _degrees(angle: float) -> str:

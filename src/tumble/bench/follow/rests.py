@@ -20,7 +20,7 @@ from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.reduction.rests.matching import POSITION_LIMIT, SAME_ATTITUDE
 from tumble.reduction.rests.segmentation import RestSpan
 from tumble.rotation import onto_body, rotation_matrix, rotation_vector, unit_vector
-from tumble.units import Array, BoolArray
+from tumble.units import Array
 
 CALM_BLOCKS = 5
 """Half a second without movement is a rest that begins."""
@@ -119,23 +119,21 @@ class Judged:
         if rest.last - rest.first < 10:
             return Judged()
         file, seconds = reduction.files[-1], rest.stop - rest.start
-        accel, twice = _uncertain(file.accel.means[rest.first : rest.last])
-        over, gyro = accel / wanted.accel, None
-        if reduction.gyro_channels:
-            gyro, twice_gyro = _uncertain(file.gyro.means[rest.first : rest.last])
-            over, twice = max(over, gyro / wanted.gyro), max(twice, twice_gyro)
+        levels, over, twice = list[float](), 0.0, 0.0
+        for readings, level in ((file.accel, wanted.accel), (file.gyro, wanted.gyro))[
+            : 2 if reduction.gyro_channels else 1
+        ]:
+            series = readings.means[rest.first : rest.last]
+            noise = fit_coloured_noise([series])
+            u, then = (
+                float(np.sqrt(np.diag(noise.covariance_of_mean(k * len(series))).max())) for k in (1.0, 2.0)
+            )  # of the worst channel
+            levels.append(max(u, 1e-12))
+            over, twice = max(over, levels[-1] / level), max(twice, then / levels[-1])
         left = max(seconds * (over**2 - 1.0), SHORTEST_REST - seconds, 0.0)
         flat = twice > NOTHING_MORE and seconds > 10.0
+        accel, gyro = (*levels, None)[:2]
         return Judged(accel=accel, gyro=gyro, left=left, enough=left <= 0.0 or flat, nothing_more=flat)
-
-
-def _uncertain(series: Array) -> tuple[float, float]:
-    """Standard uncertainty of the mean of block means (K, n), the largest of the channels', and what part of it twice
-    the time leaves."""
-    noise, count = fit_coloured_noise([series]), len(series)
-    now, twice = (np.sqrt(np.diag(noise.covariance_of_mean(k * count)).max()) for k in (1.0, 2.0))
-    u = max(float(now), 1e-12)
-    return u, float(twice) / u
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -190,44 +188,38 @@ def calm_since(blocks: Blocks, limits: StillLimits, calm_from: int = 0, calm_to:
     first = last
     while first > unseen:
         start = max(unseen, first - _LOOKED_AT)
-        moving = np.flatnonzero(~_calm(blocks, start, min(first + CALM_BLOCKS - 1, last), limits))
+        stop = min(first + CALM_BLOCKS - 1, last)
+        if stop - start >= CALM_BLOCKS:
+            windows = np.lib.stride_tricks.sliding_window_view(blocks.force[start:stop], CALM_BLOCKS, axis=0)
+            calm = np.sqrt(windows.var(axis=-1).sum(axis=-1)) <= limits.scatter
+            if blocks.rate is not None and limits.rate is not None and limits.level is not None:
+                rates = np.lib.stride_tricks.sliding_window_view(blocks.rate[start:stop], CALM_BLOCKS, axis=0)
+                off = np.linalg.norm(rates.mean(axis=-1) - limits.level, axis=-1)
+                calm &= off < 1.5 * (limits.rate + 2.0 * EARTH_RATE)
+            if not calm.all():
+                calm_from = start + int(np.flatnonzero(~calm)[-1]) + 1
+                break
         first = start
-        if len(moving):
-            calm_from = start + int(moving[-1]) + 1
-            break
     return calm_from if last - calm_from >= CALM_BLOCKS else None
-
-
-def _calm(blocks: Blocks, start: int, stop: int, limits: StillLimits) -> BoolArray:
-    """Whether each CALM_BLOCKS in a row of blocks start … stop − 1 are calm."""
-    if stop - start < CALM_BLOCKS:
-        return np.empty(0, dtype=bool)
-    windows = np.lib.stride_tricks.sliding_window_view
-    calm = np.sqrt(windows(blocks.force[start:stop], CALM_BLOCKS, axis=0).var(axis=-1).sum(axis=-1)) <= limits.scatter
-    if blocks.rate is None or limits.rate is None or limits.level is None:
-        return np.asarray(calm)
-    off = windows(blocks.rate[start:stop], CALM_BLOCKS, axis=0).mean(axis=-1) - limits.level
-    return np.asarray(calm & (np.linalg.norm(off, axis=-1) < 1.5 * (limits.rate + 2.0 * EARTH_RATE)))
 
 
 def grouped(blocks: Blocks, rests: list[Rest]) -> list[list[Rest]]:
     """Rests without a turn between them together: one position. Without gyros, those of one vertical."""
     groups: list[list[Rest]] = []
     for rest in rests:
-        if groups and _still(blocks, groups[-1][-1], rest):
+        apart = np.inf
+        if groups:
+            before = groups[-1][-1]
+            apart = float(np.arccos(np.clip(before.vertical @ rest.vertical, -1.0, 1.0)))
+            if apart < SAME_ATTITUDE and before.rate is not None and rest.rate is not None:
+                increments = blocks.turned(before.last, rest.first, 0.5 * (before.rate + rest.rate))
+                assert increments is not None
+                apart = float(np.linalg.norm(rotation_vector(attitude_after(increments))))
+        if apart < SAME_ATTITUDE:
             groups[-1].append(rest)
         else:
             groups.append([rest])
     return groups
-
-
-def _still(blocks: Blocks, before: Rest, after: Rest) -> bool:
-    if float(np.arccos(np.clip(before.vertical @ after.vertical, -1.0, 1.0))) >= SAME_ATTITUDE:
-        return False
-    if before.rate is None or after.rate is None:
-        return True
-    increments = blocks.turned(before.last, after.first, 0.5 * (before.rate + after.rate))
-    return increments is None or float(np.linalg.norm(rotation_vector(attitude_after(increments)))) < SAME_ATTITUDE
 
 
 # -------------------- positions of a programme --------------------

@@ -84,47 +84,37 @@ class Clock:
 
     def samples(self, rows: Array) -> SoundSamples | None:
         """The samples of the next rows; None while the interval is not known."""
+        spec = self.spec
         if self.interval is None:
             self._before = (*self._before, rows)
             if sum(map(len, self._before)) < self.head:
                 return None
             rows, self._before = np.concatenate(self._before), ()
-            self._learn(rows[: self.head])
-        assert self.interval is not None
-        if self.spec.time is None or self.spec.regular:
-            time = self._start + self.interval * np.arange(self._count, self._count + len(rows), dtype=float)
+            if spec.time is None:
+                self.interval = self._start = 1.0 / (spec.rate or 1.0)
+            else:
+                time = rows[: self.head, 0] * spec.time_factor
+                regular = (time[-1] - time[0]) / (len(time) - 1)
+                self.interval = float(regular if spec.regular else np.median(np.diff(time)))
+                self._start = float(time[0])
+        interval, last = self.interval, self._last
+        if spec.time is None or spec.regular:
+            time = self._start + interval * np.arange(self._count, self._count + len(rows), dtype=float)
             self._count += len(rows)
-        else:
-            rows, time = self._in_order(rows, JUMP * self.interval)
-        values = rows if self.spec.time is None else rows[:, 1:]
+        else:  # those whose times increase, without those that leap beyond the next
+            rows = rows if self._held is None else np.concatenate([self._held, rows])
+            time = rows[:, 0] * spec.time_factor
+            times = np.concatenate([[-math.inf if last is None else last], time])
+            keep = ~leaping(time, float(times[0]), JUMP * interval)
+            self._held = rows[-1:] if len(time) and times[-1] - times[-2] > JUMP * interval else None
+            if self._held is not None:
+                keep[-1] = False
+            rows, time = rows[keep], time[keep]
+            later = time > np.maximum.accumulate(np.concatenate([times[:1], time]))[:-1]
+            rows, time = rows[later], time[later]
         sound = np.isfinite(rows).all(axis=1)
-        return self._steps(time[sound], values[sound], self.interval)
-
-    def _learn(self, rows: Array) -> None:
-        if self.spec.time is None:
-            self.interval = self._start = 1.0 / (self.spec.rate or 1.0)
-            return
-        time = rows[:, 0] * self.spec.time_factor
-        regular = (time[-1] - time[0]) / (len(time) - 1)
-        self.interval = float(regular if self.spec.regular else np.median(np.diff(time)))
-        self._start = float(time[0])
-
-    def _in_order(self, rows: Array, step: float) -> tuple[Array, Array]:
-        """The rows whose times, s, increase, without those that leap by more than a `step` beyond the next."""
-        rows = rows if self._held is None else np.concatenate([self._held, rows])
-        time = rows[:, 0] * self.spec.time_factor
-        before = -math.inf if self._last is None else self._last
-        keep = ~leaping(time, before, step)
-        times = np.concatenate([[before], time])
-        self._held = rows[-1:] if len(time) and times[-1] - times[-2] > step else None
-        if self._held is not None:
-            keep[-1] = False
-        rows, time = rows[keep], time[keep]
-        later = time > np.maximum.accumulate(np.concatenate([[before], time]))[:-1]
-        return rows[later], time[later]
-
-    def _steps(self, time: Array, values: Array, interval: float) -> SoundSamples:
-        before = time[:1] - interval if self._last is None else np.array([self._last])
+        values, time = (rows if spec.time is None else rows[:, 1:])[sound], time[sound]
+        before = time[:1] - interval if last is None else np.array([last])
         dt = np.diff(np.concatenate([before, time])) if len(time) else np.empty(0)
         lost = np.where(dt > 1.5 * interval, np.round(dt / interval) - 1.0, 0.0)
         if len(time):

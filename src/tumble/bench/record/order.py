@@ -86,7 +86,7 @@ class Order:
         if not np.all((steps > 0.0) & (steps <= self._longest(self._interval))):
             return False
         for at in times[-MOST_WAITING:].tolist():
-            self._remember(at)
+            self._pass(at)
         return True
 
     @property
@@ -166,13 +166,9 @@ class Order:
         while self._waiting and not self._leaves_room(self._waiting[0][0]):
             self._pass(*heapq.heappop(self._waiting)[:2])
 
-    def _pass(self, at: float, text: str) -> None:
-        self._remember(at)
-        self._passed.append(text)
-
-    def _remember(self, at: float) -> None:
-        """Remember a row that passes: its time, and the interval, which follows the steps, of each at most by half of
-        itself."""
+    def _pass(self, at: float, *text: str) -> None:
+        """Remember a row that passes, which has passed already where there is no text of it: its time, and the
+        interval, which follows the steps, of each at most by half of itself."""
         if self.last is not None and self._interval is None:
             self._interval = at - self.last
         elif self.last is not None and self._interval is not None:
@@ -180,3 +176,4 @@ class Order:
             self._interval += 0.05 * max(-half, min(half, at - self.last - self._interval))
         self.last = at
         self._times.append(at)
+        self._passed += text

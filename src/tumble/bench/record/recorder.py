@@ -44,7 +44,20 @@ class Recorder:
         self._synced = time.monotonic()
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o666)
         try:
-            _lock(self._descriptor, path)
+            try:  # keep other processes from recording the same log, as long as it is open
+                if sys.platform == "win32":
+                    import msvcrt
+
+                    os.lseek(self._descriptor, _LOCKED, os.SEEK_SET)
+                    msvcrt.locking(self._descriptor, msvcrt.LK_NBLCK, 1)
+                else:
+                    import fcntl
+
+                    fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise InputError(
+                    f"{path}: expected a log that nobody records, found one that another process does"
+                ) from None
             if not self._whole_lines(keep_rest=True):
                 self.append([header])
                 return
@@ -77,9 +90,6 @@ class Recorder:
     def append(self, lines: Iterable[str]) -> None:
         """Add lines to the log; what the disk does not take now is tried again with the next."""
         self._pending += _text(lines).encode("utf-8")
-        self._write()
-
-    def _write(self) -> None:
         try:
             while self._pending:
                 written = os.write(self._descriptor, self._pending[:_WRITE_BYTES])
@@ -131,7 +141,7 @@ class Recorder:
         """Force the log to the disk if that was not done for a second."""
         if time.monotonic() - self._synced >= SYNC_SECONDS:
             if self._pending:
-                self._write()
+                self.append([])
             with self._troubled():
                 os.fsync(self._descriptor)
             self._synced = time.monotonic()
@@ -139,7 +149,7 @@ class Recorder:
     def close(self) -> None:
         """End the recording; it may go on later. What the disk does not take now is lost, and the log ends with a whole
         line."""
-        self._write()
+        self.append([])
         if self._pending:
             self._lost += self._pending.count(b"\n")
             self._pending.clear()
@@ -162,19 +172,3 @@ def growing_file(spec: LogSpec) -> Path:
 
 def _text(lines: Iterable[str]) -> str:
     return "".join(f"{line}\n" for line in lines)
-
-
-def _lock(descriptor: int, path: Path) -> None:
-    """Keep other processes from recording the same log, as long as it is open."""
-    try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            os.lseek(descriptor, _LOCKED, os.SEEK_SET)
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        else:
-            import fcntl
-
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        raise InputError(f"{path}: expected a log that nobody records, found one that another process does") from None

@@ -141,33 +141,31 @@ class Tcp(LineSource):
         self._heard = 0.0
 
     def read(self, timeout: float) -> bytes:
-        waited_for = [self._listening] if self._connection is None else [self._connection]
-        if self._connection is not None and time.monotonic() - self._heard > _SILENT_SECONDS:
+        connection = self._connection
+        waited_for = [self._listening] if connection is None else [connection]
+        if connection is not None and time.monotonic() - self._heard > _SILENT_SECONDS:
             waited_for.append(self._listening)
         ready = select.select(waited_for, [], [], timeout)[0]
-        if self._connection in ready:
-            return self._received(self._connection)
-        if self._listening not in ready:
+        if not ready:
             return b""
-        if self._connection is not None:
-            self._connection.close()
+        self._heard = time.monotonic()
+        if connection is not None and connection in ready:
+            try:
+                data = connection.recv(_READ_BYTES)
+            except BlockingIOError:
+                return b""
+            except OSError:
+                data = b""
+            if not data:
+                connection.close()
+                self._connection, self.trouble = None, "the connection ended; the next is waited for"
+            return data or b"\n"
+        if connection is not None:
+            connection.close()
         self._connection, _ = self._listening.accept()
         self._connection.setblocking(False)
-        self.trouble, self._heard = None, time.monotonic()
+        self.trouble = None
         return b"\n"
-
-    def _received(self, connection: socket.socket) -> bytes:
-        self._heard = time.monotonic()
-        try:
-            data = connection.recv(_READ_BYTES)
-        except BlockingIOError:
-            return b""
-        except OSError:
-            data = b""
-        if not data:
-            connection.close()
-            self._connection, self.trouble = None, "the connection ended; the next is waited for"
-        return data or b"\n"
 
     def close(self) -> None:
         if self._connection is not None:
@@ -195,7 +193,8 @@ class Serial(LineSource):
         try:
             self._port.open()
         except OSError as error:  # of pyserial too
-            raise InputError(f"--listen {self.name}: expected a serial line, found: {_said(error)}") from None
+            said = " ".join(str(error.strerror or error).split())
+            raise InputError(f"--listen {self.name}: expected a serial line, found: {said}") from None
 
     def read(self, timeout: float) -> bytes:
         if not self._port.is_open:
@@ -210,7 +209,9 @@ class Serial(LineSource):
             data: bytes = self._port.read(1)
             data += self._port.read(min(self._port.in_waiting, _READ_BYTES)) if data else b""
         except OSError as error:  # of a line that is closed, too
-            self.trouble = f"the serial line is gone: {_said(error)}; it is waited for"
+            self.trouble = (
+                f"the serial line is gone: {' '.join(str(error.strerror or error).split())}; it is waited for"
+            )
             with contextlib.suppress(OSError):
                 self._port.close()
             return b"\n"
@@ -218,10 +219,6 @@ class Serial(LineSource):
 
     def close(self) -> None:
         self._port.close()
-
-
-def _said(error: OSError) -> str:
-    return " ".join(str(error.strerror or error).split())
 
 
 class Replay(LineSource):
@@ -241,8 +238,12 @@ class Replay(LineSource):
         if is_recorded(log):
             recorded = self._open.enter_context(file.open("rb"))
             self._header, lines = recorded.readline(), iter(recorded)
-        else:
-            self._header, lines = ",".join(log.columns).encode() + b"\n", _as_csv(log, file)
+        else:  # to the last digit; what could not be read is nan
+            from tumble.recording.readers import source_of as reader_of
+
+            rows = (row for table, _ in reader_of(file, log.dialect).tables(log.columns) for row in table.iter_rows())
+            self._header = ",".join(log.columns).encode() + b"\n"
+            lines = (",".join(map(repr, row)).encode("ascii") + b"\n" for row in rows)
         self._lines = _timed(log, self._header.decode("utf-8-sig").strip().split(","), lines)
         self._next: tuple[float, bytes] | None = next(self._lines, None)
         self._begun: tuple[float, float] | None = None
@@ -293,15 +294,6 @@ def is_recorded(log: LogSpec) -> bool:
     file = log.files[0]
     plain = len(log.files) == 1 and isinstance(file, Path) and file.suffix == ".csv"
     return plain and log.dialect is None and not log.clock
-
-
-def _as_csv(log: LogSpec, file: Path) -> Iterator[bytes]:
-    """The rows of a file as lines of the columns of its log, to the last digit; what could not be read is nan."""
-    from tumble.recording.readers import source_of as reader_of
-
-    for table, _ in reader_of(file, log.dialect).tables(log.columns):
-        for row in table.iter_rows():
-            yield ",".join(map(repr, row)).encode("ascii") + b"\n"
 
 
 def source_of(text: str) -> LineSource:
