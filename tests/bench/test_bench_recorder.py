@@ -548,7 +548,7 @@ def test_the_virtual_table_sends_a_unit_in_si(folder: Path) -> None:
     _recorded(folder, table, lambda: None, 300)
     rows = np.array([[float(v) for v in line.split(",")] for line in log_of(folder)[1:300]])
     np.testing.assert_allclose(np.linalg.norm(rows[:, 1:4], axis=1), 9.8, atol=0.5)
-    table.knock()
+    table.mischief("knock")
     table.turn("N", 90.0)
     assert table.moving
 

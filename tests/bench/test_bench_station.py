@@ -94,7 +94,7 @@ def test_a_knock_is_named_within_a_second(bench: Bench, answer: str, left_out: s
     bench.until(lambda: not bench.table.moving)
     bench.run(3.2)
     assert bench.screen == "rest"
-    bench.table.knock()
+    bench.table.mischief("knock")
     assert bench.until(lambda: bench.screen == "fault") <= 1.2
     assert bench.said.startswith("knock at")
     knock = float(bench.said.split()[2])
@@ -112,13 +112,13 @@ def test_a_knock_is_named_within_a_second(bench: Bench, answer: str, left_out: s
 
 def test_lost_samples_and_a_stuck_channel_are_named(bench: Bench) -> None:
     bench.take(1)
-    bench.table.lose(0.6)
+    bench.table.mischief("lose", 0.6)
     bench.run(0.6)
     assert bench.until(lambda: bench.screen == "fault") <= 1.0
     assert bench.said.startswith("gap of 0.6 s")
     bench.station.command("go_on")
     bench.run(0.2)
-    bench.table.stick(2.0)
+    bench.table.mischief("stick", 2.0)
     assert bench.until(lambda: bench.screen == "fault") <= 2.0
     assert bench.said.startswith("ay is stuck")
 

@@ -10,6 +10,7 @@ import contextlib
 import time
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from tumble.bench.record.sources import LineSource, speed_of
 from tumble.documents import whole_number
@@ -31,6 +32,8 @@ KNOCK = 3.0
 """m/s², for a tenth of a second."""
 ROCKING = 1.0 * DEGREE
 FULL_SCALE = 300.0 * DEGREE
+LASTING = {"knock": 0.1, "lose": 0.5, "stick": 2.0}
+"""s, of each mischief."""
 _SEED = 1
 AXES = {"N": np.array([1.0, 0.0, 0.0]), "U": np.array([0.0, 1.0, 0.0]), "E": np.array([0.0, 0.0, 1.0])}
 
@@ -46,22 +49,24 @@ class VirtualTable(LineSource):
         self._speed = speed_of(f"simulator:{programme_name}", speed or "1x")
         self._rng = np.random.default_rng(_SEED)
         kind = grade("mems")
-        self._models = []
+        noise = np.array([kind.noise.accel_white, kind.noise.gyro_white]) * SAMPLE_RATE**0.5
+        models = []
         for block in (Block(kind="accel", axes=np.eye(3)), Block(kind="gyro", axes=np.eye(3))):
             size = np.array([spread_of(kind, name) for name in block.names])
-            self._models.append(block.model(0.5 * size * self._rng.standard_normal(len(size))))
-        self._sigma = [kind.noise.accel_white * SAMPLE_RATE**0.5, kind.noise.gyro_white * SAMPLE_RATE**0.5]
+            models.append(block.model(0.5 * size * self._rng.standard_normal(len(size))))
+        self._matrix, self._bias = block_diag(*(m.matrix for m in models)), np.concatenate([m.bias for m in models])
+        self._sigma, self._earth = np.repeat(noise, 3), np.array(earth_rate(LATITUDE_DEG * DEGREE))
         self._sample = 0
         self._begun: float | None = None
         self._turn, self._first, self._samples = np.zeros(3), 0, 1
         """A turn by this vector (3,) in the geographic frame, rad, from this sample on, over so many."""
-        self._from = self._near(self.programme.positions[0].matrix)
-        """The attitude, body → geographic, at which it began."""
-        self._until = {"knock": -1, "lose": -1, "stick": -1}
+        self._from = self._to = self._near(self.programme.positions[0].matrix)
+        """The attitudes, body → geographic, at which it began and where it ends."""
+        self._until = dict.fromkeys(LASTING, -1)
         """The sample until which each mischief lasts."""
         self._rocking: tuple[int, int] | None = None
         self._warming: tuple[int, float] | None = None
-        self._last_row: list[float] = []
+        self._last_x = 0.0
 
     def skip_to(self, at: float) -> None:
         self._sample = round(at * SAMPLE_RATE)
@@ -69,25 +74,13 @@ class VirtualTable(LineSource):
     def _near(self, attitude: Array) -> Array:
         return rotation_matrix(OFF * self._rng.uniform(-1.0, 1.0, 3)) @ attitude
 
-    def _attitude(self, sample: float) -> Array:
-        """Body → geographic at a time in samples."""
-        part = min(max((sample - self._first) / self._samples, 0.0), 1.0)
-        smooth = part - np.sin(2.0 * np.pi * part) / (2.0 * np.pi)
-        return rotation_matrix(smooth * self._turn) @ self._from
-
-    def _motion(self, sample: float) -> tuple[Array, Array]:
-        """Attitude, body → geographic, and angular rate, rad/s, in the geographic frame, at a time in samples: on the
-        turn, and of a unit that was put down with movement as far from where it will lie as it still is."""
-        part = (sample - self._first) / self._samples
-        turning = (1.0 - np.cos(2.0 * np.pi * part)) * SAMPLE_RATE / self._samples if 0.0 <= part <= 1.0 else 0.0
-        L, rate = self._attitude(sample), turning * self._turn
-        if self._rocking is None:
-            return L, rate
-        first, samples = self._rocking
-        away = 1.0 - (sample - first) / samples
-        back = -ROCKING * SAMPLE_RATE / samples if 0.0 <= away <= 1.0 else 0.0
-        still = rotation_matrix(ROCKING * min(max(away, 0.0), 1.0) * AXES["N"])
-        return still @ L, still @ rate + back * AXES["N"]
+    def _turned(self, sample: float) -> tuple[Array, Array]:
+        """Attitude, body → geographic, and angular rate, rad/s, in the geographic frame, at a time in samples."""
+        part = max((sample - self._first) / self._samples, 0.0)
+        if part >= 1.0:
+            return self._to, np.zeros(3)
+        L = rotation_matrix((part - np.sin(2.0 * np.pi * part) / (2.0 * np.pi)) * self._turn) @ self._from
+        return L, (1.0 - np.cos(2.0 * np.pi * part)) * SAMPLE_RATE / self._samples * self._turn
 
     @property
     def moving(self) -> bool:
@@ -101,7 +94,7 @@ class VirtualTable(LineSource):
         """Turn into a position of the programme, the way of the programme where it has one."""
         target = self._near(self.programme.positions[position].matrix)
         move = self.programme.moves[position - 1] if position else None
-        now = self._attitude(self._sample)
+        now, _ = self._turned(self._sample)
         vector = rotation_vector(target @ now.T)
         if move is not None and move.axis is not None and move.angle is not None and np.linalg.norm(vector) > 1.0:
             whole = move.angle * move.axis
@@ -112,7 +105,7 @@ class VirtualTable(LineSource):
     def told(self, what: str) -> None:
         """Do what is said: "N+90" or "to 3", "knock", "lose" or "stick"; nothing for anything else."""
         if what in self._until:
-            getattr(self, what)()
+            self.mischief(what)
         elif what.startswith("to "):
             number = whole_number(what[3:])
             if number is not None and 0 < number <= len(self.programme.positions):
@@ -122,22 +115,14 @@ class VirtualTable(LineSource):
                 self.turn(what[0], float(what[1:]))
 
     def _start(self, vector: Array, rate: float) -> None:
-        angle = float(np.linalg.norm(vector))
-        self._from = self._attitude(self._sample)
-        self._turn, self._first = vector, self._sample
-        self._samples = max(round(2.0 * angle / rate * SAMPLE_RATE), 10)
+        self._from, _ = self._turned(self._sample)
+        self._turn, self._first, self._to = vector, self._sample, rotation_matrix(vector) @ self._from
+        self._samples = max(round(2.0 * float(np.linalg.norm(vector)) / rate * SAMPLE_RATE), 10)
 
-    def knock(self) -> None:
-        """A blow against the table."""
-        self._until["knock"] = self._sample + 10
-
-    def lose(self, seconds: float = 0.5) -> None:
-        """Samples that do not arrive."""
-        self._until["lose"] = self._sample + round(seconds * SAMPLE_RATE)
-
-    def stick(self, seconds: float = 2.0) -> None:
-        """A channel that repeats itself."""
-        self._until["stick"] = self._sample + round(seconds * SAMPLE_RATE)
+    def mischief(self, kind: str, seconds: float | None = None) -> None:
+        """A blow against the table ("knock"), samples that do not arrive ("lose"), a channel that repeats itself
+        ("stick"), for so long."""
+        self._until[kind] = self._sample + round((LASTING[kind] if seconds is None else seconds) * SAMPLE_RATE)
 
     def rock(self, seconds: float = 1.5) -> None:
         """A unit put down with movement when the turn under way ends: it comes to rest slowly."""
@@ -159,23 +144,25 @@ class VirtualTable(LineSource):
 
     def line(self) -> str:
         """The next sample as a line; empty where it does not arrive."""
-        middle = self._sample + 0.5
-        L, rate = self._motion(middle)
+        L, rate = self._turned(middle := self._sample + 0.5)
+        if self._rocking is not None:  # of a unit put down with movement: as far from where it will lie as it still is
+            first, samples = self._rocking
+            if (away := 1.0 - (middle - first) / samples) >= 0.0:
+                still = rotation_matrix(ROCKING * min(away, 1.0) * AXES["N"])
+                back = -ROCKING * SAMPLE_RATE / samples if away <= 1.0 else 0.0
+                L, rate = still @ L, still @ rate + back * AXES["N"]
         force = L.T @ (GRAVITY * AXES["U"])
         if self._sample < self._until["knock"]:
             force = force + KNOCK * self._rng.standard_normal(3)
-        true = [force, L.T @ (rate + np.array(earth_rate(LATITUDE_DEG * DEGREE)))]
-        row = [
-            value
-            for model, sigma, vector in zip(self._models, self._sigma, true, strict=True)
-            for value in model.matrix @ vector + model.bias + sigma * self._rng.standard_normal(3)
-        ]
-        row[3:] = np.clip(row[3:], -FULL_SCALE, FULL_SCALE).tolist()
+        true = np.concatenate([force, L.T @ (rate + self._earth)])
+        row = (self._matrix @ true + self._bias + self._sigma * self._rng.standard_normal(6)).tolist()
+        row[3:] = [min(max(value, -FULL_SCALE), FULL_SCALE) for value in row[3:]]
         if self._sample < self._until["stick"]:
-            row[1] = self._last_row[1]
-        self._last_row, self._sample = row, self._sample + 1
-        lost = self._sample < self._until["lose"]
+            row[1] = self._last_x
+        self._last_x, self._sample = row[1], self._sample + 1
         if self._temperature:
             since, warming = self._warming or (self._sample, 0.0)
             row.append(25.0 + warming * (self._sample - since) / SAMPLE_RATE)
-        return "" if lost else ",".join(f"{value:.9g}" for value in [self._sample / SAMPLE_RATE, *row]) + "\n"
+        if self._sample < self._until["lose"]:
+            return ""
+        return ",".join(f"{value:.9g}" for value in [self._sample / SAMPLE_RATE, *row]) + "\n"
