@@ -15,10 +15,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.signal import lfilter
+from stored import shown, store
 
 from tumble.diagnosis.misfit import misfit
 from tumble.diagnosis.verdict import verdict
@@ -455,8 +458,10 @@ class Said:
     causes: tuple[str, ...]
 
 
-def said_of(setting: Setting, off: Departure, seed: int) -> Said:
-    """What is said of one session."""
+def said_of(seed: int, place: int, line: int) -> Said:
+    """What is said of one session in a setting, of a line of the table."""
+    setting, (departure, size) = SETTINGS[place], LINES[line]
+    off = departure.times(size)
     observations, truth = session(setting, off, seed)
     estimate = joint(observations)
     outcome = verdict(estimate, observations)
@@ -508,31 +513,38 @@ class Line:
 
 VERDICTS = ("accepted", "accepted with scatter", "not accepted")
 MOST_RMS, MOST_BEYOND, MOSTLY = 1.25, 0.02, 0.8
+LINES = [(CLEAN, 1.0), *((off, size) for off in DEPARTURES for size in (1.0, 3.0))]
+"""Departures and how many times their size, of the table."""
+HEAD = ["departure", "setting", "N", "accepted, with scatter, refused", "rms", "beyond 3 u", "cause named"]
 
 
-def main(arguments: list[str]) -> None:
-    """Print the table and the answer. Argument: sessions a line (default 40), or --short."""
+def main(arguments: list[str]) -> int:
+    """Print the table and the answer. Arguments: sessions a line (default 40) and --store, or --short."""
     short = "--short" in arguments
-    count = 1 if short else int(arguments[0]) if arguments else 40
-    bad = []
-    print(f"{'':42}{'setting':13}{'accepted':>9}{'scatter':>9}{'refused':>9}{'rms':>7}{'>3u':>7}{'cause':>7}")
-    lines = [(CLEAN, 1.0), *((off, size) for off in DEPARTURES for size in ((3.0,) if short else (1.0, 3.0)))]
-    for off, size in lines:
-        for setting in SETTINGS[:1] if short else SETTINGS:
-            many = count if off is not CLEAN else 5 * count
-            line = Line.of([said_of(setting, off.times(size), seed) for seed in range(many)], off)
-            name = off.name if size == 1.0 else f"{off.name}, × {size:.0f}"
-            print(
-                f"{name:42}{setting.name:13}{line.accepted:9.0%}{line.scatter:9.0%}{line.refused:9.0%}"
-                f"{line.rms:7.2f}{line.beyond:7.1%}{line.right:7.0%}{'' if line.good else '  !'}",
-                flush=True,
-            )
-            if not line.good:
-                bad.append(f"{name} ({setting.name})")
+    counts = [int(each) for each in arguments if each.isdigit()]
+    count, rows, bad = 1 if short else counts[0] if counts else 40, [HEAD], list[str]()
+    with ProcessPoolExecutor() as pool:
+        for i, (departure, size) in enumerate(LINES):
+            if short and departure is not CLEAN and size == 1.0:
+                continue
+            for place, setting in enumerate(SETTINGS[:1] if short else SETTINGS):
+                many = count if departure is not CLEAN else 5 * count
+                sessions = list(pool.map(partial(said_of, place=place, line=i), range(many)))
+                line = Line.of(sessions, departure)
+                name = departure.name if size == 1.0 else f"{departure.name}, × {size:.0f}"
+                shares = f"{line.accepted:.0%}, {line.scatter:.0%}, {line.refused:.0%}"
+                judged = [f"{line.rms:.2f}", f"{line.beyond:.1%}"] if line.accepted else ["", ""]
+                right = f"{line.right:.0%}" if line.scatter else ""
+                rows.append([name, setting.name, str(many), shares, *judged, right])
+                print(*rows[-1], "" if line.good else "!", sep=" | ", flush=True)
+                if not line.good:
+                    bad.append(f"{name} ({setting.name})")
+    print(shown(rows))
+    if "--store" in arguments:
+        store("departures", {"verdicts": rows}, seed="from 0", N=str(count))
     print(f"Is anything wrong accepted without a word? {'; '.join(bad) or 'Only what no turn of the session shows.'}")
-    if bad:
-        sys.exit(1)
+    return 1 if bad else 0
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    sys.exit(main(sys.argv[1:]))

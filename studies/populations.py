@@ -9,17 +9,20 @@ times), and 94 % otherwise. Where the data sheet is right u is also compared wit
 Nothing can be said of what no rest or
 turn shows: it keeps the u of the data sheet, and of such a parameter three times the data sheet is 3 u.
 
-    python studies/populations.py 40        40 instruments a line, in Markdown
+    python studies/populations.py 40 --store        40 instruments a line
 """
 
 from __future__ import annotations
 
 import sys
 from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy import special
+from stored import shown, store
 
 from tumble.diagnosis.verdict import verdict
 from tumble.inference.joint import joint
@@ -45,7 +48,7 @@ FIRST = 1000
 """Seed of the first instrument."""
 
 
-def unit(setup: Setup, times: float, seed: int, alone: bool) -> tuple[str, Array, Array, Array]:
+def unit(seed: int, setup: Setup, times: float, alone: bool) -> tuple[str, Array, Array, Array]:
     """The verdict on an instrument so many times worse, its gyros left out or not, and of its linear parameters the
     errors over u, whether intervals of 95 % contain them, and u over that with sizes that are known (nan where they are
     not the usual ones)."""
@@ -74,20 +77,27 @@ def unit(setup: Setup, times: float, seed: int, alone: bool) -> tuple[str, Array
     return verdict(estimate, observations).verdict, off, inside, wider
 
 
-def measured(name: str, times: float, count: int) -> float:
-    """Print a line of what so many instruments give; the coverage of what is accepted."""
+def measured(name: str, times: float, count: int, pool: ProcessPoolExecutor) -> tuple[float, list[str]]:
+    """What so many instruments give: the coverage of what is accepted, and the line of the table."""
     setup = (SETUPS | BY_HAND | ALONE)[name]
-    runs = [unit(setup, times, seed, name in ALONE) for seed in range(FIRST, FIRST + count)]
+    of_seed = partial(unit, setup=setup, times=times, alone=name in ALONE)
+    runs = list(pool.map(of_seed, range(FIRST, FIRST + count)))
     by = Counter(said for said, *_ in runs)
     off = np.concatenate([off for said, off, *_ in runs if said.startswith("accepted")])
     covered = float(np.mean(np.concatenate([inside for said, _, inside, _ in runs if said.startswith("accepted")])))
-    print(
-        f"| {name} | {times:g} | {count} | {by['accepted']}, {by['accepted with scatter']}, {by['not accepted']} | "
-        f"{np.sqrt(np.mean(off**2)):.2f} | {100.0 * covered:.1f} % | {100.0 * np.mean(np.abs(off) > 3.0):.1f} % | "
-        f"{np.abs(off).max():.1f} | {f'{np.mean([wider for *_, wider in runs]):.2f}' if times == 1.0 else ''} |",
-        flush=True,
-    )
-    return covered
+    line = [
+        name, f"{times:g}", str(count), f"{by['accepted']}, {by['accepted with scatter']}, {by['not accepted']}",
+        f"{np.sqrt(np.mean(off**2)):.2f}", f"{100.0 * covered:.1f} %", f"{100.0 * np.mean(np.abs(off) > 3.0):.1f} %",
+        f"{np.abs(off).max():.1f}", f"{np.mean([wider for *_, wider in runs]):.2f}" if times == 1.0 else "",
+    ]  # fmt: skip
+    print(*line, sep=" | ", flush=True)
+    return covered, line
+
+
+HEAD = [
+    "set-up", "times", "N", "accepted, with scatter, not", "rms", "covered", "beyond 3 u", "largest",
+    "u over that of known sizes",
+]  # fmt: skip
 
 
 def least(name: str, times: float) -> float:
@@ -101,16 +111,16 @@ def main() -> None:
     short = "--short" in sys.argv
     count = 3 if short else int(sys.argv[1])
     lines = [(setup, times) for setup in SETUPS | ALONE for times in TIMES] + [(setup, 1.0) for setup in BY_HAND]
-    print(
-        "| set-up | times | N | accepted, with scatter, not | rms | covered | beyond 3 u | largest "
-        "| u over that of known sizes |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|")
-    missed = [
-        f"{name} at {times:g} times"
-        for name, times in (lines[1:2] if short else lines)
-        if measured(name, times, count) < (0.8 if short else least(name, times))
-    ]
+    rows, missed = [HEAD], list[str]()
+    with ProcessPoolExecutor() as pool:
+        for name, times in lines[1:2] if short else lines:
+            covered, line = measured(name, times, count, pool)
+            rows.append(line)
+            if covered < (0.8 if short else least(name, times)):
+                missed.append(f"{name} at {times:g} times")
+    print(shown(rows))
+    if "--store" in sys.argv:
+        store("populations", {"coverage": rows}, seed=f"from {FIRST}", N=str(count))
     print(f"Is u honest beyond the data sheet? {'Yes' if not missed else 'No: ' + '; '.join(missed)}")
     if missed:
         sys.exit(1)
