@@ -91,7 +91,7 @@ NO_RESULT = {
     "psins.md": 3,
     "public-recordings.md": 1,
     "registry.md": 6,
-    "robustness.md": 2,
+    "robustness.md": 1,
     "simulation.md": 1,
     "temperature.md": 4,
     "thresholds.md": 2,
