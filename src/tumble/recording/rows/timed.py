@@ -91,28 +91,17 @@ def rows_of(
         yield sieve.kept(LogRows(numbers=numbers, time=time, values=values, unread={u.row: u for u in unread}))
         first += table.height
     if sieve.held is not None:
-        yield sieve.held
-    sieve.caught_up(math.nan)
+        yield sieve.judged(sieve.held, last=True)
     if sieve.left_out > FREE + SHARE * (first - 1):
         raise sieve.too_many(first - 1)
 
 
 @dataclass(kw_only=True, slots=True)
-class _Behind:
-    """Rows behind each other whose time is no later than one `before`, s, of a row that was kept: their numbers, the
-    first of their times and the least, s."""
-
-    before: float
-    first: float
-    least: float
-    rows: list[int]
-
-
-@dataclass(kw_only=True, slots=True)
 class _Sieve:
     """Leaves out the rows of a file that have no time of their own. `count`: rows that went out; `last`: the time of
-    the last of them; `shift`: what midnights have added to a clock, s; `held`: a row that may leap beyond the next;
-    `behind`: the rows since the last that went out; `falls`: the first of those that fall back."""
+    the last of them; `shift`: what midnights have added to a clock, s; `held`: the last rows, of which only the next
+    one tells whether they leap or fall back; `falls`: of rows
+    that do how many there are, the first, the time before it and its own, s."""
 
     source: LogSource
     spec: LogSpec
@@ -124,8 +113,7 @@ class _Sieve:
     last: float = -math.inf
     shift: float = 0.0
     held: LogRows | None = None
-    behind: _Behind | None = None
-    falls: list[_Behind] = field(default_factory=list)
+    falls: list[tuple[int, int, float, float]] = field(default_factory=list)
     left_out: int = 0
     first: Gap | None = None
 
@@ -162,73 +150,64 @@ class _Sieve:
             rows = replace(rows, time=time + 2.0 * _HALF_DAY * passed)
         if self.on_grid:
             rows = replace(rows, time=self.grid.nearest(rows.time))
-        free = self.held is None and self.behind is None and len(rows.time) > 1 and rows.time[0] > self.last
+        free = self.held is None and len(rows.time) > 1 and rows.time[0] > self.last
         steps = np.diff(rows.time)
         if free and steps.min() > 0.0 and steps[-1] <= JUMP * self.grid.interval:
             return rows
-        return self._in_order(self._without_leaps(rows))
+        return self.judged(rows if self.held is None else self.held.followed_by(rows), last=False)
 
-    def _without_leaps(self, rows: LogRows) -> LogRows:
-        """Without single rows that leap; a last one that may is held back until the next is known."""
-        rows = rows if self.held is None else self.held.followed_by(rows)
-        self.held, step = None, JUMP * self.grid.interval
-        former = np.concatenate([[self.last], rows.time])[-2:]
+    def judged(self, rows: LogRows, *, last: bool) -> LogRows:
+        """Without single rows that leap and without rows that are no later than one before them. Unless they are the
+        `last` of the file, a last row that may leap is held back, and so are rows at the end that are no later."""
+        step, unsure = JUMP * self.grid.interval, None
         leaps = leaping(rows.time, self.last, step)
-        if len(rows.time) and former[1] - former[0] > step:
-            self.held, rows, leaps = rows.part(slice(-1, None)), rows.part(slice(0, -1)), leaps[:-1]
+        former = np.concatenate([[self.last], rows.time])[-2:]
+        if len(rows.time) and not last and former[1] - former[0] > step:
+            unsure, rows, leaps = rows.part(slice(-1, None)), rows.part(slice(0, -1)), leaps[:-1]
         for at in np.flatnonzero(leaps).tolist():
             before = float(rows.time[at - 1]) if at else self.last
             self._leave_out(int(rows.numbers[at]), "a time stamp beyond that of the next row", before)
-        return rows.part(~leaps) if leaps.any() else rows
-
-    def _in_order(self, rows: LogRows) -> LogRows:
-        """Without the rows that are no later than one before them."""
+        rows = rows.part(~leaps) if leaps.any() else rows
         late = _no_later(rows.time, self.last)
-        if len(late) and not late[0]:
-            self.caught_up(float(rows.time[0]))
-        if not late.any():
-            return rows
+        sound = np.flatnonzero(~late)
+        end = int(sound[-1]) + 1 if len(sound) else 0
+        if last or len(late) - end > MOST - self.left_out:
+            end = len(late)
+        behind, self.held = rows.part(slice(end, None)), unsure
+        if end < len(late):
+            self.held = behind if unsure is None else behind.followed_by(unsure)
+        rows, late = rows.part(slice(0, end)), late[:end]
         found = np.flatnonzero(late)
-        for run in np.split(found, np.flatnonzero(np.diff(found) > 1) + 1):
-            time = rows.time[run]
-            if self.behind is None:
-                before = float(rows.time[run[0] - 1]) if run[0] else self.last
-                self.behind = _Behind(before=before, first=float(time[0]), least=math.inf, rows=[])
-            self.behind.least = min(self.behind.least, float(time.min()))
-            self.behind.rows.extend(rows.numbers[run].tolist())
-            if self.left_out + len(self.behind.rows) > MOST:
-                self.caught_up(math.nan)
-            if run[-1] + 1 < len(late):
-                self.caught_up(float(rows.time[run[-1] + 1]))
-        return rows.part(~late)
+        for run in np.split(found, np.flatnonzero(np.diff(found) > 1) + 1) if len(found) else ():
+            before = float(rows.time[run[0] - 1]) if run[0] else self.last
+            after = float(rows.time[run[-1] + 1]) if run[-1] + 1 < end else math.nan
+            self._behind(rows.numbers[run].tolist(), rows.time[run], before, after)
+        return rows.part(~late) if len(found) else rows
 
-    def caught_up(self, time: float) -> None:
-        """Report the rows behind, if there are any, now that the time of the next row, s, is known; nan where there is
-        none."""
-        behind, self.behind = self.behind, None
-        if behind is None:
-            return
-        falls, passed = behind.least < behind.before, (time - behind.before) / self.grid.interval
+    def _behind(self, rows: list[int], time: Array, before: float, after: float) -> None:
+        """Report rows whose times (m,) are no later than one `before` them; `after` is the time of the next row, nan
+        where there is none. s."""
+        falls, passed = float(time.min()) < before, (after - before) / self.grid.interval
         if falls:
-            self.falls.append(behind)
-        if falls and not abs(passed - len(behind.rows) - 1.0) < _PASSED:
-            self.left_out += len(behind.rows)
-            self._report(
-                Gap(
-                    file=self.file,
-                    row=behind.rows[0],
-                    time=behind.before,
-                    samples=len(behind.rows),
-                    what="time stamps that fall back",
-                    stop=time,
-                    integrable=False,
-                    why="the clock falls back in it",
-                )
-            )
+            self.falls.append((len(rows), rows[0], before, float(time[0])))
+        if not falls or abs(passed - len(rows) - 1.0) < _PASSED:
+            what = "a time stamp before that of the row before" if falls else "the time stamp of the row before"
+            for row in rows:
+                self._leave_out(row, what, before)
             return
-        what = "a time stamp before that of the row before" if falls else "the time stamp of the row before"
-        for row in behind.rows:
-            self._leave_out(row, what, behind.before)
+        self.left_out += len(rows)
+        self._report(
+            Gap(
+                file=self.file,
+                row=rows[0],
+                time=before,
+                samples=len(rows),
+                what="time stamps that fall back",
+                stop=after,
+                integrable=False,
+                why="the clock falls back in it",
+            )
+        )
 
     def _leave_out(self, row: int, what: str, before: float) -> None:
         self.left_out += 1
@@ -243,9 +222,8 @@ class _Sieve:
     def too_many(self, rows: int) -> LogError:
         """What is said where too many of so many rows were left out."""
         assert self.first is not None
-        if 2 * sum(len(fall.rows) for fall in self.falls) > self.left_out:
-            fall = self.falls[0]
-            return runs_backwards(self.source, self.spec, fall.rows[0], fall.before, fall.first)
+        if 2 * sum(count for count, *_ in self.falls) > self.left_out:
+            return runs_backwards(self.source, self.spec, *self.falls[0][1:])
         advice = f"; {REGULAR_HINT}" if "stamp" in self.first.what else "; look at the file, or record again"
         return LogError(
             f"{self.source.place(self.first.row)}: expected at most {SHARE:.0%} of the rows and {FREE} to be left "
