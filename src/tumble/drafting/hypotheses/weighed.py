@@ -36,11 +36,11 @@ def weighed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tuple[
     near = [hypothesis for hypothesis in every[1:] if hypothesis.cost < best.cost + widths.near]
     log = {key: value for key, value in draft.log.items() if key not in _TIME_KEYS} | best.times.keys
     said = _of_times(draft, best, shown, near)
-    log[ACCEL], told = _accel(draft, best, shown, near)
-    said += told
+    log[ACCEL], of_accel = _accel(draft, best, shown, near)
+    said += of_accel
     if best.gyro is not None:
-        log[GYRO], told = _gyro(draft, best, best.gyro, shown, every, near)
-        said += told
+        log[GYRO], of_gyro = _gyro(draft, best, best.gyro, shown, every, near)
+        said += of_gyro
     if draft.guessed:
         said.append(_next(best, every, widths))
     content = {**draft.content, "log": log}
@@ -68,15 +68,19 @@ def _next(best: Hypothesis, every: Sequence[Hypothesis], widths: Widths) -> str:
     further: dict[str, float] = {}
     every = [h for h in every if h.cost < best.cost + widths.near or (h.accel.known and (not h.gyro or h.gyro.known))]
     for part in (ACCEL, GYRO, "time", "axes"):
-        rival = min(
-            (h for h in every if part in h.differs(best)), key=lambda h: h.cost + len(h.differs(best)), default=best
-        )
-        parts, rate = rival.differs(best), rival.times.rate
-        words = [f"accelerometers in {_scale(ACCEL, rival.accel)}"] if ACCEL in parts else []
-        words += [f"gyros in {_scale(GYRO, rival.gyro)}"] if GYRO in parts and rival.gyro is not None else []
-        stamps = f"a time in {rival.times.keys.get('time_unit', 's')}"
-        words += [stamps if rival.times.stamped else f"{rate:g} samples per second"] if "time" in parts else []
-        if "axes" in parts and rival.profile is not None:
+        rivals = [h for h in every if part in h.differs(best)]
+        if not rivals:
+            continue
+        rival = min(rivals, key=lambda h: h.cost + len(h.differs(best)))
+        words = []
+        for kind, sensors, scale in ((ACCEL, "accelerometers", rival.accel), (GYRO, "gyros", rival.gyro)):
+            if kind in rival.differs(best) and scale is not None:
+                counts = f"{scale.value:.6g} counts per {PER[kind]}" if scale.known else "counts of no data sheet"
+                words.append(f"{sensors} in {scale.unit or counts}")
+        if "time" in rival.differs(best):
+            stamps = f"a time in {rival.times.keys.get('time_unit', 's')}"
+            words.append(stamps if rival.times.stamped else f"{rival.times.rate:g} samples per second")
+        if "axes" in rival.differs(best) and rival.profile is not None:
             exchanged = columns_said(rival.profile.exchange) if rival.profile.exchanged else "no columns are exchanged"
             words.append(exchanged)
         further.setdefault(", ".join(words), rival.cost - best.cost)
@@ -86,12 +90,6 @@ def _next(best: Hypothesis, every: Sequence[Hypothesis], widths: Widths) -> str:
     said = "; ".join(f"{words} (cost +{cost:.1f})" for cost, words in listed if cost < max(_FAR, listed[0][0] + 1e-9))
     doubt = "; too near to be sure: state what you know" if listed[0][0] < widths.near else ""
     return f"guessed: next would be {said}; +{widths.near:g} is 20 times less likely{doubt}"
-
-
-def _scale(kind: str, scale: KnownScale) -> str:
-    """In words."""
-    counts = f"{scale.value:.6g} counts per {PER[kind]}" if scale.known else "counts of no data sheet"
-    return scale.unit or counts
 
 
 def _of_times(draft: Draft, best: Hypothesis, shown: Shown, near: Sequence[Hypothesis]) -> list[str]:
@@ -111,7 +109,7 @@ def _of_times(draft: Draft, best: Hypothesis, shown: Shown, near: Sequence[Hypot
             told = f"time: how many rests there are depends on the rate, which no turns show: {counts}"
             said.append(f"{told}; give it (--sample-rate)")
         return said
-    found = _q(best, best.gyro) * DEGREE / best.gyro.value
+    found = _found(best, best.gyro) * taken.rate / best.gyro.value
     others = list[str]()
     for rival in near:
         if "time" in rival.differs(best) and not rival.times.stamped and rival.gyro is not None:
@@ -122,24 +120,21 @@ def _of_times(draft: Draft, best: Hypothesis, shown: Shown, near: Sequence[Hypot
     return [*said, f"time: rate_hz = {taken.rate:g} {seen}"]
 
 
-def _q(best: Hypothesis, gyro: KnownScale) -> float:
-    """The sum of the gyros' numbers over a radian that costs least, near that of a hypothesis."""
+def _found(best: Hypothesis, gyro: KnownScale) -> float:
+    """What the gyros read for one °/s by the turns, near what a hypothesis says."""
     assert best.profile is not None
-    return best.profile.found(math.log(gyro.reads(best.times.rate) * best.times.rate / DEGREE))
+    rate = best.times.rate
+    return best.profile.found(math.log(gyro.reads(rate) * rate / DEGREE)) * DEGREE / rate
 
 
 def _comes_near(kind: str, scale: KnownScale, shown: Shown, best: Hypothesis, near: Sequence[Hypothesis]) -> str:
     """A unit or counts beside what was found for one g or °/s, and what else would fit at the same rate."""
     rate, per = best.times.rate, PER[kind]
 
-    def reads(of: KnownScale) -> float:
-        return shown.length if kind == ACCEL else _q(best, of) * DEGREE / rate
-
     def off(of: KnownScale) -> str:
-        return f"({math.log(reads(of) / of.reads(rate)):+.1%})"
+        return f"({math.log((shown.length if kind == ACCEL else _found(best, of)) / of.reads(rate)):+.1%})"
 
-    found = reads(scale)
-
+    found = shown.length if kind == ACCEL else _found(best, scale)
     others = list[str]()
     for rival in near:
         other = rival.accel if kind == ACCEL else rival.gyro

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,29 +27,48 @@ from tumble.recording.columns.numbers import columns_by_data, grows
 from tumble.recording.formats import TIME, Message
 from tumble.recording.rows.gaps import is_reading
 from tumble.recording.text.pieces import LARGEST_RATIO, SMALL_BYTES
-from tumble.units import TIME_UNITS
+from tumble.units import TIME_UNITS, Array
 
 NOTHING = "no arrays named as accelerometers are, such as acc_x or accel (m, 3)"
 
 _ROWS = 1 << 15
 _SHORTEST = 10
 _WIDEST = 32
-_MOST_ROWS = 1 << 21
-Columns = Mapping[str, tuple[str, int | None]]
-"""Columns of a table by name: the array, and which of its columns."""
+_WHOLE = slice(0, 1 << 21)
+Shape = tuple[int, ...]
+Read = Callable[[Any], Any]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Column:
+    """A column of a table: the name of an array, its shape, how a part of it is read, and which of its columns or rows
+    it is."""
+
+    array: str
+    shape: Shape
+    read: Read
+    axis: int | None
+
+    def part(self, rows: slice) -> Array:
+        """Some of it, NaN for what is no reading."""
+        across, upright = 0 if self.axis is None else self.axis, self.shape[0] >= self.shape[-1]
+        where = rows if len(self.shape) == 1 else (rows, across) if upright else (across, rows)
+        with np.errstate(over="ignore"):  # numbers of 80 bits that are beyond those of 64
+            numbers = np.asarray(self.read(where), dtype=np.float64)
+        return np.where(is_reading(numbers), numbers, np.nan)
 
 
 def messages(path: Path) -> list[Message]:
     """Tables with inertial sensors, one for each length of arrays; those whose names say so come first."""
-    shapes = {name: shape for name, (shape, _) in _arrays(path).items() if len(shape) in (1, 2)}
+    arrays = {name: array for name, array in _arrays(path).items() if len(array[0]) in (1, 2)}
     by_name: list[Message] = []
     by_data: list[Message] = []
-    for length in sorted({max(shape) for shape in shapes.values()}, reverse=True):
-        columns = dict(_columns(path, {name: s for name, s in shapes.items() if max(s) == length}))
+    for length in sorted({max(shape) for shape, _ in arrays.values()}, reverse=True):
+        columns = dict(_columns({name: array for name, array in arrays.items() if max(array[0]) == length}))
         known = columns_by_name(columns)
         guessed, remark = ACCEL not in known.triads, ""
         if guessed:
-            known, remark = _with_told_by_data(path, columns, known)
+            known, remark = _with_told_by_data(columns, known)
         if length < _SHORTEST or not known.triads:
             continue
         factor = TIME_UNITS[known.time_unit or "s"]
@@ -61,53 +80,46 @@ def messages(path: Path) -> list[Message]:
                 temperatures=known.temperatures,
                 timed=known.time is not None,
                 remark=remark,
-                rows=partial(_rows, path, columns, known.time, factor),
+                rows=partial(_rows, columns, length, known.time, factor),
             )
         )
-    if not by_name and not by_data:
-        _check_no_tables(path)
+    if not by_name and not by_data and path.suffix.lower() == ".mat" and not h5py.is_hdf5(path):
+        opaque = [v for v in loadmat(path).values() if isinstance(v, MatlabOpaque)]
+        kinds = {bytes(kind).decode(errors="replace") for v in opaque for kind in v["s2"]} & {"table", "timetable"}
+        if kinds:
+            kind = max(kinds)
+            raise InputError(
+                f"{path}: expected arrays of numbers, found a {kind}, which MATLAB alone reads: write it as text "
+                f"there, write{kind}(T, 'log.csv')"
+            )
     return by_name + by_data
 
 
-def _check_no_tables(path: Path) -> None:
-    """Raises InputError for a MATLAB file with tables or timetables, which only MATLAB reads."""
-    if path.suffix.lower() != ".mat" or h5py.is_hdf5(path):
-        return
-    opaque = [v for v in loadmat(path).values() if isinstance(v, MatlabOpaque)]
-    kinds = {bytes(kind).decode(errors="replace") for v in opaque for kind in v["s2"]} & {"table", "timetable"}
-    if kinds:
-        kind = sorted(kinds)[-1]
-        raise InputError(
-            f"{path}: expected arrays of numbers, found a {kind}, which MATLAB alone reads: write it as text there, "
-            f"write{kind}(T, 'log.csv')"
-        )
-
-
-def _columns(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> Iterator[tuple[str, tuple[str, int | None]]]:
-    for name, shape in shapes.items():
+def _columns(arrays: Mapping[str, tuple[Shape, Read]]) -> Iterator[tuple[str, Column]]:
+    for name, (shape, read) in arrays.items():
         if min((*shape, 1)) == 1 and np.prod(shape) == max(shape):
-            yield name, (name, None)
+            yield name, Column(array=name, shape=shape, read=read, axis=None)
         elif 3 <= min(shape) <= _WIDEST:
-            axes = list(range(min(shape)))
-            ends = {axis: _read_whole(path, {name: (name, axis)})[:, 0] for axis in (0, 3) if len(axes) == 4}
-            time = next((axis for axis, column in ends.items() if grows(column)), None)
+            across = [Column(array=name, shape=shape, read=read, axis=axis) for axis in range(min(shape))]
+            ends = (across[0], across[-1]) if len(across) == 4 else ()
+            time = next((column for column in ends if grows(column.part(_WHOLE))), None)
             if time is not None:
-                axes.remove(time)
-                yield f"{name}/t", (name, time)
-            yield from ((f"{name}[{at}]", (name, axis)) for at, axis in enumerate(axes))
+                across.remove(time)
+                yield f"{name}/t", time
+            yield from ((f"{name}[{at}]", column) for at, column in enumerate(across))
 
 
-def _with_told_by_data(path: Path, columns: Columns, known: Known) -> tuple[Known, str]:
+def _with_told_by_data(columns: Mapping[str, Column], known: Known) -> tuple[Known, str]:
     """What columns are where no name says which are accelerometers: by their numbers, but for the triads that an array
     of their own is named as; and that in words."""
-    wide = {array for array, axis in columns.values() if axis is not None and axis > 3}
-    named = {k: t for k, t in known.triads.items() if columns[t.columns[0]][0] not in wide}
+    wide = {column.array for column in columns.values() if column.axis is not None and column.axis > 3}
+    named = {k: t for k, t in known.triads.items() if columns[t.columns[0]].array not in wide}
     taken = {column for triad in named.values() for column in triad.columns}
     free = {name: column for name, column in columns.items() if name not in taken}
-    together = {name: column for name, column in free.items() if column[1] is not None} or free
+    together = {name: column for name, column in free.items() if column.axis is not None} or free
     if not 0 < len(together) <= _WIDEST:
         return known, ""
-    told = columns_by_data(list(together), _read_whole(path, together))
+    told = columns_by_data(list(together), np.column_stack([column.part(_WHOLE) for column in together.values()]))
     found = told.columns
     if ACCEL not in found.triads:
         return replace(known, triads=named), ""
@@ -115,37 +127,14 @@ def _with_told_by_data(path: Path, columns: Columns, known: Known) -> tuple[Know
     return known, "; ".join(told.said(named))
 
 
-def _rows(path: Path, columns: Columns, time: str | None, factor: float) -> Iterator[pl.DataFrame]:
-    arrays = _arrays(path)
-    length = max(arrays[next(iter(columns.values()))[0]][0])
+def _rows(columns: Mapping[str, Column], length: int, time: str | None, factor: float) -> Iterator[pl.DataFrame]:
     for start in range(0, length, _ROWS):
         part = slice(start, min(start + _ROWS, length))
-        table = {name: _part(*arrays[array], part, axis) for name, (array, axis) in columns.items()}
-        if time is not None:
-            table = {TIME: table.pop(time) * factor} | table
-        yield pl.DataFrame(table)
+        table = {name: column.part(part) for name, column in columns.items()}
+        yield pl.DataFrame(table if time is None else {TIME: table.pop(time) * factor} | table)
 
 
-Read = Callable[[Any], Any]
-
-
-def _read_whole(path: Path, columns: Columns) -> Any:
-    """The columns of a table side by side, some million rows of them at most."""
-    arrays = _arrays(path)
-    part = slice(0, _MOST_ROWS)
-    return np.column_stack([_part(*arrays[array], part, axis) for array, axis in columns.values()])
-
-
-def _part(shape: tuple[int, ...], read: Read, part: slice, axis: int | None) -> Any:
-    """Some of a column of an array: of three columns or three rows, or of one of either."""
-    across, upright = 0 if axis is None else axis, shape[0] >= shape[-1]
-    where = part if len(shape) == 1 else (part, across) if upright else (across, part)
-    with np.errstate(over="ignore"):  # numbers of 80 bits that are beyond those of 64
-        numbers = np.asarray(read(where), dtype=np.float64)
-    return np.where(is_reading(numbers), numbers, np.nan)
-
-
-def _arrays(path: Path) -> dict[str, tuple[tuple[int, ...], Read]]:
+def _arrays(path: Path) -> dict[str, tuple[Shape, Read]]:
     """Arrays of numbers by their paths: shape, and how to read a part of them."""
     if path.suffix.lower() in (".npy", ".npz"):
         return dict(_nested(_of_numpy(path)))
@@ -173,7 +162,7 @@ def _of_numpy(path: Path) -> Mapping[str, Any]:
         ) from None
 
 
-def _nested(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, tuple[tuple[int, ...], Read]]]:
+def _nested(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, tuple[Shape, Read]]]:
     """The arrays of a MATLAB file, those in structures too."""
     for name, value in content.items():
         if isinstance(value, np.ndarray) and value.dtype.names:
@@ -194,9 +183,9 @@ def _stacked(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {name: np.array(parts) for name, parts in found.items() if len({part.shape for part in parts}) == 1}
 
 
-def _datasets(path: Path) -> dict[str, tuple[tuple[int, ...], Read]]:
+def _datasets(path: Path) -> dict[str, tuple[Shape, Read]]:
     """The arrays of an HDF5 file."""
-    found: dict[str, tuple[tuple[int, ...], Read]] = {}
+    found: dict[str, tuple[Shape, Read]] = {}
 
     def visit(name: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu":
