@@ -576,12 +576,24 @@ def test_two_turns_tell_units_and_counts(
     assert not faults
 
 
-def test_gyros_whose_columns_are_exchanged_are_told_and_said(two_turns: pl.DataFrame, tmp_path: Path) -> None:
-    exchanged = two_turns.rename({"gx": "gy", "gy": "gx"}).select(two_turns.columns).with_columns(-pl.col("gz"))
+@pytest.mark.parametrize(
+    ("order", "sign", "said"),
+    [
+        (("gy", "gx", "gz"), -1.0, "the gyro columns x and y are exchanged and the sign of gyro z is wrong"),
+        (("gy", "gz", "gx"), 1.0, "the gyro columns are in the order y, z, x"),
+    ],
+)
+def test_gyros_whose_columns_are_exchanged_are_told_and_said(
+    order: tuple[str, ...], sign: float, said: str, two_turns: pl.DataFrame, tmp_path: Path
+) -> None:
+    columns = dict(zip(("gx", "gy", "gz"), order, strict=True))
+    exchanged = two_turns.with_columns(pl.col(column).alias(name) for name, column in columns.items())
+    exchanged = exchanged.with_columns(pl.col("gz") * sign)
     log = written(exchanged, tmp_path / "log.csv", gyro=1.0 / DEGREE)
     draft, faults = new_session(tmp_path / "session", log)
     assert draft.log[GYRO]["unit"] == "deg/s"
-    assert "only where the gyro columns x and y are exchanged and the sign of gyro z is wrong" in faults[0]
+    assert "only where the gyro columns" in faults[0]
+    assert said in faults[0]
 
 
 def test_counts_without_a_time_are_said_with_the_rates_that_would_fit_too(
