@@ -21,7 +21,7 @@ import numpy as np
 from tumble.brief import Brief
 from tumble.errors import LogError, TumbleError, did_you_mean
 from tumble.recording.log_source import LogSource, first_numbers, readable
-from tumble.recording.readers import Samples, source_of
+from tumble.recording.readers import TableLog, source_of
 from tumble.recording.rows.gaps import Bridge, Gap, Grid
 from tumble.recording.rows.timed import check_head, regular_grid, rounded_grid, rows_of
 from tumble.recording.session import LogSpec, Session, date_of_unix
@@ -118,7 +118,7 @@ class Log(Brief):
         memory that of the names and numbers of the columns that are read."""
         digest = hashlib.sha256()
         for file in self.session.log.files:
-            if isinstance(file, Samples):
+            if isinstance(file, TableLog):
                 for piece in file.content(self.session.log.columns):
                     digest.update(piece)
             else:

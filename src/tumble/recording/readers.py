@@ -33,13 +33,11 @@ _PARQUET_ROWS = 1 << 15
 _KEPT_ROWS = 4_000_000
 
 
-def source_of(file: Path | Samples | KeptLog, dialect: Dialect | None = None) -> LogSource:
+def source_of(file: Path | TableLog | KeptLog, dialect: Dialect | None = None) -> LogSource:
     """The reader of a file, of a table in memory, or of what was kept of a file; with a dialect, of a text file of any
     name. Raises LogError for a format that cannot be read and an empty or damaged file."""
-    if isinstance(file, KeptLog):
+    if not isinstance(file, Path):
         return file
-    if isinstance(file, Samples):
-        return TableLog.of(file.path, file.table.lazy)
     ending = ending_of(file)
     if ending not in ENDINGS and dialect is None:
         raise LogError(
@@ -58,9 +56,9 @@ def source_of(file: Path | Samples | KeptLog, dialect: Dialect | None = None) ->
 # -------------------- Parquet files and tables in memory --------------------
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TableLog:
-    """A Parquet file, or a table in memory; `scan` begins to read it."""
+    """A Parquet file, or a table in memory, whose path is what messages call it; `scan` begins to read it."""
 
     path: Path
     types: Mapping[str, pl.DataType]
@@ -98,6 +96,12 @@ class TableLog:
 
     def place(self, row: int, column: str | None = None) -> str:
         return f"{self.path}: row {row}" + in_column(column)
+
+    def content(self, columns: Sequence[str]) -> Iterator[bytes]:
+        """The names and numbers of these columns, for a hash."""
+        for column in self._collected(self.scan().select(columns)):
+            yield column.name.encode()
+            yield np.ascontiguousarray(column.to_numpy(), dtype=np.float64).tobytes()
 
     def _scan(self, columns: Sequence[str], clock: str | None) -> pl.LazyFrame:
         """Columns as numbers, dates with times as seconds since midnight of the first."""
@@ -147,30 +151,11 @@ class TableLog:
                 )
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Samples:
-    """A table of samples in place of a file, and what messages call it."""
-
-    name: str
-    table: pl.DataFrame
-
-    @property
-    def path(self) -> Path:
-        """Its name where that of a file would stand."""
-        return Path(self.name)
-
-    def content(self, columns: Sequence[str]) -> Iterator[bytes]:
-        """The numbers of these columns, for a hash."""
-        for column in columns:
-            yield column.encode()
-            yield np.ascontiguousarray(self.table[column].to_numpy(), dtype=np.float64).tobytes()
-
-
-def samples_of(data: Data) -> tuple[Samples, ...]:
+def samples_of(data: Data) -> tuple[TableLog, ...]:
     """The tables of a log in memory. Raises LogError for anything that is not one."""
-    if isinstance(data, list | tuple):
-        return tuple(Samples(name=f"samples {i}", table=_table(part)) for i, part in enumerate(data, 1))
-    return (Samples(name="samples", table=_table(data)),)
+    several = isinstance(data, list | tuple)
+    named = {f"samples {i}": part for i, part in enumerate(data, 1)} if several else {"samples": data}
+    return tuple(TableLog.of(Path(name), _table(part).lazy) for name, part in named.items())
 
 
 def _table(data: Data) -> pl.DataFrame:

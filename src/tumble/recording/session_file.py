@@ -22,7 +22,7 @@ from tumble.recording.session import Session
 from tumble.recording.session.document import SessionDocument
 
 if TYPE_CHECKING:
-    from tumble.recording.readers import Data, Samples
+    from tumble.recording.readers import Data, TableLog
 
 SESSION_FILE = "session.toml"
 
@@ -73,7 +73,7 @@ def session_of(description: Mapping[str, Any], data: Data | None = None) -> Sess
     [0.0, 0.0, 9.80665]
     """
     where = "session"
-    samples: tuple[Samples, ...] = ()
+    samples: tuple[TableLog, ...] = ()
     if data is not None:
         from tumble.recording.readers import samples_of  # polars is heavy, and only needed here
 
@@ -81,7 +81,7 @@ def session_of(description: Mapping[str, Any], data: Data | None = None) -> Sess
         if isinstance(log, Mapping) and "file" in log:
             raise SessionError(f"{where}: log.file: expected none beside samples in memory, found {log['file']!r}")
         if isinstance(log, Mapping):
-            description = {**description, "log": {**log, "file": [part.name for part in samples]}}
+            description = {**description, "log": {**log, "file": [str(part.path) for part in samples]}}
     session = validated(SessionDocument, description, where, SessionError).si(None)
     return _complete(replace(session, log=replace(session.log, files=samples or session.log.files)), where)
 

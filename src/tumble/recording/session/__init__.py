@@ -23,7 +23,7 @@ from tumble.sensors.model import Block
 from tumble.units import Array, Unit
 
 if TYPE_CHECKING:
-    from tumble.recording.readers import KeptLog, Samples
+    from tumble.recording.readers import KeptLog, TableLog
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -37,11 +37,10 @@ class AutopilotSensor:
 
 def sensors_content(sensors: Mapping[str, AutopilotSensor]) -> dict[str, int]:
     """The sensors "accel" and "gyro" as [device.imu] and the calibration file have them."""
-    content: dict[str, int] = {}
-    for kind, sensor in sensors.items():
-        content[f"{kind}_number"] = sensor.number
-        content |= {} if sensor.id is None else {f"{kind}_id": sensor.id}
-    return content
+    pairs = [
+        (f"{kind}_{key}", value) for kind, s in sensors.items() for key, value in (("number", s.number), ("id", s.id))
+    ]
+    return {key: value for key, value in pairs if value is not None}
 
 
 def sensors_from(content: Mapping[str, Any]) -> dict[str, AutopilotSensor]:
@@ -163,7 +162,7 @@ class LogSpec:
     their times are; `dialect`: how text files are written, None for CSV files with their names in the first line;
     `clock_u`: the relative standard uncertainty of the time base, None where it is not stated."""
 
-    files: tuple[Path | Samples | KeptLog, ...]
+    files: tuple[Path | TableLog | KeptLog, ...]
     time: str | None
     time_factor: float
     rate: float | None
