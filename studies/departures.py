@@ -494,7 +494,7 @@ class Line:
         by = {v: [s for s in sessions if s.outcome.verdict == v] for v in VERDICTS}
         errors = np.array([s.error for s in by["accepted"]]).ravel()
         with_scatter = by["accepted with scatter"]
-        right = [any(cause in off.causes for cause in s.causes[:2]) for s in with_scatter]
+        right = [any(cause in off.causes for cause in s.causes[:2]) for s in with_scatter if off.causes]
         return Line(
             accepted=len(by["accepted"]) / len(sessions),
             scatter=len(with_scatter) / len(sessions),
@@ -534,7 +534,7 @@ def main(arguments: list[str]) -> int:
                 name = departure.name if size == 1.0 else f"{departure.name}, × {size:.0f}"
                 shares = f"{line.accepted:.0%}, {line.scatter:.0%}, {line.refused:.0%}"
                 judged = [f"{line.rms:.2f}", f"{line.beyond:.1%}"] if line.accepted else ["", ""]
-                right = f"{line.right:.0%}" if line.scatter else ""
+                right = f"{line.right:.0%}" if line.scatter and departure.causes else ""
                 rows.append([name, setting.name, str(many), shares, *judged, right])
                 print(*rows[-1], "" if line.good else "!", sep=" | ", flush=True)
                 if not line.good:
