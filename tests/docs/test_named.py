@@ -26,8 +26,11 @@ PLACEHOLDER = re.compile(r"[A-Z][A-Z_.|]*(?:\[.*)?|…|\.\.\.|<.*>")
 MODULE = re.compile(r"\btumble(?:\.[a-z_]+)+(?:\.[A-Z]\w+)?")
 
 
-FOREIGN = {"--imu-models", "--first", "--short", "--sweep", "--scheduler"}
-"""Options of Kalibr, of studies and of the benchmark."""
+SCRIPTS = [path for folder in ("studies", "evidence", "benchmarks") for path in sorted((ROOT / folder).rglob("*.py"))]
+FOREIGN = {"--imu-models"} | {
+    option for path in SCRIPTS for option in re.findall(r"[\"'](--[a-z-]+)[\"']", path.read_text(encoding="utf-8"))
+}
+"""Options of Kalibr, and those of studies and of the benchmark."""
 
 
 def options(command: click.Command) -> dict[str, click.Option]:
