@@ -102,7 +102,6 @@ NO_RESULT = {
 shrink: a new table is put there by `python -m evidence.pages`, or a test compares it."""
 BY_HAND = {
     "dependencies.md": "licences and sizes, no measurements",
-    "ellipsoid.md": "no study writes its tables, as it says",
     "mimu4444.md": "recordings that are not everywhere",
     "paper.md": "figures of the paper, and tests that are named beside ours",
     "public-recordings.md": "recordings that are not here",
