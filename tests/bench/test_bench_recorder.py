@@ -20,12 +20,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tumble.bench.follow.samples import Clock
-from tumble.bench.record.intake import Intake
 from tumble.bench.record.lines import MOTIONCAL_COLUMNS, Lines, Row, numbers_in
-from tumble.bench.record.mavlink import Mavlink, line_of
 from tumble.bench.record.order import Order
-from tumble.bench.record.recorder import Recorder
-from tumble.bench.record.sources import GrowingFile, Replay, Serial, StandardInput, Tcp, Udp, source_of
+from tumble.bench.record.recorder import Intake, Recorder
+from tumble.bench.record.sources import (
+    GrowingFile,
+    Mavlink,
+    Replay,
+    Serial,
+    StandardInput,
+    Tcp,
+    Udp,
+    line_of,
+    source_of,
+)
 from tumble.bench.record.virtual_table import VirtualTable
 from tumble.bench.session_folder import (
     MOTIONCAL_LOG,
@@ -594,7 +602,7 @@ RECORDS = """
 import sys
 from pathlib import Path
 from tumble.bench.session_folder import session_to_record
-from tumble.bench.record.intake import Intake
+from tumble.bench.record.recorder import Intake
 from tumble.bench.record.sources import GrowingFile
 intake = Intake(GrowingFile(Path(sys.argv[2])), session_to_record(Path(sys.argv[1])))
 intake.start()

@@ -140,30 +140,31 @@ def test_a_perfect_calibration_leaves_nothing_in_perfect_positions() -> None:
     assert found.reasons == ()
 
 
+@cache
+def drawn() -> list[tuple[Calibration, Positions, Positions]]:
+    """200 calibrations from 14 positions, these, and five others."""
+    rng, out = np.random.default_rng(3), []
+    for _ in range(200):
+        own = read(directions("cube-14", rng), rng, sha256="own")
+        out.append((calibrated(own)[0], own, read(directions("cube-12", rng)[:5], rng)))
+    return out
+
+
 def test_the_uncertainty_is_the_scatter_of_the_differences() -> None:
-    """150 calibrations from 14 positions, each looked at in five others: known noise, so Δg/u is normal."""
-    rng = np.random.default_rng(3)
+    """Known noise, so Δg/u is normal: no scatter to estimate."""
     ratios = []
-    for _ in range(150):
-        made, _ = calibrated(read(directions("cube-14", rng), rng, sha256="own"))
-        made = replace(made, fits={})  # the noise is known: no scatter to estimate
-        found = verify_calibration(made, read(directions("cube-12", rng)[:5], rng))
+    for made, _, check in drawn():
+        found = verify_calibration(replace(made, fits={}), check)
         ratios.append(found.difference / found.u)
     assert np.mean(np.square(ratios)) == pytest.approx(1.0, abs=0.35)
-    assert abs(np.mean(ratios)) < 5.0 / np.sqrt(150.0)
+    assert abs(np.mean(ratios)) < 5.0 / np.sqrt(200.0)
 
 
 def test_a_good_calibration_is_refused_once_in_a_hundred_times() -> None:
-    """200 of them: at most 5 standard deviations more than 1 %, for check positions and for those left out."""
-    rng = np.random.default_rng(4)
+    """At most 5 standard deviations more than 1 %, for check positions and for those left out."""
     refused = np.zeros(2)
-    for _ in range(200):
-        own = read(directions("cube-14", rng), rng, sha256="own")
-        made, _ = calibrated(own)
-        refused += [
-            bool(verify_calibration(made, read(directions("cube-12", rng)[:5], rng)).reasons),
-            bool(verify_calibration(made, own).reasons),
-        ]
+    for made, own, check in drawn():
+        refused += [bool(verify_calibration(made, positions).reasons) for positions in (check, own)]
     assert (refused < 2.0 + 5.0 * np.sqrt(2.0)).all()
 
 

@@ -22,7 +22,7 @@ from tumble.bench.follow.estimates import Estimates
 from tumble.bench.follow.faults import Fault, faults_of_rests
 from tumble.bench.follow.live import Live
 from tumble.bench.follow.wishes import Task, Wanted
-from tumble.bench.record.intake import NOTHING_RECEIVED, Intake
+from tumble.bench.record.recorder import NOTHING_RECEIVED, Intake
 from tumble.bench.record.sources import LineSource, source_of
 from tumble.bench.record.virtual_table import VirtualTable
 from tumble.bench.state import State, Trace

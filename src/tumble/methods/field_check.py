@@ -143,16 +143,16 @@ def field_check(observations: Observations, known: KnownBefore) -> CheckResult:
         """Linearised where these parameters are free, within their limits."""
         covariance, opened = known.covariance, np.array(free, dtype=int)
         covariance[1 + opened, 1 + opened] += limits[opened] ** 2
-        left = session.left(covariance)
-        G, z, gain, A = update(left.R, left.d, known.covariance)
+        R, d, squares, degrees = session.left(covariance)
+        G, z, gain, A = update(R, d, known.covariance)
         return Evidence(
             z=z,
             G=G,
             values=known.values + (gain @ z)[1:],
             covariance=(A @ known.covariance)[1:, 1:],
             passed_on=A[1:],
-            squares=left.squares,
-            degrees=left.degrees,
+            squares=squares,
+            degrees=degrees,
         )
 
     return changes_in(evidence_with, known.instrument, known.doubt)
@@ -250,17 +250,6 @@ def changes_in(
 # -------------------- what a session leaves --------------------
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class WhatIsLeft:
-    """R (p, p) and d (p,) of Eq. (1) with p = 1 + m, about what was known; the sum of squares that no x explains, and
-    the degrees of freedom of all of them."""
-
-    R: Array
-    d: Array
-    squares: float
-    degrees: int
-
-
 class SessionRows:
     """The rows of a session, with attitudes that are unknown, about parameters that are found from them again and
     again, from what was known on."""
@@ -276,8 +265,10 @@ class SessionRows:
         attitudes = headings(self._problem, vertical, values, self._about)
         self._point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes)
 
-    def left(self, covariance: Array) -> WhatIsLeft:
-        """What the session leaves where x has this covariance: Gauss–Newton, and its own rows at the end."""
+    def left(self, covariance: Array) -> tuple[Array, Array, float, int]:
+        """What the session leaves where x has this covariance, by Gauss–Newton: R (p, p) and d (p,) of Eq. (1) with
+        p = 1 + m, about what was known, of its own rows at the end; the sum of squares that no x explains, and the
+        degrees of freedom of all of them."""
         self._problem = problem = replace(self._problem, prior=Prior(covariance=covariance))
         for _ in range(MAX_ITERATIONS):
             rows = linearise(problem, self._point, self._about)
@@ -292,12 +283,9 @@ class SessionRows:
         told = tell(problem, rows, weights(problem, rows, self._components))
         session, off = told.sessions[0], np.append(self._point.gravity, self._point.values) - problem.measured[0]
         angles = int(np.count_nonzero(np.diagonal(told.factor, axis1=1, axis2=2)[:, :3]))
-        return WhatIsLeft(
-            R=session[:-1, :-1],
-            d=session[:-1, -1] + session[:-1, :-1] @ off,
-            squares=session[-1, -1] ** 2,
-            degrees=sum(each.shape[0] * each.shape[1] for each in told.whitened) - angles,
-        )
+        R = session[:-1, :-1]
+        degrees = sum(each.shape[0] * each.shape[1] for each in told.whitened) - angles
+        return R, session[:-1, -1] + R @ off, session[-1, -1] ** 2, degrees
 
 
 def _student(normal: Array, inverse_degrees: Array) -> Array:

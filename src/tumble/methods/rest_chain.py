@@ -175,9 +175,9 @@ class RestChain:
             self._Phi, self._mean = F[:, None] * self._Phi, F[:, None] * self._mean
         self._last = middle
         still = replace(known.components, accel_in_run=0.0, gyro_in_run=0.0)
-        left = SessionRows(observations, replace(known, components=still)).left(known.covariance)
-        R = (left.R @ known.to_temperature)[:, self._columns]
-        G, z, gain, A = update(R, left.d - R @ self._x, self._P)
+        R, d, squares, degrees = SessionRows(observations, replace(known, components=still)).left(known.covariance)
+        R = (R @ known.to_temperature)[:, self._columns]
+        G, z, gain, A = update(R, d - R @ self._x, self._P)
 
         # the rest alone
         n = len(self._biases)
@@ -191,7 +191,7 @@ class RestChain:
             for k, i in enumerate(self._biases.tolist())
             if seen[k]
         }
-        misfit = Fit(chi_square=left.squares + float(z @ z), degrees=float(left.degrees), scatter=0.0, unit="")
+        misfit = Fit(chi_square=squares + float(z @ z), degrees=float(degrees), scatter=0.0, unit="")
         learned = bool(np.all(np.abs(zeta[seen]) <= SUSPECT))
 
         # the sums
@@ -211,7 +211,7 @@ class RestChain:
 
         # what is learned
         if learned:
-            self._squares, self._degrees = self._squares + misfit.chi_square, self._degrees + left.degrees
+            self._squares, self._degrees = self._squares + misfit.chi_square, self._degrees + degrees
             GPhi = G @ self._Phi
             self._information += GPhi.T @ GPhi
             self._score += GPhi.T @ z

@@ -46,7 +46,7 @@ from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import groups, positions_by_group
 from tumble.units import Array, Unit
 from tumble.use.corrector import Stream
-from tumble.use.same_device import check_device, rests_of
+from tumble.use.verify import check_device, rests_of
 
 _SLICE = 1 << 14
 """Rows that are corrected at a time: what is made of them on the way fits the cache of a core."""

@@ -54,7 +54,7 @@ from tumble.run.type_spread import KnownLaunches, known_launches
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_of, sensor_kind, shown_in, to_temperature, usual_sizes, variable_of
-from tumble.use.same_device import check_device
+from tumble.use.verify import check_device
 
 _FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
 _RAW = ("count", "V")

@@ -39,21 +39,23 @@ from tumble.brief import Brief
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Fit
+from tumble.inference.variables import sensors_at
 from tumble.methods.least_squares import sigmas
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
+from tumble.reduction.observations import Observations
 from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.run.calibrate import grade_of
 from tumble.run.case import Verticals, verticals_of
+from tumble.run.observed import Observed, inspect_session
 from tumble.run.readings_table import read_table
 from tumble.sensors.frames import Convention, frame_of, triad_axes
 from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import Variable, beyond_linear, group_name, sensor_kind
-from tumble.units import Array, engineering
-from tumble.use.same_device import check_device, rests_of
+from tumble.units import ZERO_CELSIUS, Array, engineering
 
 CHANCE = 0.01
 """How often a good calibration is refused."""
@@ -328,3 +330,46 @@ def _seen(calibration: Calibration, positions: Positions) -> tuple[Verticals, Ar
     seen = verticals_of(calibration.accel, force, change, positions.covariance, covariance)
     J = -np.einsum("ik,kp,ipm->im", seen.direction, calibration.accel.inverse(), change)
     return seen, J, names, np.linalg.norm(force, axis=1)
+
+
+# -------------------- sessions of the device --------------------
+
+
+def check_device(calibration: Calibration, session: Session) -> None:
+    """Raises InputError for a session of another device than a calibration, and where sensors that change with
+    temperature share thermometers otherwise than they did when the calibration was made; of a session without a
+    thermometer nothing is said."""
+    if session.device.serial != calibration.serial:
+        raise InputError(
+            f"{session.name}: expected a session of device {calibration.serial!r}, which was calibrated, found "
+            f"{session.device.serial!r}"
+        )
+    known = session.log.temperature
+    if known is None or (calibration.accel is None and calibration.gyro is None) or not calibration.compensator.warm:
+        return
+    compensator = calibration.compensator
+    for made, now in ((compensator.accel, session.accel_block), (compensator.gyro, session.gyro_block)):
+        if made is not None and now is not None and not np.array_equal(made.thermometer, now.thermometer):
+            then = ", ".join(calibration.temperature.thermometers.get(made.kind, ())) or "one for all sensors"
+            raise InputError(
+                f"{session.name}: log.temperature.columns: expected a thermometer for each sensor {made.kind} as in "
+                f"the calibration, {then}, found {', '.join(known.names(made.kind))}"
+            )
+
+
+def rests_of(
+    calibration: Calibration, session: Session, *, otherwise: str = ""
+) -> tuple[Observed, Observations, Array | None]:
+    """What is seen in a session, its rests, and the temperatures (N, n), °C, of its accelerometers in them, which
+    follow the thermometers with the calibration's lag; None where there are none. Raises InputError where nothing
+    rests, with what to do `otherwise`."""
+    observed = inspect_session(session)
+    observations = observed.observations
+    if observations is None or observed.faults:
+        fault = observed.faults[0] if observed.faults else "no rests; look at it with `tumble inspect`"
+        raise InputError(f"{session.name}: expected rests to verify with, found {fault}{otherwise}")
+    kelvin, celsius = observations.rests.temperatures, None
+    if kelvin is not None:
+        lag = 0.0 if calibration.accel is None else calibration.compensator.lag
+        celsius = sensors_at(observations, kelvin, lag)[:, observations.accel_block.thermometer] - ZERO_CELSIUS
+    return observed, observations, celsius
