@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import closing, suppress
+from dataclasses import replace
 from itertools import chain, pairwise
 from pathlib import Path
 
@@ -70,8 +71,8 @@ class LiveSamples:
                     if begin in back:
                         self._clock, file = Clock(spec=spec, interval=self._clock.interval), file + 1
                     samples = self._clock.samples(rows[begin:end]) if end > begin else None
-                    if samples is not None and len(samples.time):
-                        yield samples.chunk(spec, file)
+                    if samples is not None:
+                        yield replace(samples[0], file=file)
 
 
 def _in_si(first: bytes, name: str, calibration: Calibration) -> Session:

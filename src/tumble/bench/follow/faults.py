@@ -64,8 +64,6 @@ class SampleWatch:
 
     def look(self, time: Array, values: Array) -> list[Fault]:
         """What is wrong with the next samples (m, n) in SI; of each column a fault once in ten seconds."""
-        if not len(time):
-            return []
         before = values[:1] * np.nan if self._last is None else self._last[None]
         equal = values == np.concatenate([before, values[:-1]])
         self._last = values[-1].copy()
@@ -94,12 +92,6 @@ class SampleWatch:
                 )
                 faults.append(Fault(kind=kind, said=said, start=start, stop=stop, choices=("anew", "go_on")))
         return faults
-
-
-def gap_fault(start: float, stop: float, missing: int) -> Fault:
-    """So many samples that are missing between two times, s."""
-    said = f"gap of {stop - start:.1f} s at {start:.1f} s: {missing} samples did not arrive"
-    return Fault(kind="gap", said=said, start=start, stop=stop)
 
 
 # -------------------- rests and the turns between them --------------------

@@ -8,18 +8,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.bench.follow.faults import Fault, SampleWatch, gap_fault
+from tumble.bench.follow.faults import Fault, SampleWatch
 from tumble.bench.follow.rests import Blocks, Judged, Progress, Rest, StillLimits, calm_since, grouped
-from tumble.bench.follow.samples import BRIDGED, Clock, Follower, SoundSamples
+from tumble.bench.follow.samples import BRIDGED, Clock
 from tumble.bench.follow.wishes import Task
-from tumble.recording.log import HEAD_ROWS
+from tumble.bench.record.lines import Lines
+from tumble.bench.record.recorder import growing_file
+from tumble.recording.log import HEAD_ROWS, Chunk
 from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Exclusion
 from tumble.reduction.blocks.reducer import Reducer, Reduction
 from tumble.reduction.rests.blemishes import without_blemishes
 from tumble.reduction.rests.matching import without_times
 from tumble.reduction.rests.segmentation import RestSpan, find_rests
+from tumble.units import Array
 
+PIECE_BYTES = 1 << 18
 _PIECES = 32
 _LEAST_BLOCKS = 30
 _GROWN = 0.01
@@ -33,7 +37,8 @@ _MOST_FAULTS = 64
 
 class Live:
     """Follows the log of a task through the chain of a calibration. `now` is what it says, None while there are no
-    blocks; `faults` are those seen in its samples, of which `samples` were read and `lost` are missing."""
+    blocks; `faults` are those seen in its samples, of which `samples` were read, up to the byte `at`, and `lost` are
+    missing."""
 
     def __init__(self, task: Task) -> None:
         self._task = task
@@ -46,17 +51,14 @@ class Live:
         self.now: Progress | None = None
         self.faults: deque[Fault] = deque(maxlen=_MOST_FAULTS)
         self.samples = self.lost = 0
-        self._follower = Follower(self._task.session.log)
-        self._clock = clock
+        spec = self._task.session.log
+        self.at, self._path, self._clock = 0, growing_file(spec), clock
+        self._lines = Lines(columns=spec.columns, clock=spec.time, refuse=lambda _: None)  # counted by who records it
         self._reducer: Reducer | None = None
         self._gaps: list[Gap] = []
         self._watches: list[SampleWatch] = []
         self._searched: tuple[object, ...] = ()
         self._searched_blocks = 0
-
-    @property
-    def at(self) -> int:
-        return self._follower.at
 
     @property
     def interval(self) -> float | None:
@@ -68,12 +70,17 @@ class Live:
         the interval from, the log is read again with theirs: of fewer it may differ by its rounding, and with it
         where a window ends."""
         for _ in range(_PIECES):
-            rows = self._follower.rows()
+            with self._path.open("rb") as file:
+                file.seek(self.at)
+                data = file.read(PIECE_BYTES)
+            data = data[: data.rfind(b"\n") + 1]
+            self.at += len(data)
+            rows = self._lines.numbers(data)
             if not len(rows):
                 break
             samples = self._clock.samples(rows)
             if samples is not None and self._clock.interval is not None:
-                self._take(samples, self._clock.interval)
+                self._take(*samples, self._clock.interval)
             if self._clock.head < HEAD_ROWS <= self.samples:
                 self._begin(Clock(spec=self._task.session.log, head=HEAD_ROWS))
         if self._reducer is not None:
@@ -81,10 +88,9 @@ class Live:
             if reduction.files:
                 self.now = self._progress(reduction, excluded)
 
-    def _take(self, samples: SoundSamples, interval: float) -> None:
-        """Look at samples in SI, and feed them to the reduction."""
-        session, log, time = self._task.session, self._task.session.log, samples.time
-        kinds = [log.accel] if log.gyro is None else [log.accel, log.gyro]
+    def _take(self, chunk: Chunk, lost: Array, interval: float) -> None:
+        """Look at samples, and feed them to the reduction."""
+        session, log = self._task.session, self._task.session.log
         if self._reducer is None:
             self._reducer = Reducer(
                 rate=1.0 / interval,
@@ -92,21 +98,21 @@ class Live:
                 gyro=session.gyro_block,
                 increments=log.increments,
             )
+            kinds = [log.accel] if log.gyro is None else [log.accel, log.gyro]
             self._watches = [SampleWatch(channels.columns, channels.range, interval) for channels in kinds]
-        chunk = samples.chunk(log)
         for watch, readings in zip(self._watches, (chunk.accel, chunk.gyro), strict=False):
             if readings is not None:
-                self.faults += watch.look(time, readings)
-        if len(time):
-            self._reducer.feed(chunk)
-        self.samples += len(time)
-        self.lost += int(samples.lost.sum())
-        for i in np.flatnonzero(samples.lost > BRIDGED):
-            lost, stop = int(samples.lost[i]), float(time[i])
-            start = stop - (lost + 1) * float(samples.dt[i])
-            self.faults.append(gap_fault(start, stop, lost))
+                self.faults += watch.look(chunk.time, readings)
+        self._reducer.feed(chunk)
+        self.samples += len(chunk.time)
+        self.lost += int(lost.sum())
+        for i in np.flatnonzero(lost > BRIDGED):
+            missing, stop = int(lost[i]), float(chunk.time[i])
+            start = stop - (missing + 1) * float(chunk.dt[i])
+            said = f"gap of {stop - start:.1f} s at {start:.1f} s: {missing} samples did not arrive"
+            self.faults.append(Fault(kind="gap", said=said, start=start, stop=stop))
             self._gaps.append(
-                Gap(file=0, row=0, time=start, samples=lost, what="missing samples", stop=stop, integrable=False)
+                Gap(file=0, row=0, time=start, samples=missing, what="missing samples", stop=stop, integrable=False)
             )
 
     def _progress(self, reduction: Reduction, excluded: tuple[Exclusion, ...]) -> Progress:

@@ -1,4 +1,4 @@
-"""The rows of a log on disk as it grows, and the samples they are."""
+"""The samples that the rows of a log are, as they come."""
 
 from __future__ import annotations
 
@@ -7,62 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.bench.record.lines import Lines
-from tumble.bench.record.recorder import growing_file
 from tumble.recording.log import Chunk
 from tumble.recording.rows.gaps import JUMP
 from tumble.recording.rows.timed import leaping
 from tumble.recording.session import LogSpec
 from tumble.units import ZERO_CELSIUS, Array
 
-PIECE_BYTES = 1 << 18
 BRIDGED = 25
 """Samples in a row that may be missing without a turn being lost."""
 _HEAD = 100
-
-
-class Follower:
-    """Reads whole lines of a growing text log; `at` is where the next begins."""
-
-    def __init__(self, spec: LogSpec) -> None:
-        self.at = 0
-        self._path = growing_file(spec)
-        self._lines = Lines(columns=spec.columns, clock=spec.time, refuse=lambda _: None)
-
-    def rows(self) -> Array:
-        """Rows (m, columns) that have come since the last time, at most those of a piece of the file. What is no row is
-        counted by whoever records it."""
-        with self._path.open("rb") as file:
-            file.seek(self.at)
-            data = file.read(PIECE_BYTES)
-        data = data[: data.rfind(b"\n") + 1]
-        self.at += len(data)
-        return self._lines.numbers(data)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class SoundSamples:
-    """Sound samples: end times and intervals, s, and the numbers of the log without its time; `lost` before each."""
-
-    time: Array
-    dt: Array
-    values: Array
-    lost: Array
-
-    def chunk(self, spec: LogSpec, file: int = 0) -> Chunk:
-        """The samples in SI."""
-        readings, first = list[Array](), 0
-        for channels in (spec.accel, spec.gyro):
-            if channels is not None:
-                last = first + len(channels.columns)
-                readings.append(channels.to_si(self.values[:, first:last], self.dt))
-                first = last
-        temperature = None
-        if spec.temperature is not None:
-            warmth = self.values[:, -len(spec.temperature.columns) :]
-            temperature = spec.temperature.to_celsius(warmth) + ZERO_CELSIUS
-        gyro = None if spec.gyro is None else readings[1]
-        return Chunk(file=file, time=self.time, dt=self.dt, accel=readings[0], gyro=gyro, temperature=temperature)
 
 
 @dataclass(kw_only=True, slots=True, eq=False)
@@ -82,8 +35,9 @@ class Clock:
     """Rows that came before the interval was known."""
     _held: Array | None = None
 
-    def samples(self, rows: Array) -> SoundSamples | None:
-        """The samples of the next rows; None while the interval is not known."""
+    def samples(self, rows: Array) -> tuple[Chunk, Array] | None:
+        """The sound samples of the next rows, SI, and how many are lost before each; None while the interval is not
+        known, or where there are none."""
         spec = self.spec
         if self.interval is None:
             self._before = (*self._before, rows)
@@ -114,9 +68,16 @@ class Clock:
             rows, time = rows[later], time[later]
         sound = np.isfinite(rows).all(axis=1)
         values, time = (rows if spec.time is None else rows[:, 1:])[sound], time[sound]
-        before = time[:1] - interval if last is None else np.array([last])
-        dt = np.diff(np.concatenate([before, time])) if len(time) else np.empty(0)
+        if not len(time):
+            return None
+        dt = np.diff(time, prepend=time[0] - interval if last is None else last)
         lost = np.where(dt > 1.5 * interval, np.round(dt / interval) - 1.0, 0.0)
-        if len(time):
-            self._last = float(time[-1])
-        return SoundSamples(time=time, dt=np.where(lost > BRIDGED, interval, dt), values=values, lost=lost)
+        dt, self._last = np.where(lost > BRIDGED, interval, dt), float(time[-1])
+        n, heat = len(spec.accel.columns), 0 if spec.temperature is None else len(spec.temperature.columns)
+        gyro = kelvin = None
+        if spec.gyro is not None:
+            gyro = spec.gyro.to_si(values[:, n : n + len(spec.gyro.columns)], dt)
+        if spec.temperature is not None:
+            kelvin = spec.temperature.to_celsius(values[:, -heat:]) + ZERO_CELSIUS
+        accel = spec.accel.to_si(values[:, :n], dt)
+        return Chunk(file=0, time=time, dt=dt, accel=accel, gyro=gyro, temperature=kelvin), lost
