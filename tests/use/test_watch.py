@@ -116,11 +116,11 @@ def test_a_bias_that_moves_is_found_within_some_rests(kind: str, axis: int, size
     _, judged = chained(changed, device()[1])
     moved = [(k, each) for k, rest in enumerate(judged) for each in rest.moved]
     ((at, found),) = moved
-    named = {found.change.name: found.change.value, **found.change.others}
+    named = {found.name: found.value, **found.others}
     assert f"{kind}.bias.{'xyz'[axis]}" in named
     assert 20 < at < 20 + within
     assert 17 <= found.rest <= 20
-    assert named[f"{kind}.bias.{'xyz'[axis]}"] == pytest.approx(size, abs=4.0 * found.change.u)
+    assert named[f"{kind}.bias.{'xyz'[axis]}"] == pytest.approx(size, abs=4.0 * found.u)
 
 
 def test_parameters_after_a_day_are_those_of_the_device_as_it_is_now() -> None:

@@ -187,7 +187,7 @@ def changes_in(
     evidence_with: Callable[[Sequence[int]], Evidence],
     instrument: Instrument,
     doubt: Array,
-    found: tuple[ChangedParameter, ...] = (),
+    found: Sequence[ChangedParameter] = (),
 ) -> CheckResult:
     """The changes beside those that are `found` already, by the evidence where some parameters are free; `doubt` is
     D (1 + m, 1 + m) of what was known of x at the beginning."""

@@ -85,10 +85,9 @@ class BiasTest:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class MovedBias:
-    """A bias that has moved: the change, from which rest on, counted from 0, and since when, s."""
+class MovedBias(ChangedParameter):
+    """A bias that has moved: from which rest on, counted from 0, and since when, s."""
 
-    change: ChangedParameter
     rest: int
     since: float
 
@@ -244,14 +243,15 @@ class RestChain:
         for i in sorted(near.tolist(), key=lambda i: -abs(t[i])):
             best.setdefault(int(self._biases[self._of[i]]), float(changes[i]))
         names, (worst, *others) = self.instrument.names, best
-        changed = ChangedParameter(
+        moved = MovedBias(
             name=names[worst],
             unit=self.instrument.units[worst],
             value=best[worst],
             u=float(abs(self._change[k]) / np.sqrt(self._weight[k])),
             others={names[j]: best[j] for j in others},
+            rest=self._begun[k][0],
+            since=self._begun[k][1],
         )
-        moved = MovedBias(change=changed, rest=self._begun[k][0], since=self._begun[k][1])
         free = np.array(list(best))
         self._P[1 + free, 1 + free] += self._limits[free] ** 2
         self._forget()
@@ -279,4 +279,4 @@ class RestChain:
                 degrees=self._degrees,
             )
 
-        return changes_in(evidence_with, self.instrument, self._doubt, tuple(each.change for each in moved))
+        return changes_in(evidence_with, self.instrument, self._doubt, moved)

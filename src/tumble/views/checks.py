@@ -193,7 +193,7 @@ def _off(value: float, unit: str, sigmas: float | None) -> str:
 
 def moved_line(moved: MovedBias) -> str:
     """That a bias has moved, by how much and since when."""
-    return f"{change_text(moved.change)}, since about {moved.since:.1f} s, rest {moved.rest + 1}"
+    return f"{change_text(moved)}, since about {moved.since:.1f} s, rest {moved.rest + 1}"
 
 
 def watch_data(event: Event) -> Content:
@@ -214,7 +214,7 @@ def watch_data(event: Event) -> Content:
         "learned": judged.learned,
         "biases": [{"name": name, **asdict(test)} for name, test in judged.tests.items()],
         "misfit": fit_content(judged.misfit),
-        "moved": [{**asdict(each.change), "rest": each.rest, "since": each.since} for each in judged.moved],
+        "moved": [asdict(each) for each in judged.moved],
     }
 
 
