@@ -231,10 +231,12 @@ def changes_in(
     passed = evidence.passed_on @ gain
     return CheckResult(
         **alone,
-        changes=found
-        + tuple(
-            ChangedParameter(name=names[j], unit=instrument.units[j], value=float(change), u=float(own_u), others=alike)
-            for j, change, own_u, alike in zip(free, together, together_u, others, strict=True)
+        changes=(
+            *found,
+            *(
+                ChangedParameter(name=names[j], unit=instrument.units[j], value=float(a), u=float(a_u), others=alike)
+                for j, a, a_u, alike in zip(free, together, together_u, others, strict=True)
+            ),
         ),
         misfit=Fit(
             chi_square=evidence.squares + float(evidence.z @ evidence.z - explained @ explained),
