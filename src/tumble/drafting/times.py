@@ -120,30 +120,30 @@ def times_of_column(stamps: Stamps) -> Times | None:
         return None
     units, how, sure = _units(stamps, typical)
     whole = bool((values == np.floor(values)).all())  # fractions are of seconds, and no counts of samples or ticks
-    uneven, even = _unevenness(values, typical), _even(values)
+    uneven = _unevenness(values, typical)
+    regular = uneven is not None and _even(values)
+    line = np.polynomial.Polynomial.fit(np.arange(len(values)), values, 1).convert() if regular else None
     every = []
     for taken, cost in units.items():
-        interval = typical * (1.0 if stamps.clock else TIME_UNITS[taken])
+        one = 1.0 if stamps.clock else TIME_UNITS[taken]
+        nominal = 1.0 / (typical * one)
+        rate = nominal if line is None else 1.0 / (float(line.coef[1]) * one)
         keys: dict[str, Any] = {"time": stamps.column}
         if stamps.clock or taken != "s":
             keys["time_unit"] = "iso8601" if stamps.clock else taken
-        rate = 1.0 / interval
-        remarks = list(sure)
-        if not RATES_OF_LOGS[0] <= rate <= RATES_OF_LOGS[1]:
-            remarks.append(f"time: {rate:.3g} samples per second is no rate of a log: is the unit right?")
         said = f"time: column {stamps.column!r} in {'times of day' if stamps.clock else taken} ({how})"
-        told = [f"{said}, {rate:.6g} samples per second"]
-        if uneven is not None and not even:
-            told.append(f"time: {uneven}, and the rows are not equally spaced either: look at the log")
-        elif uneven is not None:
-            slope = np.polynomial.Polynomial.fit(np.arange(len(values)), values, 1).convert().coef[1]
-            rate = 1.0 / (float(slope) * (1.0 if stamps.clock else TIME_UNITS[taken]))
+        per_second = f"{rate:.6g} samples per second"
+        if regular:
             keys["regular"] = True
-            even_said = (
-                f"time: {uneven}, but the rows are equally spaced: regular = true, {rate:.6g} samples per second"
-            )
-            told = [said, even_said]
-        every.append(Times(keys=keys, said=(*told, *remarks), rate=rate, cost=cost))
+            told = [said, f"time: {uneven}, but the rows are equally spaced: regular = true, {per_second}"]
+        else:
+            told = [f"{said}, {per_second}"]
+            if uneven is not None:
+                told.append(f"time: {uneven}, and the rows are not equally spaced either: look at the log")
+        told += sure
+        if not RATES_OF_LOGS[0] <= nominal <= RATES_OF_LOGS[1]:
+            told.append(f"time: {nominal:.3g} samples per second is no rate of a log: is the unit right?")
+        every.append(Times(keys=keys, said=tuple(told), rate=rate, cost=cost))
     first, *others = every
     if whole and not stamps.clock and stamps.unit is None and how != _BY_DATES:
         by_one = bool(typical == 1.0 and np.mean(np.diff(values) == 1.0) > 1.0 - _SHARE)
