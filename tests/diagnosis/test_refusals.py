@@ -408,6 +408,12 @@ def test_a_scale_that_is_off_by_thousands_is_named_and_no_time_in_which_there_is
     assert "log.time_unit" not in said
 
 
+def test_counts_without_a_scale_are_named_where_too_few_turns_show_one(hand: Recording, tmp_path: Path) -> None:
+    counted = hand.counted(415.0, 4770.0).saying(gyro__scale=1.0)
+    few = replace(counted, log=counted.log.head(int(46.0 * SAMPLE_RATE))).free()
+    assert "log.gyro.scale is 1, as if the numbers were no raw ones" in reason(few, tmp_path / "session")
+
+
 def test_a_scale_per_another_unit_is_named(hand: Recording, tmp_path: Path) -> None:
     raw = hand.counted(415.0, 4770.0)
     said = reason(raw.saying(accel__scale=415.0 * G_STANDARD), tmp_path / "accel")

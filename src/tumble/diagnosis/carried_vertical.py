@@ -83,6 +83,11 @@ def sense_faults(observations: Observations, session: Session, rate: float) -> l
         unexplained = likelihoods[0].at(math.log(nominal))
     if others and others[0][0] < unexplained:
         return [f"{lost}{others[0][1]}"]
+    if channels.raw and np.all(channels.scale == 1.0):
+        return [
+            f"{lost}: log.gyro.scale is 1, as if the numbers were no raw ones; write the counts per deg/s of "
+            "the data sheet (16.4, 32.8, 65.5, 131 …), or let `tumble new` find them from the turns"
+        ]
     miss = _misses(observations, SensorModel(matrix=nominal * stated.matrix, bias=stated.bias), vertical)
     per_half_turn = miss / np.maximum(1.0, _turned(observations, stated) / np.pi)
     if np.median(per_half_turn) < CARRIED:
@@ -145,11 +150,6 @@ def _others(
     suspects = ["the nominal scale of [log.gyro]"] if channels.raw else []
     suspects += ["log.rate_hz"] if log.rate is not None else []
     said += f": {' or '.join(suspects)} is {times_wrong(ratio)}" if suspects else ""
-    if channels.raw and np.all(channels.scale == 1.0):
-        said = (
-            ": log.gyro.scale is 1, as if the numbers were no raw ones; write the counts per deg/s of "
-            "the data sheet (16.4, 32.8, 65.5, 131 …), or let `tumble new` find them from the turns"
-        )
     yield wrong + cost_of_any(WIDTHS.scale) + likelihoods[0].at(math.log(ratio)), said
 
 
