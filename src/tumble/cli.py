@@ -118,10 +118,11 @@ COMMANDS: Mapping[str, Mapping[str, str]] = {
 """The commands by what they are for, each with the first sentence of its docstring: the list of them imports none."""
 
 _FILES = {
-    "recordings": ("new", "inspect", "noise"),
-    "results": ("verify", "check", "compare", "apply"),
+    "calibrate": ("calibrate", "ellipsoid"),
+    "recordings": ("new", "inspect", "noise", "bench"),
+    "results": ("verify", "check", "watch", "compare", "apply", "mission"),
     "planning": ("programme", "plan", "budget", "require", "simulate"),
-    "passing_on": ("report", "export", "selftest"),
+    "passing_on": ("report", "export", "upload", "selftest"),
     "many": ("campaign", "fleet"),
 }
 """The files of `commands/` that several commands are in; every other command has one of its own name."""

@@ -10,14 +10,17 @@ import re
 import subprocess
 from dataclasses import replace
 from math import cos, radians, sin
+from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from tests.support.calibrated import calibration
+from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import export_calibration
-from tumble.export.counts import FIRMWARE, board_angles, board_matrix, counts_of
+from tumble.export.counts import FIRMWARE, board_angles, board_matrix
 from tumble.result.calibration import Calibration
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import SensorModel
@@ -159,9 +162,10 @@ def test_the_example_in_the_file_is_what_its_numbers_make(made: Calibration, to:
         assert np.abs(near - exact).max() < 0.2
 
 
-def test_counts_that_are_none_are_refused(made: Calibration) -> None:
-    with pytest.raises(InputError, match="expected counts a g and a deg/s"):
-        counts_of("2048")
+def test_counts_that_are_none_are_refused(made: Calibration, tmp_path: Path) -> None:
+    made.write(tmp_path / "c.json")
+    asked = ["export", str(tmp_path / "c.json"), "--to", "inav", "-o", str(tmp_path / "out"), "--counts", "2048"]
+    assert "--counts: expected counts a g and a deg/s" in CliRunner().invoke(main, asked).stderr
     with pytest.raises(InputError, match="found it with px4"):
         export_calibration(made, "px4", counts=(2048.0, 16.4))
     with pytest.raises(InputError, match="within 16 bits"):

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from tumble import usual_setup
+from tumble.errors import InputError
 
 if TYPE_CHECKING:
     from tumble.drafting.new_session import Given
     from tumble.planning.error_propagation import BudgetedMethod
     from tumble.planning.setup import Setup
+    from tumble.registry.store.connect import Registry
     from tumble.run.device_type import DeviceType
 
 _Command = Callable[..., None]
@@ -29,13 +33,41 @@ class _NamedPath(click.Path):
         return super().convert(value, param, ctx)
 
 
+class Numbers(click.ParamType):
+    """Numbers with commas between them, each `above` something, so many where a `count` is given."""
+
+    name = "numbers"
+
+    def __init__(
+        self, expected: str, kind: Callable[[str], float] = float, *, count: int = 0, above: float = -math.inf
+    ) -> None:
+        self.expected, self.kind, self.count, self.above = expected, kind, count, above
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[Any, ...]:
+        del ctx
+        return self.read(param.opts[0] if param else "", value)
+
+    def read(self, option: str, text: str) -> tuple[Any, ...]:
+        """The numbers of the text of an option. Raises InputError."""
+        try:
+            values = tuple(map(self.kind, text.split(",")))
+        except ValueError:
+            values = ()
+        if not values or len(values) != (self.count or len(values)) or not all(each > self.above for each in values):
+            raise InputError(f"{option}: expected {self.expected}, found {text!r}")
+        return values
+
+
 PATH = _NamedPath(path_type=Path)
 FILE = _NamedPath(path_type=Path, dir_okay=False)
 FOLDER = _NamedPath(path_type=Path, file_okay=False)
 METHOD_NAMES = ["joint", "staged", "sequential", "scalar", "ellipsoid"]
 BUDGETED_METHODS: list[BudgetedMethod] = ["staged", "sequential", "scalar"]
 """Methods whose errors are known before anything is measured."""
+NUMBERS = Numbers("numbers with commas between them")
 FRAMES = ["accelerometer", "case", "paper", "symmetric"]
+AS_JSON = "tumble.json"
+"""The key under which a context has that the result is wanted as JSON."""
 
 
 def examples(*lines: str) -> str:
@@ -112,7 +144,13 @@ def known_launches(says: str) -> _Option:
 
 
 WANT = option("--want/wanted", "E.g. accel.scale=3.5ppm; repeat.", multiple=True, metavar="GROUP=VALUE")
-JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON, in SI, instead of tables.")
+JSON = click.option(
+    *("--json", "as_json"),
+    is_flag=True,
+    expose_value=False,
+    callback=lambda context, _, asked: context.meta.update({AS_JSON: asked}),
+    help="Print the result as JSON, in SI, instead of tables.",
+)
 EVERY = click.option("--all", "every", is_flag=True, help="Show every parameter and every table.")
 CERTIFICATE = option("--certificate", "TOML file with laboratory, customer, number: of a certificate.", type=FILE)
 REGISTRY = option(
@@ -194,13 +232,21 @@ CLUSTER = together(
 """Where many tasks are computed, and into which folder."""
 
 
-def type_in(place: str, model: str) -> DeviceType:
-    """A type by its units in a registry."""
+@contextmanager
+def opened(place: str) -> Iterator[Registry]:
+    """A registry, with a line for the extra where it is missing."""
     from tumble.registry.store.connect import extra_named
 
     with extra_named():
-        from tumble.registry.series import device_type
         from tumble.registry.store.connect import open_registry
 
-        with open_registry(place) as opened:
-            return device_type(opened, model)
+        with open_registry(place) as registry:
+            yield registry
+
+
+def type_in(place: str, model: str) -> DeviceType:
+    """A type by its units in a registry."""
+    with opened(place) as registry:
+        from tumble.registry.series import device_type
+
+        return device_type(registry, model)

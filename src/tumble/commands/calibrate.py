@@ -1,4 +1,4 @@
-"""`tumble calibrate`: from sessions to a calibration file."""
+"""`calibrate`, `ellipsoid`: from sessions, or from a table of readings, to a calibration file."""
 
 from __future__ import annotations
 
@@ -17,8 +17,10 @@ from tumble.errors import InputError
 if TYPE_CHECKING:
     from tumble.drafting.new_session import Given
     from tumble.run.calibrate import Method, Terms
-    from tumble.run.type_spread import TypeSpread
     from tumble.sensors.frames import Frame
+    from tumble.units import Array
+
+_RESTS = ask.Numbers("numbers of rests such as 3,7", int)
 
 
 @click.command(
@@ -36,7 +38,7 @@ if TYPE_CHECKING:
 @ask.option("--iterations", "Passes of sequential and scalar; default 2.", type=click.IntRange(min=1))
 @ask.frame()
 @ask.terms("full")
-@ask.option("--without", "Rests to leave out, by their numbers in the result, such as 3,7.", metavar="N,N")
+@ask.option("--without", "Rests to leave out, by their numbers in the result, such as 3,7.", metavar="N,N", type=_RESTS)
 @click.option("--together", is_flag=True, help="Several sessions, at other temperatures, as one estimate.")
 @ask.out("Calibration file to write; default: calibration.json in the session folder.")
 @ask.force("Replace a calibration file that came from another log or method.")
@@ -59,7 +61,7 @@ def calibrate(
     iterations: int | None,
     frame: Frame,
     terms: Terms,
-    without: str | None,
+    without: tuple[int, ...] | None,
     together: bool,
     out: Path | None,
     force: bool,
@@ -67,7 +69,6 @@ def calibrate(
     known_launches: str | None,
     type_registry: str | None,
     budget: bool,
-    as_json: bool,
     every: bool,
     **options: Any,
 ) -> None:
@@ -105,7 +106,6 @@ def calibrate(
         raise InputError(
             f"--together: expected the method {ask.METHOD_NAMES[0]!r} with all terms and no iterations, found others"
         )
-    excluded = () if without is None else _numbers(without)
     true, known = None, None
     if truth is not None:
         from tumble.simulation.session import read_truth
@@ -115,20 +115,24 @@ def calibrate(
         len(sessions) == 1 and sessions[0].is_file() and sessions[0].suffix != ".toml"
     )
     with _session_of(sessions, ask.given_of(options)) if is_log else nullcontext(sessions) as folders:
-        described = [read_session(folder).without(excluded) for folder in folders]
+        described = [read_session(folder).without(without or ()) for folder in folders]
         if together:
             from tumble.run.together import calibrate_together
 
             results = [calibrate_together(described, frame=frame, progress=tell.with_progress)]
         else:
-            alike = None if known_launches is None else _of_type(known_launches, described[0].device.model, frame)
-            of_type = None
-            if type_registry is not None:
-                if described[0].device.model is None:
-                    raise InputError("--registry: expected the type of the device, `model` under [device], found none")
-                of_type = ask.type_in(type_registry, described[0].device.model)
-            words: dict[str, Any] = {"iterations": iterations, "frame": frame, "terms": terms, "alike": alike}
-            words |= {"device_type": of_type}
+            words: dict[str, Any] = {"iterations": iterations, "frame": frame, "terms": terms}
+            model, registry = described[0].device.model, known_launches or type_registry
+            if registry is not None and model is None:
+                asked = "--known-launches" if known_launches else "--registry"
+                raise InputError(f"{asked}: expected the type of the device, `model` under [device], found none")
+            if known_launches is not None and model is not None:  # the launches of all devices of the type
+                with ask.opened(known_launches) as opened:
+                    from tumble.registry.series import type_spread
+
+                    words["alike"] = type_spread(opened, model, frame)
+            if type_registry is not None and model is not None:
+                words["device_type"] = ask.type_in(type_registry, model)
             results = [
                 calibrate_launches(described, method=each, progress=tell.with_progress, **words) for each in methods
             ]
@@ -141,7 +145,6 @@ def calibrate(
 
         known = truth_at(true, result.reference_temperature, partial(reference_of_parameter, result))
     tell.show(
-        as_json,
         lambda: result.content() | ({"others": [other.content() for other in others]} if others else {}),
         lambda: calibration_blocks(result, known, others, every=every, budget=budget),
     )
@@ -150,28 +153,6 @@ def calibrate(
         for reason in other.outcome.reasons:
             tell.warn(f"{other.method}: not accepted: {reason}")
     tell.end(result.outcome.reasons, "not accepted: ")
-
-
-def _numbers(text: str) -> tuple[int, ...]:
-    """The numbers of rests such as "3,7"."""
-    try:
-        return tuple(int(number) for number in text.split(","))
-    except ValueError:
-        raise InputError(f"--without: expected numbers of rests such as 3,7, found {text!r}") from None
-
-
-def _of_type(place: str, model: str | None, frame: Frame) -> TypeSpread:
-    """The launches of all devices of a type in a registry."""
-    from tumble.registry.store.connect import extra_named
-
-    if model is None:
-        raise InputError("--known-launches: expected the type of the device, `model` under [device], found none")
-    with extra_named():
-        from tumble.registry.series import type_spread
-        from tumble.registry.store.connect import open_registry
-
-        with open_registry(place) as opened:
-            return type_spread(opened, model, frame)
 
 
 @contextmanager
@@ -202,3 +183,67 @@ def _session_of(logs: Sequence[Path], given: Given) -> Iterator[list[Path]]:
             tell.warn(f"look at this: {fault}")
         tell.say(f"kept in {folder / 'session.toml'}")
         yield [folder]
+
+
+@click.command(
+    epilog=ask.examples(
+        "tumble ellipsoid positions.csv --unit g", "tumble ellipsoid compass.csv --sensor mag --unit uT"
+    )
+)
+@click.argument("readings", metavar="READINGS.csv", type=ask.FILE)
+@ask.option("--unit", "Of the readings: V, count, g, m/s^2; others: see --sensor.", "V")
+@ask.option(
+    "--scale",
+    "Nominal output per unit, signed by polarity; default: from the readings.",
+    metavar="K|K,K,K",
+    type=ask.NUMBERS,
+)
+@ask.option("--scale-per", "Unit that the scale is per: g (default) or m/s^2.")
+@ask.GRAVITY
+@ask.option("--gravity-u", "Its standard uncertainty; default: 3e-4, of gravity from a latitude.", type=float)
+@ask.option("--position/positions", "Where up roughly was in position N; repeat.", multiple=True, metavar="N=X,Y,Z")
+@ask.option("--sensor", "What they are.", "accel", type=click.Choice(["accel", "gyro", "mag"]))
+@ask.option("--modulus", "gyro: rate of the table; mag: the field; in --unit or --scale-per.", type=float)
+@ask.option("--modulus-u", "Its standard uncertainty; default: scale factors are relative to it.", type=float)
+@ask.option("--rows-per-position", "Rows of one position after another.", 1, type=int)
+@ask.grade(None, "; default: guessed from biases and residuals")
+@ask.terms("full")
+@ask.frame([frame for frame in ask.FRAMES if frame != "case"])
+@ask.SERIAL
+@ask.out("Calibration file; default: READINGS.calibration.json beside the table.")
+@ask.force("Replace a calibration file that came from another table or method.")
+@ask.JSON
+def ellipsoid(
+    readings: Path,
+    positions: tuple[str, ...],
+    out: Path | None,
+    force: bool,
+    **options: Any,
+) -> None:
+    """Calibrate a triad from READINGS.csv, a table of mean readings in nine or more positions of any orientation.
+
+    The table has a header with the names of three columns, one per channel, and a row per position.
+    """
+    from tumble.run.from_readings import calibrate_table
+    from tumble.views.readings import readings_blocks
+
+    result = calibrate_table(readings, known=dict(map(_position, positions)), **options)
+    target = out or readings.with_suffix(".calibration.json")
+    result.calibration.write(target, force=force)
+    tell.show(result.calibration.content, lambda: readings_blocks(result))
+    tell.say(f"written to {target}")
+    tell.end(result.calibration.outcome.reasons, "not accepted: ")
+
+
+def _position(text: str) -> tuple[int, Array]:
+    """N=X,Y,Z: a position and the direction (3,) of up in it."""
+    import numpy as np
+
+    from tumble.documents import whole_number
+
+    number, _, direction = text.partition("=")
+    position = whole_number(number.strip())
+    vector = np.array(ask.NUMBERS.read("--position", direction)) if direction else np.zeros(0)
+    if position is None or vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+        raise InputError(f"--position: expected N=X,Y,Z, the number of a position and a direction, found {text!r}")
+    return position, vector

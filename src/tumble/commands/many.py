@@ -53,7 +53,7 @@ def campaign(file: Path, out: Path, **place: Any) -> None:
 @ask.method(ask.METHOD_NAMES, ask.METHOD_NAMES[0], "How to estimate.")
 @ask.JSON
 @ask.CLUSTER
-def fleet(sessions: str, method: Method, as_json: bool, out: Path, **place: Any) -> None:
+def fleet(sessions: str, method: Method, out: Path, **place: Any) -> None:
     """Calibrate all sessions that GLOB matches or MANIFEST lists, with a row for each.
 
     A session that cannot be calibrated does not stop the others: its row says why. A run that was interrupted goes on
@@ -66,7 +66,7 @@ def fleet(sessions: str, method: Method, as_json: bool, out: Path, **place: Any)
         result = fleet(sessions, out, method=method, progress=progress, **place)
     ended = result.tally
     outcomes = {"not accepted": ended.refused, "failed": ended.failed}
-    if as_json:
+    if tell.as_json():
         tally = {"accepted": ended.accepted, **{how: dict(why) for how, why in outcomes.items()}}
         print_data({"sessions": len(result.sessions), **tally, "rows": str(result.rows)})
     else:

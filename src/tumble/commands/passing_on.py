@@ -1,4 +1,4 @@
-"""Commands that write what is passed on and kept: `report`, `export`, `selftest`."""
+"""Commands that write what is passed on and kept: `report`, `export`, `upload`, `selftest`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,10 @@ import click
 from tumble.commands import ask, tell
 from tumble.errors import InputError
 from tumble.export import FORMATS
+
+_IDS = ask.Numbers("the numbers in CAL_ACC0_ID and CAL_GYRO0_ID with a comma between", int, count=2)
+_RANGE = ask.Numbers("g and deg/s with a comma between", count=2)
+_COUNTS = ask.Numbers("counts a g and a deg/s with a comma between", count=2, above=0.0)
 
 
 @click.command(epilog=ask.examples("tumble report imu-7/calibration.json -o imu-7.pdf --limits limits.toml"))
@@ -34,36 +38,30 @@ def report(calibrations: tuple[Path, ...], out: Path, limits: Path | None, certi
 @ask.option("--noise", "kalibr: noise from this session's longest rest.", metavar="SESSION", type=ask.PATH)
 @ask.CERTIFICATE
 @ask.option("--imu", "px4, ardupilot, also thermal: of the N-th IMU, from 1.", metavar="N", type=int)
-@ask.option("--sensor-ids", "px4-thermal: the numbers in CAL_ACC0_ID and CAL_GYRO0_ID.", metavar="ACCEL,GYRO")
-@ask.option("--full-scale", "firmware: range in fixed point, g and °/s.  [default: 16,2000]", metavar="ACCEL,GYRO")
-@ask.option("--counts", "iNav, Betaflight, …: counts a g and a °/s; default: the recording's.", metavar="ACCEL,GYRO")
+@ask.option(
+    "--sensor-ids", "px4-thermal: the numbers in CAL_ACC0_ID and CAL_GYRO0_ID.", metavar="ACCEL,GYRO", type=_IDS
+)
+@ask.option(
+    "--full-scale", "firmware: range in fixed point, g and °/s.  [default: 16,2000]", metavar="ACCEL,GYRO", type=_RANGE
+)
+@ask.option(
+    "--counts",
+    "iNav, Betaflight, …: counts a g and a °/s; default: the recording's.",
+    metavar="ACCEL,GYRO",
+    type=_COUNTS,
+)
 @ask.force()
-def export(
-    calibration: Path,
-    to: str,
-    out: Path,
-    sensor_ids: str | None,
-    full_scale: str | None,
-    counts: str | None,
-    force: bool,
-    **given: Any,
-) -> None:
+def export(calibration: Path, to: str, out: Path, force: bool, **given: Any) -> None:
     """Write CALIBRATION, a calibration file, in the format of another program.
 
     What that format has no place for is said on standard error, and in the file where it has comments.
     """
     from tumble.export import export_calibration
-    from tumble.export.autopilots import sensor_ids_of
-    from tumble.export.counts import counts_of
-    from tumble.export.firmware import full_scale_of
     from tumble.files import whole_file
 
     if out.exists() and not force:
         raise InputError(f"{out}: expected a new file, found one that exists; give --force to replace it")
-    ids = None if sensor_ids is None else sensor_ids_of(sensor_ids)
-    scales = None if full_scale is None else full_scale_of(full_scale)
-    in_counts = None if counts is None else counts_of(counts)
-    exported = export_calibration(calibration, to, sensor_ids=ids, full_scale=scales, counts=in_counts, **given)
+    exported = export_calibration(calibration, to, **given)
     with whole_file(out) as temporary:
         temporary.write_bytes(exported.content)
     tell.say(f"written to {out}")
@@ -71,12 +69,53 @@ def export(
         tell.say(f"note: {loss}")
 
 
+@click.command(epilog=ask.examples("tumble upload imu-7/calibration.json --mavlink serial:/dev/ttyACM0:115200"))
+@click.argument("calibration", type=ask.FILE)
+@ask.option("--mavlink", "udp:[HOST:]PORT, tcp:HOST:PORT or serial:DEVICE:BAUD.", metavar="LINK", required=True)
+@ask.option("--backup", "File for the values before.  [default: CALIBRATION.before.params]", type=ask.FILE)
+@click.option("--thermal", is_flag=True, help="Curves over temperature too.")
+@ask.option("--imu", "Of the N-th IMU, from 1, where the calibration does not say which.", metavar="N", type=int)
+@click.option("--magnetometer", is_flag=True, help="Its parameters too, as the autopilot's first one.")
+@click.option("--dry-run", is_flag=True, help="Compare, and write nothing.")
+def upload(
+    calibration: Path,
+    mavlink: str,
+    backup: Path | None,
+    thermal: bool,
+    imu: int | None,
+    magnetometer: bool,
+    dry_run: bool,
+) -> None:
+    """Write CALIBRATION, a calibration file, into PX4 or ArduPilot over MAVLink.
+
+    Refused while it is armed, and where it has other sensors. What it has is kept in a backup file first; what was
+    written is read back, and what cannot be finished is taken back.
+    """
+    from tumble.export.upload import upload as upload_calibration
+
+    done = upload_calibration(
+        calibration,
+        mavlink,
+        backup=backup or calibration.with_name(f"{calibration.stem}.before.params"),
+        thermal=thermal,
+        imu=imu,
+        magnetometer=magnetometer,
+        dry_run=dry_run,
+    )
+    for loss in done.losses:
+        tell.say(f"note: {loss}")
+    for change in done.changes:
+        click.echo(f"{change.name}\t{change.before:.9g}\t{change.after:.9g}")
+    changed = sum(change.before != change.after for change in done.changes)
+    what = "would change" if dry_run else f"changed and read back; values before: {done.backup}"
+    tell.say(f"{done.autopilot}: {changed} of {len(done.changes)} parameters {what}")
+
+
 @click.command(epilog=ask.examples("tumble selftest -o record.json"))
 @ask.out("Write the record, JSON, with versions, machine, figures and hashes.")
 @ask.option("--by", "Who runs it and stands for it; default: the name of the user.", metavar="NAME")
 def selftest(out: Path | None, by: str | None) -> None:
     """Run the reference cases on this machine and compare them with published values, closed forms and truth."""
-    from tumble.errors import InputError
     from tumble.selftest import run_selftest
     from tumble.views.checks import selftest_table
     from tumble.views.render.terminal import print_blocks

@@ -72,7 +72,6 @@ def plan(
     wanted: tuple[str, ...],
     axes: str | None,
     step: float,
-    as_json: bool,
     recordings: str | None,
     time_constant: float,
     chamber_rate: float,
@@ -107,8 +106,8 @@ def plan(
             sessions = chamber_sessions(recordings, setup)
             thermal = plan_over_temperature(setup, sessions, chamber=chamber, gyros=not accel_only)
         reasons = short_over_temperature(thermal, wishes_over_temperature)
-        tell.show(as_json, lambda: thermal_plan_data(thermal, reasons), lambda: thermal_plan_blocks(thermal))
-        for note in () if as_json else thermal.notes:
+        tell.show(lambda: thermal_plan_data(thermal, reasons), lambda: thermal_plan_blocks(thermal))
+        for note in () if tell.as_json() else thermal.notes:
             tell.say(f"note: {note}")
         tell.end(reasons)
     from tumble.planning.best_positions import Aim, plan
@@ -121,7 +120,7 @@ def plan(
         turns = TurnTable.of(axes, step)
         found = plan(setup, positions=positions, aim=aim, table=turns, progress=progress, device_type=device_type)
     reasons = short_of(found.bound, aim, found.setup)
-    tell.show(as_json, lambda: plan_data(found, reasons), lambda: plan_blocks(found, aim))
+    tell.show(lambda: plan_data(found, reasons), lambda: plan_blocks(found, aim))
     if device_type is not None:
         tell.say(f"note: with all groups, by {device_type.units} units of the type {model!r} as a prior")
     tell.end(reasons)
@@ -132,7 +131,7 @@ def plan(
 @ask.method(["joint", *ask.BUDGETED_METHODS], None, "Repeat; default: joint, of the linear model all.", multiple=True)
 @ask.option("--iterations", "Passes of the methods.", 2, type=click.IntRange(1, 5))
 @ask.JSON
-def budget(method: tuple[PlannedMethod, ...], iterations: int, as_json: bool, **options: Any) -> None:
+def budget(method: tuple[PlannedMethod, ...], iterations: int, **options: Any) -> None:
     """Expected errors of a calibration before it is made, what they are from, and the least possible."""
     from tumble.planning.bounds import bound
     from tumble.planning.budget import budget
@@ -148,7 +147,7 @@ def budget(method: tuple[PlannedMethod, ...], iterations: int, as_json: bool, **
     with tell.working("planning"):
         expected = budget(setup, methods=methods, iterations=iterations)
         least = None if options["noiseless"] else bound(setup)
-    tell.show(as_json, lambda: budget_data(expected, least), lambda: [budget_table(expected, least)])
+    tell.show(lambda: budget_data(expected, least), lambda: [budget_table(expected, least)])
     for remark in expected.remarks:
         tell.say(f"note: {remark}")
 
@@ -172,7 +171,6 @@ def require(
     method: PlannedMethod,
     iterations: int,
     gyro_bias: BiasEstimator,
-    as_json: bool,
     **options: Any,
 ) -> None:
     """The table, the mounting and the rests that a wanted accuracy needs; what no table can give is named."""
@@ -184,7 +182,7 @@ def require(
     asked = wanted_of(wanted, relative, setup)
     with tell.working("planning"):
         needs = require(asked, setup, method=method, iteration=iterations, gyro_bias=gyro_bias)
-    tell.show(as_json, lambda: requirements_data(needs), lambda: requirement_blocks(needs))
+    tell.show(lambda: requirements_data(needs), lambda: requirement_blocks(needs))
     tell.end([] if needs.feasible else ["not feasible: no table gives everything that is wanted; see what is limited"])
 
 

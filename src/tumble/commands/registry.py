@@ -72,7 +72,7 @@ def _whole_new_file(out: Path, what: str, lines: Callable[[], Any]) -> None:
 
 @_command("add", opens=False)
 @click.argument("calibration", type=ask.FILE)
-@ask.option("--check", "Default: incoming the first time.", type=click.Choice(["incoming", "periodic"]))
+@ask.option("--check/occasion", "Default: incoming the first time.", type=click.Choice(["incoming", "periodic"]))
 @ask.option("--state", "Before or after an adjustment, if there is one.", type=click.Choice(["as-found", "as-left"]))
 @ask.option("--date/day", "When it was performed; default: when recorded, or the file made.", **_DAY)
 @ask.option("--supersedes", "The record that this one corrects.", metavar="NUMBER", callback=_number)
@@ -80,15 +80,7 @@ def _whole_new_file(out: Path, what: str, lines: Callable[[], Any]) -> None:
 @ask.JSON
 @ask.EVERY
 def add(
-    calibration: Path,
-    check: Any,
-    state: Any,
-    day: datetime | None,
-    supersedes: int | None,
-    reason: str | None,
-    as_json: bool,
-    every: bool,
-    place: str | None,
+    calibration: Path, day: datetime | None, state: Any, every: bool, place: str | None, **particulars: Any
 ) -> None:
     """Add a CALIBRATION file, judge it by the limits in force, and say so. Exit status 1 if it does not pass."""
     from datetime import UTC
@@ -97,30 +89,24 @@ def add(
     from tumble.registry.adding import add as add_to
     from tumble.registry.store.connect import open_registry
 
-    particulars = Particulars(
-        performed=None if day is None else day.replace(tzinfo=UTC),
-        occasion=check,
-        state=state or "unchanged",
-        supersedes=supersedes,
-        reason=reason,
-    )
-    submission = read_submission(calibration, particulars)
+    performed = None if day is None else day.replace(tzinfo=UTC)
+    stated = Particulars(performed=performed, state=state or "unchanged", **particulars)
+    submission = read_submission(calibration, stated)
     with open_registry(place, create=True) as opened:
         added = add_to(opened, submission)
         said = "added as" if added.new else "the same calibration is there already:"
         tell.say(f"{said} record {added.record.number} in {opened.name}")
-        passed = _print_record(opened, added.record, as_json, every)
+        passed = _print_record(opened, added.record, every)
     sys.exit(0 if passed else 1)
 
 
-def _print_record(opened: Registry, record: Record, as_json: bool, every: bool) -> bool:
+def _print_record(opened: Registry, record: Record, every: bool) -> bool:
     """Print a record with the verdict on it, and whether it passes."""
     from tumble.registry.series import calibration_in, verdict_of
     from tumble.views.registry import record_blocks, record_data
 
     verdict, calibration = verdict_of(opened, record), calibration_in(opened, record, record.frame)
     tell.show(
-        as_json,
         lambda: record_data(record, calibration, verdict),
         lambda: record_blocks(record, calibration, verdict, every=every),
     )
@@ -134,7 +120,7 @@ def _print_record(opened: Registry, record: Record, as_json: bool, every: bool) 
 @_command("list")
 @click.argument("serial", required=False)
 @ask.JSON
-def list_(serial: str | None, as_json: bool, opened: Registry) -> None:
+def list_(serial: str | None, opened: Registry) -> None:
     """All devices with their latest record, or the records of the device SERIAL."""
     from tumble.registry.due import due as due_of
     from tumble.registry.due import records
@@ -142,10 +128,10 @@ def list_(serial: str | None, as_json: bool, opened: Registry) -> None:
 
     if serial is not None:
         found = records(opened, serial)
-        tell.show(as_json, lambda: {"records": found}, lambda: [record_table(found)])
+        tell.show(lambda: {"records": found}, lambda: [record_table(found)])
         return
     latest = sorted(due_of(opened), key=lambda item: item.record.serial)
-    tell.show(as_json, lambda: devices_data(latest), lambda: [device_table(latest)])
+    tell.show(lambda: devices_data(latest), lambda: [device_table(latest)])
 
 
 @_command("show")
@@ -153,7 +139,7 @@ def list_(serial: str | None, as_json: bool, opened: Registry) -> None:
 @ask.out("Write the calibration file of the record, as it was added.")
 @ask.JSON
 @ask.EVERY
-def show_(number: int, out: Path | None, as_json: bool, every: bool, opened: Registry) -> None:
+def show_(number: int, out: Path | None, every: bool, opened: Registry) -> None:
     """The record NUMBER with the verdict on each parameter. Exit status 1 if it does not pass."""
     from tumble.registry.store.rows import file_of, record_of
 
@@ -161,7 +147,7 @@ def show_(number: int, out: Path | None, as_json: bool, every: bool, opened: Reg
         record, text = record_of(connection, number), file_of(connection, number)
     if out is not None:
         _whole_new_file(out, "calibration", lambda: [text])
-    passed = _print_record(opened, record, as_json, every)
+    passed = _print_record(opened, record, every)
     sys.exit(0 if passed else 1)
 
 
@@ -171,7 +157,7 @@ def show_(number: int, out: Path | None, as_json: bool, every: bool, opened: Reg
 @ask.out("Draw control charts into this .html or .svg; needs matplotlib.")
 @ask.JSON
 @ask.EVERY
-def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, every: bool, opened: Registry) -> None:
+def trend(serial: str, parameter: str | None, out: Path | None, every: bool, opened: Registry) -> None:
     """Every parameter of the device SERIAL over its calibrations, or one PARAMETER in every calibration.
 
     Exit status 1 if the device has changed since the calibration before by more than chance makes, in a parameter or
@@ -187,7 +173,6 @@ def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, e
         write_chart(out, found)
         tell.say(f"written to {out}")
     tell.show(
-        as_json,
         lambda: trend_data(found),
         lambda: trend_blocks(found, every=every) if parameter is None else history_blocks(found),
     )
@@ -201,7 +186,7 @@ def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, e
 @click.argument("model", required=False)
 @click.argument("file", type=ask.FILE, required=False)
 @ask.JSON
-def limits(model: str | None, file: Path | None, as_json: bool, place: str | None) -> None:
+def limits(model: str | None, file: Path | None, place: str | None) -> None:
     """Put the acceptance limits of FILE (TOML) in force for the device type MODEL.
 
     Without FILE those of MODEL are shown, without MODEL those of all types are listed.
@@ -226,7 +211,6 @@ def limits(model: str | None, file: Path | None, as_json: bool, place: str | Non
     if model is not None and model not in in_force:
         raise InputError(f"type {model!r}: expected a device type with limits, found none for it")
     tell.show(
-        as_json,
         lambda: limits_data(every if model is None else [in_force[model]], in_force),
         lambda: [limits_table(every, in_force)] if model is None else limits_blocks(in_force[model]),
     )
@@ -235,7 +219,7 @@ def limits(model: str | None, file: Path | None, as_json: bool, place: str | Non
 @_command("due")
 @ask.option("--on/day", "As on this day; default: today.", **_DAY)
 @ask.JSON
-def due(day: datetime | None, as_json: bool, opened: Registry) -> None:
+def due(day: datetime | None, opened: Registry) -> None:
     """What is to be calibrated again, and when: by the calendar, or before where a drift may meet a limit.
 
     The most urgent first. Exit status 1 if anything is overdue.
@@ -247,7 +231,7 @@ def due(day: datetime | None, as_json: bool, opened: Registry) -> None:
 
     today = datetime.now(UTC).date() if day is None else day.date()
     found = due_of(opened)
-    tell.show(as_json, lambda: due_data(found, today), lambda: [due_table(found, today)])
+    tell.show(lambda: due_data(found, today), lambda: [due_table(found, today)])
     overdue = [item.record.serial for item in found if (item.day or date.max) < today]
     tell.end([f"overdue: {', '.join(overdue)}"] if overdue else [])
 
@@ -256,7 +240,7 @@ def due(day: datetime | None, as_json: bool, opened: Registry) -> None:
 @click.argument("model")
 @ask.out("File to write: .md, .html or .pdf; default: the terminal.")
 @ask.JSON
-def datasheet(model: str, out: Path | None, as_json: bool, opened: Registry) -> None:
+def datasheet(model: str, out: Path | None, opened: Registry) -> None:
     """What the units of the type MODEL are like: min, typical, max and tolerance intervals of every parameter."""
     from datetime import UTC, datetime
 
@@ -265,7 +249,7 @@ def datasheet(model: str, out: Path | None, as_json: bool, opened: Registry) -> 
 
     sheet = datasheet_of(opened, model)
     if out is None:
-        tell.show(as_json, lambda: datasheet_data(sheet), lambda: datasheet_blocks(sheet))
+        tell.show(lambda: datasheet_data(sheet), lambda: datasheet_blocks(sheet))
         return
     write_datasheet(sheet, out, datetime.now(UTC).isoformat(timespec="seconds"))
     tell.say(f"written to {out}")

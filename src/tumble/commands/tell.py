@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
+from tumble.commands.ask import AS_JSON
+
 if TYPE_CHECKING:
     from rich.progress import ProgressColumn
 
@@ -18,8 +20,13 @@ if TYPE_CHECKING:
     from tumble.views.blocks import Block
 
 
-def show(as_json: bool, data: Callable[[], dict[str, Any]], blocks: Callable[[], Iterable[Block]]) -> None:
-    if as_json:
+def as_json() -> bool:
+    """Whether --json asks for the result as data."""
+    return bool(click.get_current_context().meta.get(AS_JSON))
+
+
+def show(data: Callable[[], dict[str, Any]], blocks: Callable[[], Iterable[Block]]) -> None:
+    if as_json():
         from tumble.views.render.data import print_data
 
         print_data(data())

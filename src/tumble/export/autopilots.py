@@ -38,15 +38,14 @@ The biases of a calibration are polynomials of the second degree at most, so a c
 the ends of what was measured. Scale factors have one value each, that at the reference temperature.
 
 Source: PX4, parameter reference, libraries sensor_calibration and temperature_compensation, commander's
-mag_calibration.cpp; QGroundControl,
-"Parameters file format". ArduPilot, parameter reference, libraries AP_InertialSensor and AP_Compass
-(AP_Compass_Backend::correct_field, CompassCalibrator::fit_acceptable).
+mag_calibration.cpp; QGroundControl, "Parameters file format". ArduPilot, parameter reference, libraries
+AP_InertialSensor and AP_Compass (AP_Compass_Backend::correct_field, CompassCalibrator::fit_acceptable).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -82,8 +81,6 @@ from tumble.sensors.parameters import group_name
 from tumble.units import DEGREE, G_STANDARD, TESLA, Array
 
 Sensors = Mapping[SensorKind, AutopilotSensor]
-Row = tuple[str, str, bool]
-"""Name and value of a parameter, and whether it is a whole number."""
 
 NUMBER_INSIDE = 3
 """The last IMU that has its number inside ArduPilot's names, and the last one that it compensates."""
@@ -108,7 +105,6 @@ class Compass:
     factor: str
     across: str
     unit: str
-    worth: float
     sign: float
     most: float
     factors: tuple[float, float]
@@ -164,7 +160,6 @@ PX4 = Autopilot(
         factor="CAL_MAG0_{}SCALE",
         across="CAL_MAG0_{}ODIAG",
         unit="gauss",
-        worth=TESLA["gauss"],
         sign=1.0,
         most=1.3,
         factors=(0.1, 3.0),
@@ -189,7 +184,6 @@ ARDUPILOT = Autopilot(
         factor="COMPASS_DIA_{}",
         across="COMPASS_ODI_{}",
         unit="mgauss",
-        worth=TESLA["mgauss"],
         sign=-1.0,
         most=1800.0,
         factors=(0.2, 5.0),
@@ -200,13 +194,12 @@ ARDUPILOT = Autopilot(
     about=35.0,
     worth=1e-6,
 )
-
-
 PILOTS: Mapping[str, Autopilot] = {"px4": PX4, "ardupilot": ARDUPILOT}
 
 
 def parameter_lines(pilot: Autopilot, parameters: Iterable[ExportedParameter]) -> list[str]:
-    """The lines of a file that the autopilot's ground station loads."""
+    """The lines of a file that the autopilot's ground station loads, numbers with as many digits as it takes to read
+    them back in single precision."""
     lines = [f"# {pilot.heading[-1]}"] if pilot.heading else []
     for p in parameters:
         text = f"{p.value:.0f}" if p.whole else np.format_float_positional(np.float32(p.value), trim="0")
@@ -275,10 +268,10 @@ def worst(error: Array) -> float:
 
 def gyro_matrix_lost(model: SensorModel) -> str:
     """What gyros with nothing but offsets lose."""
-    error = model.matrix - np.eye(3)
+    error = worst(model.matrix - np.eye(3))
     return (
-        f"scale factors and misalignment of the gyros: an error of up to {100.0 * worst(error):.3g} % of the rate, "
-        f"{np.rad2deg(worst(error) * np.deg2rad(100.0)):.3g} deg/s in 100 deg/s"
+        f"scale factors and misalignment of the gyros: an error of up to {100.0 * error:.3g} % of the rate, "
+        f"{np.rad2deg(error * np.deg2rad(100.0)):.3g} deg/s in 100 deg/s"
     )
 
 
@@ -367,31 +360,28 @@ class Thermal:
         ]
         if any(hysteresis.values()):
             losses.append(f"hysteresis of the biases: no place in this file, up to {said(hysteresis)}")
-        for kinds in self.pilot.thermometers:
-            losses += self._shared([kind for kind in kinds if kind in known])
-        return [*losses, f"outside {span} nothing was measured: the target keeps the offsets of the nearer end"]
-
-    def _shared(self, kinds: Sequence[SensorKind]) -> list[str]:
-        """What is lost because sensors of these kinds have one temperature in the target: by what they differ at rests
-        other than in the mean, which their references contain."""
+        # sensors that have one temperature in the target: by what they differ at rests other than in the mean, which
+        # their references contain
         thermometers = self.calibration.temperature.thermometers
-        names = dict.fromkeys(chain(*(thermometers.get(kind, ()) for kind in kinds)))
-        if len(names) < 2:
-            return []
-        apart = 0.0
-        for rest in warm_rests(self.calibration):
-            at = {kind: getattr(rest, kind) for kind in kinds}
-            off = [
-                np.array(sensors.temperature) - references(self.calibration, kind)
-                for kind, sensors in at.items()
-                if sensors is not None and sensors.temperature
-            ]
-            apart = max(apart, float(np.ptp(np.concatenate(off))) if off else 0.0)
-        return [
-            f"thermometers of their own ({', '.join(names)}): the target has one for these sensors; at the rests they "
-            f"differ by up to {apart:.1f} K more or less than in the mean, an error of up to "
-            f"{said({kind: apart * self.steepest(kind) for kind in kinds})}"
-        ]
+        for kinds in ([kind for kind in kinds if kind in known] for kinds in self.pilot.thermometers):
+            names = dict.fromkeys(chain(*(thermometers.get(kind, ()) for kind in kinds)))
+            if len(names) < 2:
+                continue
+            apart = 0.0
+            for rest in warm_rests(self.calibration):
+                at = {kind: getattr(rest, kind) for kind in kinds}
+                off = [
+                    np.array(sensors.temperature) - references(self.calibration, kind)
+                    for kind, sensors in at.items()
+                    if sensors is not None and sensors.temperature
+                ]
+                apart = max(apart, float(np.ptp(np.concatenate(off))) if off else 0.0)
+            losses.append(
+                f"thermometers of their own ({', '.join(names)}): the target has one for these sensors; at the rests "
+                f"they differ by up to {apart:.1f} K more or less than in the mean, an error of up to "
+                f"{said({kind: apart * self.steepest(kind) for kind in kinds})}"
+            )
+        return [*losses, f"outside {span} nothing was measured: the target keeps the offsets of the nearer end"]
 
 
 def thermal(calibration: Calibration, target: str, pilot: Autopilot) -> Thermal:
@@ -438,10 +428,12 @@ def _at_reference(pilot: Autopilot, target: str, calibration: Calibration, imu: 
     plural = "ids of these sensors" if len(unknown) > 1 else "id of this sensor"
     told = [f"{' and '.join(unknown)} have to be the {plural} already"] if unknown else []
     rows = [
-        (name, _device(pilot, device), True) for kind, name in ids.items() if (device := sensors[kind].id) is not None
+        _whole(name, _device(pilot, device), identity=True)
+        for kind, name in ids.items()
+        if (device := sensors[kind].id) is not None
     ]
     told += [held.example(kind, model, held.offset[kind]) for kind, model in held.known.items()]
-    return _written(pilot, calibration, held, sensors, told, rows, [], _whose(calibration, imu))
+    return _written(pilot, calibration, imu, held, sensors, told, rows)
 
 
 px4, ardupilot = partial(_at_reference, PX4, "px4"), partial(_at_reference, ARDUPILOT, "ardupilot")
@@ -464,10 +456,10 @@ def px4_thermal(
         f"{names} have to be the ids of these sensors already",
         f"CAL_*OFF and CAL_*SCALE are those at {' and '.join(at)} degC",
     ]
-    rows: list[Row] = []
+    rows: list[ExportedParameter] = []
     for kind, stem in stems.items():
-        rows.append((f"TC_{_LETTERS[kind]}_ENABLE", "1", True))
-        rows += [(f"{stem}_ID", _device(PX4, ids[kind] or 0), True)] if ids else []
+        rows.append(_whole(f"TC_{_LETTERS[kind]}_ENABLE", 1))
+        rows += [_whole(f"{stem}_ID", _device(PX4, ids[kind] or 0))] if ids else []
         rows += _reals([f"{stem}_TREF", f"{stem}_TMIN", f"{stem}_TMAX"], found.ends(kind))
         for degree, column in enumerate((np.zeros(3), *found.coefficients(kind).T)):
             rows += _reals([f"{stem}_X{degree}_{axis}" for axis in range(3)], column)
@@ -479,8 +471,7 @@ def px4_thermal(
         f"{' and '.join(f'{stem}_ID' for stem in stems.values())} are not in this file: set them to {names}, or give "
         "--sensor-ids; without them PX4 compensates nothing"
     )
-    last = [*([] if ids else [no_ids]), *_whose(calibration, imu)]
-    return _over_temperature(found, sensors, told, rows, [jumps], last)
+    return _over_temperature(found, imu, sensors, told, rows, [jumps], [] if ids else [no_ids])
 
 
 def ardupilot_thermal(calibration: Calibration, imu: int | None = None) -> Exported:
@@ -495,21 +486,27 @@ def ardupilot_thermal(calibration: Calibration, imu: int | None = None) -> Expor
             f"{max(numbers.values())}"
         )
     names = {kind: f"INS_{ARDUPILOT.words[kind]}{number}_CALTEMP" for kind, number in numbers.items()}
-    first = next(iter(names))
     each, ends = sorted(set(numbers.values())), np.array([found.measured.low, found.measured.high])
-    rows: list[Row] = [(f"INS_TCAL{number}_ENABLE", "1", True) for number in each]
+    rows = [_whole(f"INS_TCAL{number}_ENABLE", 1) for number in each]
     for number in each:
         rows += _reals([f"INS_TCAL{number}_TMIN", f"INS_TCAL{number}_TMAX"], ends)
     rows += _reals(list(names.values()), np.array([found.reference(kind) for kind in names]))
     for kind, number in numbers.items():
         for degree, column in enumerate(found.coefficients(kind).T, 1):
             rows += _reals([f"INS_TCAL{number}_{ARDUPILOT.words[kind]}{degree}_{axis}" for axis in "XYZ"], column)
+    first = next(iter(names))
     told = [f"offsets and scales are those at {found.reference(first):g} degC, {names[first]}"]
-    return _over_temperature(found, sensors, told, rows, [], _whose(calibration, imu))
+    return _over_temperature(found, imu, sensors, told, rows, [], [])
 
 
 def _over_temperature(
-    found: Thermal, sensors: Sensors, told: list[str], rows: list[Row], more: list[str], last: list[str]
+    found: Thermal,
+    imu: int | None,
+    sensors: Sensors,
+    told: list[str],
+    rows: list[ExportedParameter],
+    more: list[str],
+    last: list[str],
 ) -> Exported:
     """The file of the offsets and of the curves, with readings at the warmer end, what the autopilot makes of them and
     what they are."""
@@ -517,33 +514,36 @@ def _over_temperature(
     for kind in found.held.known:
         model, offset = model_at(found.calibration, kind, at), found.offsets(kind, np.array([at]))[0]
         told.append(found.held.example(kind, model, offset, f" at {at:g} degC"))
-    return _written(found.pilot, found.calibration, found.held, sensors, told, rows, [*found.losses(), *more], last)
+    losses = [*found.losses(), *more]
+    return _written(found.pilot, found.calibration, imu, found.held, sensors, told, rows, losses, last)
 
 
 def _written(
     pilot: Autopilot,
     calibration: Calibration,
+    imu: int | None,
     held: Diagonal,
     sensors: Sensors,
     told: list[str],
-    rows: list[Row],
-    first_losses: list[str],
-    last_losses: list[str],
+    rows: list[ExportedParameter],
+    first_losses: Iterable[str] = (),
+    last_losses: Iterable[str] = (),
 ) -> Exported:
-    """The file: what is told and lost as comments, offsets and factors, then further rows."""
-    parameters: list[Row] = []
+    """The file: what is told and lost as comments, offsets and factors, then those of the magnetometer and the rows;
+    and what is supposed where neither the calibration nor the user says which IMU it is."""
+    parameters: list[ExportedParameter] = []
     for kind, offset in held.offset.items():
         for what, values in [(pilot.offset, offset), *([(pilot.factor, held.factor[kind])] * (kind == "accel"))]:
             parameters += _reals([pilot.name(what.format(axis=axis), kind, sensors) for axis in "XYZ"], values)
     caveats = []
     if pilot is PX4:
-        changes: list[tuple[str, Array]] = []
+        changes = {}
         if "accel" in held.known:
-            scales = held.factor["accel"] - 1.0
-            changes += [("accelerometer offsets", held.offset["accel"]), ("accelerometer scales", scales)]
+            changes["accelerometer offsets"] = held.offset["accel"]
+            changes["accelerometer scales"] = held.factor["accel"] - 1.0
         if "gyro" in held.known:
-            changes.append(("gyro offsets", held.offset["gyro"]))
-        small = [name for name, three in changes if np.linalg.norm(three) <= LEAST]
+            changes["gyro offsets"] = held.offset["gyro"]
+        small = [name for name, three in changes.items() if np.linalg.norm(three) <= LEAST]
         if small:
             caveats.append(
                 "some releases of PX4 ignore corrections shorter than 0.01 (m/s^2, 1, rad/s), as here: "
@@ -552,24 +552,16 @@ def _written(
     elif "gyro" in held.known:
         caveats.append("gyro offsets are estimated anew at every start unless INS_GYR_CAL is 0")
     compass, told_of_it, lost = _compass(pilot, calibration)
-    losses = (*first_losses, *held.losses, *lost, *caveats, *last_losses)
-    ids = {pilot.name(pilot.id, kind, sensors) for kind in held.known}
-    every = tuple(
-        ExportedParameter(
-            name=name,
-            value=float(value),
-            whole=whole,
-            identity=name in ids,
-            magnetometer=(name, value, whole) in compass,
-        )
-        for name, value, whole in [*parameters, *compass, *rows]
-    )
+    whose = "the calibration does not say which IMU it is of: these are parameters of the first, --imu N of another"
+    supposed = [whose] if imu is None and not calibration.imu else []
+    losses = (*first_losses, *held.losses, *lost, *caveats, *last_losses, *supposed)
+    every = (*parameters, *compass, *rows)
     comments = [*origin(calibration, magnetometer=True), *told, *told_of_it, *losses, *pilot.heading[:1]]
     file = commented(comments, parameter_lines(pilot, every), losses)
     return replace(file, parameters=every, magnetometer=True)
 
 
-def _compass(pilot: Autopilot, calibration: Calibration) -> tuple[list[Row], list[str], list[str]]:
+def _compass(pilot: Autopilot, calibration: Calibration) -> tuple[list[ExportedParameter], list[str], list[str]]:
     """The parameters of the calibration's magnetometer, what is told of them, and why there are none."""
     model, compass = calibration.mag, pilot.compass
     if model is None:
@@ -577,7 +569,7 @@ def _compass(pilot: Autopilot, calibration: Calibration) -> tuple[list[Row], lis
     from scipy.linalg import polar
 
     R, S = polar(model.inverse())
-    offset = compass.sign * model.bias * TESLA[calibration["mag.bias.x"].unit] / compass.worth
+    offset = compass.sign * model.bias * TESLA[calibration["mag.bias.x"].unit] / TESLA[compass.unit]
     diagonal, across = np.diag(S), S[[0, 0, 1], [1, 2, 2]]
     low, high = compass.factors
     reason = ""
@@ -591,28 +583,16 @@ def _compass(pilot: Autopilot, calibration: Calibration) -> tuple[list[Row], lis
     if reason:
         return [], [], [f"magnetometer: not in this file, for the autopilot takes it for damaged: {reason}"]
     angle = math.acos(min(1.0, 0.5 * (float(np.trace(R)) - 1.0))) / DEGREE
-    rows = [
-        *_reals([compass.offset.format(axis) for axis in "XYZ"], offset),
-        *_reals([compass.factor.format(axis) for axis in "XYZ"], diagonal),
-        *_reals([compass.across.format(axis) for axis in "XYZ"], across),
-        *(row for name, value in compass.further for row in _reals([name], np.array([value]))),
-    ]
-    told = [
+    values = {compass.offset: offset, compass.factor: diagonal, compass.across: across}
+    named = {
+        form.format(axis): value for form, three in values.items() for axis, value in zip("XYZ", three, strict=True)
+    }
+    named |= dict(compass.further)
+    told = (
         f"magnetometer: taken for the first; {compass.id} has to be that of this sensor already, in the axes that were "
         f"recorded; turned by {angle:.2g} deg so that its matrix is symmetric"
-    ]
-    return rows, told, []
-
-
-def sensor_ids_of(text: str) -> tuple[int, int]:
-    """The device ids of accelerometer and gyro of a text such as "1310988,1310988". Raises InputError."""
-    try:
-        accel, gyro = map(int, text.split(","))
-    except ValueError:
-        raise InputError(
-            f"--sensor-ids: expected the numbers in CAL_ACC0_ID and CAL_GYRO0_ID with a comma between, found {text!r}"
-        ) from None
-    return accel, gyro
+    )
+    return _reals(list(named), np.array(list(named.values())), magnetometer=True), [told], []
 
 
 def _sensors(calibration: Calibration, imu: int | None, target: str, most: int) -> Sensors:
@@ -630,18 +610,17 @@ def _sensors(calibration: Calibration, imu: int | None, target: str, most: int) 
     return {kind: calibration.imu.get(kind, AutopilotSensor(number=imu or 1, id=None)) for kind in _LETTERS}
 
 
-def _whose(calibration: Calibration, imu: int | None) -> list[str]:
-    """What is supposed where neither the calibration nor the user says which IMU it is."""
-    told = "the calibration does not say which IMU it is of: these are parameters of the first, --imu N of another"
-    return [told] if imu is None and not calibration.imu else []
+def _reals(names: list[str], values: Array, *, magnetometer: bool = False) -> list[ExportedParameter]:
+    """Parameters of single precision."""
+    kept = zip(names, single(values).tolist(), strict=True)
+    return [ExportedParameter(name=name, value=value, magnetometer=magnetometer) for name, value in kept]
 
 
-def _reals(names: list[str], values: Array) -> list[Row]:
-    """Numbers of single precision, with as many digits as it takes to read them back in single precision."""
-    texts = [np.format_float_positional(value, trim="0") for value in values.astype(np.float32)]
-    return [(name, text, False) for name, text in zip(names, texts, strict=True)]
+def _whole(name: str, value: int, *, identity: bool = False) -> ExportedParameter:
+    """A parameter that is a whole number."""
+    return ExportedParameter(name=name, value=float(value), whole=True, identity=identity)
 
 
-def _device(pilot: Autopilot, device: int) -> str:
+def _device(pilot: Autopilot, device: int) -> int:
     """A device id as a parameter, which PX4 has with a sign."""
-    return str(device - 2**32 if pilot is PX4 and device >= 2**31 else device)
+    return device - 2**32 if pilot is PX4 and device >= 2**31 else device

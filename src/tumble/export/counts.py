@@ -221,14 +221,3 @@ def _rounded(values: Array, *, whole: bool) -> Array:
 def _texts(values: Array, *, whole: bool) -> list[str]:
     """Numbers as whole ones, or to the digits of single precision."""
     return [f"{value:.0f}" if whole else np.format_float_positional(np.float32(value), trim="0") for value in values]
-
-
-def counts_of(text: str) -> tuple[float, float]:
-    """Counts a g and a °/s of a text such as "2048,16.4". Raises InputError."""
-    try:
-        accel, gyro = map(float, text.split(","))
-    except ValueError:
-        accel = gyro = 0.0
-    if not (accel > 0.0 and gyro > 0.0):
-        raise InputError(f"--counts: expected counts a g and a deg/s with a comma between, found {text!r}")
-    return accel, gyro

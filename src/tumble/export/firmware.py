@@ -233,12 +233,3 @@ def _table(name: str, values: Array, bits: int) -> str:
     sizes = "".join(f"[{size}]" for size in values.shape)
     text = row(whole) if values.ndim == 1 else "{\n" + ",\n".join(f"        {row(r)}" for r in whole) + "\n    }"
     return f"    static const int32_t {name}{sizes} = {text};"
-
-
-def full_scale_of(text: str) -> tuple[float, float]:
-    """The full scales, g and °/s, of a text such as "16,2000". Raises InputError."""
-    try:
-        accel, gyro = map(float, text.split(","))
-    except ValueError:
-        raise InputError(f"--full-scale: expected g and deg/s with a comma between, found {text!r}") from None
-    return accel, gyro
