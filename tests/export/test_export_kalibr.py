@@ -14,7 +14,7 @@ from tests.support.calibrated import FRAMES, calibration
 from tests.support.exports import NOISE
 from tumble.errors import InputError
 from tumble.export import export_calibration
-from tumble.export.kalibr import noise_densities
+from tumble.export.robots import noise_densities
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.reduction.noise.allan_deviation import allan_deviation

@@ -16,7 +16,7 @@ from tests.support.calibrated import HEXAD, calibration, warmed
 from tests.support.exports import beside
 from tests.use.test_applied_model import larger, read, truth
 from tumble.export import FORMATS, export_calibration
-from tumble.export.larger_model import not_held
+from tumble.export.exported import not_held
 from tumble.inference.prediction import Prediction
 from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import model_at

@@ -6,7 +6,7 @@ from typing import Any
 
 from tumble.acceptance.certificate import Certificate, Party, Person
 from tumble.export import FORMATS
-from tumble.export.kalibr import NoiseDensities
+from tumble.export.robots import NoiseDensities
 from tumble.reduction.noise.filter_values import Densities
 
 THERMAL = tuple(name for name in FORMATS if name.endswith("-thermal"))

@@ -33,7 +33,7 @@ class _NamedPath(click.Path):
         return super().convert(value, param, ctx)
 
 
-class Numbers(click.ParamType):
+class Numbers(click.ParamType[tuple[Any, ...]]):
     """Numbers with commas between them, each `above` something, so many where a `count` is given."""
 
     name = "numbers"

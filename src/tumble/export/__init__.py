@@ -16,7 +16,7 @@ from tumble.errors import InputError
 if TYPE_CHECKING:
     from tumble.acceptance.certificate import Certificate
     from tumble.export.exported import Exported
-    from tumble.export.kalibr import NoiseDensities
+    from tumble.export.robots import NoiseDensities
     from tumble.files import FilePath
     from tumble.recording.session import Session
     from tumble.result.calibration import Calibration
@@ -35,8 +35,8 @@ class Target:
 
 
 FORMATS: Mapping[str, Target] = {
-    "kalibr": Target(module="kalibr", function="kalibr", takes=("noise",)),
-    "ros-imu-calib": Target(module="kalibr", function="ros_imu_calib"),
+    "kalibr": Target(module="robots", function="kalibr", takes=("noise",)),
+    "ros-imu-calib": Target(module="robots", function="ros_imu_calib"),
     "fusion": Target(module="robots", function="fusion", ending=".h"),
     "autoware": Target(module="robots", function="autoware", ending=".yaml"),
     "px4": Target(module="autopilots", function="px4", takes=("imu",), ending=".params"),
@@ -103,7 +103,7 @@ def export_calibration(
     if to == "dcc" and certificate is None:
         raise InputError("export: expected --certificate with dcc and only there, found none")
     if noise is not None:
-        from tumble.export.kalibr import NoiseDensities, noise_densities
+        from tumble.export.robots import NoiseDensities, noise_densities
         from tumble.recording.session_file import session_from
 
         noise = noise if isinstance(noise, NoiseDensities) else noise_densities(session_from(noise))

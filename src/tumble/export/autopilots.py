@@ -54,17 +54,17 @@ import numpy as np
 
 from tumble.errors import InputError
 from tumble.export.exported import (
-    NO_UNCERTAINTY,
     SINGLE_PRECISION,
     Exported,
     ExportedParameter,
     commented,
     example,
+    losses_of,
     origin,
+    session_rate,
     shown,
     triads,
 )
-from tumble.export.larger_model import not_held, session_rate
 from tumble.recording.session import AutopilotSensor
 from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import (
@@ -79,8 +79,6 @@ from tumble.result.temperature_curves import (
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import group_name
 from tumble.units import DEGREE, G_STANDARD, TESLA, Array
-
-Sensors = Mapping[SensorKind, AutopilotSensor]
 
 NUMBER_INSIDE = 3
 """The last IMU that has its number inside ArduPilot's names, and the last one that it compensates."""
@@ -135,10 +133,6 @@ class Autopilot:
     real: str = "{name},{value}"
     whole: str = "{name},{value}"
     heading: tuple[str, ...] = ()
-
-    def name(self, what: str, kind: SensorKind, sensors: Sensors) -> str:
-        """The name of a parameter of a kind of sensors."""
-        return self.stem(self.words[kind], sensors[kind].number) + what
 
 
 def _ardupilot_stem(word: str, number: int) -> str:
@@ -211,14 +205,22 @@ def parameter_lines(pilot: Autopilot, parameters: Iterable[ExportedParameter]) -
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Diagonal:
-    """What an autopilot can hold, in single precision, of the kinds of sensors that are `known`: their offsets (3,),
-    and factors (3,), which gyros have none of: 1."""
+class Held:
+    """What an autopilot can hold of a calibration, in single precision: which of its `sensors` it is of, the kinds that
+    are `known`, their offsets (3,), and factors (3,), which gyros have none of: 1."""
 
+    pilot: Autopilot
+    calibration: Calibration
+    imu: int | None
+    sensors: Mapping[SensorKind, AutopilotSensor]
+    known: Mapping[SensorKind, SensorModel]
     offset: Mapping[SensorKind, Array]
     factor: Mapping[SensorKind, Array]
-    known: Mapping[SensorKind, SensorModel]
     losses: tuple[str, ...]
+
+    def name(self, what: str, kind: SensorKind) -> str:
+        """The name of a parameter of a kind of sensors."""
+        return self.pilot.stem(self.pilot.words[kind], self.sensors[kind].number) + what
 
     def example(self, kind: SensorKind, model: SensorModel, offset: Array, where: str = "") -> str:
         """A reading, what the autopilot makes of it with this offset (3,) and what it is."""
@@ -229,11 +231,50 @@ class Diagonal:
             f"{shown(worked.true.round(6))}"
         )
 
+    def written(
+        self,
+        told: Iterable[str],
+        rows: Iterable[ExportedParameter],
+        losses: Iterable[str] = (),
+        last: Iterable[str] = (),
+    ) -> Exported:
+        """The file: what is told and lost as comments, offsets and factors, then those of the magnetometer and the
+        rows; and what is supposed where neither the calibration nor the user says which IMU it is."""
+        parameters, caveats, offset = list[ExportedParameter](), list[str](), self.offset
+        for kind in offset:
+            parts = [(self.pilot.offset, offset[kind]), (self.pilot.factor, self.factor[kind])]
+            for what, values in parts if kind == "accel" else parts[:1]:
+                parameters += _reals([self.name(what.format(axis=axis), kind) for axis in "XYZ"], values)
+        if self.pilot is PX4:
+            changes = {"accelerometer offsets": offset["accel"]} if "accel" in offset else {}
+            changes |= {"accelerometer scales": self.factor["accel"] - 1.0} if "accel" in offset else {}
+            changes |= {"gyro offsets": offset["gyro"]} if "gyro" in offset else {}
+            if small := [name for name, three in changes.items() if np.linalg.norm(three) <= LEAST]:
+                caveats.append(
+                    "some releases of PX4 ignore corrections shorter than 0.01 (m/s^2, 1, rad/s), as here: "
+                    f"{', '.join(small)}; see `sensors status`"
+                )
+        elif "gyro" in offset:
+            caveats.append("gyro offsets are estimated anew at every start unless INS_GYR_CAL is 0")
+        compass, told_of_it, lost = _compass(self.pilot, self.calibration)
+        whose = "the calibration does not say which IMU it is of: these are parameters of the first, --imu N of another"
+        supposed = [whose] if self.imu is None and not self.calibration.imu else []
+        every_loss = (*losses, *self.losses, *lost, *caveats, *last, *supposed)
+        every = (*parameters, *compass, *rows)
+        comments = [*origin(self.calibration, magnetometer=True), *told, *told_of_it, *every_loss]
+        file = commented([*comments, *self.pilot.heading[:1]], parameter_lines(self.pilot, every), every_loss)
+        return replace(file, parameters=every, magnetometer=True)
 
-def diagonal(calibration: Calibration, target: str, apart: Container[str] = ()) -> Diagonal:
+
+def held_by(
+    pilot: Autopilot, target: str, calibration: Calibration, imu: int | None, most: int, apart: Container[str] = ()
+) -> Held:
     """Offsets and factors of a calibration, and what is lost, but for the groups of parameters that are told of
-    `apart`: with a factor 1/Mᵢᵢ for each axis what comes out is (1 + E) true. Raises InputError unless every channel
-    senses its own axis of the frame, X, Y, Z, positive."""
+    `apart`: with a factor 1/Mᵢᵢ for each axis what comes out is (1 + E) true. They are of the sensors that were
+    recorded, else of the first of each kind, or of the number `imu`, from 1 to `most`.
+
+    Raises InputError unless every channel senses its own axis of the frame, X, Y, Z, positive, and where other sensors
+    than those of the number were recorded."""
     known, losses = triads(calibration, target, needed=()), []
     for kind, model in known.items():
         if (np.argmax(model.matrix, axis=1) != np.arange(3)).any() or (np.diag(model.matrix) <= 0.5).any():
@@ -247,12 +288,25 @@ def diagonal(calibration: Calibration, target: str, apart: Container[str] = ()) 
             f"{G_STANDARD * worst(error):.3g} m/s^2"
         )
         losses.append(misalignment if kind == "accel" else gyro_matrix_lost(model))
+    if imu is not None and not 1 <= imu <= most:
+        raise InputError(f"--imu: expected a number from 1 to {most} for {target}, found {imu}")
+    for recorded, sensor in calibration.imu.items():
+        if imu not in (None, sensor.number):
+            device = "" if sensor.id is None else f" with the device id {sensor.id}"
+            raise InputError(
+                f"export to {target}: expected the sensors that were recorded, {recorded} {sensor.number}{device}, "
+                f"found --imu {imu}; calibrate a recording of IMU {imu}, or leave --imu out"
+            )
     factors = {kind: 1.0 / np.diag(model.matrix) if kind == "accel" else np.ones(3) for kind, model in known.items()}
-    return Diagonal(
+    return Held(
+        pilot=pilot,
+        calibration=calibration,
+        imu=imu,
+        sensors={kind: calibration.imu.get(kind, AutopilotSensor(number=imu or 1, id=None)) for kind in _LETTERS},
+        known=known,
         offset={kind: single(model.bias) for kind, model in known.items()},
         factor={kind: single(factor) for kind, factor in factors.items()},
-        known=known,
-        losses=(*losses, *not_held(calibration, apart), SINGLE_PRECISION, NO_UNCERTAINTY),
+        losses=losses_of(calibration, *losses, held=apart, precision=SINGLE_PRECISION),
     )
 
 
@@ -297,8 +351,7 @@ class Thermal:
     it holds at these, and by kind how the biases change, (3, 2), per K and per K², within the range that was
     measured."""
 
-    pilot: Autopilot
-    held: Diagonal
+    held: Held
     calibration: Calibration
     measured: Range
     slopes: dict[SensorKind, Array]
@@ -315,17 +368,18 @@ class Thermal:
         """Coefficients (3, 3) of the first to the third power of the temperature, by axis: θ₁ (t − d) + θ₂ (t − d)²
         with d = T₀ − `about`, without what does not depend on t."""
         linear, square = self.slopes[kind].T
-        d = 0.0 if self.pilot.about is None else self.reference(kind) - self.pilot.about
-        return np.stack([linear - 2.0 * square * d, square, np.zeros(3)], axis=1) / self.pilot.worth
+        pilot = self.held.pilot
+        d = 0.0 if pilot.about is None else self.reference(kind) - pilot.about
+        return np.stack([linear - 2.0 * square * d, square, np.zeros(3)], axis=1) / pilot.worth
 
     def offsets(self, kind: SensorKind, temperature: Array) -> Array:
         """The offsets (N, 3), SI, that it takes off at temperatures (N,), °C: P(T) − P(T₀) + offset."""
-        reference, low, high = self.ends(kind)
-        C, about = single(self.coefficients(kind)), reference if self.pilot.about is None else self.pilot.about
+        (reference, low, high), pilot = self.ends(kind), self.held.pilot
+        C, about = single(self.coefficients(kind)), reference if pilot.about is None else pilot.about
 
         def P(at: Array) -> Array:
             t = (np.clip(at, low, high) - about)[:, None]
-            return np.asarray((C[:, 0] * t + C[:, 1] * t**2 + C[:, 2] * t**3) * self.pilot.worth)
+            return np.asarray((C[:, 0] * t + C[:, 1] * t**2 + C[:, 2] * t**3) * pilot.worth)
 
         return P(temperature) - P(np.array([reference])) + self.held.offset[kind]
 
@@ -334,6 +388,17 @@ class Thermal:
         linear, square = self.slopes[kind].T
         ends = np.array([[self.measured.low], [self.measured.high]]) - references(self.calibration, kind)
         return float(np.abs(linear + 2.0 * square * ends).max())
+
+    def written(
+        self, told: list[str], rows: list[ExportedParameter], more: Iterable[str] = (), last: Iterable[str] = ()
+    ) -> Exported:
+        """The file of the offsets and of the curves, with readings at the warmer end, what the autopilot makes of them
+        and what they are."""
+        at = warm_end(self.measured)
+        for kind in self.held.known:
+            model, offset = model_at(self.calibration, kind, at), self.offsets(kind, np.array([at]))[0]
+            told.append(self.held.example(kind, model, offset, f" at {at:g} degC"))
+        return self.held.written(told, rows, [*self.losses(), *more], last)
 
     def losses(self) -> list[str]:
         """What is lost over temperature, and how much of it within the measured range."""
@@ -363,7 +428,7 @@ class Thermal:
         # sensors that have one temperature in the target: by what they differ at rests other than in the mean, which
         # their references contain
         thermometers = self.calibration.temperature.thermometers
-        for kinds in ([kind for kind in kinds if kind in known] for kinds in self.pilot.thermometers):
+        for kinds in ([kind for kind in kinds if kind in known] for kinds in self.held.pilot.thermometers):
             names = dict.fromkeys(chain(*(thermometers.get(kind, ()) for kind in kinds)))
             if len(names) < 2:
                 continue
@@ -384,17 +449,18 @@ class Thermal:
         return [*losses, f"outside {span} nothing was measured: the target keeps the offsets of the nearer end"]
 
 
-def thermal(calibration: Calibration, target: str, pilot: Autopilot) -> Thermal:
+def thermal(pilot: Autopilot, target: str, calibration: Calibration, imu: int | None) -> Thermal:
     """What an autopilot can hold of a calibration over temperature. Raises InputError where nothing changes with
-    temperature, or where the rests were all at one."""
-    held, measured = diagonal(calibration, target, apart=_TOLD_APART), range_of(calibration, target)
+    temperature, or where the rests were all at one, and as `held_by`."""
+    held = held_by(pilot, target, calibration, imu, pilot.most_thermal, _TOLD_APART)
+    measured = range_of(calibration, target)
     own: dict[str, Array] = {kind: references(calibration, kind) for kind in held.known}
     seen: dict[str, tuple[float, ...]] = {}
     for kinds in ([kind for kind in kinds if kind in own] for kinds in pilot.thermometers):
         seen |= {kind: len(own[kind]) * (float(np.mean(own[kinds[0]])),) for kind in kinds}  # that of the first
     slopes = {kind: coefficients(calibration, kind, "bias") for kind in held.known}
     at_target = replace(calibration, temperature=replace(calibration.temperature, references=seen))
-    return Thermal(pilot=pilot, held=held, calibration=at_target, measured=measured, slopes=slopes)
+    return Thermal(held=held, calibration=at_target, measured=measured, slopes=slopes)
 
 
 def range_of(calibration: Calibration, target: str) -> Range:
@@ -422,18 +488,14 @@ def warm_end(measured: Range) -> float:
 
 def _at_reference(pilot: Autopilot, target: str, calibration: Calibration, imu: int | None = None) -> Exported:
     """The file of a calibration, of the IMU of this number, from 1, or of that which was recorded."""
-    held, sensors = diagonal(calibration, target), _sensors(calibration, imu, target, pilot.most)
-    ids = {kind: pilot.name(pilot.id, kind, sensors) for kind in held.known}
-    unknown = [name for kind, name in ids.items() if sensors[kind].id is None] if pilot is PX4 else []
+    held = held_by(pilot, target, calibration, imu, pilot.most)
+    ids = {held.name(pilot.id, kind): held.sensors[kind].id for kind in held.known}
+    unknown = [name for name, device in ids.items() if device is None] if pilot is PX4 else []
     plural = "ids of these sensors" if len(unknown) > 1 else "id of this sensor"
     told = [f"{' and '.join(unknown)} have to be the {plural} already"] if unknown else []
-    rows = [
-        _whole(name, _device(pilot, device), identity=True)
-        for kind, name in ids.items()
-        if (device := sensors[kind].id) is not None
-    ]
     told += [held.example(kind, model, held.offset[kind]) for kind, model in held.known.items()]
-    return _written(pilot, calibration, imu, held, sensors, told, rows)
+    known = {name: device for name, device in ids.items() if device is not None}
+    return held.written(told, [_whole(name, _device(pilot, device), identity=True) for name, device in known.items()])
 
 
 px4, ardupilot = partial(_at_reference, PX4, "px4"), partial(_at_reference, ARDUPILOT, "ardupilot")
@@ -444,13 +506,12 @@ def px4_thermal(
 ) -> Exported:
     """The .params file of a calibration over temperature; `sensor_ids` are the device ids of accelerometer and gyro,
     and `imu` the number of the IMU, from 1, where the recording has not said them."""
-    found = thermal(calibration, "px4-thermal", PX4)
-    sensors = _sensors(calibration, imu, "px4-thermal", PX4.most_thermal)
+    found = thermal(PX4, "px4-thermal", calibration, imu)
     stems = {kind: f"TC_{_LETTERS[kind]}{0 if imu is None else imu - 1}" for kind in found.slopes}
-    given: dict[SensorKind, int | None] = {kind: sensors[kind].id for kind in _LETTERS}
+    given: dict[SensorKind, int | None] = {kind: found.held.sensors[kind].id for kind in _LETTERS}
     given |= dict(zip(_LETTERS, sensor_ids or (), strict=False))
     ids = {} if None in given.values() else given  # both or none
-    names = " and ".join(PX4.name(PX4.id, kind, sensors) for kind in found.slopes)
+    names = " and ".join(found.held.name(PX4.id, kind) for kind in found.slopes)
     at = dict.fromkeys(f"{found.reference(kind):g}" for kind in found.slopes)
     told = [
         f"{names} have to be the ids of these sensors already",
@@ -471,15 +532,14 @@ def px4_thermal(
         f"{' and '.join(f'{stem}_ID' for stem in stems.values())} are not in this file: set them to {names}, or give "
         "--sensor-ids; without them PX4 compensates nothing"
     )
-    return _over_temperature(found, imu, sensors, told, rows, [jumps], [] if ids else [no_ids])
+    return found.written(told, rows, [jumps], [] if ids else [no_ids])
 
 
 def ardupilot_thermal(calibration: Calibration, imu: int | None = None) -> Exported:
     """The .param file of a calibration over temperature; `imu` is the number of the IMU, from 1, where the recording
     has not said it."""
-    found = thermal(calibration, "ardupilot-thermal", ARDUPILOT)
-    sensors = _sensors(calibration, imu, "ardupilot-thermal", ARDUPILOT.most_thermal)
-    numbers = {kind: sensors[kind].number for kind in found.slopes}
+    found = thermal(ARDUPILOT, "ardupilot-thermal", calibration, imu)
+    numbers = {kind: found.held.sensors[kind].number for kind in found.slopes}
     if max(numbers.values()) > NUMBER_INSIDE:
         raise InputError(
             f"export to ardupilot-thermal: expected one of the first {NUMBER_INSIDE} IMUs, found a recording of IMU "
@@ -495,70 +555,7 @@ def ardupilot_thermal(calibration: Calibration, imu: int | None = None) -> Expor
         for degree, column in enumerate(found.coefficients(kind).T, 1):
             rows += _reals([f"INS_TCAL{number}_{ARDUPILOT.words[kind]}{degree}_{axis}" for axis in "XYZ"], column)
     first = next(iter(names))
-    told = [f"offsets and scales are those at {found.reference(first):g} degC, {names[first]}"]
-    return _over_temperature(found, imu, sensors, told, rows, [], [])
-
-
-def _over_temperature(
-    found: Thermal,
-    imu: int | None,
-    sensors: Sensors,
-    told: list[str],
-    rows: list[ExportedParameter],
-    more: list[str],
-    last: list[str],
-) -> Exported:
-    """The file of the offsets and of the curves, with readings at the warmer end, what the autopilot makes of them and
-    what they are."""
-    at = warm_end(found.measured)
-    for kind in found.held.known:
-        model, offset = model_at(found.calibration, kind, at), found.offsets(kind, np.array([at]))[0]
-        told.append(found.held.example(kind, model, offset, f" at {at:g} degC"))
-    losses = [*found.losses(), *more]
-    return _written(found.pilot, found.calibration, imu, found.held, sensors, told, rows, losses, last)
-
-
-def _written(
-    pilot: Autopilot,
-    calibration: Calibration,
-    imu: int | None,
-    held: Diagonal,
-    sensors: Sensors,
-    told: list[str],
-    rows: list[ExportedParameter],
-    first_losses: Iterable[str] = (),
-    last_losses: Iterable[str] = (),
-) -> Exported:
-    """The file: what is told and lost as comments, offsets and factors, then those of the magnetometer and the rows;
-    and what is supposed where neither the calibration nor the user says which IMU it is."""
-    parameters: list[ExportedParameter] = []
-    for kind, offset in held.offset.items():
-        for what, values in [(pilot.offset, offset), *([(pilot.factor, held.factor[kind])] * (kind == "accel"))]:
-            parameters += _reals([pilot.name(what.format(axis=axis), kind, sensors) for axis in "XYZ"], values)
-    caveats = []
-    if pilot is PX4:
-        changes = {}
-        if "accel" in held.known:
-            changes["accelerometer offsets"] = held.offset["accel"]
-            changes["accelerometer scales"] = held.factor["accel"] - 1.0
-        if "gyro" in held.known:
-            changes["gyro offsets"] = held.offset["gyro"]
-        small = [name for name, three in changes.items() if np.linalg.norm(three) <= LEAST]
-        if small:
-            caveats.append(
-                "some releases of PX4 ignore corrections shorter than 0.01 (m/s^2, 1, rad/s), as here: "
-                f"{', '.join(small)}; see `sensors status`"
-            )
-    elif "gyro" in held.known:
-        caveats.append("gyro offsets are estimated anew at every start unless INS_GYR_CAL is 0")
-    compass, told_of_it, lost = _compass(pilot, calibration)
-    whose = "the calibration does not say which IMU it is of: these are parameters of the first, --imu N of another"
-    supposed = [whose] if imu is None and not calibration.imu else []
-    losses = (*first_losses, *held.losses, *lost, *caveats, *last_losses, *supposed)
-    every = (*parameters, *compass, *rows)
-    comments = [*origin(calibration, magnetometer=True), *told, *told_of_it, *losses, *pilot.heading[:1]]
-    file = commented(comments, parameter_lines(pilot, every), losses)
-    return replace(file, parameters=every, magnetometer=True)
+    return found.written([f"offsets and scales are those at {found.reference(first):g} degC, {names[first]}"], rows)
 
 
 def _compass(pilot: Autopilot, calibration: Calibration) -> tuple[list[ExportedParameter], list[str], list[str]]:
@@ -593,21 +590,6 @@ def _compass(pilot: Autopilot, calibration: Calibration) -> tuple[list[ExportedP
         f"recorded; turned by {angle:.2g} deg so that its matrix is symmetric"
     )
     return _reals(list(named), np.array(list(named.values())), magnetometer=True), [told], []
-
-
-def _sensors(calibration: Calibration, imu: int | None, target: str, most: int) -> Sensors:
-    """Which sensors of an autopilot the calibration is of: those that were recorded, else the first of each kind, or
-    those of the number `imu`, from 1 to `most`. Raises InputError where others were recorded."""
-    if imu is not None and not 1 <= imu <= most:
-        raise InputError(f"--imu: expected a number from 1 to {most} for {target}, found {imu}")
-    for kind, sensor in calibration.imu.items():
-        if imu not in (None, sensor.number):
-            device = "" if sensor.id is None else f" with the device id {sensor.id}"
-            raise InputError(
-                f"export to {target}: expected the sensors that were recorded, {kind} {sensor.number}{device}, found "
-                f"--imu {imu}; calibrate a recording of IMU {imu}, or leave --imu out"
-            )
-    return {kind: calibration.imu.get(kind, AutopilotSensor(number=imu or 1, id=None)) for kind in _LETTERS}
 
 
 def _reals(names: list[str], values: Array, *, magnetometer: bool = False) -> list[ExportedParameter]:

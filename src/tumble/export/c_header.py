@@ -22,13 +22,12 @@ Nothing needs a library.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
 
-from tumble.export.exported import NO_UNCERTAINTY, UNITS, Exported, example, examples, models, numbers, origin, shown
-from tumble.export.larger_model import not_held
+from tumble.export.exported import UNITS, Exported, example, examples, losses_of, models, numbers, origin, shown
 from tumble.reduction.rests.thermometer import followed
 from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import changing, coefficients, measured_range, own_thermometers, references
@@ -42,10 +41,6 @@ _HEAD = """\
 /* {what}, {unit}, from readings of {n} sensors in {unit}{needs} */
 static inline void imu_correct_{kind}{at}{suffix}(const {type} reading[{n}], {argument}{type} out[3])
 {{
-    static const {type} bias[{n}] = {{{bias}}};
-    static const {type} inverse[3][{n}] = {{
-{rows}
-    }};
 """
 
 _LINEAR = """\
@@ -157,7 +152,7 @@ def c_header(calibration: Calibration, *, includes: Sequence[str] = (), more: Se
     lag = compensator.lag if warm else 0.0
     held = HELD | (HELD_AT if warm else frozenset()) | ({"temperature.lag"} if lag else frozenset())
     digits = "the functions in float have 7 digits; use those in double where that matters"
-    losses = (*not_held(calibration, held), NO_UNCERTAINTY, digits)
+    losses = (*losses_of(calibration, held=held), digits)
     comments = [*origin(calibration), *_worked(compensator, known)]
     if warm:
         measured = measured_range(calibration)
@@ -201,7 +196,7 @@ def _sensors_celsius(lag: float) -> Array:
 
 def _worked(compensator: Compensator, known: dict[SensorKind, SensorModel]) -> list[str]:
     """Examples by the whole model, those of gyros in the specific force of the accelerometers' example."""
-    if all(is_linear(*coefficients_of(compensator, kind)) for kind in known):
+    if not any(beyond_linear(compensator, kind) for kind in known):
         return examples(known, "example {kind}: reading {reading} is {true} {unit}")
     reading = {kind: example(kind, model).reading for kind, model in known.items()}
     force = compensator.force(reading["accel"][None]) if "accel" in known else np.zeros((1, 3))
@@ -209,9 +204,9 @@ def _worked(compensator: Compensator, known: dict[SensorKind, SensorModel]) -> l
     if "gyro" in known:
         true["gyro"] = compensator.rate(reading["gyro"][None], force)
     felt = " in that specific force" if "accel" in known else " without a specific force"
-    needed = np.any(compensator.gyro_coefficients[:, FORCE])
+    felt = felt if "by_force" in beyond_linear(compensator, "gyro") else ""
     return [
-        f"example {kind}: reading {shown(reading[kind])}{felt if kind == 'gyro' and needed else ''} is "
+        f"example {kind}: reading {shown(reading[kind])}{felt if kind == 'gyro' else ''} is "
         f"{shown(vector[0].round(9))} {UNITS[kind]}"
         for kind, vector in true.items()
     ]
@@ -224,10 +219,24 @@ def coefficients_of(compensator: Compensator, kind: SensorKind) -> tuple[Block, 
     return compensator.gyro, compensator.gyro_coefficients
 
 
-def takes_force(compensator: Compensator, kind: SensorKind) -> bool:
-    """Whether the function of the sensors of a kind needs the specific force: of gyros that feel it."""
+def beyond_linear(compensator: Compensator, kind: SensorKind) -> dict[str, Array]:
+    """The constants of the terms beyond the linear model of the sensors of a kind, by name; none of a linear one, and
+    "by_force" of gyros that feel the specific force."""
     block, K = coefficients_of(compensator, kind)
-    return kind == "gyro" and not is_linear(block, K) and bool(np.any(K[:, FORCE]))
+    if is_linear(block, K):
+        return {}
+    tables = {"axis": block.axes, "asymmetry": K[:, OWN_SIZE], "cubic": K[:, OWN_CUBE]}
+    if kind == "accel":
+        return tables | {"quadratic": K[:, PRODUCTS]}
+    return tables | ({"by_force": K[:, FORCE]} if np.any(K[:, FORCE]) else {})
+
+
+def constant(of_type: str, name: str, values: Array, row: Callable[[Array], str]) -> str:
+    """A constant array of C, of which a `row` of numbers is shown so."""
+    sizes = "".join(f"[{size}]" for size in values.shape)
+    rows = ",\n".join(f"        {{{row(each)}}}" for each in np.atleast_2d(values))
+    text = f"\n{rows}\n    " if values.ndim > 1 else row(values)
+    return f"    static const {of_type} {name}{sizes} = {{{text}}};\n"
 
 
 def _function(
@@ -235,15 +244,9 @@ def _function(
 ) -> str:
     """The function of the sensors of a kind, in double or in single precision; with their temperature, `at` the
     calibration that knows what that changes."""
-    block, K = coefficients_of(compensator, kind)
-    number, n, linear = "float" if single else "double", len(model.bias), is_linear(block, K)
-    by_force = takes_force(compensator, kind)
-    tables, more, warm = {}, "", ""
-    if not linear:
-        tables = {"axis": block.axes, "asymmetry": K[:, OWN_SIZE], "cubic": K[:, OWN_CUBE]}
-        tables |= {"quadratic": K[:, PRODUCTS]} if kind == "accel" else {}
-        tables |= {"by_force": K[:, FORCE]} if by_force else {}
-        more = _QUADRATIC * (kind == "accel") + _BY_FORCE * by_force + _DIVIDED * (at is not None)
+    number, n, tables, warm = "float" if single else "double", len(model.bias), beyond_linear(compensator, kind), ""
+    linear, by_force = not tables, "by_force" in tables
+    more = _QUADRATIC * (kind == "accel") + _BY_FORCE * by_force + _DIVIDED * (at is not None)
     needs = " and the true specific force, m/s^2" if by_force else ""
     argument = f"const {number} force[3], " if by_force else ""
     if at is not None:
@@ -261,14 +264,6 @@ def _function(
     def constants(values: Array) -> str:  # that read back to the same ones
         return ", ".join(map(repr, numbers(values)) if not single else (f"{v!s}f" for v in values.astype(np.float32)))
 
-    def rows(values: Array) -> str:
-        return ",\n".join(f"        {{{constants(row)}}}" for row in values)
-
-    declared = ""
-    for name, values in tables.items():
-        sizes = "".join(f"[{size}]" for size in values.shape)
-        text = constants(values) if values.ndim == 1 else f"\n{rows(values)}\n    "
-        declared += f"    static const {number} {name}{sizes} = {{{text}}};\n"
     parts = {
         "what": WHAT[kind],
         "unit": UNITS[kind],
@@ -279,11 +274,11 @@ def _function(
         "suffix": "f" if single else "",
         "type": number,
         "argument": argument,
-        "bias": constants(model.bias),
-        "rows": rows(model.inverse()),
         "less": "" if at is None else " - shift[j]",
         "over": "" if at is None else " / gain[j]",
         "steps": FIXED_POINT_STEPS,
         "more": more,
     }
+    tables = {"bias": model.bias, "inverse": model.inverse()} | tables
+    declared = "".join(constant(number, name, values, constants) for name, values in tables.items())
     return _HEAD.format(**parts) + declared + warm + (_LINEAR if linear else _BEYOND).format(**parts)

@@ -29,8 +29,7 @@ import numpy as np
 
 from tumble.errors import InputError
 from tumble.export.autopilots import gyro_matrix_lost, worst
-from tumble.export.exported import NO_UNCERTAINTY, UNITS, Exported, example, origin, shown, triads
-from tumble.export.larger_model import not_held
+from tumble.export.exported import UNITS, Exported, example, losses_of, origin, shown, triads
 from tumble.result.calibration import Calibration
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.units import DEGREE, G_STANDARD, Array
@@ -170,10 +169,10 @@ def in_counts(name: str, calibration: Calibration, counts: tuple[float, float] |
             f"{shown(worked.true.round(6))} {UNITS[kind]}"
         )
         losses += _lost(kind, model, applied, per_si, whole=target.whole)
-    losses += [*not_held(calibration), NO_UNCERTAINTY]
-    comments = [f"{target.comment} {line}" for line in (*origin(calibration), *told, *losses)]
+    lost = losses_of(calibration, *losses)
+    comments = [f"{target.comment} {line}" for line in (*origin(calibration), *told, *lost)]
     text = "\n".join([*comments, *target.before, *lines, *target.after, ""])
-    return Exported(content=text.encode(), losses=tuple(losses))
+    return Exported(content=text.encode(), losses=lost)
 
 
 inav, betaflight, m5unified, slimevr, iio = (partial(in_counts, name) for name in FIRMWARE)

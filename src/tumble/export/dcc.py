@@ -13,6 +13,7 @@ Source: PTB, DCC schema 3.3.0 and D-SI schema 2.2.1.
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -27,8 +28,7 @@ from tumble.acceptance.certificate import RELATES, STATES, Certificate, Party, c
 from tumble.acceptance.conformity import RULE, Verdict, verdicts
 from tumble.acceptance.scope import statement_of_scope, within_scope
 from tumble.errors import InputError
-from tumble.export.exported import UNITS, Exported, example, models, one_line, origin, shown
-from tumble.export.larger_model import NOT_IN_MATRIX, not_held
+from tumble.export.exported import NOT_IN_MATRIX, UNITS, Exported, example, models, not_held, one_line, origin, shown
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.coverage import PROBABILITY, degrees_of_freedom
 from tumble.result.further import described
@@ -48,36 +48,11 @@ LOSSES = (
     "rests, turns, launches and iterations of the calibration have no place in this file",
 )
 
-_DIMENSIONS: Mapping[str, Mapping[str, int]] = {
-    "m/s^2": {"metre": 1, "second": -2},
-    "rad/s": {"radian": 1, "second": -1},
-    "rad": {"radian": 1},
-    "1": {},
-    "m": {"metre": 1},
-    "s": {"second": 1},
-    "s^2/m": {"second": 2, "metre": -1},
-    "s^4/m^2": {"second": 4, "metre": -2},
-    "s^2/rad^2": {"second": 2, "radian": -2},
-    "rad*s/m": {"radian": 1, "second": 1, "metre": -1},
-    "m/s^2/s": {"metre": 1, "second": -3},
-    "rad/s/s": {"radian": 1, "second": -2},
-    "1/s": {"second": -1},
-    "m/s^2/K": {"metre": 1, "second": -2, "kelvin": -1},
-    "rad/s/K": {"radian": 1, "second": -1, "kelvin": -1},
-    "1/K": {"kelvin": -1},
-    "degC": {"degreecelsius": 1},
-    "%": {"percent": 1},
-    "hPa": {"hecto\\pascal": 1},
-    "m/s^2/K^2": {"metre": 1, "second": -2, "kelvin": -2},
-    "rad/s/K^2": {"radian": 1, "second": -1, "kelvin": -2},
-    "1/K^2": {"kelvin": -2},
-}
-_CONFORMITY: Mapping[str, str] = {
-    "pass": "pass",
-    "conditional pass": "conditionalPass",
-    "conditional fail": "conditionalFail",
-    "fail": "fail",
-}
+_UNITS = {"m": "metre", "s": "second", "rad": "radian", "K": "kelvin", "degC": "degreecelsius", "%": "percent"}
+_UNITS |= {"hPa": "hecto\\pascal"}
+_FACTOR = re.compile(r"(?P<over>[*/]|^)(?P<unit>[A-Za-z%]+|1)(?:\^(?P<power>\d))?")
+_CONFORMITY = {"conditional pass": "conditionalPass", "conditional fail": "conditionalFail"}
+_CONFORMITY |= {result: result for result in ("pass", "fail")}
 """Outcomes as the schema has them; it has none for what is undecided."""
 
 U_DIGITS = 3
@@ -91,10 +66,14 @@ _TITLES = {"accel": "accelerometers", "gyro": "gyros"}
 def d_si(*units: str) -> str:
     """The product of units as D-SI writes it: d_si("m/s^2") is \\metre\\second\\tothe{-2}."""
     powers: Counter[str] = Counter()
-    for unit in units:
-        if unit not in _DIMENSIONS:
-            raise InputError(f"calibration: expected the SI unit of a parameter, found {unit!r}; calibrate again")
-        powers.update(_DIMENSIONS[unit])
+    for text in units:
+        factors = list(_FACTOR.finditer(text))
+        known = all(factor["unit"] in (*_UNITS, "1") for factor in factors)
+        if not known or "".join(factor[0] for factor in factors) != text or not text:
+            raise InputError(f"calibration: expected the SI unit of a parameter, found {text!r}; calibrate again")
+        for factor in (each for each in factors if each["unit"] != "1"):
+            power = int(factor["power"] or 1)
+            powers[_UNITS[factor["unit"]]] += -power if factor["over"] == "/" else power
     parts = [f"\\{name}" + ("" if power == 1 else f"\\tothe{{{power}}}") for name, power in powers.items() if power]
     return "".join(parts) or "\\one"
 
@@ -156,60 +135,42 @@ def _text(text: str | None) -> dict[str, Any] | None:
 def _administrative(calibration: Calibration, certificate: Certificate, scope: Mapping[str, str]) -> dict[str, Any]:
     name, _, release = calibration.provenance.get("software", "tumble 0").partition(" ")
     begin, end = certificate.days(calibration)
-    traced = (*certificate.traceability, *calibration.circumstances.equipment)
+    replaced = {"typeOfChange": "substituted", "replacedUniqueIdentifier": certificate.replaces}
+    core = {
+        "countryCodeISO3166_1": certificate.country,
+        "usedLangCodeISO639_1": "en",
+        "mandatoryLangCodeISO639_1": "en",
+        "uniqueIdentifier": certificate.number,
+        "receiptDate": None if certificate.received is None else certificate.received.isoformat(),
+        "beginPerformanceDate": begin.isoformat(),
+        "endPerformanceDate": end.isoformat(),
+        "performanceLocation": certificate.place,
+        "issueDate": None if certificate.issued is None else certificate.issued.isoformat(),
+        "reportAmendedSubstituted": None if certificate.replaces is None else replaced,
+    }
+    serial = {"issuer": "manufacturer", "value": one_line(calibration.serial), "name": _text("serial number")}
+    item = {
+        "name": _text("inertial measurement unit"),
+        "description": _text(STATES[certificate.state]),
+        "model": None if calibration.model is None else one_line(calibration.model),
+        "identifications": {"identification": serial},
+    }
+    code, contact = certificate.laboratory.code, _contact(certificate.laboratory)
+    persons = [
+        {"person": {"name": _text(one.name)}, "role": one.role, "mainSigner": "false" if i else "true"}
+        for i, one in enumerate(certificate.person)
+    ]
     said = (RELATES, *([statement_of_scope(scope)] if certificate.laboratory.scope else []), *certificate.remarks)
     statements: list[dict[str, Any]] = [{"declaration": _text(each)} for each in said]
-    if traced:
-        statements.append(
-            {
-                "@refType": "basic_metrologicallyTraceableToSI",
-                "name": _text("metrological traceability"),
-                "declaration": _text("; ".join(traced)),
-            }
-        )
-    replaced = {"typeOfChange": "substituted", "replacedUniqueIdentifier": certificate.replaces}
+    if traced := (*certificate.traceability, *calibration.circumstances.equipment):
+        kind = {"@refType": "basic_metrologicallyTraceableToSI", "name": _text("metrological traceability")}
+        statements.append(kind | {"declaration": _text("; ".join(traced))})
     return {
         "dccSoftware": {"software": {"name": _text(name), "release": release or "unknown"}},
-        "coreData": {
-            "countryCodeISO3166_1": certificate.country,
-            "usedLangCodeISO639_1": "en",
-            "mandatoryLangCodeISO639_1": "en",
-            "uniqueIdentifier": certificate.number,
-            "receiptDate": None if certificate.received is None else certificate.received.isoformat(),
-            "beginPerformanceDate": begin.isoformat(),
-            "endPerformanceDate": end.isoformat(),
-            "performanceLocation": certificate.place,
-            "issueDate": None if certificate.issued is None else certificate.issued.isoformat(),
-            "reportAmendedSubstituted": None if certificate.replaces is None else replaced,
-        },
-        "items": {
-            "item": {
-                "name": _text("inertial measurement unit"),
-                "description": _text(STATES[certificate.state]),
-                "model": None if calibration.model is None else one_line(calibration.model),
-                "identifications": {
-                    "identification": {
-                        "issuer": "manufacturer",
-                        "value": one_line(calibration.serial),
-                        "name": _text("serial number"),
-                    }
-                },
-            }
-        },
-        "calibrationLaboratory": {
-            "calibrationLaboratoryCode": certificate.laboratory.code,
-            "contact": _contact(certificate.laboratory),
-        },
-        "respPersons": {
-            "respPerson": [
-                {
-                    "person": {"name": _text(person.name)},
-                    "role": person.role,
-                    "mainSigner": "true" if i == 0 else "false",
-                }
-                for i, person in enumerate(certificate.person)
-            ]
-        },
+        "coreData": core,
+        "items": {"item": item},
+        "calibrationLaboratory": {"calibrationLaboratoryCode": code, "contact": contact},
+        "respPersons": {"respPerson": persons},
         "customer": _contact(certificate.customer),
         "statements": {"statement": statements},
     }
@@ -230,14 +191,39 @@ def _results(
     judged: Sequence[Verdict],
     scope: Mapping[str, str],
 ) -> dict[str, Any]:
+    methods: list[dict[str, Any]] = [
+        {
+            "@refType": "basic_calibrationMethod",
+            "name": _text(f"method {calibration.method} of tumble"),
+            "description": _text(certificate.procedure),
+        },
+        {
+            "@refType": "basic_methodMeasurementUncertainty",
+            "name": _text("expanded uncertainty"),
+            "description": _text("U = k u covers 95.45 %; k = 2, or Student's t where u was estimated"),
+            "norm": "JCGM 100:2008",
+        },
+    ]
     equipment = [
         {"@refType": "basic_measurementStandard", "name": _text(each)} for each in calibration.circumstances.equipment
     ]
-    conditions = _conditions(calibration)
+    air, site = calibration.circumstances.conditions, calibration.site
+    stated: list[tuple[str, str | None, float | None, float | None, str]] = [
+        ("temperature", "basic_temperature", air.temperature_degC, air.temperature_u, "degC"),
+        ("relative humidity", "basic_humidityRelative", air.humidity_percent, None, "%"),
+        ("air pressure", None, air.pressure_hPa, None, "hPa"),
+    ]
+    if site is not None:
+        name = "gravity at the place, the unit of the result" if site.gravity_is_unit else "local gravity"
+        stated.insert(0, (name, None, site.gravity, site.gravity_u or None, "m/s^2"))
+    conditions = [
+        {"@refType": kind, "name": _text(name), "data": {"quantity": {"si:real": _real(value, u, unit, np.inf)}}}
+        for name, kind, value, u, unit in stated
+        if value is not None
+    ]
     alike = [verdict for verdict in judged if verdict.frame == calibration.frame]
-    data: dict[str, Any] = {
-        "parameters": {"quantity": [_parameter(p, alike, scope.get(p.name, "")) for p in calibration.parameters]}
-    }
+    quantities = [_parameter(p, alike, scope.get(p.name, "")) for p in calibration.parameters]
+    data: dict[str, Any] = {"parameters": {"quantity": quantities}}
     if calibration.covariance is not None:
         data["parameters with covariance"] = {"quantity": _covariance(calibration, calibration.covariance)}
     data |= {f"model of the {_TITLES[kind]}": _model(kind, model) for kind, model in known.items()}
@@ -255,44 +241,12 @@ def _results(
     return {
         "name": _text("calibration parameters of the inertial measurement unit"),
         "description": _text("; ".join(origin(calibration))),
-        "usedMethods": {
-            "usedMethod": [
-                {
-                    "@refType": "basic_calibrationMethod",
-                    "name": _text(f"method {calibration.method} of tumble"),
-                    "description": _text(certificate.procedure),
-                },
-                {
-                    "@refType": "basic_methodMeasurementUncertainty",
-                    "name": _text("expanded uncertainty"),
-                    "description": _text("U = k u covers 95.45 %; k = 2, or Student's t where u was estimated"),
-                    "norm": "JCGM 100:2008",
-                },
-            ]
-        },
+        "usedMethods": {"usedMethod": methods},
         "measuringEquipments": {"measuringEquipment": equipment} if equipment else None,
         "influenceConditions": {"influenceCondition": conditions} if conditions else None,
         "results": {"result": [{"name": _text(name), "data": each} for name, each in data.items()]},
         "measurementMetaData": {"metaData": statements} if statements else None,
     }
-
-
-def _conditions(calibration: Calibration) -> list[dict[str, Any]]:
-    """Gravity and the air, as far as they are known."""
-    air, site = calibration.circumstances.conditions, calibration.site
-    stated: list[tuple[str, str | None, float | None, float | None, str]] = [
-        ("temperature", "basic_temperature", air.temperature_degC, air.temperature_u, "degC"),
-        ("relative humidity", "basic_humidityRelative", air.humidity_percent, None, "%"),
-        ("air pressure", None, air.pressure_hPa, None, "hPa"),
-    ]
-    if site is not None:
-        name = "gravity at the place, the unit of the result" if site.gravity_is_unit else "local gravity"
-        stated.insert(0, (name, None, site.gravity, site.gravity_u or None, "m/s^2"))
-    return [
-        {"@refType": kind, "name": _text(name), "data": {"quantity": {"si:real": _real(value, u, unit, np.inf)}}}
-        for name, kind, value, u, unit in stated
-        if value is not None
-    ]
 
 
 def _parameter(parameter: Parameter, judged: Sequence[Verdict], scope: str) -> dict[str, Any]:
@@ -304,14 +258,9 @@ def _parameter(parameter: Parameter, judged: Sequence[Verdict], scope: str) -> d
             size, unit = shown_in(judgement.name, judgement.unit, largest)
             low, high = (f"{limit / size:.6g}" for limit in between)
             over = "" if judgement.at is None else f", worst at {judgement.at:.1f} degC: {judgement.value:g}"
-            statements.append(
-                {
-                    "@refType": "basic_conformity",
-                    "name": _text(f"{verdict.occasion} check"),
-                    "declaration": _text(f"limits {low} to {high} {unit}{over}"),
-                    "conformity": _CONFORMITY[judgement.result],
-                }
-            )
+            statement = {"@refType": "basic_conformity", "name": _text(f"{verdict.occasion} check")}
+            statement |= {"declaration": _text(f"limits {low} to {high} {unit}{over}")}
+            statements.append(statement | {"conformity": _CONFORMITY[judgement.result]})
     behind = "no uncertainty is stated"
     if parameter.u is not None:
         known, dof = "u is known (infinite degrees of freedom)", parameter.dof
@@ -360,15 +309,11 @@ def _covariance(calibration: Calibration, covariance: Array) -> dict[str, Any] |
     fewest = min(degrees_of_freedom(p) for p in parameters)
     if fewest < FEWEST_DEGREES:
         return None
-    columns = [
-        {
-            "si:covarianceXMLList": {
-                "si:valueXMLList": " ".join(f"{each:.{_COVARIANCE_DIGITS}g}" for each in covariance[:, j].tolist()),
-                "si:unitXMLList": " ".join(d_si(other, unit) for other in units),
-            }
-        }
-        for j, unit in enumerate(units)
-    ]
+    columns = []
+    for unit, column in zip(units, covariance.T.tolist(), strict=True):
+        values = " ".join(f"{each:.{_COVARIANCE_DIGITS}g}" for each in column)
+        of_unit = " ".join(d_si(other, unit) for other in units)
+        columns.append({"si:covarianceXMLList": {"si:valueXMLList": values, "si:unitXMLList": of_unit}})
     n, known = len(units), np.isinf(fewest)  # how many standard deviations the ellipsoid is large
     square = chdtri(n, 1.0 - REGION_PROBABILITY) if known else n * fdtri(n, fewest, REGION_PROBABILITY)
     region = {
@@ -393,16 +338,14 @@ def _model(kind: SensorKind, model: SensorModel) -> dict[str, Any]:
         ("example: reading r", [f"reading.{p + 1}" for p in range(n)], worked.reading, unit),
         ("example: true vector t", ["true.x", "true.y", "true.z"], worked.true, unit),
     ]
-    return {
-        "formula": {"latex": r"r = M t + b, \quad t = M^{+} (r - b)"},
-        "quantity": [
-            {
-                "name": _text(f"{_TITLES[kind]}: {name}"),
-                "si:realListXMLList": _list(labels, shown(values), [of] * len(labels)),
-            }
-            for name, labels, values, of in lists
-        ],
-    }
+    quantities = [
+        {
+            "name": _text(f"{_TITLES[kind]}: {name}"),
+            "si:realListXMLList": _list(labels, shown(of), [unit] * len(labels)),
+        }
+        for name, labels, of, unit in lists
+    ]
+    return {"formula": {"latex": r"r = M t + b, \quad t = M^{+} (r - b)"}, "quantity": quantities}
 
 
 def _list(labels: Sequence[str], values: str, units: Sequence[str]) -> dict[str, Any]:

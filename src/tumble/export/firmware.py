@@ -19,19 +19,18 @@ import numpy as np
 
 from tumble import __version__
 from tumble.errors import InputError
-from tumble.export.c_header import WHAT, c_header, coefficients_of, takes_force
+from tumble.export.c_header import WHAT, beyond_linear, c_header, constant
 from tumble.export.exported import Exported, models, origin
 from tumble.result.calibration import Calibration
 from tumble.sensors.compensation import FIXED_POINT_STEPS
-from tumble.sensors.instrument import is_linear
 from tumble.sensors.model import SensorKind
-from tumble.sensors.parameters import FORCE, OWN_CUBE, OWN_SIZE, PRODUCTS
-from tumble.units import DEGREE, G_STANDARD, Array
+from tumble.units import DEGREE, G_STANDARD
 
 NAME = "TumbleIMU"
 FULL_SCALE = (16.0, 2000.0)
 """g and °/s: the range of most chips."""
-INVERSE_BITS, AXIS_BITS, BITS = 29, 30, 31
+BITS = {"inverse": 29, "axis": 30}
+"""Of what is not in parts of 2³¹."""
 
 _SHARED = """\
 /* a product in parts of 2^bits, rounded to nearest */
@@ -51,8 +50,7 @@ _FUNCTION = """\
 /* {what}, in parts of {scale} / 2^31, from readings of {n} sensors likewise{needs} */
 static inline void imu_correct_{kind}_q31(const int32_t reading[{n}], {argument}int32_t out[3])
 {{
-{tables}
-    int64_t left[{n}], true_value[3];
+{tables}    int64_t left[{n}], true_value[3];
     for (int j = 0; j < {n}; j++) {{
         left[j] = (int64_t)reading[j] - bias[j]{first};
     }}
@@ -138,7 +136,7 @@ def firmware(calibration: Calibration, full_scale: tuple[float, float] | None = 
         f"functions in fixed point are for readings within {accel:g} g and {gyro:g} deg/s, at the reference "
         "temperature",
     )
-    by_force = "gyro" in known and takes_force(calibration.compensator, "gyro")
+    by_force = "gyro" in known and "by_force" in beyond_linear(calibration.compensator, "gyro")
     calls = [f"    imu_correct_accelf(accel, corrected);\n{_PRINTED}"] * ("accel" in known)
     if "gyro" in known and not (by_force and "accel" not in known):
         force = "accel_corrected, " if by_force else ""
@@ -147,25 +145,23 @@ def firmware(calibration: Calibration, full_scale: tuple[float, float] | None = 
     sizes = {kind: max(3, len(known[kind].bias)) if kind in known else 3 for kind in scales}
     about = "\n".join(f"* {line}" for line in (*origin(calibration), *losses))
     described = "Corrects the readings of an IMU by its calibration"
+    properties = {
+        "name": NAME,
+        "version": __version__,
+        "author": "tumble contributors",
+        "maintainer": "tumble contributors",
+        "sentence": f"{described}.",
+        "paragraph": "Made for one device by `tumble export --to firmware`.",
+        "category": "Sensors",
+        "url": "https://example.org/tumble",
+        "architectures": "*",
+        "includes": f"{NAME}.h",
+    }
     files = {
         "src/imu_calibration.h": header.content.decode(),
         f"src/{NAME}.h": '#ifndef TUMBLE_IMU_H\n#define TUMBLE_IMU_H\n\n#include "imu_calibration.h"\n\n#endif\n',
         "examples/Correct/Correct.ino": _SKETCH.format(name=NAME, calls="\n".join(calls), **sizes),
-        "library.properties": "\n".join(
-            [
-                f"name={NAME}",
-                f"version={__version__}",
-                "author=tumble contributors",
-                "maintainer=tumble contributors",
-                f"sentence={described}.",
-                "paragraph=Made for one device by `tumble export --to firmware`.",
-                "category=Sensors",
-                "url=https://example.org/tumble",
-                "architectures=*",
-                f"includes={NAME}.h",
-                "",
-            ]
-        ),
+        "library.properties": "".join(f"{key}={value}\n" for key, value in properties.items()),
         "library.json": json.dumps(
             {"name": NAME, "version": __version__, "description": described, "frameworks": "*", "platforms": "*"},
             indent=2,
@@ -183,27 +179,25 @@ def firmware(calibration: Calibration, full_scale: tuple[float, float] | None = 
 
 
 def _function(calibration: Calibration, kind: SensorKind, scales: dict[SensorKind, float]) -> str:
-    """The function of the sensors of a kind in fixed point."""
-    model, F = models(calibration)[kind], scales[kind]
-    block, K = coefficients_of(calibration.compensator, kind)
-    n, linear = len(model.bias), is_linear(block, K)
-    by_force = takes_force(calibration.compensator, kind)
-    tables = [_table("bias", model.bias / F, BITS), _table("inverse", model.inverse(), INVERSE_BITS)]
+    """The function of the sensors of a kind in fixed point. Raises InputError for numbers that do not fit 32 bits."""
+    model, F, beyond = models(calibration)[kind], scales[kind], beyond_linear(calibration.compensator, kind)
     if np.abs(model.inverse()).sum(axis=1).max() >= 4.0:
         raise InputError("export to firmware: expected a sensitivity near 1, found one far below; scale the readings")
-    first = more = ""
-    if not linear:
-        tables += [
-            _table("axis", block.axes, AXIS_BITS),
-            _table("asymmetry", K[:, OWN_SIZE], BITS),
-            _table("cubic", K[:, OWN_CUBE] * F**2, BITS),
-        ]
-    if not linear and kind == "accel":
-        tables.append(_table("quadratic", K[:, PRODUCTS] * F, BITS))
-        more = _QUADRATIC
-    if by_force:
-        tables.append(_table("by_force", K[:, FORCE] * scales["accel"] / F, BITS))
-        first = "".join(f"\n            - imu_scaled((int64_t)by_force[j][{k}] * force[{k}], 31)" for k in range(3))
+    size = {"bias": 1.0 / F, "cubic": F**2, "quadratic": F, "by_force": scales["accel"] / F}  # in parts of F
+    tables = ""
+    for name, values in {"bias": model.bias, "inverse": model.inverse(), **beyond}.items():
+        whole = np.rint(values * size.get(name, 1.0) * 2.0 ** BITS.get(name, 31))
+        if np.abs(whole).max() > 2.0**31 - 1.0:
+            found = np.abs(values).max() * size.get(name, 1.0)
+            raise InputError(
+                f"export to firmware: expected {name} within the full scale, found {found:.3g} of it; give a larger "
+                "--full-scale"
+            )
+        tables += constant("int32_t", name, whole, lambda row: ", ".join(f"{int(v)}" for v in row))
+    by_force, n = "by_force" in beyond, len(model.bias)
+    felt = "".join(f"\n            - imu_scaled((int64_t)by_force[j][{k}] * force[{k}], 31)" for k in range(3))
+    first = felt if by_force else ""
+    more = _QUADRATIC if kind == "accel" else ""
     return _FUNCTION.format(
         what=WHAT[kind],
         scale=f"IMU_{kind.upper()}_FULL_SCALE",
@@ -211,25 +205,8 @@ def _function(calibration: Calibration, kind: SensorKind, scales: dict[SensorKin
         kind=kind,
         needs=" and the true specific force, in parts of IMU_ACCEL_FULL_SCALE" if by_force else "",
         argument="const int32_t force[3], " if by_force else "",
-        tables="\n".join(tables),
+        tables=tables,
         first=first,
-        steps=0 if linear else FIXED_POINT_STEPS,
-        beyond="" if linear else _BEYOND.format(n=n, first=first, more=more),
+        steps=FIXED_POINT_STEPS if beyond else 0,
+        beyond=_BEYOND.format(n=n, first=first, more=more) if beyond else "",
     )
-
-
-def _table(name: str, values: Array, bits: int) -> str:
-    """Numbers in parts of 2^bits as a constant. Raises InputError for those that do not fit 32 bits."""
-    whole = np.rint(values * 2.0**bits)
-    if np.abs(whole).max() > 2.0**31 - 1.0:
-        raise InputError(
-            f"export to firmware: expected {name} within the full scale, found {np.abs(values).max():.3g} of it; give "
-            "a larger --full-scale"
-        )
-
-    def row(numbers: Array) -> str:
-        return "{" + ", ".join(f"{int(v)}" for v in numbers) + "}"
-
-    sizes = "".join(f"[{size}]" for size in values.shape)
-    text = row(whole) if values.ndim == 1 else "{\n" + ",\n".join(f"        {row(r)}" for r in whole) + "\n    }"
-    return f"    static const int32_t {name}{sizes} = {text};"

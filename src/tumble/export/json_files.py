@@ -43,13 +43,23 @@ from typing import Any
 
 import numpy as np
 
-from tumble.export.exported import NO_UNCERTAINTY, SINGLE_PRECISION, Exported, examples, one_line, origin, triads
-from tumble.export.larger_model import g_sensitivity, not_held, still
+from tumble.export.exported import (
+    SINGLE_PRECISION,
+    Exported,
+    examples,
+    g_sensitivity,
+    losses_of,
+    one_line,
+    origin,
+    still,
+    triads,
+)
 from tumble.result.accepted import WORDS
 from tumble.result.calibration import Calibration
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.units import DEGREE
 
+NAMES: Mapping[SensorKind, str] = {"accel": "accelerometer", "gyro": "gyroscope"}
 UNKNOWN = SensorModel(matrix=np.eye(3), bias=np.zeros(3))
 """What DepthAI keeps where nothing is known."""
 
@@ -60,7 +70,7 @@ def imucal(calibration: Calibration) -> Exported:
     accel, gyro = known["accel"], known["gyro"]
     K_a, K_g = (np.linalg.norm(model.matrix, axis=1) for model in (accel, gyro))
     sensitivity = g_sensitivity(calibration)
-    losses = (*not_held(calibration, {"gyro.g_sensitivity"}), NO_UNCERTAINTY)
+    losses = losses_of(calibration, held={"gyro.g_sensitivity"})
     worked = [
         *examples({"accel": accel}, "example {kind}: {reading} is {true} {unit}"),
         *examples({"gyro": gyro}, "example {kind}: {reading} is {true} deg/s", {"gyro": DEGREE}),
@@ -87,20 +97,15 @@ def imucal(calibration: Calibration) -> Exported:
 def depthai(calibration: Calibration) -> Exported:
     """The JSON file of a calibration for DepthAI."""
     known = triads(calibration, "depthai", needed=())
-    losses = (
-        *(f"{words}: not known, [1 | 0] in this file" for kind, words in WORDS.items() if kind not in known),
-        "noise densities are left at zero: set `noise` from `tumble noise`",
-        *not_held(calibration),
-        SINGLE_PRECISION,
-        NO_UNCERTAINTY,
-    )
+    unknown = [f"{words}: not known, [1 | 0] in this file" for kind, words in WORDS.items() if kind not in known]
+    noise = "noise densities are left at zero: set `noise` from `tumble noise`"
+    losses = losses_of(calibration, *unknown, noise, precision=SINGLE_PRECISION)
     axes = {axis: {"noiseDensity": 0.0, "randomWalk": 0.0, "biasStability": 0.0} for axis in "xyz"}
     content: dict[str, Any] = {
         "comment": "; ".join([*origin(calibration), *examples(known), *losses]),
         "noise": {"name": one_line(calibration.model or ""), "accelerometer": axes, "gyroscope": axes},
     }
-    kinds: tuple[tuple[str, SensorKind], ...] = (("accelerometer", "accel"), ("gyroscope", "gyro"))
-    for name, kind in kinds:  # [A | b] (3, 4), in single precision
+    for kind, name in NAMES.items():  # [A | b] (3, 4), in single precision
         model = known.get(kind, UNKNOWN)
         both = np.column_stack([model.inverse(), -model.inverse() @ model.bias])
         content[name] = [[float(f"{np.float32(number):.9g}") for number in row] for row in both]
@@ -110,15 +115,10 @@ def depthai(calibration: Calibration) -> Exported:
 def realsense(calibration: Calibration) -> Exported:
     """The JSON file of a calibration as rs-imu-calibration writes it."""
     known = triads(calibration, "realsense", needed=())
-    losses = (
-        *(f"{words}: not known, 1 and 0 in this file" for kind, words in WORDS.items() if kind not in known),
-        *not_held(calibration),
-        SINGLE_PRECISION,
-        NO_UNCERTAINTY,
-    )
-    kinds: tuple[tuple[str, SensorKind], ...] = (("accelerometer", "accel"), ("gyroscope", "gyro"))
+    unknown = [f"{words}: not known, 1 and 0 in this file" for kind, words in WORDS.items() if kind not in known]
+    losses = losses_of(calibration, *unknown, precision=SINGLE_PRECISION)
     imu: dict[str, Any] = {}
-    for name, kind in kinds:
+    for kind, name in NAMES.items():
         A = (model := known.get(kind, UNKNOWN)).inverse()
         imu[name] = {"scale_and_alignment": A.T.ravel().tolist(), "bias": (A @ model.bias).tolist()}
     comment = "; ".join([*origin(calibration), *examples(known), *losses])
@@ -129,21 +129,14 @@ def realsense(calibration: Calibration) -> Exported:
 def matlab_imu(calibration: Calibration) -> Exported:
     """The JSON file of a calibration for MATLAB; the part has the serial number for its name."""
     known = triads(calibration, "matlab-imu", needed=())
-    sign = "imuSensor's accelerometer has the opposite sign of the device: negate what it gives"
-    losses = (
-        *([sign] if "accel" in known else []),
-        "noise is not in this file: set NoiseDensity, BiasInstability and RandomWalk from `tumble noise`",
-        *not_held(calibration),
-        NO_UNCERTAINTY,
-    )
-    names = {"accel": ("Accelerometer", -1.0), "gyro": ("Gyroscope", 1.0)}
-    parts = {
-        names[kind][0]: {
-            "ConstantBias": (names[kind][1] * model.bias).tolist(),
-            "AxesMisalignment": (100.0 * model.matrix).tolist(),
-        }
-        for kind, model in known.items()
-    }
+    sign = ["imuSensor's accelerometer has the opposite sign of the device: negate what it gives"] * ("accel" in known)
+    noise = "noise is not in this file: set NoiseDensity, BiasInstability and RandomWalk from `tumble noise`"
+    losses = losses_of(calibration, *sign, noise)
+    parts = {}
+    for kind, model in known.items():
+        bias = -model.bias if kind == "accel" else model.bias
+        misaligned = (100.0 * model.matrix).tolist()
+        parts[NAMES[kind].capitalize()] = {"ConstantBias": bias.tolist(), "AxesMisalignment": misaligned}
     worked = examples(known, "example {kind}: {true} reads {reading}")
     content = {"comment": "; ".join([*origin(calibration), *worked, *losses]), part_name(calibration.serial): parts}
     return _written(content, losses, indent=1)

@@ -9,26 +9,61 @@ so that with sensitivity 1/Mᵢᵢ and misalignment M⁻¹ diag(M) the whole mat
 Autoware's node imu_corrector takes offsets, rad/s, off the gyros' readings, and nothing off the accelerometers'.
 
 Source: Fusion, FusionCalibration.h; Autoware, package autoware_imu_corrector, imu_corrector_core.cpp.
+
+The ROS package imu_calib: the file of accelerometer parameters that its node apply_calib reads.
+
+    corrected = SM · raw − bias        SM: nine numbers, row by row
+
+so SM = M⁻¹ and bias = M⁻¹ b. Gyros are not calibrated: the node takes the mean of its first 100 samples for their
+bias.
+
+Source: package imu_calib (D. Koch), README and class AccelCalib.
+
+Kalibr / OpenVINS: the file kalibr_imu_chain.yaml of OpenVINS, whose IMU model "kalibr" is that of Kalibr.
+
+    a_m = Ta R_IMUtoACC a + b_a
+    w_m = Tw R_IMUtoGYRO w + Tg a + b_g        Ta, Tw lower triangular
+
+so a = R_IMUtoACCᵀ Ta⁻¹ (a_m − b_a) and w = R_IMUtoGYROᵀ Tw⁻¹ (w_m − b_g − Tg a). The accelerometers fix the IMU frame,
+R_IMUtoACC = 1, which is the frame `accelerometer`: with M = L Q, L lower triangular with a positive diagonal and Q a
+rotation, Ta = L of the accelerometers, and of the gyros seen in the frame Q of the accelerometers Tw = L, R_IMUtoGYRO =
+Q. Nothing of either matrix is lost. Kalibr calls them M and C_gyro_i.
+
+The noise densities are continuous-time, those that stand for the processes of `noise`: `filter_values`.
+
+Source: OpenVINS, documentation and VioManagerOptions; Kalibr, wiki "IMU noise model" and "Multi IMU and IMU intrinsic
+calibration"; Rehder et al., Extending Kalibr, ICRA 2016.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tumble.errors import InputError
 from tumble.export.autopilots import gyro_matrix_lost
 from tumble.export.exported import (
-    NO_UNCERTAINTY,
     Exported,
     commented,
+    example,
     examples,
+    g_sensitivity,
+    losses_of,
     origin,
+    shown,
+    still,
     triads,
+    yaml_list,
     yaml_number,
 )
-from tumble.export.larger_model import not_held
+from tumble.recording.session import Session
+from tumble.reduction.noise.filter_values import Densities, densities
+from tumble.result.accepted import WORDS
 from tumble.result.calibration import Calibration
+from tumble.result.parts import SensorsAtRest
+from tumble.run.quiet_samples import longest_rest, noise_panels
 from tumble.sensors.model import SensorKind
 from tumble.units import DEGREE, G_STANDARD, Array
 
@@ -38,7 +73,7 @@ _NAMES: Mapping[SensorKind, tuple[str, float]] = {"accel": ("accelerometer", G_S
 def fusion(calibration: Calibration) -> Exported:
     """The constants of a calibration in C."""
     known = triads(calibration, "fusion", needed=())
-    losses = [*not_held(calibration), "Fusion computes in single precision: 7 digits of each number", NO_UNCERTAINTY]
+    losses = losses_of(calibration, precision="Fusion computes in single precision: 7 digits of each number")
     sizes = {kind: size for kind, (_, size) in _NAMES.items()}
     comments = [
         *origin(calibration),
@@ -62,9 +97,8 @@ def fusion(calibration: Calibration) -> Exported:
 def autoware(calibration: Calibration) -> Exported:
     """imu_corrector.param.yaml of a calibration."""
     known = triads(calibration, "autoware", needed=("gyro",))
-    losses = [gyro_matrix_lost(known["gyro"])]
-    losses += ["everything of the accelerometers: the node takes them as they are"] if "accel" in known else []
-    losses += [*not_held(calibration), NO_UNCERTAINTY]
+    accel = ["everything of the accelerometers: the node takes them as they are"] if "accel" in known else []
+    losses = losses_of(calibration, gyro_matrix_lost(known["gyro"]), *accel)
     bias = known["gyro"].bias
     comments = [*origin(calibration), "corrected = raw - offset, rad/s, in the frame of the IMU", *losses]
     offsets = [f"    angular_velocity_offset_{axis}: {yaml_number(b)}" for axis, b in zip("xyz", bias, strict=True)]
@@ -74,3 +108,135 @@ def autoware(calibration: Calibration) -> Exported:
 def _braced(values: Array) -> str:
     """Numbers as an initialiser, in single precision."""
     return "{" + ", ".join(f"{np.float32(value)!s}f" for value in values) + "}"
+
+
+def ros_imu_calib(calibration: Calibration) -> Exported:
+    """imu_calib.yaml of a calibration."""
+    known = triads(calibration, "ros-imu-calib", needed=("accel",))
+    model, inverse = known["accel"], known["accel"].inverse()
+    gyros = "everything of the gyros: the node takes their bias at start; "
+    losses = losses_of(calibration, *([gyros + gyro_matrix_lost(known["gyro"])] if "gyro" in known else []))
+    comments = [
+        *origin(calibration),
+        "corrected = SM * raw - bias, m/s^2",
+        *examples({"accel": model}, "example: raw {reading} is {true}"),
+        *losses,
+    ]
+    return commented(comments, [f"SM: {yaml_list(inverse)}", f"bias: {yaml_list(inverse @ model.bias)}"], losses)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NoiseDensities:
+    """Noise of both kinds of sensors, the sample rate, Hz, None where it is not known, and where it was seen."""
+
+    accel: Densities
+    gyro: Densities
+    rate: float | None
+    source: str
+
+
+def noise_densities(session: Session) -> NoiseDensities:
+    """The noise that the longest rest of a session shows, as `tumble noise` does. Raises InputError without a rest or
+    without gyros."""
+    record = longest_rest(session)
+    panels = noise_panels([record])
+    if len(panels) != 2:
+        raise InputError(f"{session.name}: expected accelerometers and gyros to take the noise from, found no gyros")
+    accel, gyro = (densities(panel, record.rate) for panel in panels)
+    return NoiseDensities(accel=accel, gyro=gyro, rate=record.rate, source=record.source)
+
+
+DRIFT_OF_WALK = 1.2
+"""Variance of the drift of a rest, its slope times T, over K² T: 6/5 of a random walk of the bias alone."""
+
+
+def noise_of_rests(calibration: Calibration) -> NoiseDensities:
+    """The noise within the rests of a calibration: the median density, and the random walk that their drifts allow.
+    Raises InputError for a calibration without rests or gyros."""
+    found = []
+    seconds = np.array([rest.stop - rest.start for rest in calibration.rests])
+    for kind, words in WORDS.items():
+        rests: list[SensorsAtRest | None] = [getattr(rest, kind) for rest in calibration.rests]
+        known = [sensors for sensors in rests if sensors is not None]
+        if not known or len(known) < len(rests):
+            raise InputError(
+                "export: expected --noise with kalibr and only there, found none, nor rests of accelerometers and "
+                "gyros in the calibration; give a session of the device"
+            )
+        white = np.median([sensors.noise for sensors in known], axis=0).max()
+        walks = np.array([sensors.drift for sensors in known]) ** 2 / (DRIFT_OF_WALK * seconds[:, None])
+        bound = (
+            f"random walk of the {words}: the largest that the drifts within the rests allow is written; record an "
+            "hour at rest and give it with --noise"
+        )
+        walk = float(np.sqrt(walks.mean(axis=0).max()))
+        found.append(Densities(white=float(white), walk=walk, bounds=(bound,)))
+    source = f"{len(calibration.rests)} rests of the calibration"
+    return NoiseDensities(accel=found[0], gyro=found[1], rate=calibration.sample_rate, source=source)
+
+
+def kalibr(calibration: Calibration, noise: NoiseDensities | None = None) -> Exported:
+    """The file of a calibration and of the noise densities of its device, by default those of its rests."""
+    known = triads(calibration, "kalibr")
+    noise = noise or noise_of_rests(calibration)
+    Ta, to_accel = _lower_times_rotation(known["accel"].matrix, "accelerometers")
+    Tw, to_gyro = _lower_times_rotation(known["gyro"].matrix @ to_accel.T, "gyros")
+    sensitivity = g_sensitivity(calibration)
+    losses = losses_of(
+        calibration,
+        "biases have no place in this file, OpenVINS estimates them while it runs: accelerometers "
+        f"{shown(known['accel'].bias.round(9))} m/s^2, gyros {shown(known['gyro'].bias.round(9))} rad/s",
+        "one noise density for the three axes of a kind: the largest of them",
+        *noise.accel.bounds,
+        *noise.gyro.bounds,
+        held={"gyro.g_sensitivity"},
+    )
+    same_frame = np.allclose(to_accel, np.eye(3), rtol=0.0, atol=1e-12)
+    worked = {kind: example(kind, model) for kind, model in known.items()}
+    comments = [
+        *origin(calibration),
+        f"noise from {noise.source}",
+        *([] if same_frame else [f"IMU frame: rows in the frame of the calibration {shown(to_accel)}"]),
+        "set rostopic" if noise.rate is not None else "set rostopic, add update_rate",
+        *(
+            f"example {kind}: reading {shown(one.reading)} is {shown((to_accel @ one.true).round(9))}"
+            for kind, one in worked.items()
+        ),
+        *still(sensitivity),
+        *losses,
+    ]
+    matrices = {"Tw": Tw, "R_IMUtoGYRO": to_gyro, "Ta": Ta, "R_IMUtoACC": np.eye(3), "Tg": sensitivity @ to_accel.T}
+    lines = [
+        "",
+        "imu0:",
+        *_matrix("T_i_b", np.eye(4)),
+        f"  accelerometer_noise_density: {yaml_number(noise.accel.white)}",
+        f"  accelerometer_random_walk: {yaml_number(noise.accel.walk)}",
+        f"  gyroscope_noise_density: {yaml_number(noise.gyro.white)}",
+        f"  gyroscope_random_walk: {yaml_number(noise.gyro.walk)}",
+        "  rostopic: /imu0",
+        "  time_offset: 0.0",
+        *([] if noise.rate is None else [f"  update_rate: {yaml_number(round(noise.rate, 6))}"]),
+        '  model: "kalibr"',
+        *(line for name, matrix in matrices.items() for line in _matrix(name, matrix)),
+    ]
+    exported = commented(comments, lines, losses)
+    return replace(exported, content=b"%YAML:1.0\n" + exported.content)
+
+
+def _lower_times_rotation(matrix: Array, kind: str) -> tuple[Array, Array]:
+    """L and Q of M = L Q, L lower triangular with a positive diagonal, Q a rotation."""
+    Q, R = np.linalg.qr(matrix.T)
+    signs = np.sign(np.diag(R))
+    lower, rotation = R.T * signs, signs[:, None] * Q.T
+    if np.linalg.det(rotation) < 0.0:
+        raise InputError(
+            f"export to kalibr: expected right-handed {kind}, found their channels left-handed, which the target has "
+            "no place for: name the columns of the session in another order, or with the other sign"
+        )
+    return np.tril(lower), rotation
+
+
+def _matrix(name: str, matrix: Array) -> list[str]:
+    """A matrix in YAML, a row a line."""
+    return [f"  {name}:", *(f"    - {yaml_list(row)}" for row in matrix)]

@@ -24,8 +24,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from tumble.export.autopilots import range_of, said, warm_end
-from tumble.export.exported import UNITS, Exported, example, examples, models, numbers, origin
-from tumble.export.larger_model import NOT_IN_MATRIX, not_held
+from tumble.export.exported import NOT_IN_MATRIX, UNITS, Exported, example, examples, models, not_held, numbers, origin
 from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import Range, changing, curve, model_at, own_thermometers
 from tumble.sensors.parameters import THERMAL, group_name, variable_of
