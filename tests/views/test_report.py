@@ -45,8 +45,8 @@ from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD
 from tumble.views.blocks import Table
 from tumble.views.numbers import fixed, significant
 from tumble.views.render.characters import drawable, visible
-from tumble.views.render.page import page as to_page
-from tumble.views.render.pdf import pdf as to_pdf
+from tumble.views.render.pages import page as to_page
+from tumble.views.render.pages import pdf as to_pdf
 from tumble.views.render.pictures import drawn
 from tumble.views.report.document import ReportedFile, document
 from tumble.views.report.drawings import farthest_from, lean_factor

@@ -3,7 +3,7 @@ as PDF.
 
     blocks       sentences, tables, names with what they are, pictures
     numbers      one choice of units, one formatting of a value with its uncertainty
-    render/      terminal, notebook, page (HTML), pdf, data (how JSON is written), pictures (files)
+    render/      terminal, notebook, pages (HTML, PDF), data (how JSON is written), pictures (files)
     calibration, readings, inspection, checks, noise, planning, campaign, registry, sheet
                  the blocks, the content as JSON and the pictures of each kind of result
     registry_lists, control_chart, chart_panel

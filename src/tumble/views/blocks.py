@@ -1,8 +1,8 @@
 """What is shown, of whatever result: blocks of a few kinds, which every kind of output can show.
 
-A view puts the blocks of a result together once; `render` shows them on a terminal, in a notebook, as HTML and as PDF.
-Blocks hold plain text and SVG pictures, never markup: what came from a file is data. A number that is not known is an
-empty cell, a minus a hyphen: a page of HTML or PDF sets a dash and a real minus.
+A sentence is a block as it is. A view puts the blocks of a result together once; `render` shows them on a terminal, in
+a notebook, as HTML and as PDF. Blocks hold plain text and SVG pictures, never markup: what came from a file is data. A
+number that is not known is an empty cell, a minus a hyphen: a page of HTML or PDF sets a dash and a real minus.
 """
 
 from __future__ import annotations
@@ -17,16 +17,12 @@ Tone = Literal["good", "doubt", "bad"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Text:
-    """A paragraph; `tone` says whether it is good news, good with reservations, or bad; a label is of what follows."""
+    """A paragraph that is more than a plain `str`: `tone` says whether it is good news, good with reservations, or bad;
+    a label is of what follows."""
 
     text: str
     tone: Literal["plain", "small", "label"] | Tone = "plain"
     kind: Literal["text"] = "text"
-
-
-def texts(sentences: Iterable[str], tone: Literal["plain", "small"] = "plain") -> list[Block]:
-    """A paragraph of each sentence."""
-    return [Text(text=sentence, tone=tone) for sentence in sentences]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -143,7 +139,7 @@ class Panels:
     kind: Literal["panels"] = "panels"
 
 
-Block = Text | Items | Facts | Table | Figure | Panels | Matrices | Formula
+Block = str | Text | Items | Facts | Table | Figure | Panels | Matrices | Formula
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -156,7 +152,8 @@ class Section:
 
 def section(title: str, *blocks: Block | None) -> Section:
     """A section of the blocks that there are."""
-    return Section(title=title, blocks=tuple(block for block in blocks if block is not None))
+    known = (Text(text=block) if isinstance(block, str) else block for block in blocks)
+    return Section(title=title, blocks=tuple(block for block in known if block is not None))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

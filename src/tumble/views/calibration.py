@@ -31,7 +31,7 @@ from tumble.run.calibrate import ITERATED_METHODS
 from tumble.run.launches import difference_percent
 from tumble.sensors.parameters import sensor_kind
 from tumble.units import engineering
-from tumble.views.blocks import Block, Items, Table, Text, table
+from tumble.views.blocks import Block, Items, Table, table
 from tumble.views.numbers import (
     cells,
     device_name,
@@ -76,10 +76,10 @@ def calibration_blocks(
     several, passport = bool(calibration.launches), any(p.deviation is not None for p in parameters)
     device, spared = device_name(calibration.serial, calibration.model), accepted_groups(calibration)
     blocks: list[Block] = [
-        Text(text=f"device {device} · method {calibration.method} · frame {calibration.frame}"),
-        *(Text(text=verdict) for verdict in verdicts(calibration)),
-        *([Text(text=f"accepted all the same: {', '.join(spared)}")] if spared else []),
-        *(Text(text=f"remark: {remark}") for remark in calibration.outcome.remarks),
+        f"device {device} · method {calibration.method} · frame {calibration.frame}",
+        *(verdict for verdict in verdicts(calibration)),
+        *([f"accepted all the same: {', '.join(spared)}"] if spared else []),
+        *(f"remark: {remark}" for remark in calibration.outcome.remarks),
     ]
     if parameters:
         blocks.append(parameter_table(calibration, parameters, truth))
@@ -99,7 +99,7 @@ def calibration_blocks(
             sessions.append({"session": member.session, **counts, "from °C": low, "to °C": high})
         blocks.append(table(sessions, words=("session",)))
     if calibration.method in ITERATED_METHODS and calibration.iterations:
-        blocks += [iteration_table(calibration, parameters), Text(text=WHAT_AN_INCREMENT_SAYS)]
+        blocks += [iteration_table(calibration, parameters), WHAT_AN_INCREMENT_SAYS]
     if parameters:
         blocks += [method_table(calibration, other, parameters) for other in others]
     if every:
@@ -196,7 +196,7 @@ def unknown_blocks(calibration: Calibration) -> list[Block]:
     if (integral := calibration.integral) is not None:
         said = f"integrated over them at {integral.points} points, effectively {integral.effective:.0f}; "
         weights = f"shape of the Pareto distribution of their weights {fixed(integral.pareto, 2)}"
-        blocks.append(Text(text=f"{said}{weights}, above 0.7 not to be relied on"))
+        blocks.append(f"{said}{weights}, above 0.7 not to be relied on")
     units, rows = shown_units(calibration.parameters), []
     for bias in (each for each in calibration.process_bias if each.name in units):  # means of their processes
         size, unit = units[bias.name]
@@ -306,8 +306,8 @@ def as_html(calibration: Calibration) -> str:
         return "".join(f"<{tag}>{escape(text)}</{tag}>" for text in texts)
 
     def html(block: Block) -> str:
-        if isinstance(block, Text):
-            return f"<p><b>{escape(block.text)}</b></p>"
+        if isinstance(block, str):
+            return f"<p><b>{escape(block)}</b></p>"
         if isinstance(block, Items):
             return f"<ul>{each('li', block.items)}</ul>"
         assert isinstance(block, Table)
@@ -320,7 +320,7 @@ def as_html(calibration: Calibration) -> str:
 def _short(calibration: Calibration) -> list[Block]:
     outcome = calibration.outcome
     said, notes = (*outcome.reasons, *outcome.remarks), tuple(f"note: {note}" for note in calibration.notes)
-    blocks: list[Block] = [Text(text=calibration.headline), *([Items(items=said)] if said else [])]
+    blocks: list[Block] = [calibration.headline, *([Items(items=said)] if said else [])]
     return [*blocks, whole_table(calibration), *([Items(items=notes)] if notes else [])]
 
 

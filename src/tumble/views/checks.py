@@ -19,7 +19,7 @@ from tumble.use.check import FieldCheck, change_text
 from tumble.use.compare import Comparison
 from tumble.use.verify import Verification
 from tumble.use.watch import Event, Notice
-from tumble.views.blocks import Block, Table, Text, table, texts
+from tumble.views.blocks import Block, Table, table
 from tumble.views.numbers import cells, probability_text, units_of_values
 from tumble.views.render.data import Content, fields, judged, rows
 
@@ -37,7 +37,7 @@ def comparison_blocks(comparison: Comparison) -> list[Block]:
         row = {"parameter": d.name, "first": first, "second": second, "difference": difference}
         row |= {"u (k=1)": cells(0.0, d.u, size)[1] if d.u else "", "unit": unit, "d/u": judged[0], "E_n": judged[1]}
         shown.append(row)
-    return [Text(text=f"frame {comparison.frame}"), table(shown), *texts(judged_lines(comparison))]
+    return [f"frame {comparison.frame}", table(shown), *judged_lines(comparison)]
 
 
 def judged_lines(comparison: Comparison) -> list[str]:
@@ -72,10 +72,10 @@ def comparison_data(comparison: Comparison) -> Content:
 def verification_blocks(verification: Verification) -> list[Block]:
     """A table of the positions and the verdict."""
     how = "each of the calibration's own positions, left out in turn" if verification.left_out else "check positions"
-    verdict = Text(text="not accepted" if verification.reasons else "accepted")
+    verdict = "not accepted" if verification.reasons else "accepted"
     known = np.isfinite(verification.sigmas)
     if not known.any():
-        return [Text(text=f"{how}\n"), verdict]
+        return [f"{how}\n", verdict]
     size, unit = engineering("m/s^2", float(np.nanmax([np.abs(verification.difference), verification.u])))
     shown = []
     values = zip(verification.labels, verification.difference, verification.u, verification.sigmas, strict=True)
@@ -88,7 +88,7 @@ def verification_blocks(verification: Verification) -> list[Block]:
         f"{np.nanmax(verification.sigmas):.2f} of {known.sum()} positions, at most {verification.limit:.2f} in 99 of "
         "100 good calibrations"
     )
-    return [Text(text=how), table(shown, words=("position",)), Text(text=summary), verdict]
+    return [how, table(shown, words=("position",)), summary, verdict]
 
 
 def verification_data(verification: Verification) -> Content:
@@ -122,28 +122,28 @@ def field_check_blocks(check: FieldCheck) -> list[Block]:
         value, uncertainty = cells(change, u, size)
         row = {"parameter": name, "change": value, "u (k=1)": uncertainty, "change/u": f"{change / u:+z.2f}"}
         shown.append(row | {"detectable": cells(0.0, result.detectable[name], size)[1], "unit": unit})
-    blocks: list[Block] = [Text(text=f"{check.rests} rests{turns}")]
+    blocks: list[Block] = [f"{check.rests} rests{turns}"]
     if shown:
         largest = (
             f"largest |change|/u {result.largest:.2f}, at most {result.limit:.2f} in {100.0 * (1.0 - CHANCE):.1f} of "
             "100 checks where nothing has changed"
         )
-        blocks += [table(shown), Text(text=largest)]
+        blocks += [table(shown), largest]
     misfit = (
         f"what no change explains: χ² {result.misfit.chi_square:.1f} for {result.misfit.degrees:.0f}, by chance "
         f"with probability {probability_text(result.misfit.probability)}"
     )
-    blocks.append(Text(text=misfit if shown else f"\n{misfit}"))
+    blocks.append(misfit if shown else f"\n{misfit}")
     seen = {group_name(name) for name in result.tests}
     linear = positions_by_group(check.instrument.names[: check.instrument.linear_count])
     if unseen := [group for group in linear if group not in seen]:
-        blocks.append(Text(text=f"not seen by these rests: {', '.join(unseen)}"))
+        blocks.append(f"not seen by these rests: {', '.join(unseen)}")
     worst = dict.fromkeys(map(group_name, result.detectable), "")  # of each group, at its sensor that is seen least
     for name in sorted(result.detectable, key=lambda name: result.detectable[name]):
         worst[group_name(name)] = f"{two_digits(result.detectable[name] / units[name][0])} {units[name][1]}"
     sizes = ", ".join(f"{group} {size}" for group, size in worst.items())
     unchanged = f"no change is shown, and none larger than\n{sizes}"
-    return [*blocks, Text(text=unchanged if check.valid else "changed")]
+    return [*blocks, unchanged if check.valid else "changed"]
 
 
 def field_check_data(check: FieldCheck) -> Content:

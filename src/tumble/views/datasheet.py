@@ -134,9 +134,8 @@ def write_datasheet(sheet: Datasheet, out: Path, created: str) -> None:
             closing="End of the data sheet",
         )
         with needs_extra("a data sheet as a page", "report", "jinja2", "matplotlib", "typst"):
-            from tumble.views.render.page import page
-            from tumble.views.render.pdf import pdf
+            from tumble.views.render.pages import written
 
-            content = page(document).encode() if ending == ".html" else pdf(document)
+            content = written(document, ending)
     with whole_file(out) as temporary:
         temporary.write_bytes(content)

@@ -9,7 +9,7 @@ import numpy as np
 from tumble.reduction.observations import Observations
 from tumble.run.observed import Observed
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS
-from tumble.views.blocks import Block, Items, Table, Text, table
+from tumble.views.blocks import Block, Items, Table, table
 from tumble.views.render.data import Content, fields, judged, rows
 
 UPRIGHT = 0.98  # an axis within 11° of the vertical is up or down
@@ -21,10 +21,10 @@ def inspection_blocks(observed: Observed) -> list[Block]:
     limits = f"thresholds found: accelerometer scatter {segmentation.scatter_limit:.3g} m/s²"
     if segmentation.rate_limit is not None:
         limits += f", distance from the rest level of the gyros {segmentation.rate_limit / DEGREE:.3g} °/s"
-    blocks: list[Block] = [Text(text=limits)]
+    blocks: list[Block] = [limits]
     if observations is not None:
         turns = _turn_table(observations)
-        blocks += [_rest_table(observations), turns or Text(text="no turns between rests")]
+        blocks += [_rest_table(observations), turns or "no turns between rests"]
         blocks += [Items(items=tuple(lines)) for lines in (_half_sums(observations), observations.notes) if lines]
     if segmentation.rejected:
         rejected = [

@@ -9,7 +9,7 @@ import numpy as np
 
 from tumble.units import ARCSEC, DEGREE, coarsest, two_digits
 from tumble.use.mission import QUANTITIES, Mission
-from tumble.views.blocks import Block, Text, table, texts
+from tumble.views.blocks import Block, table
 from tumble.views.render.data import Content, fields, rows
 from tumble.views.render.pictures import COLOURS, write_picture
 
@@ -43,11 +43,11 @@ def mission_blocks(found: Mission, *, every: bool = False) -> list[Block]:
         f"to {heading}, tilt to {tilt}, position to {position}, mostly from the {' and '.join(dict.fromkeys(largest))}."
     )
     blocks: list[Block] = [
-        Text(text=headline),
+        headline,
         table(shown, words=(), caption=caption),
         *(_parts(found, k) for k in (found.marks if every else found.marks[-1:])),
     ]
-    return [*blocks, *texts(f"{remark[0].upper()}{remark[1:]}." for remark in found.remarks)]
+    return [*blocks, *(f"{remark[0].upper()}{remark[1:]}." for remark in found.remarks)]
 
 
 def _parts(found: Mission, k: int) -> Block:

@@ -11,7 +11,7 @@ import numpy as np
 from tumble.reduction.noise.filter_values import filter_values
 from tumble.reduction.noise.wavelet_moments import LINEAR, MISFIT, Coefficient, NoiseParameters, Panel
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD, engineering, rounded
-from tumble.views.blocks import Block, Text, table, texts
+from tumble.views.blocks import Block, table
 from tumble.views.render.data import Content, fields
 from tumble.views.render.pictures import write_picture
 
@@ -74,16 +74,16 @@ def noise_blocks(noise: RecordedNoise, *, filters: bool = False) -> list[Block]:
             ]:
                 rows.append(dict(zip(_COLUMNS, (channel, *coefficient), strict=True)))
     blocks: list[Block] = [
-        Text(text=noise.source),
+        noise.source,
         table(rows, words=("sensor", "noise", "symbol", "unit"), columns=_COLUMNS),
     ]
     for panel in noise.panels:  # where another sum of processes is nearly as good, and where none fits
         for channel, p in zip(panel.channels, panel.parameters, strict=True):
             if p.runner_up and p.margin < CLOSE:
-                blocks.append(Text(text=f"{channel}: {p.runner_up} would do nearly as well; a longer record tells."))
+                blocks.append(f"{channel}: {p.runner_up} would do nearly as well; a longer record tells.")
             if p.probability < MISFIT:
                 none = "no sum of processes fits (vibration, a filter?); u is enlarged by what is left."
-                blocks.append(Text(text=f"{channel}: {none}"))
+                blocks.append(f"{channel}: {none}")
     if filters:
         values, reasons = [], dict[str, list[str]]()
         for v in filter_values(noise.panels, noise.rate):
@@ -91,7 +91,7 @@ def noise_blocks(noise: RecordedNoise, *, filters: bool = False) -> list[Block]:
             values.append({"filter": v.filter, "parameter": v.parameter} | sizes)
             reasons.setdefault(v.why, []).append(v.filter)
         blocks.append(table(values, words=("filter", "parameter", "unit")))
-        blocks += texts(f"{', '.join(dict.fromkeys(who))}: {why}." for why, who in reasons.items())
+        blocks += (f"{', '.join(dict.fromkeys(who))}: {why}." for why, who in reasons.items())
     return blocks
 
 

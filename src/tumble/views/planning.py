@@ -20,7 +20,7 @@ from tumble.programme.sheet_words import clock, move_text, short_code
 from tumble.sensors.grades import spread_of
 from tumble.sensors.parameters import group_name, group_of, positions_by_group, shown_in
 from tumble.units import DEGREE, ZERO_CELSIUS, Array
-from tumble.views.blocks import Block, Table, Text, table, texts
+from tumble.views.blocks import Block, Table, table
 from tumble.views.numbers import in_engineering, minus
 from tumble.views.render.data import Content, fields, judged, rows
 
@@ -97,7 +97,7 @@ def _bound_blocks(setup: Setup, bound: Bound, whole: Bound) -> list[Block]:
         share = f"{u / spread_of(setup, name):.2%}" if math.isfinite(u) else ""
         row = {"parameter": name, "bound of u": in_unit(group_name(name), u), "of the spread": share}
         shown.append(row | {"with all groups": in_unit(group_name(name), with_all)})
-    return [*texts(lines), table(shown), _further_table(whole.names, whole.u, whole.further)]
+    return [*lines, table(shown), _further_table(whole.names, whole.u, whole.further)]
 
 
 def _further_table(names: Sequence[str], u: Array, further: Sequence[GroupFinding]) -> Table:
@@ -213,7 +213,7 @@ def thermal_plan_blocks(plan: ThermalPlan) -> list[Block]:
             row[ending] = in_unit(name, plan.rms(name)) if name in named else ""
         parameters.append(row)
     return [
-        Text(text=head),
+        head,
         table(sessions, words=("recording",)),
         table(parameters, words=("bound of u (rms)",)),
         _further_table(plan.names, plan.u, plan.further),
@@ -295,7 +295,7 @@ def requirement_blocks(requirements: Requirements) -> list[Block]:
         f"±{requirements.mounting_error / DEGREE:.2f}°, rests of at least {requirements.rest:.3g} s"
     )
     met = any(row.feasible for row in requirements.rows)
-    return [table(shown, words=("parameters", "because")), *texts([together] if met else [])]
+    return [table(shown, words=("parameters", "because")), *([together] if met else [])]
 
 
 def requirements_data(requirements: Requirements) -> Content:

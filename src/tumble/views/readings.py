@@ -9,7 +9,7 @@ from tumble.result.further import group_lines, linear_parameters, predicted
 from tumble.run.from_readings import ReadingsCalibration, paper_form
 from tumble.sensors.frames import Convention, frame_of
 from tumble.units import engineering
-from tumble.views.blocks import Block, Items, Table, Text, table
+from tumble.views.blocks import Block, Items, Table, table
 from tumble.views.calibration import group_table, parameter_table
 from tumble.views.numbers import cells
 
@@ -18,9 +18,9 @@ def readings_blocks(result: ReadingsCalibration) -> list[Block]:
     """The verdict, parameters, positions, and what the fit says."""
     calibration, nominal, fit = result.calibration, result.nominal, result.fit
     blocks: list[Block] = [
-        Text(text=f"{result.table.path.name} · {nominal.sensor} · method ellipsoid · frame {calibration.frame}"),
-        Text(text=calibration.outcome.verdict),
-        *(Text(text=f"remark: {remark}") for remark in calibration.outcome.remarks),
+        f"{result.table.path.name} · {nominal.sensor} · method ellipsoid · frame {calibration.frame}",
+        calibration.outcome.verdict,
+        *(f"remark: {remark}" for remark in calibration.outcome.remarks),
     ]
     lines = []
     if fit is not None and result.recorded:

@@ -14,7 +14,7 @@ from tumble.result.calibration import Calibration
 from tumble.sensors.parameters import beyond_linear, group_name
 from tumble.units import two_digits
 from tumble.use.compare import Comparison
-from tumble.views.blocks import Block, Items, Text, Tone, table
+from tumble.views.blocks import Block, Items, Tone, table
 from tumble.views.checks import judged_lines
 from tumble.views.numbers import Units, cells, device_name, limit_cell, shown_units, units_of_values, with_expanded
 from tumble.views.registry_lists import day_of
@@ -63,7 +63,7 @@ def record_blocks(record: Record, calibration: Calibration, verdict: Verdict | N
         over = f", {verdict.over}" if verdict.over else ""
         judgements = [RULE, *verdict.reasons(), f"verdict: {verdict.result}{over}"]
     parameters = table(rows, words=words, columns=columns, caption=_counted(further))
-    return [Text(text="\n".join(lines)), parameters, Items(items=tuple(judgements))]
+    return ["\n".join(lines), parameters, Items(items=tuple(judgements))]
 
 
 def further_of(names: Iterable[str], judged: Container[str]) -> frozenset[str]:
@@ -101,7 +101,7 @@ def limits_blocks(limits: LimitsRecord) -> list[Block]:
     """Limits as they were given."""
     named = "" if limits.systematic is None else " · systematic values kept with them"
     head = f"limits {limits.number} · type {limits.model} · in force from {day_of(limits.added)}{named}"
-    return [Text(text=head), Items(items=(limits.file.rstrip(),)), Text(text=RULE)]
+    return [head, Items(items=(limits.file.rstrip(),)), RULE]
 
 
 # -------------------- trend --------------------
@@ -138,7 +138,7 @@ def trend_blocks(found: Monitored, *, every: bool) -> list[Block]:
     device = device_name(found.latest.serial, found.latest.model)
     conclusions = (*([] if found.comparison is None else change_lines(found.comparison)), *forecast_lines(found))
     return [
-        Text(text=f"device {device} · {said} · frame {found.frame}"),
+        f"device {device} · {said} · frame {found.frame}",
         table(rows, words=("parameter", "history", "unit", "verdict"), caption=_counted(further)),
         *([Items(items=conclusions)] if conclusions else []),
     ]
@@ -226,7 +226,7 @@ def history_blocks(found: Monitored) -> list[Block]:
         lines.append(f"drift: {value} ± {U} {unit} a year (95 %, Student's t with {drift.degrees} degrees of freedom)")
     device, history = device_name(found.latest.serial, found.latest.model), sparkline([p.value for p in points])
     return [
-        Text(text=f"{name} of device {device} · frame {found.frame} · {history}"),
+        f"{name} of device {device} · frame {found.frame} · {history}",
         table(rows, words=("record", "performed", "state", "unit", "", "verdict")),
         Items(items=(*lines, *forecast_lines(found))),
     ]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from importlib.resources import files
 from pathlib import Path
 
 from tumble.errors import InputError, needs_extra
@@ -14,7 +13,7 @@ from tumble.programme.sheet import SIGNATURES, form_of, sheet_drawing, sheet_pag
 from tumble.programme.sheet_pictures import legend, picture
 from tumble.programme.sheet_words import RATE, REST, notes_of, pace_of, sheet_rows
 from tumble.usual_setup import MOVE
-from tumble.views.blocks import Block, Text, table
+from tumble.views.blocks import Block, table
 
 ENDINGS = (".html", ".pdf", ".svg")
 
@@ -29,7 +28,7 @@ def sheet_blocks(programme: Programme, *, rest: float = REST, rate: float = RATE
         listed.append(cells | {"up and down": row.position.label, "rest": row.when})
     title = f"{programme.name}: {pace_of(programme, rows, rate, move)}"
     words = ("how to get there", "attitude", "X", "Y", "Z", "up and down")
-    return [Text(text=title), table(listed, words=words), *(Text(text=note) for note in notes_of(programme))]
+    return [title, table(listed, words=words), *(note for note in notes_of(programme))]
 
 
 def write_sheet(
@@ -71,7 +70,7 @@ def _pdf(programme: Programme, pace: Mapping[str, float], serial: str, number: s
     """The page as PDF/A-2b on A4, without a date: the same bytes for the same sheet."""
     with needs_extra("a sheet as PDF", "report", "matplotlib", "typst"):
         from tumble.views.render.characters import drawable, everywhere
-        from tumble.views.render.pdf import set_in_type
+        from tumble.views.render.pages import set_in_type
     rows = sheet_rows(programme, **pace)
     content = {
         "name": programme.name,
@@ -97,5 +96,4 @@ def _pdf(programme: Programme, pace: Mapping[str, float], serial: str, number: s
             for row in rows
         ],
     }
-    template = files("tumble.views.render").joinpath("templates/sheet.typ").read_bytes()
-    return set_in_type(template, json.dumps(everywhere(content, drawable, except_key="svg")), timestamp=0)
+    return set_in_type("sheet.typ", json.dumps(everywhere(content, drawable, except_key="svg")), timestamp=0)

@@ -12,7 +12,7 @@ from tumble.inference.sources import Source
 from tumble.result.calibration import Calibration
 from tumble.result.uncertainty_budget import shares_by_group, what_would_help
 from tumble.sensors.parameters import beyond_linear, shown_in
-from tumble.views.blocks import Block, Figure, Section, Table, Text, section, table
+from tumble.views.blocks import Block, Figure, Section, Table, section, table
 from tumble.views.numbers import percent, shown_units, significant
 from tumble.views.render.pictures import COLOURS, FAINT, PAGE, drawn
 
@@ -32,7 +32,7 @@ def budget_blocks(calibration: Calibration, *, every: bool = False) -> list[Bloc
     if not calibration.budget:
         return []
     helps = what_would_help(calibration)
-    blocks: list[Block] = [*([Text(text=f"{helps}.")] if helps else []), share_table(calibration)]
+    blocks: list[Block] = [*([f"{helps}."] if helps else []), share_table(calibration)]
     if every:
         blocks += [parameter_budget(calibration, name) for name in calibration if not beyond_linear(name)]
     return blocks

@@ -48,8 +48,8 @@ def _lines(block: Block, width: int | None) -> Iterator[str]:
     if isinstance(block, Table):
         yield from _table_lines(block, width or _IN_A_PIPE)
         sentences: Sequence[str] = block.caption.split("\n") if block.caption else []
-    elif isinstance(block, Text):
-        sentences = block.text.split("\n")
+    elif isinstance(block, str | Text):
+        sentences = (block if isinstance(block, str) else block.text).split("\n")
     elif isinstance(block, Items):
         sentences = [line for item in block.items for line in item.split("\n")]
     elif isinstance(block, Facts):

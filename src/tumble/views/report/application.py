@@ -63,7 +63,7 @@ def application(calibration: Calibration) -> Section:
     """The model, what a reading is, the matrices and a test vector for each block, and what is beyond them."""
     models = {"accel": calibration.accel, "gyro": calibration.gyro, "mag": calibration.mag}
     known = {kind: model for kind, model in models.items() if model is not None}
-    blocks: list[Block] = [Text(text="The sensors follow the model"), Formula(name="model")]
+    blocks: list[Block] = ["The sensors follow the model", Formula(name="model")]
     meant = (
         "with the specific force (m/s²; at rest, axis up, +g) or the angular rate (rad/s) in the body frame as the "
         "true value. "
@@ -80,19 +80,19 @@ def application(calibration: Calibration) -> Section:
         three = (
             f"{meant}: for three sensors along the body axes, k being the scale-factor errors and γ the axis angles,"
         )
-        corrected = Text(text="A reading is corrected by")
-        blocks += [Text(text=three), Formula(name="axes"), corrected, Formula(name="apply")]
+        corrected = "A reading is corrected by"
+        blocks += [three, Formula(name="axes"), corrected, Formula(name="apply")]
     if any(len(model.matrix) > 3 for model in known.values()):
         least = "by least squares, matrix⁺ being the pseudo-inverse:"
         which = f"One of more sensors {least}" if triads else f"{meant}. A reading is corrected {least}"
-        blocks += [Text(text=which), Formula(name="apply_redundant")]
+        blocks += [which, Formula(name="apply_redundant")]
     blocks += _what_a_reading_is(calibration, known or models)
     left = left_by_matrix(calibration)
     if left:
         linear = f"This is the linear model, {left}; the whole correction is at the end of the section."
-        blocks.append(Text(text=linear))
+        blocks.append(linear)
     if not known:
-        blocks.append(Text(text="No matrix can be given: a parameter it needs was not determined."))
+        blocks.append("No matrix can be given: a parameter it needs was not determined.")
     for kind, model in known.items():  # matrix, its inverse and bias, and a reading with what comes out
         unit, reading = _unit(calibration, kind), test_reading(kind, model)
         symbol = "pseudo-inverse matrix⁺" if len(model.matrix) > 3 else "matrix⁻¹"
@@ -101,7 +101,7 @@ def application(calibration: Calibration) -> Section:
             Text(text=_HEADINGS[kind], tone="label"),
             Matrices(matrices=(Matrix(symbol="matrix", rows=_numbers(model.matrix)), bias)),
             Matrices(matrices=(Matrix(symbol=symbol, rows=_numbers(model.inverse())),)),
-            Text(text="Test vector: with these numbers, this reading gives this true value."),
+            "Test vector: with these numbers, this reading gives this true value.",
             _test_vector(reading, model.apply(reading), unit),
         ]
     return section("How to apply it", *blocks, *(_whole_correction(calibration) if left else ()))
@@ -122,11 +122,11 @@ def _what_a_reading_is(calibration: Calibration, kinds: Container[str]) -> list[
         for column, scale, offset in zip(readings.columns, readings.scale, readings.offset, strict=True)
     ]
     if not rows:
-        return [Text(text="A reading is the output in SI after the nominal scale and offset of the device.")]
+        return ["A reading is the output in SI after the nominal scale and offset of the device."]
     meant = "A reading is the output in SI after the nominal scale and offset: (raw − offset) / scale"
     if any(readings.increments for readings in calibration.readings.values()):
         meant += ", for increments divided by the interval of the sample"
-    return [Text(text=meant + "."), table(rows, words=("column of the log", "sensor", "raw unit"))]
+    return [meant + ".", table(rows, words=("column of the log", "sensor", "raw unit"))]
 
 
 def _unit(calibration: Calibration, kind: str) -> str:
@@ -178,7 +178,7 @@ def _whole_correction(calibration: Calibration) -> Iterator[Block]:
             "by that along its own direction."
         )
     yield Text(text="The whole correction", tone="label")
-    yield Text(text=" ".join(sentences))
+    yield " ".join(sentences)
     rows = [{"parameter": p.name, "value, SI": significant(p.value, 8), "unit": unit_text(p.unit)} for p in further]
     yield table(rows, dense=True, halves=len(rows) > _MOST_UNHALVED)
     assert calibration.accel is not None
@@ -189,8 +189,8 @@ def _whole_correction(calibration: Calibration) -> Iterator[Block]:
         readings["gyro"] = test_reading("gyro", calibration.gyro)
         true["gyro"] = compensator.rate(readings["gyro"][None], true["accel"], warmer.get("gyro"))
     warm = f" and {_WARMER:.0f} K above the reference temperature" if compensator.warm else ""
-    yield Text(
-        text=f"Test vector of the whole correction, at a constant rate{warm}: these readings together give these true "
+    yield (
+        f"Test vector of the whole correction, at a constant rate{warm}: these readings together give these true "
         "values."
     )
     for kind, reading in readings.items():
@@ -218,5 +218,5 @@ def frame(calibration: Calibration, name: str) -> Section:
         caption = f"The body frame X, Y, Z and the sensing axes in it{larger}."
         svg = drawings.frame(name, calibration.accel, calibration.gyro)
         picture = Figure(svg=svg, caption=caption, width=drawings.FRAME)
-    said = Text(text=f"Body frame “{calibration.frame}”, right-handed. {words}")
+    said = f"Body frame “{calibration.frame}”, right-handed. {words}"
     return section("The frame", said, picture)

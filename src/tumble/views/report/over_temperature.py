@@ -21,7 +21,7 @@ from tumble.result.temperature_curves import (
 )
 from tumble.sensors.parameters import group_of, positions_by_group, sensor_kind, within_group
 from tumble.units import engineering
-from tumble.views.blocks import Figure, Section, Table, Text
+from tumble.views.blocks import Figure, Section, Table
 from tumble.views.blocks import section as section_of
 from tumble.views.numbers import cells, fixed, units_of_values
 from tumble.views.render.characters import drawable
@@ -69,7 +69,7 @@ def section(calibration: Calibration, name: str) -> Section | None:
             "the fit, in sigmas. Residuals that follow the temperature are what the coefficients do not hold.",
         )
     numbers = Table(columns=columns, rows=tuple(rows), text=(0, 7), dense=True)
-    return section_of("Over temperature", Text(text=text), numbers, over, left)
+    return section_of("Over temperature", text, numbers, over, left)
 
 
 def _curves(name: str, calibration: Calibration, names: Sequence[str], measured: Range, reference: float) -> str:

@@ -143,7 +143,7 @@ def measured(recording: RecordedSession) -> Section | None:
     if not recording.rests:
         return residuals(recording, "")
     rests, turns, fits = tables_of(recording)
-    residual = Text(text=f"{rests_said(recording)}.")
+    residual = f"{rests_said(recording)}."
     return section(recording.titled("What was measured"), _programme_said(recording), rests, turns, residual, fits)
 
 
@@ -155,11 +155,11 @@ def tables_of(recording: RecordedSession) -> tuple[Table | None, Table | None, T
 def _programme_said(recording: RecordedSession) -> Text:
     count = f"{len(recording.rests)} rests"
     if recording.programme is None:
-        return Text(text=f"No programme: {count} were found, in attitudes that were not prescribed.")
+        return f"No programme: {count} were found, in attitudes that were not prescribed."
     listed = recording.programme == "listed"
     named = "Positions listed in the session" if listed else f"Programme “{recording.programme}”"
-    return Text(
-        text=f"{named}: {count} were found. Off is the angle between the vertical in the body as it was found and as "
+    return (
+        f"{named}: {count} were found. Off is the angle between the vertical in the body as it was found and as "
         "the programme has it. N, U, E are north, up, east; a code says where body X, Y, Z point and how they are "
         "turned."
     )
@@ -217,7 +217,7 @@ def residuals(recording: RecordedSession, name: str) -> Section | None:
         svg=figures.residuals(name, recording.rests, recording.turns),
         caption="Residual of every rest, and how far rests and turns are from the fit.",
     )
-    return section(title, Text(text=f"{rests_said(recording)}."), picture, fits)
+    return section(title, f"{rests_said(recording)}.", picture, fits)
 
 
 def rests_said(recording: RecordedSession) -> str:

@@ -107,7 +107,7 @@ def result(
     blocks: list[Block] = [Text(text=verdict, tone=tone)]
     *of_kinds, _ = verdicts(calibration)
     if of_kinds:
-        blocks.append(Text(text=f"{'; '.join(of_kinds).capitalize()}."))
+        blocks.append(f"{'; '.join(of_kinds).capitalize()}.")
     if outcome.reasons:
         blocks.append(Items(items=outcome.reasons, tone="bad"))
     if outcome.remarks and not certified:
@@ -135,16 +135,16 @@ def result(
     if calibration.prediction is not None:
         left = left_by_matrix(calibration)
         alone = f", with the whole correction; {left}" if left else ""
-        blocks.append(Text(text=f"Known to (standard uncertainty): {predicted(calibration.prediction)}{alone}."))
+        blocks.append(f"Known to (standard uncertainty): {predicted(calibration.prediction)}{alone}.")
         correction = "Matrix and bias: true = matrix⁻¹ · (reading − bias)."
         if left:
             correction += f" The whole correction takes from a reading besides: {terms_of(calibration)}."
         numbers = "Numbers, formulas and test vectors are in the section “How to apply it”."
         blocks.append(Text(text=f"{correction} {numbers}", tone="small"))
     if outcome.unobservable:
-        blocks.append(Text(text=f"Not determined: {', '.join(outcome.unobservable)}."))
+        blocks.append(f"Not determined: {', '.join(outcome.unobservable)}.")
     if limits_elsewhere(calibration, acceptance):
-        blocks.append(Text(text="Limits, and the verdict on every parameter: section “Limits and verdict”."))
+        blocks.append("Limits, and the verdict on every parameter: section “Limits and verdict”.")
     return section("Result", *blocks)
 
 
@@ -210,16 +210,16 @@ def beyond(calibration: Calibration, *, for_customers: bool = False) -> Section 
                 " Of each there was a prior, a standard deviation over such instruments; learned is how much of its "
                 "variance the recording has taken off: at 0 % only the prior is known."
             )
-        return section("Beyond bias, scale factors and axes", Text(text=meant), parameters) if parameters else None
+        return section("Beyond bias, scale factors and axes", meant, parameters) if parameters else None
     meant = (
         "Each group has a prior, the standard deviation over instruments of its grade or that of the data sheet; where "
         "the data exceed it, it was widened. Learned is how much of the prior's variance the recording has taken off: "
         "at 0 % only the prior is known."
     )
     decided = decided_by_priors(calibration)
-    left = Text(text=f"{decided[0].upper()}{decided[1:]}.") if decided else None
+    left = f"{decided[0].upper()}{decided[1:]}." if decided else None
     groups = group_table(calibration, of_a_page=True)
-    return section("Beyond the linear model", Text(text=meant), groups, left, parameters) if groups.rows else None
+    return section("Beyond the linear model", meant, groups, left, parameters) if groups.rows else None
 
 
 def unknown(calibration: Calibration) -> Section | None:
@@ -229,7 +229,7 @@ def unknown(calibration: Calibration) -> Section | None:
         "what they may be. The middle 68 % of each stands beside its value; a size over the usual one has no unit."
     )
     blocks = unknown_blocks(calibration)
-    return section("What the model did not know about itself", Text(text=meant), *blocks) if blocks else None
+    return section("What the model did not know about itself", meant, *blocks) if blocks else None
 
 
 def launches(calibration: Calibration) -> Section | None:
@@ -243,10 +243,10 @@ def launches(calibration: Calibration) -> Section | None:
         "another; it is in the uncertainty of the mean."
     )
     side_by_side = replace(launch_table(calibration, linear, of_a_page=True), dense=len(calibration.launches) > 4)
-    blocks: list[Block] = [Text(text=meant), side_by_side]
+    blocks: list[Block] = [meant, side_by_side]
     if further:
         beyond_linear = replace(launch_table(calibration, further, of_a_page=True), dense=True)
-        blocks += [Text(text="Beyond the linear model:"), beyond_linear]
+        blocks += ["Beyond the linear model:", beyond_linear]
     digests = tuple(
         (f"log of {launch.session}", f"SHA-256 {launch.log_sha256}" if launch.log_sha256 else NONE)
         for launch in calibration.launches
@@ -263,9 +263,9 @@ def compared(titles: Sequence[str], calibrations: Sequence[Calibration], name: s
     try:
         alike = [c.in_frame(first.frame) for c in calibrations]
     except CalibrationError as error:
-        return section(title, Text(text=f"They cannot be compared: {error}"))
+        return section(title, f"They cannot be compared: {error}")
     if not first.parameters:
-        return section(title, Text(text="The first calibration has no parameters to compare."))
+        return section(title, "The first calibration has no parameters to compare.")
     units, by_name = shown_units(alike[0].parameters), [{p.name: p for p in each.parameters} for each in alike]
     columns = ("parameter", *titles, "range" if one_log else "spread", "unit")
 
@@ -286,7 +286,7 @@ def compared(titles: Sequence[str], calibrations: Sequence[Calibration], name: s
         else "The spread is the standard deviation of the values."
     )
     blocks: list[Block] = [
-        Text(text=f"All in the frame “{first.frame}”. {meant}"),
+        f"All in the frame “{first.frame}”. {meant}",
         side_by_side(linear_parameters(alike[0].parameters), dense=len(titles) > 2),
         Figure(
             svg=figures.comparison(name, titles, alike),
@@ -294,7 +294,7 @@ def compared(titles: Sequence[str], calibrations: Sequence[Calibration], name: s
         ),
     ]
     if further := further_parameters(alike[0].parameters):
-        blocks += [Text(text="Beyond the linear model:"), side_by_side(further, dense=True)]
+        blocks += ["Beyond the linear model:", side_by_side(further, dense=True)]
     return section(title, *blocks)
 
 
@@ -312,9 +312,9 @@ def limits(calibration: Calibration, acceptance: Limits | None, checks: Sequence
     """The decision rule, and every parameter against the limits of all checks with the verdicts."""
     if acceptance is None:
         none = "No acceptance limits were given: this report states values and uncertainties, not conformity."
-        return section("Limits and verdict", Text(text=none))
+        return section("Limits and verdict", none)
     rule = f"{RULE[0].upper()}{RULE[1:]}. Limits hold in the frame “{acceptance.frame}”."
-    blocks: list[Block] = [Text(text=rule)]
+    blocks: list[Block] = [rule]
     if notes := remarks(calibration):
         blocks.append(Items(items=notes))
     units = shown_units(calibration.parameters)
@@ -323,7 +323,7 @@ def limits(calibration: Calibration, acceptance: Limits | None, checks: Sequence
         over = f", {verdict.over}" if verdict.over else ""
         named = f"{_CHECKS[verdict.occasion]}: {verdict.result}{over}{reasons}."
         blocks.append(Text(text=named, tone=TONES[verdict.result]))
-        blocks += [Text(text=OVER_TEMPERATURE)] if verdict.temperatures is not None else []
+        blocks += [OVER_TEMPERATURE] if verdict.temperatures is not None else []
         rows = []
         for j in verdict.judgements:
             finite = [abs(limit) for limit in (j.low, j.high) if math.isfinite(limit)]
@@ -371,13 +371,13 @@ def correlations(calibration: Calibration) -> Section | None:
             "It does not contain what one recording cannot show: changes with temperature and age, nonlinearity that "
             "is the same in every rest, and an error of gravity larger than stated."
         )
-    blocks: list[Block] = [Text(text=meant)]
+    blocks: list[Block] = [meant]
     if rows:
         strongest = (
             "The covariance of two parameters is their coefficient times both standard uncertainties; all of it is in "
             "the calibration file, which is the data annex. The strongest:"
         )
-        blocks += [Text(text=strongest), table(rows, words=("parameter", "with"))]
+        blocks += [strongest, table(rows, words=("parameter", "with"))]
     return section("Covariance and correlations", *blocks)
 
 

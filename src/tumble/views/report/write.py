@@ -50,14 +50,12 @@ def write_report(
         acceptance = limits_of(Path(limits))
     as_found = None if stated is None or stated.as_found is None else read_calibration(stated.as_found)
     with needs_extra("a report", "report", "jinja2", "matplotlib", "typst"):
-        from tumble.views.render.page import page
-        from tumble.views.render.pdf import pdf
+        from tumble.views.render.pages import written
         from tumble.views.report.document import as_certified, document, not_accepted
 
         sources = list(map(_source, given))
         sources = sources if stated is None else [as_certified(source, stated) for source in sources]
-        made = document(sources, acceptance, stated, as_found)
-        content = page(made).encode() if ending == ".html" else pdf(made)
+        content = written(document(sources, acceptance, stated, as_found), ending)
     try:
         with whole_file(out) as temporary:
             temporary.write_bytes(content)
