@@ -362,34 +362,26 @@ def text_and_name(given: Calibration | FilePath) -> tuple[str, str]:
 
 
 def _check_sensors(calibration: Calibration) -> None:
-    """Raises ValueError where parts of a calibration are of another number of sensors."""
-    for kind in ("accel", "gyro"):
-        counts = dict(_sensors(calibration, kind))
-        if len(set(counts.values())) > 1:
-            (first, expected), *others = counts.items()
-            key, found = next((key, found) for key, found in others if found != expected)
-            raise ValueError(f"{key}: expected {expected} sensors, as {first} has, found {found}")
-
-
-def _sensors(calibration: Calibration, kind: SensorKind) -> Iterator[tuple[str, int]]:
-    """How many sensors of a kind each part of a calibration has, by its key."""
-    model = calibration.accel if kind == "accel" else calibration.gyro
-    if model is not None:
-        yield f"{kind}.bias", len(model.bias)
-    if kind in calibration.axes:
-        yield f"axes.{kind}", len(calibration.axes[kind])
-    if kind in calibration.readings:
-        yield f"readings.{kind}", len(calibration.readings[kind].columns)
+    """Raises ValueError where parts of a calibration, named by their keys, are of another number of sensors."""
     launches = [(f"launches[{number}].rests", launch.rests) for number, launch in enumerate(calibration.launches, 1)]
-    for place, rests in (("rests", calibration.rests), *launches):
-        for number, rest in enumerate(rests, 1):
-            at_rest = rest.accel if kind == "accel" else rest.gyro
-            if at_rest is not None:
-                yield f"{place}[{number}].{kind}", len(at_rest.mean)
-    for key in ("thermometers", "references"):
-        of_sensors = getattr(calibration.temperature, key).get(kind)
-        if of_sensors is not None:
-            yield f"temperature.{key}.{kind}", len(of_sensors)
+    kinds: tuple[SensorKind, ...] = ("accel", "gyro")
+    for kind in kinds:
+        parts: dict[str, Any] = {f"axes.{kind}": calibration.axes.get(kind)}
+        if (model := getattr(calibration, kind)) is not None:
+            parts = {f"{kind}.bias": model.bias} | parts
+        if kind in calibration.readings:
+            parts[f"readings.{kind}"] = calibration.readings[kind].columns
+        for place, rests in (("rests", calibration.rests), *launches):
+            at_rest = ((number, getattr(rest, kind)) for number, rest in enumerate(rests, 1))
+            parts |= {f"{place}[{number}].{kind}": sensors.mean for number, sensors in at_rest if sensors is not None}
+        warmth = calibration.temperature
+        parts |= {f"temperature.thermometers.{kind}": warmth.thermometers.get(kind)}
+        parts |= {f"temperature.references.{kind}": warmth.references.get(kind)}
+        counts = {key: len(part) for key, part in parts.items() if part is not None}
+        first = next(iter(counts), "")
+        for key, found in counts.items():
+            if found != counts[first]:
+                raise ValueError(f"{key}: expected {counts[first]} sensors, as {first} has, found {found}")
 
 
 def calibration_of(text: str, name: str) -> Calibration:

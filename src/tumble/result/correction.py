@@ -6,7 +6,7 @@ corrected and multiplied again: the mean over an interval is taken for what the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from itertools import chain
 from typing import TYPE_CHECKING
@@ -83,37 +83,6 @@ def corrected(model: SensorModel, readings: Array, dt: Array | None = None) -> A
         return np.asarray((readings - offset) @ model.inverse().T)
 
 
-def true_force(
-    compensator: Compensator, readings: Array, *, dt: Array | None = None, temperature: Array | None = None
-) -> Array:
-    """Specific force (N, 3) of readings (N, n), SI, at temperatures (N, n) or (N, 1), °C; with `dt` (N,) both are
-    increments."""
-    if compensator.linear:
-        return corrected(compensator.model("accel"), readings, dt)
-    interval = _column(dt)
-    return np.asarray(compensator.force(readings / interval, temperature) * interval)
-
-
-def true_rate(
-    compensator: Compensator,
-    readings: Array,
-    force: Array,
-    *,
-    dt: Array | None = None,
-    temperature: Array | None = None,
-) -> Array:
-    """Angular rate (N, 3) of readings (N, n) in a specific force (N, 3), m/s², at temperatures (N, n) or (N, 1), °C,
-    SI; with `dt` (N,) rate and readings are increments."""
-    if compensator.linear:
-        return corrected(compensator.model("gyro"), readings, dt)
-    interval = _column(dt)
-    return np.asarray(compensator.rate(readings / interval, force, temperature) * interval)
-
-
-def _column(dt: Array | None) -> Array:
-    return np.ones(1) if dt is None else dt[:, None]
-
-
 # -------------------- readings that a user gives --------------------
 
 
@@ -153,9 +122,19 @@ def corrected_readings(
         if not (intervals > 0.0).all():
             raise InputError(f"dt: expected intervals above 0 s, found {intervals.min():g}")
         steps = np.ravel(np.broadcast_to(intervals, shape))
-    celsius = given_temperatures(temperature, compensator, shape)
+    celsius, interval = (
+        given_temperatures(temperature, compensator, shape),
+        np.ones(1) if steps is None else steps[:, None],
+    )
+
+    def true(kind: SensorKind, readings: Array, whole: Callable[[Array], Array]) -> Array:
+        """True vectors (N, 3) of readings (N, n), linear or by the `whole` model."""
+        if compensator.linear:
+            return corrected(compensator.model(kind), readings, steps)
+        return np.asarray(whole(readings / interval) * interval)
+
     flat = force_readings.reshape(-1, compensator.accel.size)
-    force = true_force(compensator, flat, dt=steps, temperature=celsius["accel"])
+    force = true("accel", flat, lambda samples: compensator.force(samples, celsius["accel"]))
     felt = np.full((*shape, 3), np.nan) if calibration.accel is None else force.reshape(*shape, 3)
     if gyro is None:
         return felt, None
@@ -167,8 +146,7 @@ def corrected_readings(
             f"{rate_readings.shape}"
         )
     turned = rate_readings.reshape(-1, compensator.gyro.size)
-    force = force if steps is None else force / steps[:, None]
-    rate = true_rate(compensator, turned, force, dt=steps, temperature=celsius["gyro"])
+    rate = true("gyro", turned, lambda samples: compensator.rate(samples, force / interval, celsius["gyro"]))
     return felt, rate.reshape(*rate_readings.shape[:-1], 3)
 
 

@@ -43,32 +43,19 @@ _NAME = re.compile(
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupLine:
     """A group of parameters in a calibration: `largest` is that of the largest |value|, None where the session
-    determines none; `learned` is the smallest and the largest fraction; the prior, SI, how many times it was
-    `widened`, and the unit shown as (`size` in SI, `shown`)."""
+    determines none; `learned` is the smallest fraction, in words such as "66–72 %" with the largest; the prior, SI; a
+    `remark` that it is not determined, or by how much the prior was widened; and the unit shown as (`size` in SI,
+    `shown`)."""
 
     name: str
     words: str
     largest: Parameter | None
-    learned: tuple[float, float] | None
+    learned: float | None
+    learned_percent: str
     prior: float | None
-    widened: float
+    remark: str
     size: float
     shown: str
-
-    @property
-    def remark(self) -> str:
-        """In words: not determined, or by how much the prior was widened; empty otherwise."""
-        if self.largest is None:
-            return "not determined"
-        return f"prior widened {self.widened:.2g}×" if self.widened > WIDENED else ""
-
-    @property
-    def learned_percent(self) -> str:
-        """The learned fractions such as "66–72 %"; empty where there are none."""
-        if self.learned is None or self.largest is None:
-            return ""
-        low, high = (f"{100.0 * fraction:.0f}" for fraction in self.learned)
-        return f"{low} %" if low == high else f"{low}–{high} %"
 
 
 def described(name: str) -> str:
@@ -104,29 +91,33 @@ def by_group(parameters: Iterable[Parameter]) -> dict[str, list[Parameter]]:
 
 def group_lines(calibration: Calibration) -> tuple[GroupLine, ...]:
     """A line for every group beyond the linear model that the calibration has anything to say of."""
-    silent: dict[str, list[Parameter]] = {group.name: [] for group in calibration.groups}
-    members = silent | by_group(further_parameters(calibration.parameters))
-    return tuple(_line(calibration, name, own) for name, own in members.items())
-
-
-def _line(calibration: Calibration, name: str, members: Sequence[Parameter]) -> GroupLine:
-    found = next((group for group in calibration.groups if group.name == name), None)
-    entry = named_group(name)
-    largest = max(members, key=lambda p: abs(p.value), default=None)
-    learned = found.learned if found is not None else tuple(p.learned for p in members if p.learned is not None)
-    prior = found.prior if found is not None else next((p.prior for p in members if p.prior), None)
-    unit = largest.unit if largest is not None else entry.unit if entry is not None else ""
-    size, shown = shown_in(name, unit, abs(largest.value) if largest is not None else prior or 0.0)
-    return GroupLine(
-        name=name,
-        words=entry.words if entry is not None else name,
-        largest=largest,
-        learned=(min(learned), max(learned)) if learned else None,
-        prior=prior,
-        widened=found.prior_widened if found is not None else 1.0,
-        size=size,
-        shown=shown,
-    )
+    findings, lines = {group.name: group for group in calibration.groups}, []
+    silent: dict[str, list[Parameter]] = {name: [] for name in findings}
+    for name, members in (silent | by_group(further_parameters(calibration.parameters))).items():
+        found, entry = findings.get(name), named_group(name)
+        largest = max(members, key=lambda p: abs(p.value), default=None)
+        learned = found.learned if found is not None else [p.learned for p in members if p.learned is not None]
+        prior = found.prior if found is not None else next((p.prior for p in members if p.prior), None)
+        unit = largest.unit if largest is not None else entry.unit if entry is not None else ""
+        size, shown = shown_in(name, unit, abs(largest.value) if largest is not None else prior or 0.0)
+        ends = [f"{100.0 * end(learned):.0f}" for end in (min, max)] if learned and largest is not None else []
+        remark = "not determined" if largest is None else ""
+        if largest is not None and found is not None and found.prior_widened > WIDENED:
+            remark = f"prior widened {found.prior_widened:.2g}×"
+        lines.append(
+            GroupLine(
+                name=name,
+                words=entry.words if entry is not None else name,
+                largest=largest,
+                learned=min(learned, default=None),
+                learned_percent="–".join(dict.fromkeys(ends)) + " %" * bool(ends),
+                prior=prior,
+                remark=remark,
+                size=size,
+                shown=shown,
+            )
+        )
+    return tuple(lines)
 
 
 def predicted(prediction: Prediction) -> str:
@@ -149,7 +140,7 @@ def decided_by_priors(calibration: Calibration) -> str | None:
     for line in group_lines(calibration):
         entry = named_group(line.name)
         seen_at_rest = entry is not None and entry.kind == "accel" and entry.regressors is not None
-        if seen_at_rest and line.largest is not None and line.learned is not None and line.learned[0] < BY_PRIOR:
+        if seen_at_rest and line.largest is not None and line.learned is not None and line.learned < BY_PRIOR:
             groups.append(line.words)
     if calibration.prediction is None or not biases or not groups:
         return None

@@ -16,7 +16,7 @@ import numpy as np
 from tumble.result.calibration import Calibration
 from tumble.result.correction import reference_of_parameter
 from tumble.result.parts import RestResult, stated_factor
-from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.model import SensorModel
 from tumble.units import Array
 
 _ENDINGS = ("t1", "t2")
@@ -57,16 +57,13 @@ def own_thermometers(calibration: Calibration) -> list[str]:
     """Which thermometer the temperature of each sensor is that of, where there are several."""
     if len(set(chain(*calibration.temperature.thermometers.values()))) < 2:
         return []
-    said = []
-    for kind, own in calibration.temperature.thermometers.items():
+    said = "the temperature of each sensor, and its reference, is that of its own thermometer"
+    for i, (kind, own) in enumerate(calibration.temperature.thermometers.items()):
         celsius = calibration.temperature.references.get(kind, ())
         at = [f"{name} ({T:.1f} degC)" for name, T in zip(own, celsius, strict=False)] or list(own)
-        said.append(
-            f"{kind} that of {at[0]}" if len(set(own)) == 1 else f"{kind} those of {', '.join(at)}, one a sensor"
-        )
-    return [
-        f"the temperature of each sensor, and its reference, is that of its own thermometer: of {'; of '.join(said)}"
-    ]
+        which = f"that of {at[0]}" if len(set(own)) == 1 else f"those of {', '.join(at)}, one a sensor"
+        said += f"{'; of' if i else ': of'} {kind} {which}"
+    return [said]
 
 
 def measured_range(calibration: Calibration) -> Range | None:
@@ -128,7 +125,9 @@ def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
 
 def coefficients(calibration: Calibration, kind: str, what: str) -> Array:
     """What "bias" or "scale" of the sensors of a kind changes by, by channel: (n, 2), per K and per K²."""
-    block = _block(calibration, kind)
+    compensator = calibration.compensator
+    block = compensator.accel if kind == "accel" else compensator.gyro
+    assert block is not None
     values = {p.name: p.value for p in calibration.parameters}
     out = np.zeros((block.size, 2))
     for sensor, channel in zip(block.sensors, block.channels, strict=True):
@@ -148,14 +147,9 @@ def model_at(calibration: Calibration, kind: str, temperature: float) -> SensorM
     return SensorModel(matrix=(1.0 + longer)[:, None] * model.matrix, bias=bias)
 
 
-def _block(calibration: Calibration, kind: str) -> Block:
+def references(calibration: Calibration, kind: str) -> Array:
+    """T₀ (n,), °C, of the channels of a kind of sensors; a calibration without one has no parameter that changes."""
     compensator = calibration.compensator
     block = compensator.accel if kind == "accel" else compensator.gyro
     assert block is not None
-    return block
-
-
-def references(calibration: Calibration, kind: str) -> Array:
-    """T₀ (n,), °C, of the channels of a kind of sensors; a calibration without one has no parameter that changes."""
-    block = _block(calibration, kind)
-    return calibration.compensator.references.get(block.kind, np.zeros(block.size))
+    return compensator.references.get(block.kind, np.zeros(block.size))
