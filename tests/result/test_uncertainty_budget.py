@@ -3,7 +3,6 @@ the file; and its sentence says what helps."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -20,6 +19,8 @@ from tumble.result.uncertainty_budget import shares_by_group, what_would_help
 from tumble.run.calibrate import Method
 from tumble.run.launches import Run, mean_of_launches
 from tumble.sensors.frames import Frame
+from tumble.views.calibration import calibration_blocks
+from tumble.views.render.terminal import text_of
 from tumble.views.uncertainty_budget import budget_section
 
 
@@ -46,8 +47,8 @@ def assert_whole(calibration: Calibration) -> None:
 
 
 @pytest.mark.parametrize("frame", get_args(Frame))
-def test_of_the_joint_method_in_every_frame(session: Path, frame: Frame) -> None:
-    calibration = calibrate(session, frame=frame)
+def test_of_the_joint_method_in_every_frame(session: Path, whole: Calibration, frame: Frame) -> None:
+    calibration = whole if frame == whole.frame else calibrate(session, frame=frame)
     assert_whole(calibration)
     assert ("case" in {source.name for source in calibration.budget}) == (frame == "case")
 
@@ -165,19 +166,16 @@ def test_shares_by_group_are_whole(whole: Calibration) -> None:
         assert share.sum() == pytest.approx(1.0)
 
 
-def test_the_command_shows_it(session: Path, tmp_path: Path) -> None:
-    """Shares by source; with --all the table of each parameter; JSON has the contributions."""
-    out = str(tmp_path / "c.json")
-    shown = CliRunner().invoke(main, ["calibrate", str(session), "--budget", "--out", out]).output
+def test_the_command_shows_it(session: Path, whole: Calibration, tmp_path: Path) -> None:
+    """Shares by source where they are asked for; with --all the table of each parameter; JSON has the contributions."""
+    asked = ["calibrate", str(session), "--budget", "--out", str(tmp_path / "c.json")]
+    shown = CliRunner().invoke(main, asked).output
     assert "u would be smaller " in shown
     assert "noise of the gyros in turns" in shown
     assert "Uncertainty budget of" not in shown
-    plain = CliRunner().invoke(main, ["calibrate", str(session), "--out", out]).output
-    assert "noise of the gyros in turns" not in plain
-    every = CliRunner().invoke(main, ["calibrate", str(session), "--budget", "--all", "--out", out]).output
-    assert every.count("Uncertainty budget of") == 21
-    content = json.loads(CliRunner().invoke(main, ["calibrate", str(session), "--json", "--out", out]).stdout)
-    budget = {source["name"]: source for source in content["budget"]}
+    assert "noise of the gyros in turns" not in text_of(calibration_blocks(whole))
+    assert text_of(calibration_blocks(whole, every=True, budget=True)).count("Uncertainty budget of") == 21
+    budget = {source["name"]: source for source in whole.content()["budget"]}
     assert budget["accel.noise"]["type"] == "A"
     assert budget["accel.noise"]["contributions"]["accel.bias.x"] > 0.0
 

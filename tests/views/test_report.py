@@ -498,10 +498,18 @@ def with_groups_file(content: Any, tmp_path_factory: pytest.TempPathFactory) -> 
     return changed(content, tmp_path_factory.mktemp("groups"), with_groups)
 
 
-def test_groups_have_a_section_with_their_priors(with_groups_file: Path) -> None:
-    out = with_groups_file.with_suffix(".html")
-    assert write_report([with_groups_file], out) == []
-    page = Page.of(out)
+@pytest.fixture(scope="session")
+def with_groups_report(with_groups_file: Path) -> tuple[Path, Path]:
+    """Its report as HTML and as PDF, from one document."""
+    source = ReportedFile(file="groups.json", sha256="0" * 64, calibration=read_calibration(with_groups_file))
+    made, out = document([source]), (with_groups_file.with_suffix(".html"), with_groups_file.with_suffix(".pdf"))
+    out[0].write_text(to_page(made), encoding="utf-8")
+    out[1].write_bytes(to_pdf(made))
+    return out
+
+
+def test_groups_have_a_section_with_their_priors(with_groups_report: tuple[Path, Path]) -> None:
+    page = Page.of(with_groups_report[0])
     assert [heading.partition(" ")[2] for heading in page.headings][:2] == ["Result", "Beyond the linear model"]
     assert len(page.table("parameter", "value", "U (95 %)", "unit")) == 21
     known, unknown = page.table("group", "largest", "learned")
@@ -517,13 +525,12 @@ def test_groups_have_a_section_with_their_priors(with_groups_file: Path) -> None
     assert "corrected specific force at 1 g: u 1.7 µg; corrected rate at 23 °/s: u 0.41 °/h" in page.whole
 
 
-def test_scatter_has_its_own_colour_and_its_causes(with_groups_file: Path) -> None:
-    for name in ("scatter.html", "scatter.pdf"):
-        write_report([with_groups_file], with_groups_file.parent / name)
-    page = Page.of(with_groups_file.parent / "scatter.html")
+def test_scatter_has_its_own_colour_and_its_causes(with_groups_report: tuple[Path, Path]) -> None:
+    html, pdf = with_groups_report
+    page = Page.of(html)
     assert ("p", {"class": "verdict doubt"}) in page.elements
     assert not LOADING & {tag for tag, _ in page.elements}
-    for said in (page.whole, pdf_text(with_groups_file.parent / "scatter.pdf")):
+    for said in (page.whole, pdf_text(pdf)):
         assert "Accepted with scatter" in said
         assert "Accelerometers: accepted; gyros: accepted with scatter." in said
         assert MARKUP in said

@@ -288,7 +288,7 @@ def _short_lines(calibration: Calibration) -> list[str]:
 
 
 def _rest_lines(calibration: Calibration) -> list[str]:
-    return [rests_said(one) for one in recordings(calibration) if one.rests and not calibration.launches]
+    return [rests_said(one) for one in recordings(calibration) if one.recorded.rests and not calibration.launches]
 
 
 # -------------------- in a notebook --------------------

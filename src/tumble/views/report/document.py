@@ -197,7 +197,7 @@ def _for_customers(
     yield over_temperature.section(calibration, f"{key}-temperature")
     yield application.application(calibration)
     yield application.frame(calibration, f"{key}-frame")
-    if any(each.site != recordings[0].site for each in recordings):
+    if any(each.recorded.site != recordings[0].recorded.site for each in recordings):
         yield recording.site(recordings)
     yield from (recording.measured(each) for each in recordings)
     yield budget_section(calibration)
@@ -245,7 +245,7 @@ def _front(first: Calibration, titles: Sequence[str]) -> tuple[tuple[str, str], 
         ("method", f"{first.method}, frame “{first.frame}”"),
         ("programme", first.programme or "none"),
         ("launches", str(len(recordings))),
-        *(recording.site_facts(recordings[0].site) if first.site is not None else ()),
+        *(recording.site_facts(recordings[0].recorded.site) if first.site is not None else ()),
         ("temperature", recording.temperature(recordings)),
     ]
     given, air = first.circumstances, first.circumstances.conditions

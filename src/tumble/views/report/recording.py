@@ -15,9 +15,8 @@ from tumble.programme.positions import Position, from_attitudes
 from tumble.programme.sheet_words import short_code
 from tumble.recording.session import Site
 from tumble.result.calibration import Calibration
-from tumble.result.parts import Launch, Readings, RestResult, TurnResult
+from tumble.result.parts import Launch, TurnResult
 from tumble.rotation import unit_vector
-from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, G_STANDARD, Array, engineering
 from tumble.views.blocks import Block, Facts, Figure, Section, Table, Text, section, table
 from tumble.views.numbers import NONE, fixed, in_engineering, significant
@@ -31,29 +30,24 @@ _MOST_TURNS = 8
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedSession:
-    """One session behind a calibration: its rests, turns and fits, the sensor model that corrects them, and what its
-    readings are. `title` is empty where there is one only."""
+    """One session behind a calibration, and what was `recorded` in it: the calibration itself, or a launch, which alone
+    has a `title`."""
 
     title: str
-    site: Site | None
-    rests: tuple[RestResult, ...]
-    turns: tuple[TurnResult, ...]
-    fits: Mapping[str, Fit]
-    accel: SensorModel | None
-    programme: str | None
-    readings: Mapping[str, Readings]
+    calibration: Calibration
+    recorded: Calibration | Launch
 
     def verticals(self) -> Array | None:
         """Vertical in the body (N, 3) at every rest from its corrected reading; None where it cannot be known."""
-        readings = [rest.accel.mean for rest in self.rests if rest.accel is not None]
-        if self.accel is None or len(readings) < len(self.rests):
+        readings = [rest.accel.mean for rest in self.recorded.rests if rest.accel is not None]
+        if self.calibration.accel is None or len(readings) < len(self.recorded.rests):
             return None
-        return unit_vector(self.accel.apply(np.array(readings)))
+        return unit_vector(self.calibration.accel.apply(np.array(readings)))
 
     def positions(self) -> list[Position | None]:
         """The position of the programme at every rest; None where its attitude is none."""
         found: list[Position | None] = []
-        for rest in self.rests:
+        for rest in self.recorded.rests:
             try:
                 found.append(None if rest.attitude is None else from_attitudes([rest.attitude]).positions[0])
             except ProgrammeError:
@@ -67,19 +61,10 @@ class RecordedSession:
 
 def recordings(calibration: Calibration) -> list[RecordedSession]:
     """The sessions of a calibration: itself, or its launches."""
-    each: list[tuple[str, Calibration | Launch]] = [(launch.session, launch) for launch in calibration.launches]
+    launches: list[tuple[str, Calibration | Launch]] = [(launch.session, launch) for launch in calibration.launches]
     return [
-        RecordedSession(
-            title=title,
-            accel=calibration.accel,
-            site=recorded.site,
-            rests=recorded.rests,
-            turns=recorded.turns,
-            fits=recorded.fits,
-            programme=calibration.programme,
-            readings=calibration.readings,
-        )
-        for title, recorded in each or [("", calibration)]
+        RecordedSession(title=title, calibration=calibration, recorded=recorded)
+        for title, recorded in launches or [("", calibration)]
     ]
 
 
@@ -102,11 +87,11 @@ def site_facts(site: Site | None) -> tuple[tuple[str, str], ...]:
 
 def site(all_of_them: Sequence[RecordedSession]) -> Section:
     """The site of the recordings, once where they share it."""
-    if all(recording.site == all_of_them[0].site for recording in all_of_them):
-        return section("Site", Facts(rows=site_facts(all_of_them[0].site)))
+    if all(recording.recorded.site == all_of_them[0].recorded.site for recording in all_of_them):
+        return section("Site", Facts(rows=site_facts(all_of_them[0].recorded.site)))
     blocks: list[Block] = []
     for recording in all_of_them:
-        blocks += [Text(text=recording.title, tone="small"), Facts(rows=site_facts(recording.site))]
+        blocks += [Text(text=recording.title, tone="small"), Facts(rows=site_facts(recording.recorded.site))]
     return section("Sites", *blocks)
 
 
@@ -115,13 +100,14 @@ def site(all_of_them: Sequence[RecordedSession]) -> Section:
 
 def found(recording: RecordedSession, name: str) -> Section | None:
     """Every rest and every turn against the programme, and where the vertical was in the body."""
-    if not recording.rests:
+    if not recording.recorded.rests:
         return None
     time, sphere, verticals = None, None, recording.verticals()
-    if all(rest.accel is not None for rest in recording.rests):
-        columns = recording.readings["accel"].columns if "accel" in recording.readings else ()
+    if all(rest.accel is not None for rest in recording.recorded.rests):
+        readings = recording.calibration.readings.get("accel")
+        columns = () if readings is None else readings.columns
         time = Figure(
-            svg=overview(f"{name}-time", recording.rests, recording.turns, columns),
+            svg=overview(f"{name}-time", recording.recorded.rests, recording.recorded.turns, columns),
             caption="The recording: mean readings of the accelerometers at its numbered rests, and between them "
             "the turns, with their angles as the gyros saw them.",
         )
@@ -140,7 +126,7 @@ def found(recording: RecordedSession, name: str) -> Section | None:
 
 def measured(recording: RecordedSession) -> Section | None:
     """Every rest and every turn as numbers, and how they agree with the result."""
-    if not recording.rests:
+    if not recording.recorded.rests:
         return residuals(recording, "")
     rests, turns, fits = tables_of(recording)
     residual = f"{rests_said(recording)}."
@@ -149,15 +135,16 @@ def measured(recording: RecordedSession) -> Section | None:
 
 def tables_of(recording: RecordedSession) -> tuple[Table | None, Table | None, Table | None]:
     """Rests, turns and fits."""
-    return _rest_table(recording) if recording.rests else None, _turn_table(recording.turns), _fit_table(recording.fits)
+    recorded = recording.recorded
+    return _rest_table(recording) if recorded.rests else None, _turn_table(recorded.turns), _fit_table(recorded.fits)
 
 
 def _programme_said(recording: RecordedSession) -> Text:
-    count = f"{len(recording.rests)} rests"
-    if recording.programme is None:
+    count = f"{len(recording.recorded.rests)} rests"
+    if recording.calibration.programme is None:
         return f"No programme: {count} were found, in attitudes that were not prescribed."
-    listed = recording.programme == "listed"
-    named = "Positions listed in the session" if listed else f"Programme “{recording.programme}”"
+    listed = recording.calibration.programme == "listed"
+    named = "Positions listed in the session" if listed else f"Programme “{recording.calibration.programme}”"
     return (
         f"{named}: {count} were found. Off is the angle between the vertical in the body as it was found and as "
         "the programme has it. N, U, E are north, up, east; a code says where body X, Y, Z point and how they are "
@@ -166,11 +153,11 @@ def _programme_said(recording: RecordedSession) -> Text:
 
 
 def _rest_table(recording: RecordedSession) -> Table:
-    several, verticals = len({rest.file for rest in recording.rests}) > 1, recording.verticals()
-    warm = any(rest.temperature is not None for rest in recording.rests)
-    programmed = any(rest.attitude is not None for rest in recording.rests)
+    several, verticals = len({rest.file for rest in recording.recorded.rests}) > 1, recording.verticals()
+    warm = any(rest.temperature is not None for rest in recording.recorded.rests)
+    programmed = any(rest.attitude is not None for rest in recording.recorded.rests)
     rows = []
-    for i, (rest, position) in enumerate(zip(recording.rests, recording.positions(), strict=True)):
+    for i, (rest, position) in enumerate(zip(recording.recorded.rests, recording.positions(), strict=True)):
         row = {"rest": str(i + 1)} | ({"file": str(rest.file + 1)} if several else {})
         if programmed:
             row["position"] = NONE if position is None else position.label
@@ -210,11 +197,11 @@ def _turn_table(turns: Sequence[TurnResult]) -> Table | None:
 
 def residuals(recording: RecordedSession, name: str) -> Section | None:
     """The plot of residuals, and what chi-square says of them."""
-    title, fits = recording.titled("Residuals"), _fit_table(recording.fits)
-    if not recording.rests:
+    title, fits = recording.titled("Residuals"), _fit_table(recording.recorded.fits)
+    if not recording.recorded.rests:
         return section(title, fits) if fits else None
     picture = Figure(
-        svg=figures.residuals(name, recording.rests, recording.turns),
+        svg=figures.residuals(name, recording.recorded.rests, recording.recorded.turns),
         caption="Residual of every rest, and how far rests and turns are from the fit.",
     )
     return section(title, f"{rests_said(recording)}.", picture, fits)
@@ -222,7 +209,7 @@ def residuals(recording: RecordedSession, name: str) -> Section | None:
 
 def rests_said(recording: RecordedSession) -> str:
     """How far the corrected readings at rest are from g, and turns from the fit."""
-    rests, turns = recording.rests, recording.turns
+    rests, turns = recording.recorded.rests, recording.recorded.turns
     rms = math.sqrt(sum(rest.residual**2 for rest in rests) / len(rests))
     worst = max(range(len(rests)), key=lambda i: abs(rests[i].residual))
     size, unit = engineering("m/s^2", rms)
@@ -266,12 +253,13 @@ def noise(recording: RecordedSession, name: str) -> Section | None:
     """Noise density and drift over the rests of every sensor, by its column in the log, else a number."""
     sensors, rows = {}, []
     for kind, si in (("accel", "m/s^2"), ("gyro", "rad/s")):
-        seen = [getattr(rest, kind) for rest in recording.rests]
+        seen = [getattr(rest, kind) for rest in recording.recorded.rests]
         if not seen or any(each is None for each in seen):
             continue
         density, drift = np.array([s.noise for s in seen]), np.array([s.drift for s in seen])
         numbered = tuple(f"{kind} {i}" for i in range(len(seen[0].mean)))
-        sensors[kind] = recording.readings[kind].columns if kind in recording.readings else numbered
+        readings = recording.calibration.readings.get(kind)
+        sensors[kind] = numbered if readings is None else readings.columns
         for i, sensor in enumerate(sensors[kind]):
             row = {"sensor": sensor}
             for heading, value, per in (
@@ -291,7 +279,7 @@ def noise(recording: RecordedSession, name: str) -> Section | None:
     span = _span([recording])
     warmth = f", and the temperature: {span}" if span else "; the recording has no temperature"
     picture = Figure(
-        svg=figures.noise_and_drift(name, recording.rests, sensors),
+        svg=figures.noise_and_drift(name, recording.recorded.rests, sensors),
         caption=f"Noise and drift at every rest{warmth}.",
     )
     shown = table(rows, words=("sensor",), caption=caption)
@@ -306,6 +294,6 @@ def temperature(all_of_them: Sequence[RecordedSession]) -> str:
 
 def _span(all_of_them: Sequence[RecordedSession]) -> str:
     """The lowest to the highest temperature, one where they are shown alike; nothing where none was recorded."""
-    celsius = [rest.temperature for r in all_of_them for rest in r.rests if rest.temperature is not None]
+    celsius = [rest.temperature for r in all_of_them for rest in r.recorded.rests if rest.temperature is not None]
     ends = (fixed(min(celsius), 1), fixed(max(celsius), 1)) if celsius else ()
     return " to ".join(dict.fromkeys(ends)) + " °C" if ends else ""
