@@ -50,8 +50,7 @@ def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: 
 def inspect(session: Path, picture: Path | None) -> None:
     """Show the rests and turns found in SESSION, and what was rejected and why."""
     from tumble.run.observed import inspect_session
-    from tumble.views.inspection import inspection_blocks, inspection_data
-    from tumble.views.recording_picture import plot
+    from tumble.views.inspection import inspection_blocks, inspection_data, plot
 
     observed = inspect_session(session, progress=tell.with_progress)
     if picture is not None:

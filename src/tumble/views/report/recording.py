@@ -19,8 +19,8 @@ from tumble.result.parts import Launch, TurnResult
 from tumble.rotation import unit_vector
 from tumble.units import DEGREE, G_STANDARD, Array, engineering
 from tumble.views.blocks import Block, Facts, Figure, Section, Table, Text, section, table
+from tumble.views.inspection import overview
 from tumble.views.numbers import NONE, fixed, in_engineering, significant
-from tumble.views.recording_picture import overview
 from tumble.views.report import drawings, figures
 
 MICRO_G = 1e-6 * G_STANDARD
