@@ -139,7 +139,8 @@ class Panels:
     kind: Literal["panels"] = "panels"
 
 
-Block = str | Text | Items | Facts | Table | Figure | Panels | Matrices | Formula
+PageBlock = Text | Items | Facts | Table | Figure | Panels | Matrices | Formula
+Block = str | PageBlock
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -147,7 +148,7 @@ class Section:
     """A heading and what stands under it."""
 
     title: str
-    blocks: tuple[Block, ...]
+    blocks: tuple[PageBlock, ...]
 
 
 def section(title: str, *blocks: Block | None) -> Section:

@@ -20,27 +20,27 @@ NONE = "—"
 """What a page shows where there is no number."""
 
 
-class Quantity(Protocol):
-    """What has a name, a value, a unit and a standard uncertainty, SI: a parameter of a calibration or of a registry, a
-    hyperparameter of the model; u is None where it is not known."""
+class Known(Protocol):
+    """What has a value and a standard uncertainty, SI; u is None where it is not known."""
+
+    @property
+    def value(self) -> float: ...
+    @property
+    def u(self) -> float | None: ...
+
+
+class Quantity(Known, Protocol):
+    """What has a name and a unit too: a parameter of a calibration or of a registry, a hyperparameter of the model."""
 
     @property
     def name(self) -> str: ...
     @property
-    def value(self) -> float: ...
-    @property
     def unit(self) -> str: ...
-    @property
-    def u(self) -> float | None: ...
 
 
-class Estimated(Protocol):
-    """A value with its standard uncertainty, SI, and the degrees of freedom of that."""
+class Estimated(Known, Protocol):
+    """What has the degrees of freedom of its u."""
 
-    @property
-    def value(self) -> float: ...
-    @property
-    def u(self) -> float | None: ...
     @property
     def dof(self) -> float | None: ...
 

@@ -139,7 +139,7 @@ def tables_of(recording: RecordedSession) -> tuple[Table | None, Table | None, T
     return _rest_table(recording) if recorded.rests else None, _turn_table(recorded.turns), _fit_table(recorded.fits)
 
 
-def _programme_said(recording: RecordedSession) -> Text:
+def _programme_said(recording: RecordedSession) -> str:
     count = f"{len(recording.recorded.rests)} rests"
     if recording.calibration.programme is None:
         return f"No programme: {count} were found, in attitudes that were not prescribed."

@@ -49,6 +49,7 @@ from tumble.views.numbers import (
     fixed,
     limit_cell,
     percent,
+    quantity_table,
     shown_units,
     significant,
     to_digits_of,
@@ -189,20 +190,17 @@ def _parameter_table(
 def beyond(calibration: Calibration, *, for_customers: bool = False) -> Section | None:
     """What is beyond the linear model: a line for each group, what its prior decides, and all parameters;
     `for_customers` the parameters alone."""
-    further, rows = further_parameters(calibration.parameters), []
-    units = shown_units(further)
+    further = further_parameters(calibration.parameters)
     priors = any(p.prior is not None for p in further)
-    for p in further:
-        size, unit = units[p.name]
-        row = dict(zip(("parameter", "value", "u"), (p.name, *cells(p.value, p.u, size)), strict=True))
-        row |= {"k": factor(p), "unit": unit}
-        if priors:
-            prior = "" if p.prior is None else significant(p.prior / size, 4)
-            row |= {"prior": prior, "learned": percent(p.learned)}
-        rows.append(row)
+
+    def prior(p: Parameter, size: float) -> dict[str, str]:
+        value = "" if p.prior is None else significant(p.prior / size, 4)
+        return {"prior": value, "learned": percent(p.learned)} if priors else {}
+
+    shown = quantity_table(further, lambda p, _: {"k": factor(p)}, prior, headings=("parameter", "value", "u"))
     caption = "u is the standard uncertainty, k u the half width of the interval of 95.45 %"
     caption += ", prior a standard deviation, as widened." if priors else "."
-    parameters = table(rows, caption=caption, dense=True) if rows else None
+    parameters = replace(shown, caption=caption, dense=True) if further else None
     if for_customers:
         meant = "What a reading has beside bias, scale factors and axes."
         if priors:
