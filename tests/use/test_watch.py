@@ -339,6 +339,7 @@ def test_a_temperature_outside_of_what_was_calibrated_is_said(warm: Calibration)
     rests = [event for event in events if isinstance(event, WatchedRest)]
     assert rests[-1].outside == ("temperature",)
     assert rests[-1].celsius is not None
+    assert watch.check().references == warm.temperature.references  # at which its parameters are
 
 
 def test_flight_without_a_rest_is_none(warm: Calibration) -> None:

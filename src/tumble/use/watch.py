@@ -33,7 +33,7 @@ from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.rotation import unit_vector
 from tumble.run.calibrate import grade_of
-from tumble.run.from_estimate import reference_of, references_of
+from tumble.run.from_estimate import reference_of
 from tumble.sensors.parameters import usual_sizes
 from tumble.units import Array, BoolArray
 from tumble.use.check import FieldCheck, check_given, known_before
@@ -130,7 +130,6 @@ class Watch:
         self._white = white_noise(given)
         self._chain: RestChain | None = None
         self._grade = self._guessed_from = ""
-        self._last_seen: Observations | None = None
         self._restarted = self._too_warm = False
         self._last: tuple[int, float] | None = None
         self._waiting: Chunk | None = None
@@ -289,7 +288,7 @@ class Watch:
         if self._chain is None:
             self._chain = RestChain(known, usual_sizes(self._grade, self.session.device.prior))
         judged = self._chain.add(alone, known, apart=np.inf if self._restarted else None)
-        self._restarted, self._last_seen = False, alone
+        self._restarted = False
         self.moved += judged.moved
         self.rests += 1
         along = [(test.u, name) for name, test in judged.tests.items() if name.startswith("accel")]
@@ -310,7 +309,7 @@ class Watch:
     def check(self) -> FieldCheck:
         """All rests so far as one field check, with what has moved among its changes. Raises InputError where none was
         judged."""
-        if self._chain is None or self._last_seen is None:
+        if self._chain is None:
             raise InputError(f"{self.session.name}: expected rests to test the calibration with, found none")
         origin = f", guessed from {self._guessed_from}; [device] grade says another" if self._guessed_from else ""
         return FieldCheck(
@@ -328,7 +327,7 @@ class Watch:
             frame=self._frame,
             instrument=self._chain.instrument,
             temperature=self.calibration.reference_temperature,
-            references=references_of(self._last_seen),
+            references=self.calibration.temperature.references,
             site=self.session.site,
             circumstances=self.session.circumstances,
             sample_rate=self.rate,
