@@ -176,7 +176,7 @@ class Shown:
 
 
 @needs_browser
-def test_every_state_of_a_session_as_an_operator_sees_it(tmp_path: Path, recording: Station) -> None:
+def test_every_state_of_a_session_as_an_operator_sees_it(tmp_path: Path, request: pytest.FixtureRequest) -> None:
     bench, browser = Bench(tmp_path / "launch", "nine"), Browser(tmp_path)
     pictures = Path(os.environ.get("TUMBLE_SCREENSHOTS") or tmp_path)
     shown = Shown(bench, browser, pictures)
@@ -230,6 +230,7 @@ def test_every_state_of_a_session_as_an_operator_sees_it(tmp_path: Path, recordi
         shown.until("#trouble", "The server does not answer")
         assert browser.js("[...document.querySelectorAll('main button')].every(b => b.disabled)")
         shown.look("no-server")
+        recording: Station = request.getfixturevalue("recording")  # which takes its part of the machine from now on
         refused(recording)
         with served(recording) as link:
             browser.open(link)
