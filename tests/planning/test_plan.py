@@ -12,13 +12,15 @@ from tests.support.formula_setup import device_setup
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.inference.elimination import eliminate, fold
+from tumble.inference.likelihood import weights
+from tumble.inference.step import tell
 from tumble.planning.best_positions import (
+    COMPARED,
     Aim,
     Criterion,
     candidates,
     compared,
     next_positions,
-    of_the_literature,
     optimised,
     value_of,
 )
@@ -77,8 +79,9 @@ def test_what_a_candidate_shows_has_the_states_of_in_run_biases(gyros: bool) -> 
     for place, move in zip(legs.places[:6, 0], legs.moves[:6, 0], strict=True):
         courses.append(added(courses[0], places.attitudes[place], move))
     for course, found in zip(courses, [before, *values[:6]], strict=True):
-        triangle = criterion.known.copy()
-        fold(view(course, setup, gyros=gyros).told().sessions[0], triangle)
+        triangle, seen = criterion.known.copy(), view(course, setup, gyros=gyros)
+        told = tell(seen.problem, seen.rows, weights(seen.problem, seen.rows, seen.components))
+        fold(told.sessions[0], triangle)
         assert found == pytest.approx(float(criterion.of_triangles(triangle[None])[0]), rel=1e-6)
 
 
@@ -152,7 +155,7 @@ def test_no_exchange_of_a_position_makes_an_optimised_programme_better(gyros: bo
 @pytest.mark.parametrize("letter", ["A", "D"])
 def test_optimised_programmes_show_more_than_those_of_the_literature(letter: str) -> None:
     aim = Aim(letter=letter)  # type: ignore[arg-type]
-    for row in compared(SETUP, of_the_literature()[:3], aim):
+    for row in compared(SETUP, [programme(name) for name in COMPARED[:3]], aim):
         found = optimised(SETUP, len(row.programme.positions), aim)
         assert len(found.positions) == len(row.programme.positions)
         assert value_of(replace(SETUP, programme=found), aim) < 0.97 * row.value, row.programme.name

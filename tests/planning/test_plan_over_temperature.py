@@ -11,13 +11,14 @@ from click.testing import CliRunner, Result
 from tumble.cli import main
 from tumble.inference.likelihood import Problem, instruments_of
 from tumble.inference.start import start_of
-from tumble.planning.bounds import components_of, course_of
-from tumble.planning.chamber_recordings import ChamberSession, problem_of, rests_of
+from tumble.planning.bounds import components_of, course_of, covariance_of
 from tumble.planning.over_temperature import (
     SETTLED,
     Chamber,
-    covariance_of,
+    ChamberSession,
     plan_over_temperature,
+    problem_of,
+    rests_of,
     soak_of,
 )
 from tumble.planning.setup import Setup, with_all_groups

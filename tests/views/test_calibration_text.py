@@ -24,13 +24,14 @@ from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.further import decided_by_priors, group_lines, predicted, verdicts
 from tumble.result.parts import Parameter
 from tumble.run.calibrate import calibrate
-from tumble.run.launches import Run, difference_percent, mean_of_launches
+from tumble.run.launches import Run, mean_of_launches
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, rounded, two_digits
 from tumble.views.blocks import Block, Items, Table, Text
 from tumble.views.calibration import (
     WHAT_AN_INCREMENT_SAYS,
     calibration_blocks,
+    difference_percent,
     iteration_table,
     launch_table,
     method_table,

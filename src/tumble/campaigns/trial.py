@@ -24,11 +24,10 @@ from tumble.campaigns.triads import PARAMETERS, fit_statics
 from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
 from tumble.inference.estimate import DETERMINED
-from tumble.inference.likelihood import Point, Problem, weights
+from tumble.inference.likelihood import Point, Problem
 from tumble.inference.linearisation import linearise
-from tumble.inference.step import joined, tell
 from tumble.inference.turns_about import TurnsAbout
-from tumble.planning.bounds import components_of, over_session
+from tumble.planning.bounds import components_of, covariance_of
 from tumble.planning.setup import NAMES, Setup
 from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
@@ -130,8 +129,7 @@ def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> d
     about = TurnsAbout.of(observations, instrument, truth)
     point = Point(values=truth, gravity=scenario.site.gravity, attitudes=attitudes)
     rows = linearise(problem, point, about)
-    told = tell(problem, rows, weights(problem, rows, components_of(scenario.noise)))
-    found = np.linalg.norm(over_session(problem, told, joined(problem, rows, told).roots[0]), axis=1)
+    found = np.sqrt(np.diag(covariance_of(problem, rows, components_of(scenario.noise))))
     determined = problem.spread / DETERMINED
     determined[instrument.linear_count :] = np.inf  # by their priors
     return {n: float(u) for n, u, s in zip(instrument.names, found, determined, strict=True) if u < s}

@@ -16,7 +16,8 @@ from tumble.errors import InputError
 
 if TYPE_CHECKING:
     from tumble.drafting.new_session import Given
-    from tumble.run.calibrate import Method, Terms
+    from tumble.planning.setup import Terms
+    from tumble.run.calibrate import Method
     from tumble.sensors.frames import Frame
     from tumble.units import Array
 

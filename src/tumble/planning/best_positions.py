@@ -61,10 +61,6 @@ Progress = Callable[[int, int], None]
 """What is told how many parts of a search are done, and of how many."""
 
 
-def untold(_done: int, _all: int) -> None:
-    """Nobody is told."""
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Aim:
     """What a programme is for: the criterion's letter; wanted accuracies by group, SI, for A, none for the spreads;
@@ -115,9 +111,8 @@ class Criterion:
 
 def _timeless(setup: Setup) -> Setup:
     """A set-up whose instrument does not change with time, for positions are sought without when they are taken."""
-    instrument = instrument_of(setup, gyros=True)
-    timeless = {group.name for group in instrument.further if group.variable is None}
-    return replace(setup, further={name: spread for name, spread in setup.further.items() if name in timeless})
+    further = instrument_of(setup, gyros=True).further
+    return replace(setup, further={g.name: setup.further[g.name] for g in further if g.variable is None})
 
 
 # What a programme and its candidates show
@@ -223,7 +218,11 @@ def _repeated(last: Array, q: int) -> Array:
 
 
 def optimised(
-    setup: Setup, positions: int, aim: Aim = Aim(), table: TurnTable = ANY, progress: Progress = untold
+    setup: Setup,
+    positions: int,
+    aim: Aim = Aim(),
+    table: TurnTable = ANY,
+    progress: Progress = lambda _done, _all: None,
 ) -> Programme:
     """A programme of so many positions that shows most by a criterion; the set-up's own does not count. `progress` is
     told how many searches are done, and of how many.
@@ -354,11 +353,6 @@ def compared(setup: Setup, programmes: Sequence[Programme], aim: Aim = Aim()) ->
     )
 
 
-def of_the_literature() -> tuple[Programme, ...]:
-    """The programmes that others are compared with."""
-    return tuple(built_in(name) for name in COMPARED)
-
-
 # The plan of a set-up
 
 
@@ -382,7 +376,7 @@ def plan(
     positions: int | None = None,
     aim: Aim = Aim(),
     table: TurnTable = ANY,
-    progress: Progress = untold,
+    progress: Progress = lambda _done, _all: None,
     device_type: TypePrior | None = None,
 ) -> PlanResult:
     """The least uncertainty that the programme of a set-up allows, and the best next positions on a table; with
@@ -406,6 +400,6 @@ def plan(
             programmes=(),
         )
     setup = replace(setup, programme=optimised(setup, positions, aim, table, progress))
-    rows = compared(setup, (setup.programme, *of_the_literature()), aim)
+    rows = compared(setup, (setup.programme, *map(built_in, COMPARED)), aim)
     whole = stated(with_all_groups(setup), gyros=aim.gyros, device_type=device_type)
     return PlanResult(setup=setup, bound=rows[0].bound, whole=whole, following=(), programmes=rows)

@@ -42,7 +42,7 @@ from tumble.inference.in_run import InRun, mean_along
 from tumble.inference.likelihood import Point, Problem, Rows, weights
 from tumble.inference.linearisation import linearise
 from tumble.inference.sources import by_time_base, clocked
-from tumble.inference.step import Told, tell, whitened_rows
+from tumble.inference.step import Told, joined, tell, whitened_rows
 from tumble.inference.turns_about import TurnsAbout, own_axes, warms
 from tumble.methods.least_squares import least_squares
 from tumble.planning.expected_sizes import expected
@@ -190,7 +190,7 @@ def _bound(seen: View, setup: Setup, clock_u: float = 0.0, by_type: Array | None
     problem, instrument = seen.problem, seen.problem.instrument
     linear, m = instrument.linear_count, len(instrument.names)
     spread, own = problem.spread[:linear], slice(1, 1 + linear)
-    told = seen.told()
+    told = tell(problem, seen.rows, weights(problem, seen.rows, seen.components))
     before = problem.measured[1].copy()
     before[own] = 0.0
     if by_type is not None:
@@ -208,7 +208,7 @@ def _bound(seen: View, setup: Setup, clock_u: float = 0.0, by_type: Array | None
     root = np.zeros((1 + m, known.shape[1] + q))
     root[own, : known.shape[1]] = known
     root[others] = np.hstack([-np.linalg.solve(R[:q, :q], R[:q, q:]) @ known, np.linalg.inv(R[:q, :q])])
-    root = np.hstack([over_session(problem, told, root), by_clock(instrument, clock_u)[:, None]])
+    root = over_session(problem, told, root, clock_u)
     covariance = root @ root.T
     natural_sizes = {"m/s^2": setup.gravity, "rad/s": setup.turn_rate, "1": 1.0, "rad": 1.0}
     natural = np.array([natural_sizes[unit] for unit in instrument.units[:linear]])
@@ -231,24 +231,27 @@ def _bound(seen: View, setup: Setup, clock_u: float = 0.0, by_type: Array | None
     )
 
 
-def by_clock(instrument: Instrument, u: float) -> Array:
-    """What a time base of this relative standard uncertainty changes in the parameters (m,); sensors read rates and
-    forces, no increments."""
-    return by_time_base(instrument.names, clocked(u, {"accel": False, "gyro": False}))
+def over_session(problem: Problem, told: Told, root: Array, clock_u: float = 0.0) -> Array:
+    """A root (m, ·) of the covariance of the parameters, with a time base of this relative standard uncertainty and the
+    biases of one session being the means over it, from one (1 + m, ·) of gravity and the parameters, biases being the
+    means of their processes. Sensors read rates and forces, no increments."""
+    clock = np.append(0.0, by_time_base(problem.instrument.names, clocked(clock_u, {"accel": False, "gyro": False})))
+    moved, more = root, np.zeros((len(root), 0))
+    if told.process is not None and len(problem.parts) == 1:
+        _, by, noise = mean_along(told, given_others(told.factor))
+        biases, moved, more = 1 + problem.biases, root.copy(), np.zeros((len(root), len(by)))
+        moved[biases] += by @ root
+        value, vectors = np.linalg.eigh(np.einsum("ibd,icd->bc", noise, noise))
+        more[biases] = vectors * np.sqrt(np.maximum(value, 0.0))
+    return np.column_stack([moved, more, clock])[1:]
 
 
-def over_session(problem: Problem, told: Told, root: Array) -> Array:
-    """A root (m, ·) of the covariance of the parameters, biases being the means over the session, from one
-    (1 + m, ·) of gravity and the parameters, biases being the means of their processes."""
-    if told.process is None:
-        return root[1:]
-    _, by, noise = mean_along(told, given_others(told.factor))
-    biases, more = 1 + problem.biases, np.zeros((len(root), len(by)))
-    moved = root.copy()
-    moved[biases] += by @ root
-    value, vectors = np.linalg.eigh(np.einsum("ibd,icd->bc", noise, noise))
-    more[biases] = vectors * np.sqrt(np.maximum(value, 0.0))
-    return np.hstack([moved, more])[1:]
+def covariance_of(problem: Problem, rows: Rows, components: Components, clock_u: float = 0.0) -> Array:
+    """The covariance (m, m) of the parameters by rows and priors, with a time base of this relative standard
+    uncertainty; biases of one session are the means over it."""
+    told, q = tell(problem, rows, weights(problem, rows, components)), len(problem.own_known)
+    root = over_session(problem, told, joined(problem, rows, told).roots[0][q:, q:], clock_u)
+    return np.asarray(root @ root.T)
 
 
 def findings(problem: Problem, variance: Array) -> Iterator[GroupFinding]:
@@ -302,10 +305,6 @@ class View:
     def states(self) -> int:
         """How many in-run biases a rest has among its unknowns."""
         return self.problem.sensors if self.components.wanders else 0
-
-    def told(self) -> Told:
-        """What the course says of measured gravity and the parameters, with nothing known before."""
-        return tell(self.problem, self.rows, weights(self.problem, self.rows, self.components))
 
     def whitened(self) -> tuple[Array, Array]:
         """The whitened rows of the rests (N, r + n, d + p + 1), n = d − 3 being the states of in-run biases, and those

@@ -55,7 +55,11 @@ from tumble.units import DEGREE, DEGREE_PER_HOUR, Array
 
 PlannedMethod = Literal["joint", "sequential", "scalar", "staged"]
 
-GROUPS = ("accel.bias", "accel.scale", "accel.axis", "gyro.bias", "gyro.scale", "gyro.axis")
+UNITS = {group_name(name): unit for name, unit in zip(NAMES, units_of(NAMES), strict=True)}
+"""The SI unit of each group of parameters."""
+MEMBERS = {group: np.array(members) for group, members in positions_by_group(NAMES).items()}
+"""Indices of the parameters of each group."""
+GROUPS = tuple(MEMBERS)
 """The groups of parameters, in the order of the calibration file."""
 
 MAXIMUM_LIKELIHOOD = "maximum likelihood, the bound"
@@ -168,7 +172,7 @@ def budget(setup: Setup, methods: Sequence[PlannedMethod] = BUDGETED_METHODS, it
         expect_linear(setup, method)
         pipeline = pipeline_of(setup, method)
         for iteration in range(1, iterations + 1):
-            variances = pipeline.variances(iteration)
+            variances = {**pipeline.methodical(iteration, 1.0), **pipeline.noise}
             total = total_of(variances)
             for group in pipeline.groups:
                 members, size = MEMBERS[group], size_of(setup, group)
@@ -212,12 +216,6 @@ LARGEST_AZIMUTH = 0.1
 """Largest azimuth error of TRIAD, rad, likewise; the paper, too, wants biases an order below the Earth's rate."""
 
 
-UNITS = {group_name(name): unit for name, unit in zip(NAMES, units_of(NAMES), strict=True)}
-"""The SI unit of each group of parameters."""
-MEMBERS = {group: np.array(members) for group, members in positions_by_group(NAMES).items()}
-"""Indices of the parameters of each group."""
-
-
 def size_of(setup: Setup, group: str) -> float:
     """One internal unit of a group in SI: biases of accelerometers are angles inside."""
     return setup.gravity if group == "accel.bias" else 1.0
@@ -247,12 +245,9 @@ class Pipeline:
     noise: Mapping[str, Array]
     spread: Array
 
-    def variances(self, iteration: int) -> dict[str, Array]:
-        """Variances (21,) of the errors after so many passes, by the name of their cause."""
-        return self.methodical(iteration, 1.0) | dict(self.noise)
-
     def methodical(self, iteration: int, scale: float) -> dict[str, Array]:
-        """The part of `variances` that is not noise, with table and mounting errors multiplied by `scale`."""
+        """Variances (21,) of the errors after so many passes, by the name of their cause, but for noise, with table and
+        mounting errors multiplied by `scale`."""
         if iteration == 1:
             return {
                 **self._by_group("{} × table error", scale**2 * self.by_table),

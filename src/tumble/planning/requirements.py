@@ -143,18 +143,7 @@ def require(
     unit = replace(setup, table_error=table, mounting_error=mounting)
     pipeline = pipeline_of(unit, method)
     _check_wanted(wanted, pipeline.groups)
-    single = gyro_bias != "programme"
-    rows = [
-        _requirement(
-            unit,
-            group,
-            value,
-            _single_rest_demand(unit, pipeline, iteration, gyro_bias)
-            if single and group == "gyro.bias"
-            else _demand(unit, pipeline, iteration, group),
-        )
-        for group, value in wanted.items()
-    ]
+    rows = [_requirement(unit, pipeline, iteration, group, value, gyro_bias) for group, value in wanted.items()]
     return Requirements(setup=setup, method=method, iteration=iteration, rows=tuple(rows))
 
 
@@ -205,66 +194,11 @@ def _rows_of_joint(wanted: Mapping[str, float], setup: Setup) -> tuple[Requireme
     return tuple(rows)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Demand:
-    """What a group's variance is made of, SI: `fixed` by cause, whatever the table; `rest_noise` (variance × s); and
-    what `deviations` of so many times the unit ratio add."""
-
-    estimator: str
-    fixed: Mapping[str, float]
-    rest_noise: float
-    deviations: Callable[[float], float]
-
-
-def _demand(setup: Setup, pipeline: Pipeline, iteration: int, group: str) -> _Demand:
-    """Of the method with the whole programme."""
-    members, square = MEMBERS[group], size_of(setup, group) ** 2
-
-    def variance(causes: Mapping[str, Array]) -> dict[str, float]:
-        return {name: square * float(v[members].mean()) for name, v in causes.items()}
-
-    still = variance(pipeline.methodical(iteration, 0.0))
-    noise = variance(pipeline.noise)
-    floor = sum(still.values())
-    return _Demand(
-        estimator=ESTIMATORS[pipeline.method][group],
-        fixed=still | {name: v for name, v in noise.items() if name not in REST_NOISE},
-        rest_noise=setup.rest * sum(noise[name] for name in REST_NOISE),
-        deviations=lambda scale: sum(variance(pipeline.methodical(iteration, scale)).values()) - floor,
-    )
-
-
 _SINGLE_REST = {
     "vertical": ("one rest, axis vertical, Eq. (18)", "accelerometer error × horizontal Earth's rate"),
     "polar": ("one rest, axis along the Earth's, Eq. (17)", "azimuth error of TRIAD, δω²/2Ω"),
 }
 """What one rest is called, and what its error is where there is neither table error nor noise."""
-
-
-def _single_rest_demand(unit: Setup, pipeline: Pipeline, iteration: int, estimator: BiasEstimator) -> _Demand:
-    """Of one rest per gyro, vertical (18) or polar (17), with the accelerometers as each pass leaves them: the bias
-    that a pass has left is what the next one sees."""
-    tilt = math.sqrt((unit.table_error**2 + unit.mounting_error**2) / 3.0)
-    north, up, _ = earth_rate(unit.latitude)
-    level, steep = (north, up) if estimator == "vertical" else (0.0, EARTH_RATE)
-    words, cause = _SINGLE_REST[estimator]
-
-    def variance(scale: float) -> float:
-        bias2 = unit.gyro.bias**2
-        for i in range(1, iteration + 1):
-            b2 = float(total_of(pipeline.methodical(i, scale))[MEMBERS["accel.bias"]].mean())
-            curved = 3.0 * (bias2 / (2.0 * EARTH_RATE)) ** 2 if estimator == "polar" else 0.0
-            bias2 = level**2 * b2 + (scale * tilt) ** 2 * (steep**2 * b2 + bias2) + curved
-        return bias2
-
-    floor = variance(0.0)
-    return _Demand(
-        estimator=words,
-        fixed={cause: floor, "gyro instability": unit.noise.gyro_instability**2},
-        rest_noise=unit.noise.gyro_white**2,
-        deviations=lambda scale: variance(scale) - floor,
-    )
-
 
 _REMEDY: Mapping[str, str] = {
     "gyro noise in turns": "turn faster, or average launches",
@@ -276,33 +210,67 @@ _REMEDY: Mapping[str, str] = {
 }
 
 
-def _requirement(unit: Setup, group: str, wanted: float, demand: _Demand) -> Requirement:
-    """The inverse: what of wanted² is left over what no table can help goes to deviations and to the noise of rests."""
+def _requirement(
+    unit: Setup, pipeline: Pipeline, iteration: int, group: str, wanted: float, gyro_bias: BiasEstimator
+) -> Requirement:
+    """The inverse: what of wanted² is left over what no table can help goes to deviations and to the noise of rests.
+    The variance is made of what is `fixed` by cause, of `rest_noise` over the duration of a rest, and of what
+    deviations of so many times the unit ratio add."""
     from scipy.optimize import brentq
 
-    fixed = sum(demand.fixed.values())
-    free = wanted**2 - fixed
-    row = Requirement(group=group, estimator=demand.estimator, wanted=wanted, unit=UNITS[group])
+    by_deviations: Callable[[float], float]
+    if group != "gyro.bias" or gyro_bias == "programme":
+        estimator, members, square = ESTIMATORS[pipeline.method][group], MEMBERS[group], size_of(unit, group) ** 2
+
+        def in_group(causes: Mapping[str, Array]) -> dict[str, float]:
+            return {name: square * float(v[members].mean()) for name, v in causes.items()}
+
+        def by_deviations(scale: float) -> float:
+            return sum(in_group(pipeline.methodical(iteration, scale)).values())
+
+        noise = in_group(pipeline.noise)
+        rest_noise = unit.rest * sum(noise.pop(name) for name in REST_NOISE)
+        fixed = in_group(pipeline.methodical(iteration, 0.0)) | noise
+    else:
+        # one rest per gyro, vertical (18) or polar (17), with the accelerometers as each pass leaves them: the bias
+        # that a pass has left is what the next one sees
+        tilt = math.sqrt((unit.table_error**2 + unit.mounting_error**2) / 3.0)
+        north, up, _ = earth_rate(unit.latitude)
+        level, steep = (north, up) if gyro_bias == "vertical" else (0.0, EARTH_RATE)
+
+        def by_deviations(scale: float) -> float:
+            bias2 = unit.gyro.bias**2
+            for i in range(1, iteration + 1):
+                b2 = float(total_of(pipeline.methodical(i, scale))[MEMBERS["accel.bias"]].mean())
+                curved = 3.0 * (bias2 / (2.0 * EARTH_RATE)) ** 2 if gyro_bias == "polar" else 0.0
+                bias2 = level**2 * b2 + (scale * tilt) ** 2 * (steep**2 * b2 + bias2) + curved
+            return bias2
+
+        estimator, cause = _SINGLE_REST[gyro_bias]
+        fixed = {cause: by_deviations(0.0), "gyro instability": unit.noise.gyro_instability**2}
+        rest_noise = unit.noise.gyro_white**2
+    least, floor = sum(fixed.values()), by_deviations(0.0)
+    free = wanted**2 - least
+    row = Requirement(group=group, estimator=estimator, wanted=wanted, unit=UNITS[group])
     if free <= 0.0:
-        cause = max(demand.fixed, key=lambda name: demand.fixed[name])
-        size, name = engineering(UNITS[group], math.sqrt(fixed))
+        cause = max(fixed, key=lambda name: fixed[name])
+        size, name = engineering(UNITS[group], math.sqrt(least))
         reason = (
-            f"{group}: expected an accuracy of at least {math.sqrt(fixed) / size:.3g} {name}, which an exact table and "
+            f"{group}: expected an accuracy of at least {math.sqrt(least) / size:.3g} {name}, which an exact table and "
             f"endless rests leave (mostly {cause}), found {wanted / size:.3g} {name}; "
             f"{_REMEDY.get(cause, 'take another pass or method')}"
         )
         return replace(row, reason=reason)
-    noisy = demand.rest_noise > 0.0
-    permitted = (1.0 - REST_SHARE) * free if noisy else free
+    permitted = (1.0 - REST_SHARE) * free if rest_noise > 0.0 else free
     scale = largest = LARGEST_DEVIATION / max(unit.table_error, unit.mounting_error)
-    if demand.deviations(largest) > permitted:
-        scale = float(brentq(lambda x: demand.deviations(x) - permitted, 0.0, largest, rtol=1e-9))
+    if by_deviations(largest) - floor > permitted:
+        scale = float(brentq(lambda x: by_deviations(x) - floor - permitted, 0.0, largest, rtol=1e-9))
     return replace(
         row,
         limited=scale < largest,
         table_error=scale * unit.table_error,
         mounting_error=scale * unit.mounting_error,
-        rest=demand.rest_noise / (REST_SHARE * free) if noisy else 0.0,
+        rest=rest_noise / (REST_SHARE * free) if rest_noise > 0.0 else 0.0,
     )
 
 

@@ -17,6 +17,7 @@ from typing import Literal
 
 import numpy as np
 
+from tumble import usual_setup
 from tumble.brief import Brief
 from tumble.earth import normal_gravity
 from tumble.errors import InputError
@@ -28,22 +29,8 @@ from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import named_group, quantity_of, usual_sizes
 from tumble.units import DEGREE
-from tumble.usual_setup import (
-    BY_HAND,
-    GRADE,
-    GRAVITY_U,
-    HEIGHT,
-    INSTABILITY_TIME,
-    LATITUDE_DEG,
-    MOUNTING_ERROR_DEG,
-    MOVE,
-    ON_TABLE,
-    PROGRAMME,
-    SAMPLE_RATE,
-    TABLE_ERROR_DEG,
-)
 
-Terms = Literal["linear", "full"]
+Terms = Literal["full", "linear"]
 """The parameters of an instrument: bias, scale factor and axis angles alone, or all groups of the table."""
 
 ACCEL, GYRO = (Block(kind=kind, axes=np.eye(3)) for kind in ("accel", "gyro"))
@@ -69,42 +56,42 @@ class Setup(Brief):
     `latitude`, rad; `height`, m; `gravity`, m/s², with its standard uncertainty `gravity_u`
     (`earth.NORMAL_GRAVITY_U` if it is not measured); `clock_u`, the relative standard uncertainty of the time base."""
 
-    programme: Programme = field(default_factory=lambda: _programme(PROGRAMME))
+    programme: Programme = field(default_factory=lambda: _programme(usual_setup.PROGRAMME))
     by_hand: int | None = None
-    table_error: float = TABLE_ERROR_DEG * DEGREE
-    mounting_error: float = MOUNTING_ERROR_DEG * DEGREE
-    first_rest: float = ON_TABLE.first_rest
-    rest: float = ON_TABLE.rest
-    turn_rate: float = ON_TABLE.rate_deg_s * DEGREE
-    ramp: float = ON_TABLE.ramp
-    sample_rate: float = SAMPLE_RATE
-    instrument: str = GRADE
-    noise: NoiseModel = GRADES[GRADE].noise
-    accel: Spread = GRADES[GRADE].accel
-    gyro: Spread = GRADES[GRADE].gyro
+    table_error: float = usual_setup.TABLE_ERROR_DEG * DEGREE
+    mounting_error: float = usual_setup.MOUNTING_ERROR_DEG * DEGREE
+    first_rest: float = usual_setup.ON_TABLE.first_rest
+    rest: float = usual_setup.ON_TABLE.rest
+    turn_rate: float = usual_setup.ON_TABLE.rate_deg_s * DEGREE
+    ramp: float = usual_setup.ON_TABLE.ramp
+    sample_rate: float = usual_setup.SAMPLE_RATE
+    instrument: str = usual_setup.GRADE
+    noise: NoiseModel = GRADES[usual_setup.GRADE].noise
+    accel: Spread = GRADES[usual_setup.GRADE].accel
+    gyro: Spread = GRADES[usual_setup.GRADE].gyro
     further: Mapping[str, float] = field(default_factory=dict, hash=False)
     latitude: float
-    height: float = HEIGHT
+    height: float = usual_setup.HEIGHT
     gravity: float
-    gravity_u: float = GRAVITY_U
+    gravity_u: float = usual_setup.GRAVITY_U
     clock_u: float = USUAL_CLOCK_U
 
     @staticmethod
     def of(
         *,
-        grade: str = GRADE,
-        programme: str = PROGRAMME,
+        grade: str = usual_setup.GRADE,
+        programme: str = usual_setup.PROGRAMME,
         positions: int | None = None,
         rest: float | None = None,
         rate_deg_s: float | None = None,
         sample_rate: float | None = None,
-        table_error_deg: float = TABLE_ERROR_DEG,
-        mounting_error_deg: float = MOUNTING_ERROR_DEG,
-        latitude_deg: float = LATITUDE_DEG,
+        table_error_deg: float = usual_setup.TABLE_ERROR_DEG,
+        mounting_error_deg: float = usual_setup.MOUNTING_ERROR_DEG,
+        latitude_deg: float = usual_setup.LATITUDE_DEG,
         gravity: float | None = None,
-        gravity_u: float = GRAVITY_U,
+        gravity_u: float = usual_setup.GRAVITY_U,
         noise_factor: float = 1.0,
-        instability_time: float = INSTABILITY_TIME,
+        instability_time: float = usual_setup.INSTABILITY_TIME,
         terms: Terms = "linear",
     ) -> Setup:
         """The set-up of a built-in programme or, if `positions` is given, of so many positions by hand, with an
@@ -120,7 +107,7 @@ class Setup(Brief):
         """
         if not abs(latitude_deg) <= 90.0:
             raise InputError(f"latitude: expected -90 to 90 degrees, found {latitude_deg:g}")
-        kind, usual = grade_named(grade), ON_TABLE if positions is None else BY_HAND
+        kind, usual = grade_named(grade), usual_setup.ON_TABLE if positions is None else usual_setup.BY_HAND
         latitude = latitude_deg * DEGREE
         return Setup(
             programme=_programme(programme),
@@ -131,27 +118,27 @@ class Setup(Brief):
             rest=usual.rest if rest is None else rest,
             turn_rate=(usual.rate_deg_s if rate_deg_s is None else rate_deg_s) * DEGREE,
             ramp=usual.ramp,
-            sample_rate=SAMPLE_RATE if sample_rate is None else sample_rate,
+            sample_rate=usual_setup.SAMPLE_RATE if sample_rate is None else sample_rate,
             instrument=grade,
             noise=replace(kind.noise.scaled(noise_factor), instability_time=instability_time),
             accel=kind.accel,
             gyro=kind.gyro,
             further=usual_sizes(grade) if terms == "full" else {},
             latitude=latitude,
-            gravity=normal_gravity(latitude, HEIGHT) if gravity is None else gravity,
+            gravity=normal_gravity(latitude, usual_setup.HEIGHT) if gravity is None else gravity,
             gravity_u=gravity_u,
         )
 
 
 def time_of(programme: Programme, setup: Setup) -> float:
     """How long a programme takes on the table of a set-up, s."""
-    return duration(programme, rest=setup.rest, rate=setup.turn_rate, move=MOVE)
+    return duration(programme, rest=setup.rest, rate=setup.turn_rate, move=usual_setup.MOVE)
 
 
 def with_all_groups(setup: Setup) -> Setup:
     """A set-up whose instrument has all groups of parameters, of the usual spreads of its grade, or of navigation
     grade where it is called otherwise."""
-    grade = setup.instrument if setup.instrument in GRADES else GRADE
+    grade = setup.instrument if setup.instrument in GRADES else usual_setup.GRADE
     return replace(setup, further=usual_sizes(grade) | dict(setup.further))
 
 

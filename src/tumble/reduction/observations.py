@@ -16,9 +16,8 @@ Forster et al. 2017) with body-frame sensors and the two-sample coning term.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -30,7 +29,7 @@ from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.reduction.noise.rounding import Rounding, rounding_notes
 from tumble.reduction.rests.blemishes import bad_sample_notes, blemish_notes
 from tumble.reduction.rests.matching import Match
-from tumble.reduction.rests.rests import Rests, reduced_rests, thermometers_of
+from tumble.reduction.rests.rests import Rests, reduced_rests, rows_of, thermometers_of
 from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.turns.array_motion import ArrayMoments, MovedArray, array_moments
 from tumble.reduction.turns.moments import (
@@ -73,10 +72,10 @@ class Observations(Brief):
     gyro_block: Block | None
     site: Site
     rests: Rests
-    turns: Turns | None
-    turn_samples: TurnSamples | None
-    programme: Programme | None
-    position: IntArray | None
+    turns: Turns | None = None
+    turn_samples: TurnSamples | None = None
+    programme: Programme | None = None
+    position: IntArray | None = None
     start: Mapping[str, float] = field(default_factory=dict)
     """Parameter values to start from, by name; zero where there is none."""
     turn_readings: TurnReadings | None = None
@@ -134,12 +133,9 @@ class Observations(Brief):
 
     def of_rest(self, i: int) -> Observations:
         """What rest i alone says."""
-        arrays: dict[str, Any] = {
-            f.name: None if (v := getattr(self.rests, f.name)) is None else v[i : i + 1] for f in fields(Rests)
-        }
         return replace(
             self,
-            rests=Rests(**arrays),
+            rests=rows_of(self.rests, slice(i, i + 1)),
             turns=None,
             turn_samples=None,
             turn_readings=None,
@@ -185,7 +181,16 @@ def observe(
     does not depend on the rests: it is made unless it is given, of the same log with other rests."""
     spans = match.rests
     rests, accel_quiet, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro)
-    notes, turns, samples, readings = [*_copies(reduction), *blemish_notes(reduction, spans)], None, None, None
+    notes, turns, samples, readings = list[str](), None, None, None
+    count = reduction.accel_channels[0].samples
+    if reduction.held:
+        notes.append(
+            f"{reduction.held} of {count} samples ({100.0 * reduction.held / count:.2g} %) repeat the one before in "
+            "every channel: they were held, or sent twice"
+        )
+    if reduction.lost:
+        notes.append(f"long intervals leave room for {reduction.lost} lost samples among {count}")
+    notes += blemish_notes(reduction, spans)
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         noises = (accel, fit_coloured_noise(accel_quiet)), (gyro, gyro_noise)
         turned = turns, samples = reduced_turns(reduction, reduction.samples, spans, rests, *noises, rounded)
@@ -217,15 +222,3 @@ def observe(
         notes=(*notes, *rounding_notes(rounded)),
         thermometers=None if rests.temperatures is None else thermometers_of(reduction),
     )
-
-
-def _copies(reduction: Reduction) -> Iterator[str]:
-    """What there is to say of copied and lost samples."""
-    samples = reduction.accel_channels[0].samples
-    if reduction.held:
-        yield (
-            f"{reduction.held} of {samples} samples ({100.0 * reduction.held / samples:.2g} %) repeat the one before "
-            "in every channel: they were held, or sent twice"
-        )
-    if reduction.lost:
-        yield f"long intervals leave room for {reduction.lost} lost samples among {samples}"

@@ -18,7 +18,7 @@ from tumble.reduction.blocks.reducer import Reduction
 from tumble.reduction.noise.rounding import Rounding
 from tumble.reduction.observations import Observations, Together
 from tumble.reduction.rests.matching import Match
-from tumble.reduction.rests.rests import Rests
+from tumble.reduction.rests.rests import Rests, rows_of
 from tumble.reduction.rests.segmentation import RestSpan
 from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.rests.warming import warming_of
@@ -30,6 +30,7 @@ WARMED = 1.0
 SHORTEST_PART = 20.0
 """s: a shorter part has too few blocks for the noise of its mean."""
 MOST_PARTS = 60
+_Arrays = TypeVar("_Arrays", Rests, Turns, TurnReadings)
 HELD = 1e-6
 """rad an axis: what a support moves by from one part of a rest to the next."""
 
@@ -60,12 +61,8 @@ def in_parts(reduction: Reduction, match: Match) -> tuple[Match, IntArray]:
 def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequence[IntArray]) -> Observations:
     """The observations of several sessions of one device at one place as one; `numbers` are those of their rests."""
     counts = [len(each.rests) for each in sessions]
-    rests, turns, readings, turning = (
-        list[Rests](),
-        list[Turns](),
-        list[TurnReadings](),
-        list[tuple[int, TurnSamples]](),
-    )
+    rests, turns, readings = list[Rests](), list[Turns](), list[TurnReadings]()
+    turning: list[tuple[int, TurnSamples]] = []
     records: dict[int, tuple[float, Array]] = {}
     rounding: dict[str, Rounding] = {}  # that of the first session which has it, by kind of sensor
     files_before = rests_before = turns_before = 0
@@ -103,22 +100,11 @@ def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequ
     )
 
 
-_Arrays = TypeVar("_Arrays", Rests, Turns, TurnReadings)
-"""Arrays of as many rows, or None."""
-
-
 def _stacked(parts: Sequence[_Arrays]) -> _Arrays:
     """The rows of all parts, one after the other; None where one has none."""
     columns = {field.name: [getattr(part, field.name) for part in parts] for field in fields(parts[0])}
     whole: dict[str, Any] = {k: None if any(v is None for v in c) else np.concatenate(c) for k, c in columns.items()}
     return replace(parts[0], **whole)
-
-
-def _rows(whole: _Arrays, rows: slice) -> _Arrays:
-    """Some of the rows."""
-    columns = {field.name: getattr(whole, field.name) for field in fields(whole)}
-    some: dict[str, Any] = {name: None if values is None else values[rows] for name, values in columns.items()}
-    return replace(whole, **some)
 
 
 def apart(observations: Observations, rests: slice, turns: slice) -> Observations:
@@ -127,16 +113,16 @@ def apart(observations: Observations, rests: slice, turns: slice) -> Observation
     assert together is not None
     some = None
     if observations.turns is not None and turns.stop > turns.start:
-        some = _rows(observations.turns, turns)
+        some = rows_of(observations.turns, turns)
         some = replace(some, first=some.first - rests.start, last=some.last - rests.start)
     if samples is not None:  # of the session whose turns begin with this one
         samples = ({0: replace(samples, others=(), _kept=[])} | dict(samples.others)).get(turns.start)
     return replace(
         observations,
-        rests=_rows(observations.rests, rests),
+        rests=rows_of(observations.rests, rests),
         turns=some,
         turn_samples=None if some is None else samples,
-        turn_readings=None if some is None or readings is None else _rows(readings, turns),
+        turn_readings=None if some is None or readings is None else rows_of(readings, turns),
         together=replace(together, session=together.session[rests], number=together.number[rests]),
     )
 

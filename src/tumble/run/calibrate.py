@@ -25,6 +25,7 @@ from tumble.inference.sources import by_time_base, clocked, of_fit, source
 from tumble.methods.ellipsoid import ellipsoid
 from tumble.methods.paper.four_stages import scalar, sequential
 from tumble.methods.staged import staged
+from tumble.planning.setup import Terms
 from tumble.recording.arrays import Temperatures, session_of_arrays
 from tumble.recording.log import Log
 from tumble.recording.session import LogSpec, Session
@@ -46,8 +47,6 @@ from tumble.sensors.parameters import usual_sizes
 _LOG = logging.getLogger(__name__)
 Method = Literal["joint", "staged", "sequential", "scalar", "ellipsoid"]
 DEFAULT_METHOD: Method = "joint"
-Terms = Literal["full", "linear"]
-"""Which parameters: all groups of the table, or bias, scale factor and axis angles alone."""
 Estimator = Callable[[Observations], Estimate]
 METHODS: Mapping[str, Estimator] = {"joint": joint, "staged": staged, "ellipsoid": ellipsoid}
 WITH_ALL_TERMS = ("joint", "ellipsoid")
@@ -289,8 +288,17 @@ def estimated(
     try:
         with np.errstate(over="ignore"):  # damaged samples, of which it breaks down
             estimate = method(observations)
-        if estimate.method != "joint":  # which counts the time base itself
-            estimate = _with_time_base(estimate, observations)
+        if estimate.method != "joint":  # which counts the time base itself, and has a budget
+            budget, change = estimate.budget, by_time_base(estimate.names, by_clock)
+            if budget is None:
+                every = zip(estimate.names, estimate.values.tolist(), estimate.units, strict=True)
+                parameters = [Parameter(name=name, value=value, u=None, unit=unit) for name, value, unit in every]
+                of_gravity = by_gravity(parameters, estimate.covariance, observations.site)
+                degrees = np.inf if estimate.degrees is None else float(estimate.degrees.min())
+                budget = of_fit(estimate.covariance, of_gravity, observations.site.gravity_u, degrees)
+            of_clock, relative = np.outer(change, change), max(map(abs, by_clock.values()), default=0.0)
+            budget = budget.beside(source("clock", relative, "1"), of_clock)
+            estimate = replace(estimate, covariance=estimate.covariance + of_clock, budget=budget)
         if terms == "linear":
             whole = with_grade(session, observations, "full")
             estimate = judged(estimate, observations, whole)
@@ -316,21 +324,6 @@ def by_reference_clock(log: LogSpec) -> tuple[str, ...]:
         f"by '{log.reference_clock.column}' a second of the log's clock is {1e6 * (log.clock_rate - 1.0):+.1f} ppm "
         f"longer than one, to {1e6 * log.time_base_u:.2g} ppm: {corrected} corrected for it",
     )
-
-
-def _with_time_base(estimate: Estimate, observations: Observations) -> Estimate:
-    """An estimate of a method that does not know of the time base, with what this changes in its covariance, and with
-    a budget of what gravity is in it and of all else where the method has none."""
-    change, budget = by_time_base(estimate.names, observations.by_clock), estimate.budget
-    if budget is None:
-        every = zip(estimate.names, estimate.values.tolist(), estimate.units, strict=True)
-        parameters = [Parameter(name=name, value=value, u=None, unit=unit) for name, value, unit in every]
-        of_gravity = by_gravity(parameters, estimate.covariance, observations.site)
-        degrees = np.inf if estimate.degrees is None else float(estimate.degrees.min())
-        budget = of_fit(estimate.covariance, of_gravity, observations.site.gravity_u, degrees)
-    of_clock, relative = np.outer(change, change), max(map(abs, observations.by_clock.values()), default=0.0)
-    budget = budget.beside(source("clock", relative, "1"), of_clock)
-    return replace(estimate, covariance=estimate.covariance + of_clock, budget=budget)
 
 
 def provenance_of(log_sha256: str) -> dict[str, str]:

@@ -40,13 +40,14 @@ from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.methods.ellipsoid import estimate_of
 from tumble.methods.ellipsoid_fit import TRIAD, EllipsoidFit, fit_ellipsoid
+from tumble.planning.setup import Terms
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
 from tumble.result.calibration import Calibration
 from tumble.result.further import KINDS
 from tumble.result.parts import CalibratedDevice, Parameter, Readings
-from tumble.run.calibrate import Terms, provenance_of
+from tumble.run.calibrate import provenance_of
 from tumble.run.case import estimate_in
 from tumble.run.from_estimate import learned_in, parameters_of
 from tumble.run.readings_table import (

@@ -24,6 +24,7 @@ from tumble.inference.prediction import Prediction, prediction
 from tumble.inference.sources import UncertaintyBudget, by_time_base, clocked, source
 from tumble.methods.ellipsoid_fit import TRIAD
 from tumble.methods.magnetometer import NAMES
+from tumble.planning.setup import Terms
 from tumble.recording.log import Log
 from tumble.recording.session import AirConditions, Circumstances, Session
 from tumble.recording.session_file import session_from
@@ -33,7 +34,7 @@ from tumble.result.coverage import by_gravity, degrees_of_mean, shared_gravity
 from tumble.result.parts import CalibratedTemperature, Launch, Parameter, learned_fraction
 from tumble.result.shared_errors import by_priors
 from tumble.result.uncertainty_budget import contributions_of
-from tumble.run.calibrate import DEFAULT_METHOD, Method, Terms, calibrate, provenance_of
+from tumble.run.calibrate import DEFAULT_METHOD, Method, calibrate, provenance_of
 from tumble.run.device_type import DeviceType
 from tumble.run.observed import Progress
 from tumble.run.type_spread import TypeSpread, pooled
@@ -137,12 +138,19 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
 
     # how much the device changes from launch to launch, by these launches and, where it is like them, those of its type
     others = None if alike is None else alike.without(set(digests))
+    pooled_with: tuple[str, ...] = ()
     instability, unlike = [], []
     for name, each, s in zip(names, members, spread.tolist(), strict=True):
         noise = float(np.mean([(p.u or 0.0) ** 2 for p in each]))
         both = pooled(s**2, count - 1.0, (0.0, 0.0) if others is None else others.of(name, noise))
         unlike += [name] if both is None else []
         instability.append((s**2, count - 1.0) if both is None else both)
+    if alike is not None:
+        pooled_with = (
+            f"instability from launch to launch: by all launches of the type {alike.model} in the registry, "
+            f"{alike.degrees} degrees of freedom",
+            *([f"more unstable than the type, and by these launches alone: {', '.join(unlike)}"] if unlike else []),
+        )
 
     # what is common to all launches: one standard uncertainty of gravity, where they are of one value of g and count
     # it, of the time base and of what is wrong with the priors
@@ -209,7 +217,12 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
         accel=_mean_model(first.frame, session.accel_block, by_name),
         gyro=_mean_model(first.frame, session.gyro_block, by_name),
         mag=TRIAD.model(np.array([by_name[n] for n in NAMES])) if set(NAMES) <= set(names) else None,
-        outcome=_outcome(runs),
+        outcome=Outcome(  # what is said of the sessions, each sentence with the name of its own
+            reasons=tuple(f"{run.name}: {reason}" for run in runs for reason in run.calibration.outcome.reasons),
+            remarks=tuple(f"{run.name}: {remark}" for run in runs for remark in run.calibration.outcome.remarks),
+            unobservable=tuple(dict.fromkeys(name for launch in launches for name in launch.outcome.unobservable)),
+            concerns={f"{run.name}: {s}": on for run in runs for s, on in run.calibration.outcome.concerns.items()},
+        ),
         iterations=tuple(
             {name: sum(step.get(name, 0.0) for step in steps) / count for name in names}
             for steps in zip_longest(
@@ -218,7 +231,7 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
         ),
         site=_common([launch.site for launch in launches]),
         programme=_common([launch.programme for launch in launches]),
-        notes=(*_notes(runs, names), *_pooled_with(alike, unlike)),
+        notes=(*_notes(runs, names), *pooled_with),
         launches=tuple(
             Launch(session=run.name, log_sha256=digest, **{key: getattr(run.calibration, key) for key in _OF_A_LAUNCH})
             for run, digest in zip(runs, digests, strict=True)
@@ -274,17 +287,6 @@ def _mean_where_known(values: Sequence[float | None]) -> float | None:
     return float(np.mean(known)) if len(known) == len(values) else None
 
 
-def _outcome(runs: Sequence[Run]) -> Outcome:
-    """What is said of the sessions, each sentence with the name of its own."""
-    outcomes = [(run.name, run.calibration.outcome) for run in runs]
-    return Outcome(
-        reasons=tuple(f"{name}: {reason}" for name, outcome in outcomes for reason in outcome.reasons),
-        remarks=tuple(f"{name}: {remark}" for name, outcome in outcomes for remark in outcome.remarks),
-        unobservable=tuple(dict.fromkeys(missing for _, outcome in outcomes for missing in outcome.unobservable)),
-        concerns={f"{name}: {said}": on for name, outcome in outcomes for said, on in outcome.concerns.items()},
-    )
-
-
 def _groups(launches: Sequence[Calibration], parameters: Sequence[Parameter]) -> tuple[GroupFinding, ...]:
     """What all launches together say of each group beyond the linear model; of one that not all have kept, nothing."""
     learned: dict[str, list[float]] = {}
@@ -312,24 +314,12 @@ def _notes(runs: Sequence[Run], names: list[str]) -> Iterator[str]:
         yield f"left out of the mean, not known of every launch: {', '.join(known)}"
 
 
-def _pooled_with(alike: TypeSpread | None, unlike: list[str]) -> Iterator[str]:
-    """With what the instability was pooled, as notes."""
-    if alike is not None:
-        yield (
-            f"instability from launch to launch: by all launches of the type {alike.model} in the registry, "
-            f"{alike.degrees} degrees of freedom"
-        )
-        if unlike:
-            yield f"more unstable than the type, and by these launches alone: {', '.join(unlike)}"
-
-
 def _prediction(runs: Sequence[Run], names: list[str], values: Array, covariance: Array) -> Prediction | None:
     """What readings corrected with the mean are known to; None where the launches do not say, or in another frame."""
     session, known = runs[0].session, [run.calibration.prediction for run in runs]
     further = set(positions_by_group(names))
     instrument = Instrument.of(session.accel_block, session.gyro_block, further, variables=get_args(Variable))
-    framed = runs[0].calibration.frame == "accelerometer"
-    if None in known or not framed or not set(instrument.names) <= set(names):
+    if None in known or runs[0].calibration.frame != "accelerometer" or not set(instrument.names) <= set(names):
         return None
     at = [names.index(name) for name in instrument.names]
     return prediction(
@@ -349,11 +339,6 @@ def _mean_model(frame: str, block: Block | None, values: Mapping[str, float]) ->
     if not set(convention.names) <= set(values):
         return None
     return convention.model(np.array([values[name] for name in convention.names]))
-
-
-def difference_percent(value: Array | float, reference: Array | float) -> Array:
-    """How far values are from those of another method, % of the latter: the last column of the paper's Table 1."""
-    return np.asarray(100.0 * (np.asarray(value) - reference) / reference)
 
 
 # -------------------- whether two recordings are one, given twice: in other formats, or with other digits -----------

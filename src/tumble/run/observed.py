@@ -28,14 +28,7 @@ from tumble.reduction.blocks.reducer import Reduction, reduce_log
 from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.rests.blemishes import without_blemishes
-from tumble.reduction.rests.matching import (
-    Match,
-    match_rests,
-    without_jump,
-    without_rests,
-    without_times,
-    without_turns,
-)
+from tumble.reduction.rests.matching import Match, match_rests, without_jump, without_numbered, without_times
 from tumble.reduction.rests.segmentation import RestSpan, Segmentation, find_rests
 from tumble.reduction.together import held, in_parts
 from tumble.reduction.turns.turns import torn_turns, without_unknown_turns
@@ -203,6 +196,5 @@ def _matched(observed: Observed) -> tuple[Reduction, Match, tuple[str, ...]] | O
     match = match_rests(session, observed.reduction, observed.segmentation)
     if not match.rests:
         return no_rests(observed.segmentation)
-    reduction = without_turns(observed.reduction, match, session.excluded)
-    match = without_rests(match, session.excluded)
+    reduction, match = without_numbered(observed.reduction, match, session.excluded)
     return reduction, match, torn_turns(match.rests, reduction.gaps) if session.gyro_block is not None else ()

@@ -21,7 +21,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.planning.chamber_recordings import ChamberSession, rests_of
+from tumble.planning.over_temperature import ChamberSession, rests_of
 from tumble.planning.setup import Setup
 from tumble.reduction.rests.thermometer import MOVED, Thermometers, followed
 from tumble.sensors.grades import GRADES

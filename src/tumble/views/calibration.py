@@ -28,9 +28,8 @@ from tumble.result.further import (
 )
 from tumble.result.parts import Parameter
 from tumble.run.calibrate import ITERATED_METHODS
-from tumble.run.launches import difference_percent
 from tumble.sensors.parameters import sensor_kind
-from tumble.units import engineering
+from tumble.units import Array, engineering
 from tumble.views.blocks import Block, Items, Table, table
 from tumble.views.numbers import (
     cells,
@@ -264,6 +263,11 @@ def method_table(calibration: Calibration, other: Calibration, parameters: Seque
             }
         )
     return table(rows)
+
+
+def difference_percent(value: float | Array, reference: float | Array) -> float | Array:
+    """How far values are from those of another method, % of the latter."""
+    return 100.0 * (value - reference) / reference
 
 
 # -------------------- lines --------------------

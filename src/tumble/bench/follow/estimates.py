@@ -21,7 +21,7 @@ from tumble.recording.session import Exclusion, Session
 from tumble.reduction.blocks.reducer import Reduction
 from tumble.reduction.observations import observe
 from tumble.reduction.rests.blemishes import without_blemishes
-from tumble.reduction.rests.matching import Match, without_rests
+from tumble.reduction.rests.matching import Match, without_numbered
 from tumble.reduction.rests.segmentation import RestSpan
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import group_name, positions_by_group, shown_in, usual_sizes
@@ -85,7 +85,7 @@ def estimate_so_far(
 ) -> Estimate | None:
     """The joint estimate from these rests and the turns between them; None where they are too few."""
     numbered = tuple(one for one in excluded if one.rest is not None and one.rest <= len(spans))
-    match = without_rests(Match(rests=spans, programme=None, position=None), numbered)
+    _, match = without_numbered(reduction, Match(rests=spans, programme=None, position=None), numbered)
     if len(match.rests) < 2:
         return None
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):

@@ -63,7 +63,13 @@ class ColouredNoise:
     def arising(self, blocks: float) -> float:
         """Variance of ∫ (T − t) n dt over T, so many blocks, in parts of T²/4 times that of ∫ n dt, over all channels:
         4/3 of white noise, 1 of noise that lasts as long."""
-        return _arising(self.autocovariance.sum(axis=0), blocks / self.batch)
+        r, K = self.autocovariance.sum(axis=0), blocks / self.batch  # white within batches
+        lags = np.arange(1, min(len(r), int(K)))
+        k, later = K - lags, r[lags]
+        # Σ_ij (i + ½)(j + ½) r_|i−j| in parts of K²/4 Σ_ij r_|i−j|
+        moments = r[0] * K**3 / 3.0 + 2.0 * later @ (k * (4.0 * k**2 - 1.0) / 12.0 + 0.5 * lags * k**2)
+        sums = r[0] * K + 2.0 * later @ k
+        return float(4.0 * moments / (K**2 * sums)) if sums > LEAST * r[0] * K else WHITE
 
     def covariance_of_mean(self, blocks: float, rest: int | None = None) -> Array:
         """Covariance (c, c) of the mean over so many blocks, at the level of a rest or at level 1."""
@@ -117,13 +123,18 @@ def _fit(rests: Sequence[Array]) -> ColouredNoise:
         straight = np.array([_straight(x, r) for x, r in zip(scaled, autocovariance, strict=True)]) & ~sloping
         if straight.any():
             sloping |= straight
-            series = [[_without_slope(x) for x in series[c]] if straight[c] else series[c] for c in range(channels)]
+            for c in np.flatnonzero(straight):
+                slopes = [_slope(len(x)) for x in series[c]]
+                series[c] = [x - (slope @ x) * slope for x, slope in zip(series[c], slopes, strict=True)]
             continue
         levels = np.column_stack([_levels(x, r) for x, r in zip(series, autocovariance, strict=True)])
         if np.array_equal(levels == 1.0, level == 1.0):
             break
         level = levels
-    innovations = [[_filtered(x, f) for x in each] for each, f in zip(scaled, filters, strict=True)]
+    innovations = [  # from the first sample that has enough before it
+        [np.convolve(x, f, mode="valid") if len(x) >= len(f) else x[:0] for x in each]
+        for each, f in zip(scaled, filters, strict=True)
+    ]
     return ColouredNoise(batch=batch, autocovariance=autocovariance, correlation=_correlation(innovations), level=level)
 
 
@@ -138,25 +149,10 @@ def _variance_of_mean(autocovariance: Array, batches: ArrayLike) -> Array:
     return np.asarray(np.maximum(variance, LEAST * r[..., 0] / K))
 
 
-def _arising(autocovariance: Array, batches: float) -> float:
-    """Of one autocovariance (L,) of batches, white within them: Σ_ij (i + ½)(j + ½) r_|i−j| in parts of K²/4 Σ_ij
-    r_|i−j|."""
-    lags = np.arange(1, min(len(autocovariance), int(batches)))
-    k, r = batches - lags, autocovariance[lags]
-    moments = autocovariance[0] * batches**3 / 3.0 + 2.0 * r @ (k * (4.0 * k**2 - 1.0) / 12.0 + 0.5 * lags * k**2)
-    sums = autocovariance[0] * batches + 2.0 * r @ k
-    return float(4.0 * moments / (batches**2 * sums)) if sums > LEAST * autocovariance[0] * batches else WHITE
-
-
 def _slope(n: int) -> Array:
     """The linear function over n samples, of mean 0 and length 1."""
     x = np.arange(n) - 0.5 * (n - 1)
     return np.asarray(x / max(float(np.linalg.norm(x)), 1e-300))
-
-
-def _without_slope(series: Array) -> Array:
-    slope = _slope(len(series))
-    return np.asarray(series - (slope @ series) * slope)
 
 
 def _straight(series: list[Array], autocovariance: Array) -> bool:
@@ -199,7 +195,11 @@ def _fit_channels(channels: list[list[Array]], longest: int, sloping: BoolArray)
     lost, bent = np.zeros(len(channels)), np.zeros(raw.shape)
     for _ in range(50 if len(noisy) else 0):
         corrected = raw + lost[:, None] + bent
-        of_orders = [_levinson(corrected[c]) for c in noisy]
+        of_orders = []  # filters, a row each, and innovation variances, up to where no process has the autocovariances
+        for c in noisy:
+            of_order, powers = np.zeros((order_limit + 1,) * 2), np.zeros(order_limit + 1)
+            count = _kernels.levinson(corrected[c], of_order, powers)
+            of_orders.append((of_order[:count], powers[:count]))
         orders = min(len(powers) for _, powers in of_orders)
         surprise = total * sum(np.log(powers[:orders]) for _, powers in of_orders)
         known = np.arange(orders) + 1.0
@@ -207,7 +207,9 @@ def _fit_channels(channels: list[list[Array]], longest: int, sloping: BoolArray)
         now = np.zeros(len(channels))
         for c, (of_order, _) in zip(noisy, of_orders, strict=True):
             filters[c] = of_order[best, : best + 1]
-            autocovariance[c] = _continued(corrected[c], filters[c], longest)
+            autocovariance[c], autocovariance[c, : best + 1] = 0.0, corrected[c, : best + 1]
+            if best:
+                _kernels.continue_autocovariance(autocovariance[c], filters[c], NEGLIGIBLE)
             now[c] = shares @ _variance_of_mean(autocovariance[c], different)
         if np.all(np.abs(now - lost) <= 1e-4 * now):
             break
@@ -221,24 +223,6 @@ def _products(series: list[Array], most: int) -> Array:
     """Sums of the products of samples of a rest that are 0 … `most` apart."""
     apart = np.concatenate([part for x in series for part in (x, np.zeros(most))])
     return np.array([apart[: len(apart) - lag] @ apart[lag:] for lag in range(most + 1)])
-
-
-def _levinson(autocovariance: Array) -> tuple[Array, Array]:
-    """Prediction-error filters, a row each, and innovation variances of every order from 0, up to where the estimated
-    autocovariances stop being those of a process."""
-    filters, powers = np.zeros((len(autocovariance),) * 2), np.zeros(len(autocovariance))
-    count = _kernels.levinson(autocovariance, filters, powers)
-    return filters[:count], powers[:count]
-
-
-def _continued(autocovariance: Array, prediction_filter: Array, length: int) -> Array:
-    """Autocovariances of the autoregressive process up to `length` lags."""
-    order = len(prediction_filter) - 1
-    out = np.zeros(max(length, order + 1))
-    out[: order + 1] = autocovariance[: order + 1]
-    if order:
-        _kernels.continue_autocovariance(out, prediction_filter, NEGLIGIBLE)
-    return out[:length]
 
 
 def _levels(series: list[Array], autocovariance: Array) -> Array:
@@ -261,11 +245,6 @@ def _levels(series: list[Array], autocovariance: Array) -> Array:
     beyond = np.abs(np.cbrt(power) - 1.0 + sigma**2) > LEVEL_SIGMAS * sigma
     level[long] = np.where(beyond, np.maximum(power, 1e-6), 1.0)
     return level
-
-
-def _filtered(series: Array, coefficients: Array) -> Array:
-    """Innovations of a series from the first sample that has enough before it."""
-    return np.convolve(series, coefficients, mode="valid") if len(series) >= len(coefficients) else series[:0]
 
 
 def _correlation(innovations: list[list[Array]]) -> Array:

@@ -309,6 +309,8 @@ def _identify(variance: Array, moments: _Moments, interval: float) -> NoiseParam
 def _chosen(variance: Array, moments: _Moments, error: float) -> tuple[_Sum, _Sum | None]:
     """The sum of least cost, and the next best of another kind, each fitted with its own C; tried are those that are
     nearest with C of a smooth curve, and then with C of the best of them."""
+    from scipy.optimize import nnls
+
     tau, grid = moments.sizes.astype(float), tuple(float(T) for T in moments.sizes[:-1])
 
     def weights(of: _Sum) -> _Weights:
@@ -329,7 +331,12 @@ def _chosen(variance: Array, moments: _Moments, error: float) -> tuple[_Sum, _Su
     def with_own(start: _Sum, weight: _Weights) -> tuple[_Sum, _Weights]:
         found, last = _fitted(variance, tau, start, weight), np.inf
         for _ in range(6):
-            found = _without_vanished(found, tau, weight)
+            # without the processes whose coefficients went to zero
+            adds = np.linalg.solve(weight.root, _slopes(tau, found.times) * found.squares)
+            stays = np.sum(adds**2, axis=0) > VANISHED
+            squares, beyond = np.where(stays, found.squares, 0.0), stays[len(LINEAR) :]
+            times = tuple(np.array(found.times)[beyond].tolist())
+            found = replace(found, squares=squares[np.r_[np.full(len(LINEAR), True), beyond]], times=times)
             if set(found.active.tolist()) <= {LINEAR.index("ramp")}:  # which is no noise
                 return replace(found, deviance=np.inf), weight
             weight = weights(found)
@@ -339,8 +346,11 @@ def _chosen(variance: Array, moments: _Moments, error: float) -> tuple[_Sum, _Su
             last = found.deviance
         return found, weight
 
+    # all processes together, non-negative: a smooth curve for the first C
+    columns = _slopes(tau, grid) / (np.sqrt(tau) * variance)[:, None]
+    size = np.linalg.norm(columns, axis=0)
+    weight = weights(_Sum(squares=nnls(columns / size, 1.0 / np.sqrt(tau))[0] / size, times=grid, u=np.empty(0)))
     begun, tried = set[str](), dict[str, tuple[_Sum, _Weights]]()
-    weight = weights(_all_at_once(variance, tau, grid))
     for _ in range(2):
         for start in sorted(_by_grid(variance, tau, grid, weight), key=lambda each: each.cost)[:TRIED]:
             if start.words not in begun:
@@ -353,24 +363,6 @@ def _chosen(variance: Array, moments: _Moments, error: float) -> tuple[_Sum, _Su
     return ordered[0][0], ordered[1][0] if len(ordered) > 1 else None
 
 
-def _without_vanished(found: _Sum, tau: Array, weight: _Weights) -> _Sum:
-    """The sum without the processes whose coefficients went to zero."""
-    adds = np.linalg.solve(weight.root, _slopes(tau, found.times) * found.squares)
-    stays = np.sum(adds**2, axis=0) > VANISHED
-    squares = np.where(stays, found.squares, 0.0)
-    kept = np.r_[np.full(len(LINEAR), True), stays[len(LINEAR) :]]
-    return replace(found, squares=squares[kept], times=tuple(np.array(found.times)[stays[len(LINEAR) :]].tolist()))
-
-
-def _all_at_once(variance: Array, tau: Array, grid: tuple[float, ...]) -> _Sum:
-    """All processes together, non-negative: a smooth curve for the first C."""
-    from scipy.optimize import nnls
-
-    columns = _slopes(tau, grid) / (np.sqrt(tau) * variance)[:, None]
-    size = np.linalg.norm(columns, axis=0)
-    return _Sum(squares=nnls(columns / size, 1.0 / np.sqrt(tau))[0] / size, times=grid, u=np.empty(0))
-
-
 def _by_grid(variance: Array, tau: Array, grid: tuple[float, ...], weight: _Weights) -> list[_Sum]:
     """Of every kind of sum the best with correlation times of the grid, by linear least squares."""
     A = np.linalg.solve(weight.root, _slopes(tau, grid))
@@ -379,11 +371,8 @@ def _by_grid(variance: Array, tau: Array, grid: tuple[float, ...], weight: _Weig
     A = A / size
     normal, right, out = A.T @ A + 1e-12 * np.eye(len(size)), A.T @ y, []
     for n in range(1 + MOST_GAUSS_MARKOV):
-        times = (
-            np.array(list(combinations(range(5, 5 + len(grid)), n)), dtype=int).reshape(-1, n)
-            if n
-            else np.zeros((1, 0), dtype=int)
-        )
+        chosen = list(combinations(range(5, 5 + len(grid)), n))
+        times = np.array(chosen, dtype=int).reshape(len(chosen), n)
         for linear in chain.from_iterable(combinations(range(5), r) for r in range(6)):
             if not 0 < len(linear) + 2 * n <= len(y) - (n > 0) or not len(times):
                 continue

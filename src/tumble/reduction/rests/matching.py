@@ -286,12 +286,25 @@ def _longest(reduction: Reduction, span: RestSpan, file: int, start: float, stop
     return RestSpan(file=file, first=first, last=last, start=float(edges[first]), stop=float(edges[last]))
 
 
-def without_turns(reduction: Reduction, match: Match, excluded: tuple[Exclusion, ...]) -> Reduction:
-    """A reduction in which the turns that are left out by number were not recorded."""
-    turns = _numbered(excluded, "turn", len(match.rests) - 1)
-    ends = [match.rests[turn - 1 : turn + 1] for turn in turns]
+def without_numbered(reduction: Reduction, match: Match, excluded: tuple[Exclusion, ...]) -> tuple[Reduction, Match]:
+    """A reduction in which the turns that are left out by number were not recorded, and the rests to use without those
+    that are. Raises SessionError for a number of which there are not so many."""
+    counts, numbers = {"turn": len(match.rests) - 1, "rest": len(match.rests)}, dict[str, list[int]]()
+    for what, count in counts.items():
+        stated = [(one.by, getattr(one, what)) for one in excluded if getattr(one, what) is not None]
+        for by, number in stated:
+            if number > count:
+                where = "without" if by == "request" else f"session.toml: exclude.{what}"
+                raise SessionError(f"{where}: expected a {what} from 1 to {count}, found {number}")
+        numbers[what] = [number for _, number in stated]
+    ends = [match.rests[turn - 1 : turn + 1] for turn in numbers["turn"]]
     gaps = [unrecorded(before, after, 1, "left out", why="") for before, after in ends]  # `left_out` tells it
-    return replace(reduction, gaps=(*reduction.gaps, *gaps)) if gaps else reduction
+    reduction = replace(reduction, gaps=(*reduction.gaps, *gaps)) if gaps else reduction
+    if not numbers["rest"]:
+        return reduction, match
+    kept = [i for i in range(len(match.rests)) if i + 1 not in numbers["rest"]]
+    position = None if match.position is None else match.position[kept]
+    return reduction, replace(match, rests=tuple(match.rests[i] for i in kept), position=position)
 
 
 def without_jump(reduction: Reduction, match: Match, jump: LevelJump | None, gyro: Block | None) -> Reduction:
@@ -316,27 +329,6 @@ def without_jump(reduction: Reduction, match: Match, jump: LevelJump | None, gyr
     if last.file == first.file:
         gaps = (*gaps, unrecorded(last, first, 1, "left out", why=""))
     return replace(reduction, files=tuple(files), samples=samples, gaps=gaps)
-
-
-def without_rests(match: Match, excluded: tuple[Exclusion, ...]) -> Match:
-    """The rests to use without those that are left out by number."""
-    numbers = _numbered(excluded, "rest", len(match.rests))
-    kept = [i for i in range(len(match.rests)) if i + 1 not in numbers]
-    position = None if match.position is None else match.position[kept]
-    return replace(match, rests=tuple(match.rests[i] for i in kept), position=position) if numbers else match
-
-
-def _numbered(excluded: tuple[Exclusion, ...], what: str, count: int) -> list[int]:
-    """The numbers of what is left out, "rest" or "turn". Raises SessionError for one of which there are not so many."""
-    numbers = []
-    for one in excluded:
-        number = one.rest if what == "rest" else one.turn
-        if number is not None:
-            if number > count:
-                where = "without" if one.by == "request" else f"session.toml: exclude.{what}"
-                raise SessionError(f"{where}: expected a {what} from 1 to {count}, found {number}")
-            numbers.append(number)
-    return numbers
 
 
 def left_out(excluded: tuple[Exclusion, ...]) -> tuple[str, ...]:

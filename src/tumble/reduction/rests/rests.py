@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -83,6 +83,17 @@ class Rests:
     def temperature(self) -> Array | None:
         """The mean over the thermometers (N,), K."""
         return None if self.temperatures is None else np.asarray(self.temperatures.mean(axis=1))
+
+
+_Arrays = TypeVar("_Arrays", bound=Any)
+"""Arrays of as many rows, or None."""
+
+
+def rows_of(whole: _Arrays, rows: slice) -> _Arrays:
+    """Some of the rows of all arrays."""
+    columns = {field.name: getattr(whole, field.name) for field in fields(whole)}
+    some = {name: None if values is None else values[rows] for name, values in columns.items()}
+    return replace(whole, **some)
 
 
 def reduced_rests(
