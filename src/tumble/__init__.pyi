@@ -1,9 +1,9 @@
 """The public names and where each is: type checkers read this file, and `tumble/__init__.py` imports from it."""
 
-from tumble.campaigns.run import CampaignResult as CampaignResult
-from tumble.campaigns.run import FleetResult as FleetResult
-from tumble.campaigns.run import campaign as campaign
-from tumble.campaigns.run import fleet as fleet
+from tumble.campaigns.fleet import FleetResult as FleetResult
+from tumble.campaigns.fleet import fleet as fleet
+from tumble.campaigns.summary import CampaignResult as CampaignResult
+from tumble.campaigns.summary import campaign as campaign
 from tumble.drafting.draft import Draft as Draft
 from tumble.drafting.new_session import new_session as new_session
 from tumble.earth import normal_gravity as normal_gravity

@@ -103,7 +103,7 @@ lengths = st.lists(
     ),
     min_size=1,
     max_size=35,
-).filter(lambda values: sum(values) <= 3000)
+).filter(lambda values: sum(values) <= 1500)
 
 
 @settings(max_examples=8, deadline=None)

@@ -303,8 +303,8 @@ def test_flicker_noise_and_random_walk_are_not_called_gauss_markov() -> None:
 
 
 def test_white_noise_alone_shows_nothing_else() -> None:
-    """120 records of 82 s: a second term in 0.5 % of them at most, less what chance adds but once in 10⁶."""
-    runs, limit = 120, 8
+    """80 records of 82 s: a second term in 0.5 % of them at most, less what chance adds but once in 10⁶."""
+    runs, limit = 80, 6
     assert binom.sf(limit, runs, 0.005) < 1e-6
     rng = np.random.default_rng(7)
     records = np.column_stack([record(rng, 2**13, N=1.0) for _ in range(runs)])

@@ -267,42 +267,39 @@ VERTICALS = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.6, 
 
 @pytest.mark.parametrize("blocks", [TRIAD, TETRAD])
 def test_the_covariance_of_a_mean_is_that_of_repeated_rests(blocks: tuple[Block, Block]) -> None:
-    """15 rests of 20 s, white noise of different size in every channel: 40 sessions, 600 rests."""
+    """Rests of 20 s, white noise of different size in every channel: five sessions of 120, 600 rests."""
     rng = np.random.default_rng(56)
     axes = blocks[0].axes
     density = np.array([1e-3, 3e-3, 5e-4, 2e-3])[: len(axes)]
     squares = []
-    truth = 9.81 * VERTICALS @ axes.T
-    for _ in range(40):
-        accel = np.repeat(truth, 400, axis=0) + density * np.sqrt(20.0) * rng.standard_normal((6000, len(axes)))
-        reduction = reduced(accel, 1e-4 * rng.standard_normal((6000, len(axes))), 20.0, blocks)
-        observations = between(reduction, [(20.0 * i, 20.0 * i + 20.0) for i in range(15)], blocks)
-        squares.append(
-            chi_square_of_means(observations, truth, np.broadcast_to(np.eye(len(axes)), (15, len(axes), len(axes))))
-        )
+    truth = 9.81 * np.tile(VERTICALS, (8, 1)) @ axes.T
+    for _ in range(5):
+        accel = np.repeat(truth, 400, axis=0) + density * np.sqrt(20.0) * rng.standard_normal((48_000, len(axes)))
+        reduction = reduced(accel, 1e-4 * rng.standard_normal(accel.shape), 20.0, blocks)
+        observations = between(reduction, [(20.0 * i, 20.0 * i + 20.0) for i in range(120)], blocks)
+        every = np.broadcast_to(np.eye(len(axes)), (120, len(axes), len(axes)))
+        squares.append(chi_square_of_means(observations, truth, every))
     found = np.mean(squares, axis=(0, 1))
     np.testing.assert_allclose(found, 1.02, atol=5.5 * np.sqrt(2 / 600))
 
 
 def test_a_rest_that_slowly_tilts_keeps_the_certainty_of_its_vertical() -> None:
     """Feet that sink by 0.05° as a random walk: the horizontal readings move by ten times their noise, the vertical
-    one does not. 30 sessions, 450 rests."""
+    one does not. Five sessions of 90 rests, 450."""
     rng = np.random.default_rng(57)
     vertical_squares, horizontal_squares, share = [], [], []
-    truth = 9.81 * VERTICALS
-    horizontal = tangent_basis(VERTICALS)
-    for _ in range(30):
-        tilt = np.cumsum(rng.standard_normal((15, 400, 2)), axis=1) * 0.05 * DEGREE / 20.0
+    verticals = np.tile(VERTICALS, (6, 1))
+    truth, horizontal = 9.81 * verticals, tangent_basis(verticals)
+    for _ in range(5):
+        tilt = np.cumsum(rng.standard_normal((90, 400, 2)), axis=1) * 0.05 * DEGREE / 20.0
         tilt -= tilt.mean(axis=1, keepdims=True)  # what the rest was on average is the truth
         force = truth[:, None, :] + 9.81 * np.einsum("rkd,rdp->rkp", tilt, horizontal)
-        accel = force.reshape(-1, 3) + 1e-3 * np.sqrt(20.0) * rng.standard_normal((6000, 3))
-        observations = between(
-            reduced(accel, 1e-4 * rng.standard_normal((6000, 3)), 20.0),
-            [(20.0 * i, 20.0 * i + 20.0) for i in range(15)],
-        )
-        vertical_squares.append(chi_square_of_means(observations, truth, VERTICALS[:, None, :]))
+        accel = force.reshape(-1, 3) + 1e-3 * np.sqrt(20.0) * rng.standard_normal((36_000, 3))
+        reduction = reduced(accel, 1e-4 * rng.standard_normal((36_000, 3)), 20.0)
+        observations = between(reduction, [(20.0 * i, 20.0 * i + 20.0) for i in range(90)])
+        vertical_squares.append(chi_square_of_means(observations, truth, verticals[:, None, :]))
         horizontal_squares.append(chi_square_of_means(observations, truth, horizontal))
-        share.append(np.einsum("np,npq,nq->n", VERTICALS, observations.rests.accel_covariance, VERTICALS) * 20.0 / 1e-6)
+        share.append(np.einsum("np,npq,nq->n", verticals, observations.rests.accel_covariance, verticals) * 20.0 / 1e-6)
     assert np.mean(vertical_squares) == pytest.approx(1.02, abs=5.5 * np.sqrt(2 / 450))
     assert np.mean(share) == pytest.approx(1.0, abs=0.1)  # nothing of the tilt
     assert np.mean(horizontal_squares) < 0.1  # it passes for noise that a mean does not get rid of
@@ -323,30 +320,29 @@ def test_a_resolution_coarser_than_the_noise_stays_in_the_covariance() -> None:
 
 @pytest.mark.parametrize("correlation_time", [0.0, 0.5])
 def test_the_covariance_of_a_turn_is_that_of_repeated_turns(correlation_time: float) -> None:
-    """A turn of 180° in 12 s between rests of 30 s, gyros of different noise, 200 times; χ² of a rotation has three
-    degrees of freedom. The noise comes from the rests, three of them, with its own uncertainty of 15 %."""
+    """Two turns of 180° in 12 s between rests of 30 s, gyros of different noise, each ten times in a log, in 20 logs:
+    χ² of a rotation has three degrees of freedom. The noise comes from the 21 rests."""
     rng = np.random.default_rng(58)
-    rate, rest, turn = 20.0, 600, 240
-    omega = np.zeros((3 * rest + 2 * turn, 3))
+    rate, rest, turn, pairs = 20.0, 600, 240, 10
     profile = np.pi * np.sin(np.pi * np.arange(turn) / turn) ** 2
     profile *= np.pi * rate / profile.sum()
-    omega[rest : rest + turn, 0] = profile
-    omega[2 * rest + turn : 2 * rest + 2 * turn] = -profile[:, None] * [0.0, 0.6, 0.8]
+    still, axes = np.zeros((rest, 3)), ([1.0, 0.0, 0.0], [0.0, -0.6, -0.8])
+    omega = np.concatenate([still, *(part for axis in axes * pairs for part in (profile[:, None] * axis, still))])
     force = np.tile([0.0, 9.81, 0.0], (len(omega), 1))
     density = np.array([1e-4, 2e-4, 5e-5])
-    times = [(0.0, 30.0), (42.0, 72.0), (84.0, 114.0)]
+    times = [(42.0 * i, 42.0 * i + 30.0) for i in range(2 * pairs + 1)]
     true = between(reduced(force, omega, rate), times).turns
     assert true is not None
     memory = np.exp(-1.0 / (rate * correlation_time)) if correlation_time else 0.0
     errors, squares, said = [], [], []
-    for _ in range(200):
+    for _ in range(20):
         white = density * np.sqrt(rate) * rng.standard_normal((len(omega) + 200, 3))
         noise = lfilter([1.0 - memory], [1.0, -memory], white, axis=0)[200:]
         turns = between(reduced(force, omega + noise, rate), times).turns
         assert turns is not None
         error = Rotation.from_matrix(turns.C @ np.swapaxes(true.C, 1, 2)).as_rotvec()
-        errors.append(error)
-        said.append(turns.covariance)
+        errors += [*error.reshape(pairs, 2, 3)]
+        said += [*turns.covariance.reshape(pairs, 2, 3, 3)]
         squares.append(np.einsum("ki,kij,kj->k", error, np.linalg.inv(turns.covariance), error))
     seen = np.einsum("nki,nkj->kij", errors, errors) / 200
     scale = np.sqrt(np.einsum("kii,kjj->kij", *2 * [np.mean(said, axis=0)]))

@@ -20,9 +20,12 @@ from typing import Any
 
 import polars as pl
 
+from tumble.brief import Brief
+from tumble.campaigns.cluster import executor_for
 from tumble.campaigns.engine import Executor, Job, Progress, Row, run
 from tumble.documents import text_of_document
 from tumble.errors import InputError, needs_extra
+from tumble.files import FilePath
 from tumble.recording.session_file import SESSION_FILE, read_session
 from tumble.run.calibrate import Method, calibrate
 
@@ -93,6 +96,41 @@ def tally(rows: Path) -> Tally:
         refused={session: "; ".join(reasons) for session, reasons in refused.select(COLUMN, "reasons").iter_rows()},
         failed=dict(failed.select(COLUMN, "error").iter_rows()),
     )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
+class FleetResult(Brief):
+    """The rows of a fleet, a Parquet file, its sessions, and how they ended."""
+
+    rows: Path
+    sessions: tuple[str, ...]
+    tally: Tally
+
+
+def fleet(
+    sessions: FilePath,
+    out: FilePath,
+    *,
+    method: Method = "joint",
+    serial: bool = False,
+    cluster: str | None = None,
+    workers: int | None = None,
+    progress: Progress = lambda _done, _all: None,
+) -> FleetResult:
+    """Calibrate all sessions that a glob matches or a manifest lists, with a row for each, into a folder; what is there
+    already is not computed again. A session that cannot be calibrated does not stop the others: its row says why.
+
+    >>> import tumble
+    >>> request = tumble.Setup.of(grade="mems", positions=12)
+    >>> for seed in (1, 2):
+    ...     _ = tumble.simulate_session(f"sessions/{seed}", request, seed=seed)
+    >>> tumble.fleet("sessions/*", "results", serial=True).tally.accepted
+    2
+    """
+    found = sessions_of(str(sessions))
+    with executor_for(serial=serial, cluster=cluster, workers=workers) as executor:
+        rows = run_fleet(found, Path(out), method=method, executor=executor, progress=progress)
+    return FleetResult(rows=rows, sessions=tuple(found), tally=tally(rows))
 
 
 # Which sessions

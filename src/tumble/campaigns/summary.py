@@ -21,8 +21,11 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from tumble.campaigns.campaign import AXES
-from tumble.files import whole_file
+from tumble.brief import Brief
+from tumble.campaigns.campaign import AXES, Campaign, read_campaign, run_campaign
+from tumble.campaigns.cluster import executor_for
+from tumble.campaigns.engine import Progress
+from tumble.files import FilePath, whole_file
 from tumble.planning.setup import NAMES
 from tumble.sensors.parameters import group_of, positions_by_group
 from tumble.units import Array
@@ -178,3 +181,43 @@ def write_summary(lines: Sequence[SummaryLine], path: Path) -> None:
 def said(value: Any) -> str:
     """The value of an axis in words, nothing for none."""
     return "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+# A campaign in one call
+
+SUMMARY_FILE = "summary.csv"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
+class CampaignResult(Brief):
+    """The rows of a campaign, a Parquet file, their summary in lines, and the CSV file it is in."""
+
+    rows: Path
+    lines: tuple[SummaryLine, ...]
+    summary: Path
+
+
+def campaign(
+    planned: Campaign | FilePath,
+    out: FilePath,
+    *,
+    serial: bool = False,
+    cluster: str | None = None,
+    workers: int | None = None,
+    progress: Progress = lambda _done, _all: None,
+) -> CampaignResult:
+    """Simulate and calibrate many times over the grid of a campaign, or of its TOML file, into a folder; what is there
+    already is not computed again. `serial`, `cluster` and `workers` say where, as `executor_for`.
+
+    >>> import tumble
+    >>> from pathlib import Path
+    >>> _ = Path("campaign.toml").write_text('seed = 1\\ntrials = 2\\n[grid]\\nmethod = "staged"\\ngrade = "mems"\\n')
+    >>> tumble.campaign("campaign.toml", "results", serial=True).rows.name
+    'rows.parquet'
+    """
+    known, folder = planned if isinstance(planned, Campaign) else read_campaign(Path(planned)), Path(out)
+    with executor_for(serial=serial, cluster=cluster, workers=workers) as executor:
+        rows = run_campaign(known, folder, executor=executor, progress=progress)
+    lines = summary(rows)
+    write_summary(lines, folder / SUMMARY_FILE)
+    return CampaignResult(rows=rows, lines=lines, summary=folder / SUMMARY_FILE)

@@ -24,8 +24,7 @@ def campaign(file: Path, out: Path, **place: Any) -> None:
     It shows errors against the truth, their ratio to the Cramér–Rao bound, coverage and failures. A campaign that
     was interrupted goes on where it was when the same command is given again.
     """
-    from tumble.campaigns.run import campaign
-    from tumble.campaigns.summary import varying
+    from tumble.campaigns.summary import campaign, varying
     from tumble.views.campaign import plot, summary_blocks
     from tumble.views.render.terminal import print_blocks
 
@@ -59,7 +58,7 @@ def fleet(sessions: str, method: Method, out: Path, **place: Any) -> None:
     A session that cannot be calibrated does not stop the others: its row says why. A run that was interrupted goes on
     where it was when the same command is given again.
     """
-    from tumble.campaigns.run import fleet
+    from tumble.campaigns.fleet import fleet
     from tumble.views.render.data import print_data
 
     with tell.task_progress("sessions", out) as progress:

@@ -180,7 +180,7 @@ def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Remaining, u: 
     if samples is not None and turns is not None and instrument.gyro is not None:
         interval = float(np.median(turns.duration / np.maximum(samples.lengths[: len(turns)], 1)))
         share = max(0.0, along.excess - across.excess) / interval
-        damage = share / float(u[instrument.group_columns("gyro.scale")].min())
+        damage = share / float(u[instrument.group_columns["gyro.scale"]].min())
     return Cause(
         name="lost samples",
         concerns="gyro",

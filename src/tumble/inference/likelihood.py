@@ -273,7 +273,7 @@ class Problem:
     @property
     def biases(self) -> IntArray:
         """Where the biases of all sensors stand among the parameters."""
-        columns = [self.instrument.group_columns(f"{block.kind}.bias") for block in self.instrument.blocks]
+        columns = [self.instrument.group_columns[f"{block.kind}.bias"] for block in self.instrument.blocks]
         return np.concatenate([np.arange(len(self.instrument.names))[each] for each in columns])
 
     @property

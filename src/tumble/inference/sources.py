@@ -127,7 +127,7 @@ def common_covariances(observations: Observations, instrument: Instrument) -> di
     for block, readings in ((instrument.accel, observations.rests.accel), (instrument.gyro, observations.rests.gyro)):
         if block is not None and block.kind in observations.rounding:
             size = common_rounding(observations.rounding[block.kind], readings)
-            u[instrument.group_columns(f"{block.kind}.bias")] = size[block.channels]
+            u[instrument.group_columns[f"{block.kind}.bias"]] = size[block.channels]
     return {"rounding": np.diag(u**2), "clock": np.outer(by_clock, by_clock)}
 
 

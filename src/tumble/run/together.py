@@ -110,7 +110,16 @@ def calibrate_together(
         made,
         outcome=_with_scatter(made.outcome, estimate[0]),
         circumstances=circumstances_of_all(circumstances),
-        notes=(*made.notes, *(_nothing_turned(member) for member in members if not member.turns)),
+        notes=(
+            *made.notes,
+            *(
+                f"{member.session}: nothing is turned{f', taken in {member.rests} parts' if member.rests > 1 else ''}: "
+                "it says how the biases that gravity and the Earth's rate show in this position change with "
+                "temperature, and of scale factors nothing"
+                for member in members
+                if not member.turns
+            ),
+        ),
         together=tuple(members)
         if own is None
         else tuple(replace(member, parameters=_of_its_own(own, s)) for s, member in enumerate(members)),
@@ -137,14 +146,6 @@ def _with_clocks(sessions: Sequence[Session], members: Sequence[Member]) -> tupl
         )
     first = sessions[0]
     return replace(first, log=replace(first.log, clock_u=most.clock_u, reference_clock=None)), notes
-
-
-def _nothing_turned(member: Member) -> str:
-    parts = f", taken in {member.rests} parts" if member.rests > 1 else ""
-    return (
-        f"{member.session}: nothing is turned{parts}: it says how the biases that gravity and the Earth's rate show in "
-        "this position change with temperature, and of scale factors nothing"
-    )
 
 
 def _check_alike(sessions: Sequence[Session]) -> None:

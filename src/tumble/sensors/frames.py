@@ -123,11 +123,11 @@ class Convention:
             return self._free.model(values)
         k, angles = 1.0 + values[3:6], values[6:]
         if self.frame == "paper":
-            rows = np.eye(3)
+            rows = np.eye(3, dtype=values.dtype)
             rows[tuple(zip(*_UPPER, strict=True))] = angles
             rows *= k[:, None]
         else:  # the symmetric matrix whose rows have the lengths 1 + k and the angles xy, xz, yz of Eq. (1)
-            (xy, xz, yz), rows = angles, np.zeros((3, 3))
+            (xy, xz, yz), rows = angles, np.zeros((3, 3), dtype=values.dtype)
             rows[0, 1], rows[0, 2], rows[1, 2] = k[0] * np.sin(xy), k[0] * np.cos(xy) * np.sin(xz), k[1] * np.sin(yz)
             rows += rows.T
             rows += np.diag(np.sqrt(k**2 - (rows**2).sum(axis=1)))
@@ -141,9 +141,11 @@ class Convention:
             return self.block.jacobian(values)
         if self.frame == "case":
             return self._free.jacobian(values)
-        tangents = self._tangents()
-        change = self.derivative(self.model(values)) @ tangents
-        return np.asarray((tangents @ np.linalg.inv(change)).reshape(3, 4, -1))
+        out = np.empty((3, 4, len(values)))
+        for i in range(len(values)):  # a complex step, exact to rounding
+            stepped = self.model(values + 1e-20j * (np.arange(len(values)) == i))
+            out[:, :3, i], out[:, 3, i] = stepped.matrix.imag / 1e-20, stepped.bias.imag / 1e-20
+        return out
 
     def derivative(self, model: SensorModel) -> Array:
         """Derivative (m, 4n) of the parameters with respect to matrix and bias, (n, 4) row by row, of a model given
@@ -201,19 +203,6 @@ class Convention:
         """`_rows` as a linear map (9, 12) of matrix and bias."""
         identity = np.eye(12).reshape(12, 3, 4)[:, :, :3]
         return np.asarray((self.block.axes.T @ identity).reshape(12, 9).T)
-
-    def _tangents(self) -> Array:
-        """Changes (12, 9) of matrix and bias within the frame: the three biases and the six entries on and above the
-        diagonal."""
-        out = np.zeros((9, 3, 4))
-        out[:3, :, 3] = np.eye(3)
-        for i, (p, q) in enumerate(((0, 0), (1, 1), (2, 2), *_UPPER), start=3):
-            entry = np.zeros((3, 3))
-            entry[p, q] = 1.0
-            if self.frame == "symmetric":
-                entry[q, p] = 1.0
-            out[i, :, :3] = self.block.axes @ entry
-        return out.reshape(9, 12).T
 
 
 def rotation_to(frame: Frame, block: Block, accel: SensorModel) -> Array:

@@ -51,20 +51,18 @@ class Spread:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Grade:
-    """Typical errors before calibration, and noise, of a class of instruments."""
+class Spreads:
+    """Standard deviations of the parameters of both kinds of sensors."""
 
     accel: Spread
     gyro: Spread
-    noise: NoiseModel
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class TurnOn:
-    """How far parameters at a power-on are from their mean over many: standard deviations."""
+class Grade(Spreads):
+    """Typical errors before calibration, and noise, of a class of instruments."""
 
-    accel: Spread
-    gyro: Spread
+    noise: NoiseModel
 
 
 class _OfInstruments(Protocol):
@@ -106,13 +104,13 @@ GRADES: Mapping[str, Grade] = MappingProxyType(
 """Fibre-optic or ring-laser gyros with pendulous accelerometers are of navigation grade."""
 
 
-def _turn_on(accel: tuple[float, float, float], gyro: tuple[float, float, float]) -> TurnOn:
+def _turn_on(accel: tuple[float, float, float], gyro: tuple[float, float, float]) -> Spreads:
     """Standard deviations of bias, m/s² and rad/s, scale factor and axis angles, rad."""
     of_accel, of_gyro = (Spread(bias=bias, scale=scale, axis=axis) for bias, scale, axis in (accel, gyro))
-    return TurnOn(accel=of_accel, gyro=of_gyro)
+    return Spreads(accel=of_accel, gyro=of_gyro)
 
 
-TURN_ON: Mapping[str, TurnOn] = MappingProxyType(
+TURN_ON: Mapping[str, Spreads] = MappingProxyType(
     {
         "navigation": _turn_on((2e-4, 1e-5, 2 * ARCSEC), (0.01 * DEGREE_PER_HOUR, 5e-6, 2 * ARCSEC)),
         "tactical": _turn_on((3e-3, 1e-4, 10 * ARCSEC), (1 * DEGREE_PER_HOUR, 1e-4, 10 * ARCSEC)),

@@ -114,17 +114,14 @@ class Instrument:
     def changes(self) -> list[tuple[slice, slice, Variable]]:
         """Where the parameters stand that are changes of others, where these stand, and what they go with."""
         return [
-            (self.members[group.name], self.group_columns(group.base), group.variable)
+            (self.members[group.name], self.group_columns[group.base], group.variable)
             for group in self.further
             if group.base is not None and group.variable is not None
         ]
 
-    def group_columns(self, name: str) -> slice:
-        """Where the parameters of a group stand."""
-        return self._group_columns[name]
-
     @cached_property
-    def _group_columns(self) -> dict[str, slice]:
+    def group_columns(self) -> dict[str, slice]:
+        """Where the parameters of each group stand, by its name."""
         return {name: slice(own[0], own[-1] + 1) for name, own in positions_by_group(self.names).items()} | self.members
 
     def change(self, block: Block, values: Array, variable: Variable) -> Array:

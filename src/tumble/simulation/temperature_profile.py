@@ -26,7 +26,7 @@ from tumble.planning.setup import Setup
 from tumble.reduction.rests.thermometer import MOVED, Thermometers, followed
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block, thermometers_of
-from tumble.sensors.parameters import FURTHER, ParameterGroup, Variable, to_temperature
+from tumble.sensors.parameters import FURTHER, THERMAL, Variable, to_temperature
 from tumble.units import ZERO_CELSIUS, Array, IntArray
 
 FINE = 0.1  # s, of the temperatures of the sensors
@@ -159,19 +159,15 @@ def _number(text: str) -> float:
     return float(text) if re.fullmatch(_NUMBER, text.strip()) else math.nan
 
 
-def thermal_groups() -> list[ParameterGroup]:
-    """The groups of the table that change with temperature or its square."""
-    return [group for group in FURTHER if group.variable in ("temperature", "temperature²")]
-
-
 def draw_thermal(
     spreads: Mapping[str, float], grade: str, blocks: Mapping[str, Block], rng: np.random.Generator
 ) -> dict[str, float]:
     """True values by name of what changes with temperature, Gaussian with the standard deviations, SI, of a set-up or,
     where it has none, of its grade; and where the set-up has them, of hysteresis."""
     found: dict[str, float] = {}
-    hysteresis = [group for group in FURTHER if group.variable == "hysteresis" and group.name in spreads]
-    for group in thermal_groups() + hysteresis:
+    for group in FURTHER:
+        if group.variable not in THERMAL and not (group.variable == "hysteresis" and group.name in spreads):
+            continue
         spread = spreads.get(group.name, group.usual[grade] if grade in GRADES else 0.0)
         names = group.names(blocks[group.kind])
         found |= zip(names, (spread * rng.standard_normal(len(names))).tolist(), strict=True)
