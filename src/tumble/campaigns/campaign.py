@@ -18,8 +18,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, cast
@@ -41,83 +40,6 @@ from tumble.usual_setup import GRADE, INSTABILITY_TIME, LATITUDE_DEG, MOUNTING_E
 ESTIMATORS = (*METHODS, *ITERATED_METHODS)
 TERMS: tuple[Terms, ...] = ("linear", "full")
 MOST_TASKS = 10_000_000
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Campaign:
-    """What a campaign file says. `cells` are the points of the grid, apart from the methods."""
-
-    kind: Literal["sessions", "statics"]
-    source: Source
-    seed: int
-    trials: int
-    methods: tuple[Method, ...]
-    cells: tuple[Cell, ...]
-    definition: Mapping[str, Any]
-
-    def job(self) -> Job:
-        """The campaign as a job of trials × cells tasks."""
-        types = {"grade": pl.String, "programme": pl.String, "positions": pl.Int64, "terms": pl.String}
-        schema: dict[str, Any] = {name: types.get(name, pl.Float64) for name in AXES} | {"method": pl.String}
-        names: Sequence[str] = NAMES[:9]
-        moments: Sequence[str] = ("mean", "square", "bound", "covered")
-        rows: Any = partial(statics_rows, self.seed)
-        if self.kind == "statics":
-            schema |= {"triads": pl.Int64, "failed": pl.Int64}
-        else:
-            rows = partial(session_rows, self.seed, self.source, self.methods)
-            instruments = [instrument_of(cell.setup, gyros=True) for cell in self.cells]
-            names, moments = tuple(dict.fromkeys(n for i in instruments for n in i.names)), ("error", "u", "bound")
-            schema |= {"accepted": pl.Boolean, "reasons": pl.String}
-        schema |= {f"{what}.{name}": pl.Float64 for what in moments for name in names}
-        items = self.cells * self.trials
-        return Job(definition=self.definition, items=items, task=rows, label=label, schema=schema)
-
-
-def run_campaign(
-    campaign: Campaign, folder: Path, *, executor: Executor | None = None, progress: Progress = lambda _done, _all: None
-) -> Path:
-    """Run a campaign in a folder, or what is missing of it, and return the path of its rows: see `engine.run`."""
-    return run(campaign.job(), folder, executor=executor, progress=progress)
-
-
-def label(cell: Cell) -> Row:
-    """The columns that tell a cell from others."""
-    return {**cell.point} | ({} if cell.setup.by_hand is None else {"programme": None})
-
-
-# The file
-
-
-def read_campaign(path: Path) -> Campaign:
-    """The campaign of a file. Raises InputError, one line, with up to three faults."""
-    try:
-        content = toml_of(text_of_document(path), str(path))
-    except OSError as error:
-        raise InputError(f"{path}: expected a readable campaign file, found: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: expected UTF-8 text, found {error.reason}; save it as UTF-8") from None
-    try:
-        return campaign_of(content)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-
-
-def campaign_of(content: Mapping[str, Any]) -> Campaign:
-    """The campaign of a file's content. Raises InputError with up to three faults."""
-    document = validated(_CampaignKeys, content)
-    grid = document.grid
-    return Campaign(
-        kind=document.kind,
-        source=document.source,
-        seed=document.seed,
-        trials=document.trials,
-        methods=tuple(cast("list[Method]", grid.method)),
-        cells=tuple(
-            Cell.of(dict(zip(AXES, values, strict=True))) for values in product(*(getattr(grid, a) for a in AXES))
-        ),
-        definition={"campaign": document.model_dump()},
-    )
 
 
 class _CampaignTable(BaseModel):
@@ -177,7 +99,9 @@ AXES = tuple(axis for axis in _GridKeys.model_fields if axis != "method")
 """The axes of the grid apart from the method, outermost first."""
 
 
-class _CampaignKeys(_CampaignTable):
+class Campaign(_CampaignTable):
+    """What a campaign file says. `cells` are the points of the grid, apart from the methods."""
+
     kind: Literal["sessions", "statics"] = Field(default="sessions", description='"sessions" or "statics"')
     source: Source = Field(default="observations", description='"observations" or "log"')
     seed: int = Field(default=0, ge=0, le=2**63, description="a whole number, not negative")
@@ -195,3 +119,63 @@ class _CampaignKeys(_CampaignTable):
         if self.trials * math.prod(len(getattr(self.grid, axis)) for axis in AXES) > MOST_TASKS:
             raise ValueError(f"trials: expected at most {MOST_TASKS} over all points of the grid, found more")
         return self
+
+    @property
+    def methods(self) -> tuple[Method, ...]:
+        """Those that every trial is calibrated by."""
+        return tuple(cast("list[Method]", self.grid.method))
+
+    @cached_property
+    def cells(self) -> tuple[Cell, ...]:
+        """The points of the grid, the last axis varying first."""
+        points = product(*(getattr(self.grid, axis) for axis in AXES))
+        return tuple(Cell.of(dict(zip(AXES, values, strict=True))) for values in points)
+
+    def job(self) -> Job:
+        """The campaign as a job of trials × cells tasks."""
+        types = {"grade": pl.String, "programme": pl.String, "positions": pl.Int64, "terms": pl.String}
+        schema: dict[str, Any] = {name: types.get(name, pl.Float64) for name in AXES} | {"method": pl.String}
+        names: Sequence[str] = NAMES[:9]
+        moments: Sequence[str] = ("mean", "square", "bound", "covered")
+        rows: Any = partial(statics_rows, self.seed)
+        if self.kind == "statics":
+            schema |= {"triads": pl.Int64, "failed": pl.Int64}
+        else:
+            rows = partial(session_rows, self.seed, self.source, self.methods)
+            instruments = [instrument_of(cell.setup, gyros=True) for cell in self.cells]
+            names, moments = tuple(dict.fromkeys(n for i in instruments for n in i.names)), ("error", "u", "bound")
+            schema |= {"accepted": pl.Boolean, "reasons": pl.String}
+        schema |= {f"{what}.{name}": pl.Float64 for what in moments for name in names}
+        items = self.cells * self.trials
+        return Job(definition={"campaign": self.model_dump()}, items=items, task=rows, label=label, schema=schema)
+
+
+def run_campaign(
+    campaign: Campaign, folder: Path, *, executor: Executor | None = None, progress: Progress = lambda _done, _all: None
+) -> Path:
+    """Run a campaign in a folder, or what is missing of it, and return the path of its rows: see `engine.run`."""
+    return run(campaign.job(), folder, executor=executor, progress=progress)
+
+
+def label(cell: Cell) -> Row:
+    """The columns that tell a cell from others."""
+    return {**cell.point} | ({} if cell.setup.by_hand is None else {"programme": None})
+
+
+def read_campaign(path: Path) -> Campaign:
+    """The campaign of a file. Raises InputError, one line, with up to three faults."""
+    try:
+        content = toml_of(text_of_document(path), str(path))
+    except OSError as error:
+        raise InputError(f"{path}: expected a readable campaign file, found: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected UTF-8 text, found {error.reason}; save it as UTF-8") from None
+    try:
+        return campaign_of(content)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def campaign_of(content: Mapping[str, Any]) -> Campaign:
+    """The campaign of a file's content. Raises InputError with up to three faults."""
+    return validated(Campaign, content)
