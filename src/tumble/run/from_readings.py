@@ -56,7 +56,6 @@ from tumble.run.readings_table import (
     Nominal,
     ReadingsTable,
     Sensor,
-    TablePositions,
     positions_of,
     read_table,
     sizes_seen,
@@ -155,8 +154,7 @@ def calibrate_table(
     if serial is not None and not serial.strip():
         raise InputError(f"--serial: expected a serial number, found {serial!r}")
     whole = readings if isinstance(readings, ReadingsTable) else read_table(Path(readings))
-    positions = positions_of(whole, rows_per_position)
-    table = positions.table
+    table = positions_of(whole, rows_per_position)
     nominal = nominal_of(
         table,
         sensor=sensor,
@@ -171,11 +169,11 @@ def calibrate_table(
     )
     if grade is not None:
         grade_named(grade)
-    fitted, noise = _fitted(positions, nominal, float(-ndtri(0.5 * BAD_CHANCE / len(table.values))))
+    fitted, noise = _fitted(table, nominal, float(-ndtri(0.5 * BAD_CHANCE / len(table.values))))
     fit: EllipsoidFit | None = None
     estimate: Estimate | None = None
     notes: tuple[str, ...] = ()
-    recorded = positions.stretch is not None
+    recorded = table.stretch is not None
     if isinstance(fitted, Refusal):
         refusal = (
             undetermined(nominal.to_si(whole.values), block=TRIAD) or fitted
@@ -184,12 +182,12 @@ def calibrate_table(
         names = tuple(f"{sensor}.{name.partition('.')[2]}" for name in TRIAD.names)
         outcome = Outcome(reasons=(misstated or refusal.reason,), unobservable=names)
     else:
-        fit, estimate, notes = _estimated(fitted, noise, positions, nominal, grade, terms)
+        fit, estimate, notes = _estimated(fitted, noise, table, nominal, grade, terms)
         remarks = (WAVED,) if recorded and sensor == "accel" else ()
-        outcome = Outcome(reasons=tuple(_reasons(positions, nominal, fit)), remarks=remarks)
+        outcome = Outcome(reasons=tuple(_reasons(table, nominal, fit)), remarks=remarks)
     serial = table.path.stem if serial is None else serial
     return ReadingsCalibration(
-        calibration=_calibration(serial, positions, nominal, fit, estimate, frame, outcome, notes),
+        calibration=_calibration(serial, table, nominal, fit, estimate, frame, outcome, notes),
         table=table,
         nominal=nominal,
         fit=fit,
@@ -197,34 +195,34 @@ def calibrate_table(
     )
 
 
-def _fitted(positions: TablePositions, nominal: Nominal, bad: float) -> tuple[EllipsoidFit | Refusal, Array]:
+def _fitted(table: ReadingsTable, nominal: Nominal, bad: float) -> tuple[EllipsoidFit | Refusal, Array]:
     """The fit without positions beyond `bad` standard deviations, and the covariance (3, 3) of a reading that it was
     made with. It has the scatter that the residuals show; where they show less than the last digit of the readings
     explains, that. Of blocks of rows it has their own scatter."""
-    readings = nominal.to_si(positions.table.values)
+    readings = nominal.to_si(table.values)
     fit = partial(fit_ellipsoid, readings, modulus=nominal.modulus, modulus_u=nominal.modulus_u or 0.0)
-    floor, none = np.diag((positions.resolution_u / nominal.scale) ** 2), np.zeros((3, 3))
-    if positions.stretch is not None:
-        return fit(blocks=positions.stretch), none
-    if positions.covariance is not None:
-        floor += positions.covariance / np.outer(nominal.scale, nominal.scale)
+    floor, none = np.diag((table.resolution_u / nominal.scale) ** 2), np.zeros((3, 3))
+    if table.stretch is not None:
+        return fit(blocks=table.stretch), none
+    if table.covariance is not None:
+        floor += table.covariance / np.outer(nominal.scale, nominal.scale)
     known = fit(covariance=np.broadcast_to(floor, (len(readings), 3, 3)), bad_sigmas=bad)
     if isinstance(known, Refusal):
         return known, floor
-    within = positions.covariance is not None
-    if within and known.scatter == 0.0 and positions.degrees:
-        known = replace(known, noise_degrees=float(positions.degrees))
+    within = table.covariance is not None
+    if within and known.scatter == 0.0 and table.degrees:
+        known = replace(known, noise_degrees=float(table.degrees))
     if within or (known.degrees > 0 and known.chi_square <= known.degrees):
         return known, floor
     return fit(bad_sigmas=bad), none
 
 
 def _estimated(
-    fit: EllipsoidFit, noise: Array, positions: TablePositions, nominal: Nominal, grade: str | None, terms: Terms
+    fit: EllipsoidFit, noise: Array, table: ReadingsTable, nominal: Nominal, grade: str | None, terms: Terms
 ) -> tuple[EllipsoidFit, Estimate, tuple[str, ...]]:
     """The fit, with the positions that what it leaves out makes look bad, the estimate of the method `ellipsoid`, and
     what its u has of what it leaves out, in words."""
-    rests = _rests(positions, nominal, noise)
+    rests = _rests(table, nominal, noise)
     if nominal.sensor == "gyro":
         note = "u has no part of asymmetry and g-sensitivity of the gyros, which the readings do not tell from biases"
         return fit, estimate_of(fit, rests), (note,)
@@ -232,7 +230,7 @@ def _estimated(
         return fit, estimate_of(fit, rests), ()
     chosen, origin = (grade, "") if grade is not None else guessed_grade(fit, rests)
     usual, what = _usual(chosen), "quadratic and cubic terms, asymmetry and drift"
-    if positions.stretch is not None:
+    if table.stretch is not None:
         usual = {name: size for name, size in usual.items() if variable_of(name) is None}
         what = "quadratic and cubic terms and asymmetry"
     note = (
@@ -245,10 +243,10 @@ def _estimated(
     if bad.any():  # by how much a residual may be off by the in-run instability and by what is left out
         beyond, instability = left_out_of(rests), GRADES[chosen].noise.accel_instability
         sigma = np.sqrt(instability**2 + ((beyond.leaves * beyond.usual) ** 2).sum(axis=1))
-        allowed = float(-ndtri(0.5 * BAD_CHANCE / len(positions.table.values))) * sigma
-        whole, noise = _fitted(positions, nominal, np.inf)
+        allowed = float(-ndtri(0.5 * BAD_CHANCE / len(table.values))) * sigma
+        whole, noise = _fitted(table, nominal, np.inf)
         if isinstance(whole, EllipsoidFit) and np.all(np.abs(whole.residual) <= np.where(bad, allowed, np.inf)):
-            fit, rests = whole, replace(_rests(positions, nominal, noise), usual=usual)
+            fit, rests = whole, replace(_rests(table, nominal, noise), usual=usual)
     return fit, estimate_of(fit, rests), (note,)
 
 
@@ -281,38 +279,22 @@ def guessed_grade(fit: EllipsoidFit, rests: Observations) -> tuple[str, str]:
     return poorer, f", guessed from the {what}; state another with --grade"
 
 
-def _rests(positions: TablePositions, nominal: Nominal, noise: Array) -> Observations:
+def _rests(table: ReadingsTable, nominal: Nominal, noise: Array) -> Observations:
     """The readings as the mean readings of rests, with the modulus in the place of gravity."""
-    readings = nominal.to_si(positions.table.values)
+    readings = nominal.to_si(table.values)
     N = len(readings)
     none, start = np.zeros((N, 0)), np.asarray(np.arange(N) * (ON_TABLE.rest + MOVE))
-    at_rest = Rests(
-        file=np.zeros(N, dtype=np.int64),
-        start=start,
-        stop=start + ON_TABLE.rest,
-        accel=readings,
-        accel_covariance=np.broadcast_to(noise, (N, 3, 3)),
-        accel_drift=none,
-        accel_noise=none,
-        gyro=none,
-        gyro_covariance=np.zeros((N, 0, 0)),
-        gyro_drift=none,
-        gyro_noise=none,
-        temperatures=None,
-    )
+    white = Rests.of_white_noise(start, start + ON_TABLE.rest, accel=readings, gyro=none, densities=(0.0, 0.0))
+    covariance = np.broadcast_to(noise, (N, 3, 3))
     return Observations(
         accel_block=TRIAD,
         gyro_block=None,
         site=Site(latitude=None, height=0.0, gravity=nominal.modulus, gravity_u=nominal.modulus_u or 0.0),
-        rests=at_rest,
-        turns=None,
-        turn_samples=None,
-        programme=None,
-        position=None,
+        rests=replace(white, accel_covariance=covariance, accel_drift=none, accel_noise=none),
     )
 
 
-def _reasons(positions: TablePositions, nominal: Nominal, fit: EllipsoidFit) -> Iterator[str]:
+def _reasons(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> Iterator[str]:
     """What speaks against a fit."""
     misstated = _misstated(nominal, np.abs(nominal.scale) * (1.0 + fit.values[3:6]))
     if misstated is not None:
@@ -320,7 +302,7 @@ def _reasons(positions: TablePositions, nominal: Nominal, fit: EllipsoidFit) -> 
         return
 
     def named(which: Iterable[int]) -> str:
-        return " or ".join(f"{i + 1} (line {positions.table.lines[i]})" for i in which)
+        return " or ".join(f"{i + 1} (line {table.lines[i]})" for i in which)
 
     size, unit = engineering(nominal.result_unit, float(np.abs(fit.residual).max()))
     for i in np.flatnonzero(~fit.used).tolist():
@@ -331,8 +313,8 @@ def _reasons(positions: TablePositions, nominal: Nominal, fit: EllipsoidFit) -> 
     if fit.doubtful and fit.worst is not None:
         several = "; these positions do not tell which, so that none was left out" if len(fit.doubtful) > 1 else ""
         yield f"position {named(sorted(fit.doubtful))} does not fit: {fit.worst.sigmas:.1f} sigma{several}"
-    rows = "positions" if positions.stretch is None else "samples"
-    limit = (SCATTER_LIMIT[nominal.sensor] if positions.stretch is None else RECORDED_LIMIT) * nominal.modulus
+    rows = "positions" if table.stretch is None else "samples"
+    limit = (SCATTER_LIMIT[nominal.sensor] if table.stretch is None else RECORDED_LIMIT) * nominal.modulus
     if fit.scatter > limit:
         size, unit = engineering(nominal.result_unit, fit.scatter)
         first, look = () if fit.worst is None else (fit.worst.position, *fit.worst.rivals), ""
@@ -368,7 +350,7 @@ def _misstated(nominal: Nominal, seen: Array | None) -> str | None:
 
 def _calibration(
     serial: str,
-    positions: TablePositions,
+    table: ReadingsTable,
     nominal: Nominal,
     fit: EllipsoidFit | None,
     estimate: Estimate | None,
@@ -382,7 +364,7 @@ def _calibration(
     if estimate is not None:
         learned = learned_in(estimate)
         if frame != "accelerometer":
-            estimate, _ = estimate_in(frame, estimate, _rests(positions, nominal, np.zeros((3, 3))))
+            estimate, _ = estimate_in(frame, estimate, _rests(table, nominal, np.zeros((3, 3))))
         named = replace(
             estimate,
             names=tuple(f"{sensor}.{name.partition('.')[2]}" for name in estimate.names),
@@ -399,14 +381,14 @@ def _calibration(
         gravity_is_unit=nominal.modulus_u is None,
     )
     # where the scatter is that of all there is, a row has no uncertainty beside it
-    row_known = fit is not None and (positions.covariance is not None or fit.scatter == 0.0)
+    row_known = fit is not None and (table.covariance is not None or fit.scatter == 0.0)
     worth = Readings(
-        columns=positions.table.columns,
+        columns=table.columns,
         unit=nominal.unit,
         increments=False,
         scale=tuple(nominal.scale.tolist()),
         offset=(0.0, 0.0, 0.0),
-        row_u=tuple((positions.row_u / np.abs(nominal.scale)).tolist()) if row_known else (),
+        row_u=tuple((table.row_u / np.abs(nominal.scale)).tolist()) if row_known else (),
     )
     return Calibration(
         device=CalibratedDevice(serial=serial),
@@ -419,14 +401,14 @@ def _calibration(
         fits={} if fit is None else {KINDS[sensor]: fit.fit(nominal.result_unit)},
         site=site if sensor == "accel" else None,
         readings={sensor: worth},
-        notes=(*positions.left_out, *_notes(positions, nominal, fit), *notes),
+        notes=(*table.left_out, *_notes(table, nominal, fit), *notes),
         groups=() if estimate is None else estimate.groups,
         prediction=None if estimate is None else estimate.prediction,
-        provenance=provenance_of(positions.table.sha256),
+        provenance=provenance_of(table.sha256),
     )
 
 
-def _notes(positions: TablePositions, nominal: Nominal, fit: EllipsoidFit | None) -> Iterator[str]:
+def _notes(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit | None) -> Iterator[str]:
     """What u has of the modulus, where that is not what is usual, and what was taken for scale and polarity."""
     u, per = nominal.modulus_u, ", ".join(f"{s * nominal.per_factor:.6g}" for s in nominal.scale)
     if nominal.sensor == "accel" and u is None:
@@ -451,7 +433,7 @@ def _notes(positions: TablePositions, nominal: Nominal, fit: EllipsoidFit | None
             f"polarity of {', '.join(nominal.assumed)}: taken as positive, since the readings do not tell it; state it "
             "with --scale or --position"
         )
-    negative = [name for name, s in zip(positions.table.columns, nominal.scale, strict=True) if s < 0.0]
+    negative = [name for name, s in zip(table.columns, nominal.scale, strict=True) if s < 0.0]
     if negative:
         mirrored = (
             "; as they are written, the readings are the mirror image of a right-handed triad, so the fit needs a "
@@ -459,7 +441,7 @@ def _notes(positions: TablePositions, nominal: Nominal, fit: EllipsoidFit | None
         )
         odd = mirrored if len(negative) % 2 else ""
         yield f"polarity of {', '.join(negative)}: negative, as the scale or the positions state{odd}"
-    if fit is not None and fit.covariance is not None and fit.scatter == 0.0 and positions.covariance is None:
+    if fit is not None and fit.covariance is not None and fit.scatter == 0.0 and table.covariance is None:
         yield "the residuals are no larger than the last digit of the readings explains: u is of that digit"
     if fit is not None and fit.degrees == 0:
         unknown = ", and no uncertainty can be given" if fit.covariance is None else ""

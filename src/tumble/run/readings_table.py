@@ -77,7 +77,12 @@ calibration: m/s², rad/s, or for magnetometers themselves."""
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ReadingsTable:
     """A table of readings: `values` (N, 3) as written, `lines` (N,) of the file they stand in, and of each column the
-    step (3,) of the last digit that is written in it."""
+    step (3,) of the last digit that is written in it.
+
+    Of positions that are blocks of so many `rows`, values are the means and lines those of the first row of each; the
+    `covariance` (3, 3) of a reading is from the scatter within blocks, None where a block is one row, with its
+    `degrees` of freedom; what was `left_out`, in words. Of a recording `stretch` (N,) is the number of the stretch that
+    each row is in, None where rows are positions."""
 
     path: Path
     columns: tuple[str, ...]
@@ -85,6 +90,22 @@ class ReadingsTable:
     lines: tuple[int, ...]
     sha256: str
     steps: Array
+    rows: int = 1
+    covariance: Array | None = None
+    degrees: int = 0
+    left_out: tuple[str, ...] = ()
+    stretch: IntArray | None = None
+
+    @property
+    def resolution_u(self) -> Array:
+        """Standard uncertainty (3,) of a reading from the last digit it is written with, in the unit of the table."""
+        return np.asarray(self.steps / np.sqrt(12.0))
+
+    @property
+    def row_u(self) -> Array:
+        """Standard uncertainty (3,) of a single row, from its last digit and the scatter within blocks, as above."""
+        within = 0.0 if self.covariance is None else self.rows * np.diag(self.covariance)
+        return np.sqrt(self.resolution_u**2 + within)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -152,14 +173,16 @@ def read_table(path: Path) -> ReadingsTable:
                 found = repr(cell.strip()[:40]) if cell.strip() else "an empty value"
                 place = f"{path}: line {line}, column {column!r}"
                 raise InputError(f"{place}: expected a number, found {found}; correct the row")
-    last_places = np.array([[_last_place(cell) for cell in row] for _, row in rows[1:]])
+    numbers = [[cell.strip().lower().partition("e") for cell in row] for _, row in rows[1:]]
+    # the power of ten of the last digit of each: −3 of 1.250, 2 of 1.25e4
+    last = [[int(power or 0) - len(digits.partition(".")[2]) for digits, _, power in row] for row in numbers]
     return ReadingsTable(
         path=path,
         columns=columns,
         values=np.array([[float(cell) for cell in row] for _, row in rows[1:]]),
         lines=tuple(line for line, _ in rows[1:]),
         sha256=hashlib.sha256(content).hexdigest(),
-        steps=10.0 ** np.minimum(0, last_places.min(axis=0)),  # of whole numbers 1
+        steps=10.0 ** np.minimum(0, np.min(last, axis=0)),  # of whole numbers 1
     )
 
 
@@ -182,12 +205,6 @@ def _number(cell: str) -> float:
         return float(cell)
     except ValueError:
         return math.nan
-
-
-def _last_place(cell: str) -> int:
-    """The power of ten of the last digit of a number: −3 of 1.250, 2 of 1.25e4."""
-    mantissa, _, exponent = cell.strip().lower().partition("e")
-    return int(exponent or 0) - len(mantissa.partition(".")[2])
 
 
 # -------------------- what the readings are worth --------------------
@@ -334,34 +351,8 @@ CONSECUTIVE = 5 * BLOCKS
 but for the 16 % to which 19 degrees of freedom know it."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class TablePositions:
-    """A `table` with a row a position, in which `lines` are those of the first row of each; the `covariance` (3, 3) of
-    a reading from the scatter within blocks, None where a block is one row, with its `degrees` of freedom; and in
-    words what was `left_out`. A block has so many `rows`. Of a recording `stretch` (N,) is the number of the stretch
-    that each row is in, None where rows are positions."""
-
-    table: ReadingsTable
-    covariance: Array | None
-    rows: int
-    degrees: int
-    left_out: tuple[str, ...]
-    stretch: IntArray | None
-
-    @property
-    def resolution_u(self) -> Array:
-        """Standard uncertainty (3,) of a reading from the last digit it is written with, in the unit of the table."""
-        return np.asarray(self.table.steps / np.sqrt(12.0))
-
-    @property
-    def row_u(self) -> Array:
-        """Standard uncertainty (3,) of a single row, from its last digit and the scatter within blocks, as above."""
-        within = 0.0 if self.covariance is None else self.rows * np.diag(self.covariance)
-        return np.sqrt(self.resolution_u**2 + within)
-
-
-def positions_of(table: ReadingsTable, rows_per_position: int = 1) -> TablePositions:
-    """The positions of a table with so many rows each. Raises InputError where they do not go into the table."""
+def positions_of(table: ReadingsTable, rows_per_position: int = 1) -> ReadingsTable:
+    """The table with a row a position, of so many rows each. Raises InputError where they do not go into the table."""
     N, rows = len(table.values), rows_per_position
     if rows < 1 or N % rows:
         raise InputError(
@@ -382,8 +373,10 @@ def positions_of(table: ReadingsTable, rows_per_position: int = 1) -> TablePosit
     if rows > 1:  # of the mean of a block, from the scatter within all blocks
         away = (blocks[once] - means[:, None]).reshape(-1, 3)
         covariance = np.asarray(away.T @ away / (len(once) * (rows - 1)) / rows)
-    return TablePositions(
-        table=replace(table, values=means, lines=tuple(lines[i] for i in once)),
+    return replace(
+        table,
+        values=means,
+        lines=tuple(lines[i] for i in once),
         covariance=covariance,
         rows=rows,
         degrees=len(once) * (rows - 1),
