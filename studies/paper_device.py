@@ -42,11 +42,10 @@ from tumble.planning.setup import Setup
 from tumble.result.calibration import Calibration
 from tumble.result.parts import CalibratedDevice, Launch, Parameter
 from tumble.rotation import rotation_matrix
-from tumble.run.launches import difference_percent
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, SensorModel, triad_model, triad_parameters
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
-from tumble.views.calibration import calibration_blocks
+from tumble.views.calibration import calibration_blocks, difference_percent
 from tumble.views.render.terminal import print_blocks
 
 LAUNCHES = 7

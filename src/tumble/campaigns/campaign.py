@@ -31,14 +31,12 @@ from tumble.campaigns.trial import Cell, Source, session_rows, statics_rows
 from tumble.documents import text_of_document, toml_of, validated
 from tumble.errors import InputError
 from tumble.planning.bounds import instrument_of
-from tumble.planning.setup import NAMES, Terms
+from tumble.planning.setup import NAMES
 from tumble.programme.positions import BUILT_IN
 from tumble.run.calibrate import DEFAULT_METHOD, ITERATED_METHODS, METHODS, Method
 from tumble.sensors.grades import GRADES
 from tumble.usual_setup import GRADE, INSTABILITY_TIME, LATITUDE_DEG, MOUNTING_ERROR_DEG, PROGRAMME, TABLE_ERROR_DEG
 
-ESTIMATORS = (*METHODS, *ITERATED_METHODS)
-TERMS: tuple[Terms, ...] = ("linear", "full")
 MOST_TASKS = 10_000_000
 
 
@@ -62,7 +60,7 @@ class _GridKeys(_CampaignTable):
     """Every axis is a list; a single value stands for a list of one. None, as with `tumble simulate`, for what is usual
     on a table or by hand. The axes are in the order in which they vary, the outermost first."""
 
-    method: list[str] = _axis(DEFAULT_METHOD, ESTIMATORS)
+    method: list[str] = _axis(DEFAULT_METHOD, (*METHODS, *ITERATED_METHODS))
     grade: list[str] = _axis(GRADE, GRADES)
     programme: list[str] = _axis(PROGRAMME, BUILT_IN)
     positions: list[Annotated[int, Field(ge=1, le=1000)] | None] = _axis(None, "whole numbers from 1 to 1000")
@@ -76,7 +74,7 @@ class _GridKeys(_CampaignTable):
     instability_time: list[Annotated[float, Field(ge=0.0, le=86_400.0)]] = _axis(
         INSTABILITY_TIME, "numbers from 0 to 86400 (s)"
     )
-    terms: list[str] = _axis("linear", TERMS)
+    terms: list[str] = _axis("linear", ("linear", "full"))
 
     @field_validator("*", mode="before")
     @classmethod

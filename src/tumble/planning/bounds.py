@@ -387,9 +387,6 @@ def observed(course: Course, setup: Setup, instrument: Instrument) -> tuple[Obse
             densities=(noise.accel_white, noise.gyro_white),
         ),
         turns=turns,
-        turn_samples=None,
-        programme=None,
-        position=None,
         usual=setup.further,
     )
     return observations, about

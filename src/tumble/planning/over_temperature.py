@@ -308,7 +308,16 @@ def problem_of(
     if problem.lag is not None:
         values[problem.lag] = TYPICAL * setup.further["temperature.lag"]
     point = Point(values=values, gravity=setup.gravity, attitudes=course.attitudes, own=of_each)
-    return problem, _with_lag(problem.warmed(point), linearise(problem, point, about)), point
+    rows, warmed = linearise(problem, point, about), problem.warmed(point)
+    if warmed.lag is None:
+        return problem, rows, point
+    rest, turn = rows.rest.copy(), rows.turn.copy()
+    for by, place in ((rest[:, :, 4:-1], 0), (turn[:, :, 7:-1], 1)):
+        for of, base, variable in warmed.changes:
+            if variable == "temperature" and len(by):
+                warmer = warmed.goes_with(warmed.by_lag, variable, of, place)[:, None]
+                by[:, :, warmed.lag] += (warmer * by[:, :, base]) @ warmed.measured[1][1:][of]
+    return problem, replace(rows, rest=rest, turn=turn), point
 
 
 def _recorded(session: ChamberSession, course: Course, setup: Setup, *, parts: bool) -> Course:
@@ -337,20 +346,6 @@ def _recorded(session: ChamberSession, course: Course, setup: Setup, *, parts: b
         seconds=seconds[first],
         still=np.where(seconds[first] > NO_TIME, 0.5 * setup.ramp + margin, 0.0),
     )
-
-
-def _with_lag(problem: Problem, rows: Rows) -> Rows:
-    """The rows with the derivative by the lag of a typical instrument."""
-    if problem.lag is None:
-        return rows
-    rest, turn = rows.rest.copy(), rows.turn.copy()
-    for by, place in ((rest[:, :, 4:-1], 0), (turn[:, :, 7:-1], 1)):
-        for own, base, variable in problem.changes:
-            if variable == "temperature" and len(by):
-                warmer = problem.goes_with(problem.by_lag, variable, own, place)[:, None]
-                slopes = problem.measured[1][1:][own]
-                by[:, :, problem.lag] += (warmer * by[:, :, base]) @ slopes
-    return replace(rows, rest=rest, turn=turn)
 
 
 # What is said

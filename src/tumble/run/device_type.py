@@ -520,19 +520,17 @@ def with_type(
     )
     said = f"{units} other units of the type {model!r} are a prior of {len(sites)} parameters"
     said += f", in the place of what is usual of {len(replaced)} groups" if replaced else ""
-    return made, (said, *(_unlike(parameters[i], beside[i], probabilities[i]) for i in unlike))
-
-
-def _unlike(parameter: TypeParameter, found: tuple[float, float], probability: float) -> str:
-    """That a value is unlike its type, in a sentence."""
-    (off, variance), unit = found, group_of(parameter.name).unit
-    size, shown = shown_in(parameter.name, unit, off)
-    times = abs(off) / float(np.sqrt(parameter.variance + variance))
-    return (
-        f"unlike its type: {parameter.name} is {off / size:+.3g} {shown} from the mean of {parameter.units} other "
-        f"units, {times:.1f} times what these differ by (by chance with probability {probability:.1g}); the type says "
-        "nothing of it here"
-    )
+    sentences = [said]
+    for i in unlike:
+        (off, variance), each = beside[i], parameters[i]
+        size, unit = shown_in(each.name, group_of(each.name).unit, off)
+        times = abs(off) / float(np.sqrt(each.variance + variance))
+        sentences.append(
+            f"unlike its type: {each.name} is {off / size:+.3g} {unit} from the mean of {each.units} other units, "
+            f"{times:.1f} times what these differ by (by chance with probability {probabilities[i]:.1g}); the type "
+            "says nothing of it here"
+        )
+    return made, tuple(sentences)
 
 
 def _propagated(

@@ -185,14 +185,55 @@ def calibrate_table(
         fit, estimate, notes = _estimated(fitted, noise, table, nominal, grade, terms)
         remarks = (WAVED,) if recorded and sensor == "accel" else ()
         outcome = Outcome(reasons=tuple(_reasons(table, nominal, fit)), remarks=remarks)
-    serial = table.path.stem if serial is None else serial
-    return ReadingsCalibration(
-        calibration=_calibration(serial, table, nominal, fit, estimate, frame, outcome, notes),
-        table=table,
-        nominal=nominal,
-        fit=fit,
-        recorded=recorded and fit is not None,
+    parameters: tuple[Parameter, ...] = ()
+    known = fit is not None and fit.covariance is not None
+    if estimate is not None:
+        learned = learned_in(estimate)
+        if frame != "accelerometer":
+            estimate, _ = estimate_in(frame, estimate, _rests(table, nominal, np.zeros((3, 3))))
+        named = replace(
+            estimate,
+            names=tuple(f"{sensor}.{name.partition('.')[2]}" for name in estimate.names),
+            units=(nominal.result_unit,) * 3 + estimate.units[3:],
+        )
+        parameters = parameters_of(named, np.arange(len(named.names)), {}, learned)
+        parameters = parameters if known else tuple(replace(p, u=None, dof=None) for p in parameters)
+    models: dict[str, Any] = dict.fromkeys(("accel", "gyro", "mag")) | {sensor: estimate and estimate.accel}
+    site = replace(_site(nominal), gravity_is_unit=nominal.modulus_u is None)
+    # where the scatter is that of all there is, a row has no uncertainty beside it
+    row_known = fit is not None and (table.covariance is not None or fit.scatter == 0.0)
+    worth = Readings(
+        columns=table.columns,
+        unit=nominal.unit,
+        increments=False,
+        scale=tuple(nominal.scale.tolist()),
+        offset=(0.0, 0.0, 0.0),
+        row_u=tuple((table.row_u / np.abs(nominal.scale)).tolist()) if row_known else (),
     )
+    calibration = Calibration(
+        device=CalibratedDevice(serial=table.path.stem if serial is None else serial),
+        method="ellipsoid",
+        frame="accelerometer" if estimate is None else frame,
+        parameters=parameters,
+        covariance=estimate.covariance if estimate is not None and known else None,
+        **models,
+        outcome=outcome,
+        fits={} if fit is None else {KINDS[sensor]: fit.fit(nominal.result_unit)},
+        site=site if sensor == "accel" else None,
+        readings={sensor: worth},
+        notes=(*table.left_out, *_notes(table, nominal, fit), *notes),
+        groups=() if estimate is None else estimate.groups,
+        prediction=None if estimate is None else estimate.prediction,
+        provenance=provenance_of(table.sha256),
+    )
+    return ReadingsCalibration(
+        calibration=calibration, table=table, nominal=nominal, fit=fit, recorded=recorded and fit is not None
+    )
+
+
+def _site(nominal: Nominal) -> Site:
+    """A place where the modulus is gravity."""
+    return Site(latitude=None, height=0.0, gravity=nominal.modulus, gravity_u=nominal.modulus_u or 0.0)
 
 
 def _fitted(table: ReadingsTable, nominal: Nominal, bad: float) -> tuple[EllipsoidFit | Refusal, Array]:
@@ -289,7 +330,7 @@ def _rests(table: ReadingsTable, nominal: Nominal, noise: Array) -> Observations
     return Observations(
         accel_block=TRIAD,
         gyro_block=None,
-        site=Site(latitude=None, height=0.0, gravity=nominal.modulus, gravity_u=nominal.modulus_u or 0.0),
+        site=_site(nominal),
         rests=replace(white, accel_covariance=covariance, accel_drift=none, accel_noise=none),
     )
 
@@ -346,66 +387,6 @@ def _misstated(nominal: Nominal, seen: Array | None) -> str | None:
         fault = f"the outputs seen are {outputs} {nominal.unit}/{nominal.per}, the scale states {stated}"
         fitting += [f"--scale={outputs}".replace(" ", "")]
     return f"{fault}; {' or '.join(fitting) or 'another unit or scale'} would fit"
-
-
-def _calibration(
-    serial: str,
-    table: ReadingsTable,
-    nominal: Nominal,
-    fit: EllipsoidFit | None,
-    estimate: Estimate | None,
-    frame: Frame,
-    outcome: Outcome,
-    notes: tuple[str, ...],
-) -> Calibration:
-    sensor = nominal.sensor
-    parameters: tuple[Parameter, ...] = ()
-    known = fit is not None and fit.covariance is not None
-    if estimate is not None:
-        learned = learned_in(estimate)
-        if frame != "accelerometer":
-            estimate, _ = estimate_in(frame, estimate, _rests(table, nominal, np.zeros((3, 3))))
-        named = replace(
-            estimate,
-            names=tuple(f"{sensor}.{name.partition('.')[2]}" for name in estimate.names),
-            units=(nominal.result_unit,) * 3 + estimate.units[3:],
-        )
-        parameters = parameters_of(named, np.arange(len(named.names)), {}, learned)
-        parameters = parameters if known else tuple(replace(p, u=None, dof=None) for p in parameters)
-    models: dict[str, Any] = dict.fromkeys(("accel", "gyro", "mag")) | {sensor: estimate and estimate.accel}
-    site = Site(
-        latitude=None,
-        height=0.0,
-        gravity=nominal.modulus,
-        gravity_u=nominal.modulus_u or 0.0,
-        gravity_is_unit=nominal.modulus_u is None,
-    )
-    # where the scatter is that of all there is, a row has no uncertainty beside it
-    row_known = fit is not None and (table.covariance is not None or fit.scatter == 0.0)
-    worth = Readings(
-        columns=table.columns,
-        unit=nominal.unit,
-        increments=False,
-        scale=tuple(nominal.scale.tolist()),
-        offset=(0.0, 0.0, 0.0),
-        row_u=tuple((table.row_u / np.abs(nominal.scale)).tolist()) if row_known else (),
-    )
-    return Calibration(
-        device=CalibratedDevice(serial=serial),
-        method="ellipsoid",
-        frame="accelerometer" if estimate is None else frame,
-        parameters=parameters,
-        covariance=estimate.covariance if estimate is not None and known else None,
-        **models,
-        outcome=outcome,
-        fits={} if fit is None else {KINDS[sensor]: fit.fit(nominal.result_unit)},
-        site=site if sensor == "accel" else None,
-        readings={sensor: worth},
-        notes=(*table.left_out, *_notes(table, nominal, fit), *notes),
-        groups=() if estimate is None else estimate.groups,
-        prediction=None if estimate is None else estimate.prediction,
-        provenance=provenance_of(table.sha256),
-    )
 
 
 def _notes(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit | None) -> Iterator[str]:

@@ -127,20 +127,32 @@ def _turns(
     rng: np.random.Generator,
 ) -> tuple[Turns, TurnSamples, TurnReadings]:
     """The turns after the rests `first` (K,), not yet integrated, and their samples: for each turn AHEAD more are
-    kept ahead of it, which its first step wants, as if it turned already."""
+    kept ahead of it, which its first step wants, as if it turned already. All have white noise but those of the gyros
+    ahead."""
     accel, gyro = sensors
-    K, n, to_body, to_force = len(first), gyro.block.size, onto_body(gyro.block.axes), np.linalg.pinv(accel.block.axes)
+    K, n, S, before = len(first), gyro.block.size, SAMPLES + AHEAD, way.attitudes[first]
+    to_body, to_force = onto_body(gyro.block.axes), np.linalg.pinv(accel.block.axes)
     T = way.rests[first + 1, 0] - way.rests[first, 1]
-    vector = inertial_turns(way.attitudes[first], way.attitudes[first + 1], way.moves[first], T, scenario.latitude)
+    vector = inertial_turns(before, way.attitudes[first + 1], way.moves[first], T, scenario.latitude)
     dt = T / SAMPLES
-    sampled, felt = _samples(scenario, way, first, (vector, T), sensors, biases, rng)
+    when = way.rests[first, 1][:, None] + (np.arange(S) - AHEAD + 0.5) * dt[:, None]
+    rate = np.repeat((vector / T[:, None])[:, None], S, axis=1)
+    force = scenario.site.gravity * _mean_verticals(scenario, before, vector, T)
+    sampled = _sampled(gyro, force, rate, when) + biases[1].at(when)
+    sampled[:, AHEAD:] += gyro.white / np.sqrt(dt)[:, None, None] * rng.standard_normal((K, SAMPLES, n))
+    if np.any(late := scenario.instrument.delays(scenario.values)):
+        times, which = np.unique(late, return_inverse=True)
+        each = [_mean_verticals(scenario, before, vector, T, behind) for behind in times.tolist()]
+        force = scenario.site.gravity * np.stack(each, axis=2)[:, :, which]
+    felt = _sampled(accel, _with_levers(scenario, way, first, force, vector, T), rate, when)
+    felt += biases[0].at(when) + accel.white / np.sqrt(dt)[:, None, None] * rng.spawn(1)[0].standard_normal(felt.shape)
     stored = MotionSamples()
     stored.append(
         (sampled @ to_body.T).reshape(-1, 3),
         (felt @ to_force.T).reshape(-1, 3),
-        np.repeat(dt, SAMPLES + AHEAD),
+        np.repeat(dt, S),
     )
-    start = AHEAD + (SAMPLES + AHEAD) * np.arange(K)
+    start = AHEAD + S * np.arange(K)
     spread = np.trace(to_force @ to_force.T) / 3.0
     step = np.linalg.norm(vector, axis=1) / SAMPLES
     floor = VELOCITY_FLOOR + VELOCITY_STEP * scenario.site.gravity * T * step**3
@@ -151,34 +163,6 @@ def _turns(
         integral=sampled[:, AHEAD:].sum(axis=1) * dt[:, None], covariance=variance[:, None, None] * np.eye(n)
     )
     return turns, TurnSamples(samples=stored, start=start, stop=start + SAMPLES), integrals
-
-
-def _samples(
-    scenario: Scenario,
-    way: Itinerary,
-    first: IntArray,
-    turns: tuple[Array, Array],
-    sensors: tuple[SimulatedBlock, SimulatedBlock],
-    biases: tuple[InRunBias, ...],
-    rng: np.random.Generator,
-) -> tuple[Array, Array]:
-    """Readings of the gyros and of the accelerometers (K, AHEAD + SAMPLES, n) in turns by inertial rotation vectors
-    (K, 3) in so many seconds (K,), with white noise but for the gyros ahead of the turns."""
-    (vector, T), before, (accel, gyro), S = turns, way.attitudes[first], sensors, SAMPLES + AHEAD
-    dt = T / SAMPLES
-    when = way.rests[first, 1][:, None] + (np.arange(S) - AHEAD + 0.5) * dt[:, None]
-    rate = np.repeat((vector / T[:, None])[:, None], S, axis=1)
-    force = scenario.site.gravity * _mean_verticals(scenario, before, vector, T)
-    sampled = _sampled(gyro, force, rate, when) + biases[1].at(when)
-    noise = rng.standard_normal((len(first), SAMPLES, gyro.block.size))
-    sampled[:, AHEAD:] += gyro.white / np.sqrt(dt)[:, None, None] * noise
-    if np.any(late := scenario.instrument.delays(scenario.values)):
-        times, which = np.unique(late, return_inverse=True)
-        each = [_mean_verticals(scenario, before, vector, T, behind) for behind in times.tolist()]
-        force = scenario.site.gravity * np.stack(each, axis=2)[:, :, which]
-    felt = _sampled(accel, _with_levers(scenario, way, first, force, vector, T), rate, when)
-    felt += biases[0].at(when) + accel.white / np.sqrt(dt)[:, None, None] * rng.spawn(1)[0].standard_normal(felt.shape)
-    return sampled, felt
 
 
 def _sampled(sensors: SimulatedBlock, force: Array, rate: Array, when: Array) -> Array:

@@ -89,6 +89,8 @@ def write_simulation(
 
     session.toml names a built-in programme, lists the positions of another, and names none for random ones.
     Raises InputError."""
+    import polars as pl  # heavy, and only needed here
+
     log = f"log.{log_format}"
     for name, said in ((SESSION_FILE, "a session"), (log, log), (TRUTH_FILE, TRUTH_FILE)):
         if (folder / name).exists():
@@ -100,7 +102,9 @@ def write_simulation(
         truth |= {LAG_NAME: climate.lag} if climate.lag != 0.0 else {}
     try:
         with nothing_left(folder) as output:
-            _write_log(output.new_file(log), scenario, recording)
+            frame = pl.DataFrame(_columns_of(scenario, recording))  # SI; float64 survives in both formats
+            with whole_file(output.new_file(log)) as temporary:
+                (frame.write_csv if log_format == "csv" else frame.write_parquet)(temporary)
             with whole_file(output.new_file(TRUTH_FILE)) as temporary:
                 temporary.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
             write_session(folder, _content(scenario, log_format))
@@ -147,18 +151,6 @@ def _columns_of(scenario: Scenario, recording: Recording) -> dict[str, Array]:
         middle = recording.time - 0.5 / scenario.profile.sample_rate
         columns |= thermometer_columns(scenario.climate, middle)
     return columns
-
-
-def _write_log(file: Path, scenario: Scenario, recording: Recording) -> None:
-    """The log in SI; float64 survives in both formats."""
-    import polars as pl  # heavy, and only needed here
-
-    frame = pl.DataFrame(_columns_of(scenario, recording))
-    with whole_file(file) as temporary:
-        if file.suffix == ".csv":
-            frame.write_csv(temporary)
-        else:
-            frame.write_parquet(temporary)
 
 
 def _content(scenario: Scenario, log_format: LogFormat) -> dict[str, Any]:

@@ -265,9 +265,9 @@ def method_table(calibration: Calibration, other: Calibration, parameters: Seque
     return table(rows)
 
 
-def difference_percent(value: float | Array, reference: float | Array) -> float | Array:
-    """How far values are from those of another method, % of the latter."""
-    return 100.0 * (value - reference) / reference
+def difference_percent(value: Array | float, reference: Array | float) -> Array:
+    """How far values are from those of another method, % of the latter: the last column of the paper's Table 1."""
+    return np.asarray(100.0 * (np.asarray(value) - reference) / reference)
 
 
 # -------------------- lines --------------------
