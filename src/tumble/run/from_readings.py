@@ -186,7 +186,7 @@ def calibrate_table(
         remarks = (WAVED,) if recorded and sensor == "accel" else ()
         outcome = Outcome(reasons=tuple(_reasons(table, nominal, fit)), remarks=remarks)
     parameters: tuple[Parameter, ...] = ()
-    known = fit is not None and fit.covariance is not None
+    has_u = fit is not None and fit.covariance is not None
     if estimate is not None:
         learned = learned_in(estimate)
         if frame != "accelerometer":
@@ -197,7 +197,7 @@ def calibrate_table(
             units=(nominal.result_unit,) * 3 + estimate.units[3:],
         )
         parameters = parameters_of(named, np.arange(len(named.names)), {}, learned)
-        parameters = parameters if known else tuple(replace(p, u=None, dof=None) for p in parameters)
+        parameters = parameters if has_u else tuple(replace(p, u=None, dof=None) for p in parameters)
     models: dict[str, Any] = dict.fromkeys(("accel", "gyro", "mag")) | {sensor: estimate and estimate.accel}
     site = replace(_site(nominal), gravity_is_unit=nominal.modulus_u is None)
     # where the scatter is that of all there is, a row has no uncertainty beside it
@@ -215,7 +215,7 @@ def calibrate_table(
         method="ellipsoid",
         frame="accelerometer" if estimate is None else frame,
         parameters=parameters,
-        covariance=estimate.covariance if estimate is not None and known else None,
+        covariance=estimate.covariance if estimate is not None and has_u else None,
         **models,
         outcome=outcome,
         fits={} if fit is None else {KINDS[sensor]: fit.fit(nominal.result_unit)},
