@@ -35,7 +35,7 @@ from tumble.result.file import text_of
 from tumble.result.further import remarks as remarks_of
 from tumble.result.shared_errors import shared_errors
 from tumble.units import Array
-from tumble.use.foreign import IMU_TK, KALIBR, foreign_calibration, is_foreign
+from tumble.use.foreign import IMU_TK, KALIBR, foreign_calibration
 
 CHANCE = 0.01
 """How often the largest difference of two calibrations that agree is called one."""
@@ -167,7 +167,7 @@ def compare_calibrations(
     (True, 21)
     """
     first = calibration_from(first)
-    if not isinstance(second, Calibration) and is_foreign(text_of(Path(second))):
+    if not isinstance(second, Calibration) and not text_of(Path(second)).lstrip().startswith("{"):  # no JSON
         second = foreign_calibration(second, gyro, first)
     elif gyro is not None:
         raise InputError(f"{gyro}: expected a file of gyros beside one of imu_tk only, found it beside a calibration")

@@ -45,11 +45,6 @@ _KEY = re.compile(r"( *)(\w+): *(.*)")
 _Models = tuple[SensorModel, SensorModel | None]
 
 
-def is_foreign(text: str) -> bool:
-    """Whether a text is a result of another program: not JSON."""
-    return not text.lstrip().startswith("{")
-
-
 def foreign_calibration(path: FilePath, gyro: FilePath | None, like: Calibration) -> Calibration:
     """The result of Kalibr or imu_tk (with the file of its gyros, where there is one) for the readings that the
     calibration `like` is of, in the frame `accelerometer`, without uncertainties. Raises InputError for another file,

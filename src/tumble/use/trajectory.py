@@ -68,18 +68,6 @@ class Trajectory:
         return STEP * (len(self.position) - 1)
 
 
-def mounted(forward: str, up: str) -> Array:
-    """The matrix that takes body axes to forward, up and right in the vehicle. Raises InputError for axes that are not
-    at right angles."""
-    for name, axis in (("forward", forward), ("up", up)):
-        if axis not in AXES:
-            raise InputError(f"{name}: expected one of {', '.join(AXES)}, found {axis!r}")
-    if forward[-1] == up[-1]:
-        raise InputError(f"up: expected another axis than forward, {forward}, found {up}")
-    first, second = (np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0) for axis in (forward, up))
-    return np.array([first, second, np.cross(first, second)])
-
-
 def built_in(name: str, latitude: float, height: float, mat_vb: Array) -> Trajectory:
     """A built-in trajectory that starts northwards at a place."""
     segments = np.array(BUILT_IN[name])
@@ -170,7 +158,13 @@ def from_file(path: Path, latitude: float, height: float, mat_vb: Array) -> Traj
 def trajectory_of(given: FilePath, latitude: float, height: float, forward: str = "x", up: str = "z") -> Trajectory:
     """A built-in trajectory by its name, or that of a file, for a body with these axes forward and up in the vehicle.
     Raises InputError for anything else."""
-    mat_vb = mounted(forward, up)
+    for name, axis in (("forward", forward), ("up", up)):
+        if axis not in AXES:
+            raise InputError(f"{name}: expected one of {', '.join(AXES)}, found {axis!r}")
+    if forward[-1] == up[-1]:
+        raise InputError(f"up: expected another axis than forward, {forward}, found {up}")
+    first, second = (np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0) for axis in (forward, up))
+    mat_vb = np.array([first, second, np.cross(first, second)])  # body axes to forward, up and right in the vehicle
     if str(given) in BUILT_IN:
         return built_in(str(given), latitude, height, mat_vb)
     if not Path(given).is_file():
