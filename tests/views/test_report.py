@@ -684,7 +684,8 @@ def test_launches_stand_beside_each_other(session: Path, tmp_path: Path) -> None
     for row, p, q in zip(rows, content["launches"][0]["parameters"], content["launches"][1]["parameters"], strict=True):
         size = SIZES[row["unit"]]
         for text, own in ((row["one"], p), (row["two"], q)):  # to the second digit of U
-            last = max(last_digit(text), 10.0 ** (np.floor(np.log10(2.0102 * own["u"] / size)) - 1.0))
+            exponent = f"{(own['k'] or 2.0) * own['u'] / size:.1e}".partition("e")[2]
+            last = max(last_digit(text), 10.0 ** (int(exponent) - 1))
             assert number(text) == pytest.approx(own["value"] / size, abs=0.5001 * last)
     for launch in content["launches"]:
         assert launch["log_sha256"] in page.whole
