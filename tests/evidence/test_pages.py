@@ -95,7 +95,6 @@ NO_RESULT = {
     "simulation.md": 1,
     "temperature.md": 4,
     "thresholds.md": 2,
-    "verdicts.md": 3,
     "xsens.md": 4,
 }
 """Tables of numbers in docs/evidence that come from no result file and are compared by no test. This list may only

@@ -112,9 +112,9 @@ class Candidate:
         )
 
 
-def tested(linearised: Linearised, candidates: Sequence[Candidate]) -> tuple[list[list[Cause]], list[Array]]:
+def tested(linearised: Linearised, candidates: Sequence[Candidate]) -> list[list[Cause]]:
     """Of each session the candidates that it sees, of each name and kind of sensor the most likely with its probability
-    as that of one of many; and u of the parameters (m,)."""
+    as that of one of many."""
     rest, turn = (np.concatenate([c.columns[rows] for c in candidates], axis=2) for rows in (0, 1))
     ends = np.cumsum([c.columns[0].shape[2] for c in candidates]).tolist()
     instrument = linearised.problem.instrument
@@ -134,7 +134,7 @@ def tested(linearised: Linearised, candidates: Sequence[Candidate]) -> tuple[lis
             if cause is not None and (key not in best or cause.probability < best[key].probability):
                 best[key] = cause
         by_session.append([replace(c, probability=min(1.0, tried[key] * c.probability)) for key, c in best.items()])
-    return by_session, [projection.u for projection in whole]
+    return by_session
 
 
 def candidates_of(session: LinearisedSession) -> Iterator[Candidate]:

@@ -32,6 +32,8 @@ from tumble.rotation import tangent_basis
 from tumble.sensors.parameters import RATE
 from tumble.units import DEGREE, Array
 
+OF_TURNS = ("gyro.scale", "gyro.axis")
+"""Groups of parameters that turns tell."""
 FEWEST_HELD = 3
 ROUNDS = 4
 """Of the scatter of turns that are to blame for all."""
@@ -161,12 +163,12 @@ def turns_to_blame(linearised: Linearised, alone: Remaining) -> Remaining:
     return remaining
 
 
-def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Remaining, u: Array) -> Cause:
+def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Remaining) -> Cause:
     """Rotations of turns of session s that err about their own axis, with the angle, more than across it, where turns
-    are to blame: samples that are missing or held. Both are scatter, so that what is compared is one with the other. A
-    share p of samples that is lost by chance makes the variance p ω² Δt² a sample of what turns have lost, and scale
-    factors of the gyros that are less by p: the latter is no scatter, and is the damage; it goes into their axes too,
-    which the same turns tell."""
+    are to blame: samples that are missing or held. Both are scatter, so that what is compared is one with the other.
+    Every sample that is lost makes a turn shorter, so that scale factors of the gyros are less by the share that is
+    lost, and err in their axes too, which the same turns tell: that is no scatter, and no scatter tells its size. Time
+    stamps that jitter make turns err either way."""
     about, observed, part = session.linearised.about, session.observed[s], session.problem.parts[s].turns
     assert about is not None
     axis = _turned_about(about, part)
@@ -176,16 +178,11 @@ def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Remaining, u: 
         SumOfSquares.along(W @ (size * of), residual, covariance)
         for of in (axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2))
     )
-    damage, samples, turns, instrument = 0.0, observed.turn_samples, observed.turns, session.problem.instrument
-    if samples is not None and turns is not None and instrument.gyro is not None:
-        interval = float(np.median(turns.duration / np.maximum(samples.lengths[: len(turns)], 1)))
-        share = max(0.0, along.excess - across.excess) / interval
-        damage = share / float(u[instrument.group_columns["gyro.scale"]].min())
     return Cause(
         name="lost samples",
         concerns="gyro",
         probability=along.chance_beside(across),
-        by_group={"gyro.scale": damage, "gyro.axis": damage},
+        by_group={} if jittering(observed) else dict.fromkeys(OF_TURNS, np.inf),
         sentence="turns that err about their own axis, with their angle: samples are missing or held in the log; "
         + stamps_remedy(observed),
     )
@@ -218,5 +215,5 @@ def lost_by_velocities(linear: Linearised, observations: Observations) -> Cause 
 def _standing_loss(linearised: Linearised) -> Cause | None:
     """The turn that lacks samples most likely, where it stands out."""
     losses = of_turns(LinearisedSession(linearised), Remaining.of(linearised, linearised.components))
-    causes = [cause for of_session in tested(linearised, losses)[0] for cause in of_session] if losses else []
+    causes = [cause for of_session in tested(linearised, losses) for cause in of_session] if losses else []
     return next((cause for cause in causes if cause.probability <= standing_out([cause.probability])), None)

@@ -18,6 +18,7 @@ from tumble.diagnosis.causes import Cause, candidates_of, quantisation, tested
 from tumble.diagnosis.chances import SumOfSquares, standing_out
 from tumble.diagnosis.linearised_session import UNITS, WORDS, Kind, LinearisedSession, sized
 from tumble.diagnosis.lost_samples import (
+    OF_TURNS,
     jittering,
     lost_in_all_turns,
     of_turns,
@@ -32,15 +33,17 @@ from tumble.inference.likelihood import Linearised, SessionSpan
 from tumble.reduction.observations import Observations
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD
 
-NAMED_PROBABILITY = 0.02
-"""A cause is named for scatter that is there where chance alone would show as much less often."""
+NAMED_PROBABILITY, LOST_PROBABILITY = 0.02, 0.05
+"""A cause is named for scatter that is there where chance alone would show as much less often, and samples are taken
+for lost in turns that scatter."""
 MOST_NAMED = 3
 MOST_SESSIONS = 5
 """Of several sessions, so many at most are described one by one."""
 MANY = 30.0
-"""Times the noise: a larger scatter is no disturbance of a model that otherwise holds."""
-NOTHING = {"accel": 5e-6 * G_STANDARD, "gyro": 0.02 * DEGREE_PER_HOUR, "turn": 2e-5}
-"""m/s², rad/s, rad: scatter that no use of an inertial unit would notice, however small the noise of the log."""
+"""Times the noise: a larger scatter is no disturbance of a model that otherwise holds. What turns err by is then not
+random either, and what they tell of the gyros is refused."""
+NOTHING = {"accel": 5e-6 * G_STANDARD, "gyro": 0.02 * DEGREE_PER_HOUR, "turn": 2e-5, "velocity": 1e-3}
+"""m/s², rad/s, rad, m/s: scatter that no use of an inertial unit would notice, however small the noise of the log."""
 BEYOND_USUAL = 3.0
 """Times what is usual of the grade: an in-run bias or a drift that is larger for certain, by the lower limit of its
 middle 68 %, is said; and so is the in-run bias of a sensor, beside those of its kind."""
@@ -159,14 +162,14 @@ def misfit(estimate: Estimate) -> Misfit | None:
 def _causes(session: LinearisedSession, alone: Remaining, whole: Remaining) -> list[list[Cause]]:
     """Of each session all causes, the most significant first, one of a name and kind of sensor, by what is left of the
     residuals with the noise alone and with the components of variance of the estimate."""
-    by_session, us = tested(session.linearised, [*candidates_of(session), *of_turns(session, whole)])
+    by_session = tested(session.linearised, [*candidates_of(session), *of_turns(session, whole)])
     blamed = turns_to_blame(session.linearised, alone) if session.turned else whole
-    for s, (causes, u) in enumerate(zip(by_session, us, strict=True)):
+    for s, causes in enumerate(by_session):
         causes += quantisation(session, s)
         lost = [cause for cause in causes if cause.name == "lost samples"]
         held = samples_held(session.observed[s])
         if held is None and session.turned_in(s):
-            lost.append(lost_in_all_turns(session, s, blamed, u))
+            lost.append(lost_in_all_turns(session, s, blamed))
         likely = held or min(lost, key=lambda cause: cause.probability, default=None)
         causes[:] = [cause for cause in causes if cause not in lost] + ([likely] if likely is not None else [])
         causes.sort(key=lambda cause: cause.probability)
@@ -193,7 +196,7 @@ def _of_session(
     }
     ratios = {group.name: ratio for group, ratio in larger.items()}
     lost = [cause for cause in causes if cause.name == "lost samples"]
-    first = [cause for cause in lost if cause.probability < NAMED_PROBABILITY and "turn" in ratios]  # looks like others
+    first = [cause for cause in lost if cause.probability < LOST_PROBABILITY and "turn" in ratios]  # looks like others
     named = first + [cause for cause in causes if cause.probability <= limit and cause not in first]
     if larger:  # others that may be behind a scatter that is there
         concerned = {"both", *(group.concerns for group in larger)}
@@ -208,14 +211,21 @@ def _of_session(
         named += (cause for cause in likely if cause.probability < NAMED_PROBABILITY)
     named = named[:MOST_NAMED]
     harmful = [c for c in named if c.damage > DAMAGE and (c.probability <= limit or c in first)]
-    remarks: list[Said] = [
-        ((group.concerns,), _larger(group, ratio, linearised))
-        for group, ratio in larger.items()
-        if group.name not in known
-    ]
+    reasons, remarks = [damaging(cause) for cause in harmful], list[Said]()
+    for group, ratio in larger.items():
+        said, of_turns = _larger(group, ratio, linearised), group.name not in REST_MODES
+        if (
+            of_turns
+            and ratio > MANY
+            and group.scatter(components) > NOTHING[group.name]
+            and not jittering(observations)
+        ):
+            reasons.append((OF_TURNS, said.removesuffix(AT_RANDOM)))
+        elif group.name not in known:
+            remarks.append(((group.concerns,), said))
     remarks += [(cause.concerned, f"probable cause: {cause.sentence}") for cause in named if cause not in harmful]
     return Misfit(
-        reasons=tuple(damaging(cause) for cause in harmful),
+        reasons=tuple(reasons),
         remarks=tuple(remarks),
         causes=tuple(cause.name for cause in named),
     )
@@ -226,8 +236,8 @@ def damaging(cause: Cause) -> Said:
     at fault first."""
     err = [group for group, damage in cause.by_group.items() if damage > SPARED]
     err.sort(key=lambda group: not group.startswith(cause.concerned))
-    harm = f"without it parameters of {', '.join(err)} err by up to {cause.damage:.2g} times their u"
-    return tuple(err), f"{cause.sentence}; {harm}"
+    by = f"up to {cause.damage:.2g} times their u" if np.isfinite(cause.damage) else "more than their u, all alike"
+    return tuple(err), f"{cause.sentence}; without it parameters of {', '.join(err)} err by {by}"
 
 
 def _larger(group: Group, ratio: float, linearised: Linearised) -> str:
@@ -245,9 +255,9 @@ def _larger(group: Group, ratio: float, linearised: Linearised) -> str:
     if scatter == 0.0:
         return f"the {group.words} are further from the fit than their noise explains"
     said = f"the {group.words} scatter by {sized(scatter, group.unit)}, {ratio:.2g} times their noise"
-    if ratio > MANY and scatter > NOTHING.get(group.name, np.inf):
+    if ratio > MANY and scatter > NOTHING[group.name]:
         said += f", more than {MANY:.0f}: something is there that the model does not have"
-        if group.name == "turn":
+        if group.name not in REST_MODES:
             said += f"; look for lost or held samples{jittering(observations)}"
     return f"{said}{AT_RANDOM}"
 

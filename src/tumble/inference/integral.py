@@ -320,7 +320,7 @@ def _summary(fitted: Maximum, phi: Array, weight: Array) -> Array:
     out = np.empty((len(fitted.entries), 3))
     for i, h in enumerate(fitted.entries):
         at, order = fitted.best.phi[i], np.argsort(phi[:, i])
-        limits = at + np.array([0.0, -1.0, 1.0]) / np.sqrt(fitted.curvature[i, i])
+        limits = at + np.array([0.0, -1.0, 1.0]) / np.sqrt(max(fitted.curvature[i, i], fitted.best.prior[2, i]))
         if np.ptp(phi[:, i]) > 0.0:
             share = np.cumsum(weight[order]) - 0.5 * weight[order]
             limits = np.interp([0.5, 0.16, 0.84], share, phi[order, i])
