@@ -20,7 +20,7 @@ NONE = "—"
 """What a page shows where there is no number."""
 
 
-class Known(Protocol):
+class WithUncertainty(Protocol):
     """What has a value and a standard uncertainty, SI; u is None where it is not known."""
 
     @property
@@ -29,7 +29,7 @@ class Known(Protocol):
     def u(self) -> float | None: ...
 
 
-class Quantity(Known, Protocol):
+class Quantity(WithUncertainty, Protocol):
     """What has a name and a unit too: a parameter of a calibration or of a registry, a hyperparameter of the model."""
 
     @property
@@ -38,7 +38,7 @@ class Quantity(Known, Protocol):
     def unit(self) -> str: ...
 
 
-class Estimated(Known, Protocol):
+class Estimated(WithUncertainty, Protocol):
     """What has the degrees of freedom of its u."""
 
     @property
