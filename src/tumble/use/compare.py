@@ -43,7 +43,7 @@ LEAST_PROBABILITY = 1e-3
 """Two calibrations contradict each other where chance exceeds their χ² less often than this."""
 
 
-class Known(Protocol):
+class KnownValue(Protocol):
     """A value as it is known, SI, in a calibration or over time."""
 
     @property
@@ -68,7 +68,7 @@ class Difference:
     dof: float | None = None
 
     @classmethod
-    def between(cls, first: Known, second: Known, g: Array, h: Array, **others: Any) -> Self:
+    def between(cls, first: KnownValue, second: KnownValue, g: Array, h: Array, **others: Any) -> Self:
         """The difference of a parameter of which what both share changes the first by `g` (k,), the second by `h` (k,);
         `others` are the other fields."""
         parts: list[tuple[float, float | None]] = [
