@@ -233,7 +233,7 @@ def test_a_plan_expects_the_u_that_calibrate_has_of_a_unit_of_the_type(
 ) -> None:
     known, units = type_of_eight
     setup, made = Setup.of(grade="mems", programme="cube-14", terms="full"), []
-    for number in (20, 21, 22):
+    for number in range(20, 28):
         truth = {**units[number - 20][2]}
         observations = simulate_observations(
             replace(scenario_of(setup, np.random.default_rng(number)), truth=truth), np.random.default_rng(number)
