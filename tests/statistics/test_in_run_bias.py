@@ -7,8 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 
+import tumble
 from tests.methods.test_redundant_blocks import DODECAHEDRON
 from tests.methods.test_staged import FINE, NAVIGATION, in_the_hand, observations, unit
 from tumble.diagnosis.verdict import verdict
@@ -129,3 +131,12 @@ axes = {axes}
     assert said in kept.notes
     assert observed.observations is not None
     assert kept.arrays is observed.observations.arrays
+
+
+def test_the_end_of_a_converter_is_seen_in_si_units(data: Path) -> None:
+    """Readings in counts or in SI end at the same steps of their resolution: a chip in memory loses the same turn."""
+    log = pl.read_parquet(data / "mimu4444" / "exp_3.parquet")
+    accel, gyro = (log.select(f"{kind}5{axis}" for axis in "xyz").to_numpy() for kind in "ag")
+    found = tumble.calibrate(accel=accel / 2048.0 * 9.80665, gyro=np.radians(gyro / 16.4), time=log["t"].to_numpy())
+    assert "turn from rest 20 to rest 21 is left out: gyros are clipped in 1101 of its samples" in found.notes
+    assert found.outcome.accepted

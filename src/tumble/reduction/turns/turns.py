@@ -47,7 +47,8 @@ AHEAD = 2
 """Samples kept ahead of every piece of a turn, which the first step wants."""
 CONVERTERS = 2.0 ** np.arange(11, 32)
 """2^k of converters of 12 to 32 bits."""
-EXACT = 1e-6
+EXACT, AT_END = 1e-6, 1e-3
+"""Of a reading, and of a count: two readings that are the same, and a reading that is the end of a converter."""
 HALF_TURN = math.pi
 
 _BODY = Block(kind="gyro", axes=np.eye(3))
@@ -357,11 +358,12 @@ def without_unknown_turns(
 
 
 def _limits(reduction: Reduction, channels: Channels) -> Array:
-    """The least and the most (2, n) that gyros read, SI, where that is where a converter ends; else infinite."""
-    if channels.unit_name != "count":
-        return np.full((2, len(reduction.gyro_channels)), np.inf)
-    read = extremes(reduction.gyro_channels)
-    raw = read / channels.unit.factor * channels.scale + channels.offset
+    """The least and the most (2, n) that gyros read, SI, where that is where a converter ends, in counts or in steps of
+    their resolution; else infinite."""
+    read, steps = extremes(reduction.gyro_channels), np.array([state.step for state in reduction.gyro_channels])
+    raw = read / np.where(steps > 0.0, steps, np.inf)
+    if channels.unit_name == "count":
+        raw = read / channels.unit.factor * channels.scale + channels.offset
     ends = np.array([-CONVERTERS, CONVERTERS - 1.0])
-    at_end = (np.abs(raw[:, :, None] - ends[:, None]) < EXACT).any(axis=2)
+    at_end = (np.abs(raw[:, :, None] - ends[:, None]) < AT_END).any(axis=2)
     return np.where(at_end, read, np.array([[-np.inf], [np.inf]]))
