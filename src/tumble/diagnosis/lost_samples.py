@@ -41,9 +41,9 @@ JITTERING = 3e-3
 """Of an interval: time stamps that jitter by less are right, as far as any turn shows."""
 
 
-def stamps_remedy(observations: Observations) -> str:
-    """What to do about the time stamps of a log whose turns err as if samples were missing."""
-    return jittering(observations).removeprefix("; ") or "record with time stamps"
+def stamps_remedy(jitter: str) -> str:
+    """What to do about the time stamps of a log whose turns err as if samples were missing, by what `jittering` says."""
+    return jitter.removeprefix("; ") or "record with time stamps"
 
 
 def jittering(observations: Observations) -> str:
@@ -178,13 +178,14 @@ def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Remaining) -> 
         SumOfSquares.along(W @ (size * of), residual, covariance)
         for of in (axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2))
     )
+    jitter = jittering(observed)
     return Cause(
         name="lost samples",
         concerns="gyro",
         probability=along.chance_beside(across),
-        by_group={} if jittering(observed) else dict.fromkeys(OF_TURNS, np.inf),
+        by_group={} if jitter else dict.fromkeys(OF_TURNS, np.inf),
         sentence="turns that err about their own axis, with their angle: samples are missing or held in the log; "
-        + stamps_remedy(observed),
+        + stamps_remedy(jitter),
     )
 
 

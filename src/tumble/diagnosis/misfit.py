@@ -75,6 +75,10 @@ class Group:
         in_run = {"accel": components.accel_in_run, "gyro": components.gyro_in_run}.get(self.name, 0.0)
         return float(np.hypot(getattr(components, self.name), in_run))
 
+    def beyond_model(self, ratio: float, components: Components) -> bool:
+        """Whether its scatter, so many times the noise, is no disturbance of a model that otherwise holds."""
+        return ratio > MANY and self.scatter(components) > NOTHING[self.name]
+
     def noise(self, observations: Observations) -> float:
         """The usual noise of a row."""
         rests, turns = observations.rests, observations.turns
@@ -206,20 +210,15 @@ def _of_session(
             sentence = "a device that moved after it was put down, or before it was taken up: wait until it lies still"
             named.append(Cause(name="movement", concerns="gyro", probability=1.0, sentence=sentence))
             untold = "or samples that are missing or held in the log, which these turns do not tell from movement: "
-            untold += stamps_remedy(observations)
+            untold += stamps_remedy(jittering(observations))
             named += (replace(cause, sentence=untold) for cause in likely if cause.name == "lost samples")
         named += (cause for cause in likely if cause.probability < NAMED_PROBABILITY)
     named = named[:MOST_NAMED]
     harmful = [c for c in named if c.damage > DAMAGE and (c.probability <= limit or c in first)]
     reasons, remarks = [damaging(cause) for cause in harmful], list[Said]()
     for group, ratio in larger.items():
-        said, of_turns = _larger(group, ratio, linearised), group.name not in REST_MODES
-        if (
-            of_turns
-            and ratio > MANY
-            and group.scatter(components) > NOTHING[group.name]
-            and not jittering(observations)
-        ):
+        said = _larger(group, ratio, linearised)
+        if group.name not in REST_MODES and group.beyond_model(ratio, components) and not jittering(observations):
             reasons.append((OF_TURNS, said.removesuffix(AT_RANDOM)))
         elif group.name not in known:
             remarks.append(((group.concerns,), said))
@@ -255,7 +254,7 @@ def _larger(group: Group, ratio: float, linearised: Linearised) -> str:
     if scatter == 0.0:
         return f"the {group.words} are further from the fit than their noise explains"
     said = f"the {group.words} scatter by {sized(scatter, group.unit)}, {ratio:.2g} times their noise"
-    if ratio > MANY and scatter > NOTHING[group.name]:
+    if group.beyond_model(ratio, components):
         said += f", more than {MANY:.0f}: something is there that the model does not have"
         if group.name not in REST_MODES:
             said += f"; look for lost or held samples{jittering(observations)}"

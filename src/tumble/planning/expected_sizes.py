@@ -45,7 +45,7 @@ def expected(problem: Problem, rows: Rows, components: Components) -> tuple[Prob
             degrees = 2.0 * float(information[SCATTER.index(h.name)]) * h.usual**4
             if degrees > LEAST_DEGREES:
                 scatter[h.name] = h.usual * _expected_scatter(degrees)
-        if h.place in ("group", "own group"):
+        elif h.place in ("group", "own group"):
             of, variance = (known, variances[:1, len(own) + 1 :]) if h.place == "group" else (own, variances)
             usual, v = of[h.members], variance[:, h.members]
             learned = np.clip(1.0 - v / usual**2, 0.0, 1.0)
