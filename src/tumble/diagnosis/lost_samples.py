@@ -42,7 +42,7 @@ JITTERING = 3e-3
 
 
 def stamps_remedy(jitter: str) -> str:
-    """What to do about the time stamps of a log whose turns err as if samples were missing, by what `jittering` says."""
+    """What to do about the stamps of a log whose turns err as if samples were missing, by what `jittering` says."""
     return jitter.removeprefix("; ") or "record with time stamps"
 
 
