@@ -26,7 +26,9 @@ from tumble.errors import TumbleError
 from tumble.program_errors import check_address_space, ended_by
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: threads would only wait for each other
-atexit.register(gc.freeze)  # a process that ends needs no search for garbage, which takes a fifth of a short command
+os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # which looks for them in all that is installed
+gc.set_threshold(200_000)  # objects, all in use, that a short command makes: searches for garbage among them find none
+atexit.register(gc.freeze)  # nor does a process that ends need one, which takes a fifth of a short command
 
 
 class _Refused(click.ClickException):

@@ -28,10 +28,11 @@ from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.hyperparameters import Components
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import linearise
-from tumble.planning.setup import Setup, Terms
+from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
 from tumble.run.calibrate import calibrate
+from tumble.sensors.parameters import Terms
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import scenario_of
 from tumble.simulation.session import simulate_session

@@ -12,11 +12,11 @@ import pytest
 from tumble.diagnosis.linear_model import moved_by
 from tumble.methods.ellipsoid import ellipsoid
 from tumble.methods.staged import estimate_accelerometers
-from tumble.planning.setup import Setup, Terms
+from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
 from tumble.run.calibrate import calibrate
-from tumble.sensors.parameters import usual_sizes
+from tumble.sensors.parameters import Terms, usual_sizes
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import scenario_of
 from tumble.simulation.session import simulate_session

@@ -16,8 +16,9 @@ from tumble.planning.bounds import bound
 from tumble.planning.budget import GROUPS, budget
 from tumble.planning.error_propagation import BUDGETED_METHODS, BudgetedMethod
 from tumble.planning.requirements import require
-from tumble.planning.setup import Setup, Terms
+from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
+from tumble.sensors.parameters import Terms
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR
 
 NINE_ONLY = replace(SILENT, programme=programme("nine"), table_error=DEGREE, mounting_error=0.0)

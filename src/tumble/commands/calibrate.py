@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
@@ -16,9 +16,10 @@ from tumble.errors import InputError
 
 if TYPE_CHECKING:
     from tumble.drafting.new_session import Given
-    from tumble.planning.setup import Terms
+    from tumble.result.calibration import Calibration
     from tumble.run.calibrate import Method
     from tumble.sensors.frames import Frame
+    from tumble.sensors.parameters import Terms
     from tumble.units import Array
 
 _RESTS = ask.Numbers("numbers of rests such as 3,7", int)
@@ -83,7 +84,7 @@ def calibrate(
     a LOG in any dialect: a session is made of it first, as `tumble new` does, in the folder LOG-session beside it.
     """
     from tumble.recording.session_file import read_session
-    from tumble.run.launches import calibrate_launches
+    from tumble.run.calibrate import calibrate as calibrate_session
     from tumble.views.calibration import calibration_blocks
 
     methods = tuple(dict.fromkeys(method))
@@ -134,9 +135,12 @@ def calibrate(
                     words["alike"] = type_spread(opened, model, frame)
             if type_registry is not None and model is not None:
                 words["device_type"] = ask.type_in(type_registry, model)
-            results = [
-                calibrate_launches(described, method=each, progress=tell.with_progress, **words) for each in methods
-            ]
+            calibrated: Callable[..., Calibration] = partial(calibrate_session, described[0])
+            if len(described) > 1:
+                from tumble.run.launches import calibrate_launches
+
+                calibrated = partial(calibrate_launches, described)
+            results = [calibrated(method=each, progress=tell.with_progress, **words) for each in methods]
         result, *others = results
         target = out or Path(described[0].name) / "calibration.json"
         result.write(target, force=force)

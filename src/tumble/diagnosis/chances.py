@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
 
+from tumble.scipy_compiled import special
 from tumble.units import Array
 
 FALSE_ALARMS = 5e-3

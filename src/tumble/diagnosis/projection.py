@@ -23,13 +23,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import special
 
 from tumble.inference.elimination import fold
 from tumble.inference.hyperparameters import Components, Noise
 from tumble.inference.likelihood import Linearised, Problem, Rows
 from tumble.inference.linearisation import with_priors
 from tumble.inference.step import Left, Step, inverse_of, left, solve, tell, with_own
+from tumble.scipy_compiled import special
 from tumble.units import Array
 
 SEEN_HEADING = 0.05

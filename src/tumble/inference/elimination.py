@@ -25,8 +25,8 @@ The rules of `tumble.reduction.kernels` hold.
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg.lapack import dtpqrt
 
+from tumble.scipy_compiled import lapack
 from tumble.units import Array, IntArray
 
 try:
@@ -123,7 +123,7 @@ def fold(rows: Array, triangle: Array, triangular: bool = False) -> None:
     """Fold rows (n, p + 1) into an upper triangle (p + 1, p + 1), by LAPACK; `triangular` ones cost a third."""
     if len(rows):
         block = min(WIDE_BLOCK if len(triangle) > WIDE else BLOCK, len(triangle))
-        triangle[:] = dtpqrt(len(rows) if triangular else 0, block, triangle, rows, overwrite_a=1)[0]
+        triangle[:] = lapack.dtpqrt(len(rows) if triangular else 0, block, triangle, rows, overwrite_a=1)[0]
 
 
 # C: cdef Py_ssize_t _eliminate(const double[:, :, :] rest, const double[:, :, :] turn, const int64_t[:] link,

@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from scipy import special
 
 from tumble.brief import Brief
 from tumble.inference.prediction import Prediction
 from tumble.inference.sources import UncertaintyBudget
+from tumble.scipy_compiled import special
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import LINEAR

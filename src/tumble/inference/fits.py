@@ -16,12 +16,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import special
 
 from tumble.inference.estimate import Fit
 from tumble.inference.hyperparameters import Components, Noise, Weights
 from tumble.inference.likelihood import Problem
 from tumble.inference.step import Left
+from tumble.scipy_compiled import special
 from tumble.units import Array, BoolArray
 
 GROUPS = ("accelerometers", "gyro rests", "gyro turns", "velocities of turns")

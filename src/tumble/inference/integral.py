@@ -28,12 +28,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
 
 from tumble.inference.elimination import given_others
 from tumble.inference.in_run import mean_along
 from tumble.inference.maximum import Evaluated, Maximum
 from tumble.inference.uncertainty_budget import Roots, Sources, add_contributions, noise_roots
+from tumble.scipy_compiled import special
 from tumble.units import Array
 
 POINTS = 64

@@ -19,12 +19,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dtrtri
 
 from tumble.inference.elimination import eliminate, fold, put_back
 from tumble.inference.hyperparameters import SCATTER, Noise, Weights
 from tumble.inference.in_run import InRun
 from tumble.inference.likelihood import Problem, Rows, SessionSpan
+from tumble.scipy_compiled import lapack
 from tumble.units import Array, IntArray
 
 
@@ -219,7 +219,7 @@ def _put_back_own(head: Array, parameters: Array, root: Array) -> tuple[Array, A
 
 def inverse_of(triangle: Array) -> Array:
     """The inverse of an upper triangle. Raises LinAlgError where it has none."""
-    inverse, singular = dtrtri(triangle)
+    inverse, singular = lapack.dtrtri(triangle)
     if singular:
         raise np.linalg.LinAlgError("Singular matrix")
     return np.asarray(inverse)

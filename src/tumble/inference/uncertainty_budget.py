@@ -33,7 +33,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg.blas import dsyrk
 
 from tumble.inference.elimination import along_chain, given_others
 from tumble.inference.hyperparameters import SCATTER
@@ -41,6 +40,7 @@ from tumble.inference.likelihood import Problem, unseen_rate
 from tumble.inference.linearisation import root_of_inverse
 from tumble.inference.maximum import At, Evaluated
 from tumble.rotation import skew
+from tumble.scipy_compiled import blas
 from tumble.units import Array, IntArray
 
 Roots = tuple[dict[str, slice], Array]
@@ -103,7 +103,7 @@ class Sources:
         if len(flat):
             before = self.triangles.get(name)
             before = np.zeros((K.shape[-1],) * 2, order="F") if before is None else before
-            self.triangles[name] = dsyrk(1.0, flat.T, 1.0, before, overwrite_c=1)
+            self.triangles[name] = blas.dsyrk(1.0, flat.T, 1.0, before, overwrite_c=1)
 
     def covariances(self) -> dict[str, Array]:
         """Of those that there are."""

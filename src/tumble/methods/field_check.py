@@ -33,7 +33,6 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from scipy import special
 
 from tumble.inference.estimate import DETERMINED, Fit
 from tumble.inference.hyperparameters import Components
@@ -45,6 +44,7 @@ from tumble.inference.step import solve, tell
 from tumble.inference.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
+from tumble.scipy_compiled import special
 from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import limits_of

@@ -11,9 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
 
 from tumble.inference.estimate import DETERMINED, SEEN, Fit, chance_of
+from tumble.scipy_compiled import special
 from tumble.units import Array, BoolArray
 
 RELATIVE_RANK = 1e-11

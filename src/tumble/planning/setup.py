@@ -27,11 +27,8 @@ from tumble.recording.session import USUAL_CLOCK_U
 from tumble.sensors.grades import GRADES, NoiseModel, Spread
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import named_group, quantity_of, usual_sizes
+from tumble.sensors.parameters import Terms, named_group, quantity_of, usual_sizes
 from tumble.units import DEGREE
-
-Terms = Literal["full", "linear"]
-"""The parameters of an instrument: bias, scale factor and axis angles alone, or all groups of the table."""
 
 ACCEL, GYRO = (Block(kind=kind, axes=np.eye(3)) for kind in ("accel", "gyro"))
 """The triads of a set-up, along the body axes."""

@@ -47,13 +47,13 @@ from datetime import datetime, timedelta
 from itertools import pairwise
 
 import numpy as np
-from scipy import special
 
 from tumble.methods.least_squares import scatter_of
 from tumble.registry.series import Series, SeriesPoint
 from tumble.registry.types import Forecast
 from tumble.result.coverage import apart, shared_gravity
 from tumble.result.shared_errors import shared_time_base
+from tumble.scipy_compiled import special
 from tumble.units import Array
 from tumble.use.compare import Difference
 

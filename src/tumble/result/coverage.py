@@ -31,10 +31,10 @@ from math import erfc, inf, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import special
 
 from tumble.inference.estimate import Fit
 from tumble.result.parts import Parameter, coverage_factor, stated_factor
+from tumble.scipy_compiled import special
 from tumble.sensors.parameters import group_name, sensor_kind
 from tumble.units import Array
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
-from scipy import special
 
 from tumble.inference.estimate import Fit
 from tumble.inference.prediction import Prediction, directions
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import without_expanded
 from tumble.result.parts import Parameter
+from tumble.scipy_compiled import special
 from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind, shown_in
 from tumble.units import G_STANDARD, Array, engineering, two_digits
 

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import numpy as np
 from pydantic import AfterValidator, Field, GetCoreSchemaHandler, PlainSerializer
 from pydantic_core import core_schema
-from scipy.special import stdtrit
 
 from tumble.documents import shown
 from tumble.inference.estimate import Fit, Outcome
@@ -32,6 +31,7 @@ from tumble.recording.session import (
 )
 from tumble.recording.session.document import ImuTable
 from tumble.recording.session.log_tables import name_of
+from tumble.scipy_compiled import special
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import is_parameter
 from tumble.units import Array
@@ -158,7 +158,7 @@ def stated_factor(degrees: float | None) -> float | None:
 
 def coverage_factor(degrees: float) -> float:
     """t₉₅.₄₅(ν): within ±k u lies the true value in 95.45 of 100 cases, u being estimated with ν degrees of freedom."""
-    return float(-stdtrit(degrees, 0.5 * erfc(sqrt(2.0)))) if isfinite(degrees) else 2.0
+    return float(-special.stdtrit(degrees, 0.5 * erfc(sqrt(2.0)))) if isfinite(degrees) else 2.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

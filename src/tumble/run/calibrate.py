@@ -8,13 +8,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
-from typing import Any, Literal, get_args, overload
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Literal, get_args, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from tumble import __version__
-from tumble.diagnosis.linear_model import judged, left_out, taken_as_nothing
 from tumble.diagnosis.undetermined import one_attitude
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
@@ -22,10 +22,6 @@ from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.hyperparameters import GUESSED, SHEET, STATED
 from tumble.inference.joint import joint
 from tumble.inference.sources import by_time_base, clocked, of_fit, source
-from tumble.methods.ellipsoid import ellipsoid
-from tumble.methods.paper.four_stages import scalar, sequential
-from tumble.methods.staged import staged
-from tumble.planning.setup import Terms
 from tumble.recording.arrays import Temperatures, session_of_arrays
 from tumble.recording.log import Log
 from tumble.recording.session import LogSpec, Session
@@ -35,23 +31,37 @@ from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.coverage import by_gravity
 from tumble.result.parts import Parameter
-from tumble.run.device_type import DeviceType, with_in_run, with_type
 from tumble.run.from_estimate import bridged_in, reference_of, result_of, without_result
-from tumble.run.magnetometer import with_magnetometer
 from tumble.run.observed import Progress, inspected, observations_for_calibration
 from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.grades import guessed_grade
-from tumble.sensors.parameters import usual_sizes
+from tumble.sensors.parameters import Terms, usual_sizes
+
+if TYPE_CHECKING:
+    from tumble.run.device_type import DeviceType
 
 _LOG = logging.getLogger(__name__)
 Method = Literal["joint", "staged", "sequential", "scalar", "ellipsoid"]
 DEFAULT_METHOD: Method = "joint"
 Estimator = Callable[[Observations], Estimate]
-METHODS: Mapping[str, Estimator] = {"joint": joint, "staged": staged, "ellipsoid": ellipsoid}
+
+
+def _imported(module: str, name: str) -> Callable[..., Estimate]:
+    """A method that is imported when it is first called: a calibration needs one of five."""
+    return lambda *args, **words: getattr(import_module(f"tumble.methods.{module}"), name)(*args, **words)
+
+
+METHODS: Mapping[str, Estimator] = {
+    "joint": joint,
+    "staged": _imported("staged", "staged"),
+    "ellipsoid": _imported("ellipsoid", "ellipsoid"),
+}
 WITH_ALL_TERMS = ("joint", "ellipsoid")
 """Those that know of groups of parameters beyond bias, scale factor and axis angles."""
-ITERATED_METHODS: Mapping[str, Callable[..., Estimate]] = {"sequential": sequential, "scalar": scalar}
+ITERATED_METHODS: Mapping[str, Callable[..., Estimate]] = {
+    name: _imported("paper.four_stages", name) for name in ("sequential", "scalar")
+}
 """The pipelines of the paper, which take a number of iterations."""
 
 
@@ -198,6 +208,8 @@ def _calibrated(
                     because = (f"{why}; the accelerometers are estimated alone" for why in made.outcome.gyro.reasons)
                     estimate, made, faults = alone, made_alone, (*because, *faults)
         if session.log.magnetometer is not None:
+            from tumble.run.magnetometer import with_magnetometer
+
             made = with_magnetometer(made, session.log.magnetometer, estimate[1])
         made = replace(made, sample_rate=observed.rate)
         if others is not None and estimate[0].of_type:
@@ -275,6 +287,8 @@ def estimated(
     by_clock = clocked(session.log.time_base_u, session.log.increments)
     observations = with_grade(session, observations, terms)
     if device_type is not None:
+        from tumble.run.device_type import with_in_run, with_type
+
         observations = with_in_run(observations, device_type)
     notes = observations.notes
     if session.log.clock_u is None and by_clock:
@@ -299,6 +313,8 @@ def estimated(
             of_clock, relative = np.outer(change, change), max(map(abs, by_clock.values()), default=0.0)
             budget = budget.beside(source("clock", relative, "1"), of_clock)
             estimate = replace(estimate, covariance=estimate.covariance + of_clock, budget=budget)
+        if terms == "linear" or estimate.method != "joint":
+            from tumble.diagnosis.linear_model import judged, left_out, taken_as_nothing
         if terms == "linear":
             whole = with_grade(session, observations, "full")
             estimate = judged(estimate, observations, whole)

@@ -24,7 +24,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate
@@ -235,6 +234,8 @@ def estimate_in(frame: Frame, estimate: Estimate, observations: Observations) ->
     with the alignment of the case where that is the frame.
 
     Raises InputError, one line, where the session does not give the case."""
+    from scipy.linalg import block_diag
+
     accel, found = observations.accel_block, None
     if frame == "case":
         found = case_of(observations, _verticals_of_rests(estimate, observations), estimate.gyro)

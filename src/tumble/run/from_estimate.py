@@ -4,6 +4,7 @@ what the session does not tell."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,10 +31,12 @@ from tumble.result.parts import (
     TurnResult,
 )
 from tumble.result.uncertainty_budget import contributions_of
-from tumble.run.case import CaseAlignment, estimate_in
 from tumble.sensors.frames import Frame, convert
 from tumble.sensors.parameters import THERMAL, group_name, sensor_kind, variable_of
 from tumble.units import DEGREE, ZERO_CELSIUS, Array, IntArray
+
+if TYPE_CHECKING:
+    from tumble.run.case import CaseAlignment
 
 GAPS_SHOWN = 5
 ONE_RATE = 1.3
@@ -58,6 +61,8 @@ def result_of(
     learned, limited = learned_in(estimate), tuple(over_temperature(estimate, observations))
     case = None
     if frame != "accelerometer" and complete:
+        from tumble.run.case import estimate_in
+
         estimate, case = estimate_in(frame, estimate, observations)
     if frame != "accelerometer":  # nothing of a systematic calibration that lacks one of the parameters
         kept = [block for kind, block in blocks.items() if kind == "accel" or estimate.gyro is not None]

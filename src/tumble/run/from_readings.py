@@ -30,7 +30,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtr, chdtrc, ndtri
 
 from tumble.brief import Brief
 from tumble.diagnosis.linear_model import left_out_of
@@ -40,7 +39,6 @@ from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.methods.ellipsoid import estimate_of
 from tumble.methods.ellipsoid_fit import TRIAD, EllipsoidFit, fit_ellipsoid
-from tumble.planning.setup import Terms
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
@@ -61,10 +59,11 @@ from tumble.run.readings_table import (
     sizes_seen,
 )
 from tumble.run.readings_table import nominal as nominal_of
+from tumble.scipy_compiled import special
 from tumble.sensors.frames import Convention, Frame, convert, frame_of
 from tumble.sensors.grades import GRADES
 from tumble.sensors.grades import grade as grade_named
-from tumble.sensors.parameters import FURTHER, usual_sizes, variable_of
+from tumble.sensors.parameters import FURTHER, Terms, usual_sizes, variable_of
 from tumble.units import Array, engineering
 from tumble.usual_setup import MOVE, ON_TABLE
 
@@ -169,7 +168,7 @@ def calibrate_table(
     )
     if grade is not None:
         grade_named(grade)
-    fitted, noise = _fitted(table, nominal, float(-ndtri(0.5 * BAD_CHANCE / len(table.values))))
+    fitted, noise = _fitted(table, nominal, float(-special.ndtri(0.5 * BAD_CHANCE / len(table.values))))
     fit: EllipsoidFit | None = None
     estimate: Estimate | None = None
     notes: tuple[str, ...] = ()
@@ -284,7 +283,7 @@ def _estimated(
     if bad.any():  # by how much a residual may be off by the in-run instability and by what is left out
         beyond, instability = left_out_of(rests), GRADES[chosen].noise.accel_instability
         sigma = np.sqrt(instability**2 + ((beyond.leaves * beyond.usual) ** 2).sum(axis=1))
-        allowed = float(-ndtri(0.5 * BAD_CHANCE / len(table.values))) * sigma
+        allowed = float(-special.ndtri(0.5 * BAD_CHANCE / len(table.values))) * sigma
         whole, noise = _fitted(table, nominal, np.inf)
         if isinstance(whole, EllipsoidFit) and np.all(np.abs(whole.residual) <= np.where(bad, allowed, np.inf)):
             fit, rests = whole, replace(_rests(table, nominal, noise), usual=usual)
@@ -301,7 +300,7 @@ def guessed_grade(fit: EllipsoidFit, rests: Observations) -> tuple[str, str]:
     best, *_, poorest = order = [*GRADES]
 
     def chance_of_biases(grade: str) -> float:
-        return float(chdtr(3, (fit.values[:3] ** 2).sum() / GRADES[grade].accel.bias ** 2))
+        return float(special.chdtr(3, (fit.values[:3] ** 2).sum() / GRADES[grade].accel.bias ** 2))
 
     def chance_of_residuals(grade: str) -> float:
         if fit.degrees == 0:
@@ -312,7 +311,7 @@ def guessed_grade(fit: EllipsoidFit, rests: Observations) -> tuple[str, str]:
         trace = noise * fit.degrees + np.trace(of_groups)
         square = noise**2 * fit.degrees + 2.0 * noise * np.trace(of_groups) + float((of_groups**2).sum())
         degrees = trace**2 / square
-        return float(chdtrc(degrees, degrees * float((fit.residual[fit.used] ** 2).sum()) / trace))
+        return float(special.chdtrc(degrees, degrees * float((fit.residual[fit.used] ** 2).sum()) / trace))
 
     by_biases = next((grade for grade in order[::-1] if chance_of_biases(grade) > CHANCE), best)
     by_residuals = next((grade for grade in order if chance_of_residuals(grade) > CHANCE), poorest)

@@ -24,7 +24,6 @@ from tumble.inference.prediction import Prediction, prediction
 from tumble.inference.sources import UncertaintyBudget, by_time_base, clocked, source
 from tumble.methods.ellipsoid_fit import TRIAD
 from tumble.methods.magnetometer import NAMES
-from tumble.planning.setup import Terms
 from tumble.recording.log import Log
 from tumble.recording.session import AirConditions, Circumstances, Session
 from tumble.recording.session_file import session_from
@@ -41,7 +40,7 @@ from tumble.run.type_spread import TypeSpread, pooled
 from tumble.sensors.frames import Convention, Frame, frame_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel
-from tumble.sensors.parameters import Variable, group_name, positions_by_group, to_temperature
+from tumble.sensors.parameters import Terms, Variable, group_name, positions_by_group, to_temperature
 from tumble.units import Array
 
 _Any = TypeVar("_Any")

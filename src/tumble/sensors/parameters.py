@@ -36,6 +36,8 @@ CONSTANT, RATE, FORCE, PRODUCTS, OWN_SIZE, OWN_CUBE = 0, slice(1, 4), slice(4, 7
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """k and l of the products f_k f_l."""
 
+Terms = Literal["full", "linear"]
+"""The parameters of an instrument: bias, scale factor and axis angles alone, or all groups of the table."""
 Motion = Literal["lever", "delay", "single delay"]
 Variable = Literal["time", "temperature", "temperature²", "hysteresis", "launch", "lag"]
 """What the change of a parameter goes with: time from the mean of a session's rests, s, temperature from the reference,

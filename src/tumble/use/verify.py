@@ -33,7 +33,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy import special
 
 from tumble.brief import Brief
 from tumble.errors import CalibrationError, InputError
@@ -50,6 +49,7 @@ from tumble.run.calibrate import grade_of
 from tumble.run.case import Verticals, verticals_of
 from tumble.run.observed import Observed, inspect_session
 from tumble.run.readings_table import read_table
+from tumble.scipy_compiled import special
 from tumble.sensors.frames import Convention, frame_of, triad_axes
 from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument, functions
