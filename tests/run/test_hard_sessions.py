@@ -15,8 +15,8 @@ import tumble
 from tumble.errors import InputError
 from tumble.recording.arrays import session_of_arrays
 from tumble.recording.session import Exclusion, Session
-from tumble.result.accepted import accepted_groups
 from tumble.result.calibration import Calibration
+from tumble.result.further import accepted_groups
 from tumble.run.launches import calibrate_launches, same_recording
 from tumble.simulation.session import read_truth
 from tumble.units import DEGREE, Array

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from tumble.errors import InputError
-from tumble.recording.columns.names import unit_of_name
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_of
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, ZERO_CELSIUS, Array
@@ -128,6 +127,8 @@ def numbers_of(what: str, given: npt.ArrayLike, *, increments: bool = False) -> 
     numbers = _numbers(what, given)
     check_finite(what, numbers)
     for column in map(str, getattr(given, "columns", ()) if what in SI else ()):
+        from tumble.recording.columns.names import unit_of_name
+
         si, unit = SI[what][increments], unit_of_name(what, column)
         if unit not in (None, si):
             known = _UNITS[what][unit]

@@ -16,7 +16,7 @@ from tumble.inference.estimate import Judgement, Outcome
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Launch
 from tumble.sensors.model import SensorKind, SensorModel
-from tumble.sensors.parameters import group_name, sensor_kind
+from tumble.sensors.parameters import sensor_kind
 
 _Value = TypeVar("_Value")
 
@@ -49,13 +49,6 @@ def accepted_kinds(calibration: Calibration) -> tuple[SensorKind, ...]:
         ("gyro", calibration.gyro, outcome.gyro),
     )
     return tuple(kind for kind, model, judgement in known if model is not None and judgement.accepted)
-
-
-def accepted_groups(calibration: Calibration) -> tuple[str, ...]:
-    """The groups of parameters whose values may be used, of kinds of sensors that are not accepted as a whole."""
-    outcome, known = calibration.outcome, {group_name(p.name) for p in calibration.parameters}
-    spared = (name for name, judgement in outcome.groups.items() if judgement and name in known)
-    return tuple(name for name in spared if not outcome.of(sensor_kind(name)))
 
 
 def accepted_accelerometers(calibration: Calibration, wanted_by: str) -> Calibration:

@@ -21,11 +21,9 @@ from tumble.errors import InputError, MissingExtraError
 from tumble.files import FilePath
 from tumble.inference.estimate import GroupFinding, HyperparameterEstimate, Integral, ProcessBias
 from tumble.inference.prediction import Prediction
-from tumble.recording.session import UNKNOWN, AutopilotSensor
-from tumble.result.correction import compensator_of, corrected_readings
+from tumble.recording.session import UNKNOWN, AutopilotSensor, Circumstances
 from tumble.result.coverage import with_degrees
 from tumble.result.file import content_of, parsed, text_of, text_of_calibration, write_calibration
-from tumble.result.frames import calibration_in
 from tumble.result.parts import (
     LEAST,
     MOST_LAUNCHES,
@@ -44,7 +42,6 @@ from tumble.result.parts import (
     Place,
     Positive,
     Readings,
-    Recorded,
     Rests,
     Sensors,
     Size,
@@ -138,7 +135,7 @@ class Calibration(Mapping[str, Parameter]):
     """Samples a second of the recording."""
     clock_u: Size = 0.0
     """Relative standard uncertainty of the time base as it is in the scale factors of the gyros."""
-    circumstances: Annotated[Recorded, Field(alias="session")] = UNKNOWN
+    circumstances: Annotated[Circumstances, Field(alias="session")] = UNKNOWN
     """When, by whom, with what and in what air it was recorded."""
     programme: str | None = None
     """Its name."""
@@ -176,6 +173,8 @@ class Calibration(Mapping[str, Parameter]):
     def compensator(self) -> Compensator:
         """What corrects readings: the whole model. Gyros alone feel the specific force of accelerometers as they are.
         Raises CalibrationError without any sensors."""
+        from tumble.result.correction import compensator_of
+
         return compensator_of(self)
 
     @property
@@ -303,6 +302,8 @@ class Calibration(Mapping[str, Parameter]):
         `compensator`), and InputError for another number of sensors than the calibration has, numbers that are not
         finite, intervals that are not positive, columns of a frame whose names say another unit, and temperatures that
         are not in kelvin."""
+        from tumble.result.correction import corrected_readings
+
         return corrected_readings(self, accel, gyro, dt=dt, temperature=temperature)
 
     def in_frame(self, frame: str) -> Calibration:
@@ -312,6 +313,8 @@ class Calibration(Mapping[str, Parameter]):
 
         Raises CalibrationError for the case, which only the session gives, where a parameter of accelerometers or
         gyros is missing, and for more than three of them."""
+        from tumble.result.frames import calibration_in
+
         return calibration_in(self, frame)
 
     def write(self, path: FilePath, *, force: bool = False) -> None:

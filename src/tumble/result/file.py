@@ -10,18 +10,22 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from pydantic import TypeAdapter, ValidationError
-from pydantic_core import to_jsonable_python
 
 from tumble.documents import dotted, faults_of, is_plain, json_of, shown, text_of_document
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath, whole_file
-from tumble.result.parts import LARGEST
+from tumble.inference.estimate import Fit, Outcome
+from tumble.recording.session import Circumstances, sensors_content
+from tumble.result.parts import LARGEST, Parameter, fit_content
+from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import group_name, sensor_kind, within_group, within_kind
 
 if TYPE_CHECKING:
@@ -47,8 +51,15 @@ def json_schema(record: type[Calibration]) -> dict[str, Any]:
 def content_of(calibration: Calibration) -> dict[str, Any]:
     """What the calibration file holds, as JSON has it: beside the fields the range of temperatures that the rests have,
     the lag behind the thermometer, and with each sensor model its unit and the values of the groups beyond it."""
-    dumped = _adapter(type(calibration)).dump_python(calibration, by_alias=True, warnings=False)
-    content: dict[str, Any] = to_jsonable_python(dumped, inf_nan_mode="constants")
+    content: dict[str, Any] = {
+        "session" if name == "circumstances" else name: _content(getattr(calibration, name))
+        for name in calibration.__dataclass_fields__
+    }
+    content["iterations"] = [
+        {"parameters": [{"name": name, "increment": value} for name, value in step.items()]}
+        for step in calibration.iterations
+    ]
+    content["device"]["imu"] = sensors_content(calibration.imu)
     range_of_rests = calibration.temperature_range
     warmth = content["temperature"] | {"range": None if range_of_rests is None else list(range_of_rests)}
     if "temperature.lag" in calibration:
@@ -65,6 +76,44 @@ def content_of(calibration: Calibration) -> dict[str, Any]:
                     values = {within_group(p.name) or within_kind(p.name): p.value for p in members}
                     content[kind][within_kind(group.name)] = values
     return content
+
+
+def _parameter_content(parameter: Parameter) -> dict[str, Any]:
+    """What is None is left out, but for u and the prior."""
+    always = {key: getattr(parameter, key) for key in ("name", "value", "u", "unit", "prior", "k")}
+    others = {key: getattr(parameter, key) for key in ("deviation", "run_to_run", "learned", "dof")}
+    return always | {key: value for key, value in others.items() if value is not None}
+
+
+def _known_content(circumstances: Circumstances) -> dict[str, Any]:
+    """The circumstances that are known."""
+    content = asdict(circumstances) | {"equipment": list(circumstances.equipment)}
+    content["conditions"] = {key: value for key, value in content["conditions"].items() if value is not None}
+    return {key: value for key, value in content.items() if value}
+
+
+_AS_TABLES: Mapping[type, Callable[[Any], dict[str, Any]]] = {
+    Parameter: _parameter_content,
+    SensorModel: lambda model: {"matrix": model.matrix.tolist(), "bias": model.bias.tolist(), "unit": ""},
+    Outcome: Outcome.content,
+    Fit: fit_content,
+    Circumstances: _known_content,
+}
+"""Parts that stand in the file otherwise than as their fields."""
+
+
+def _content(part: Any) -> Any:
+    """A part of a calibration as JSON has it."""
+    if isinstance(part, np.ndarray):
+        return part.tolist()
+    if isinstance(part, Mapping):
+        return {key: _content(value) for key, value in part.items()}
+    if isinstance(part, tuple):
+        return [_content(each) for each in part]
+    if type(part) in _AS_TABLES:
+        return _AS_TABLES[type(part)](part)
+    names = getattr(part, "__dataclass_fields__", None)
+    return part if names is None else {name: _content(getattr(part, name)) for name in names}
 
 
 def text_of_calibration(calibration: Calibration) -> str:

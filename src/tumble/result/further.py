@@ -15,7 +15,7 @@ from tumble.inference.estimate import Fit
 from tumble.inference.prediction import Prediction, directions
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import without_expanded
-from tumble.result.parts import Parameter
+from tumble.result.parts import Launch, Parameter
 from tumble.scipy_compiled import special
 from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind, shown_in
 from tumble.units import G_STANDARD, Array, engineering, two_digits
@@ -161,6 +161,33 @@ def verdicts(calibration: Calibration) -> tuple[str, ...]:
     if not both or outcome.accel.verdict == outcome.gyro.verdict:
         return (outcome.verdict,)
     return f"accelerometers: {outcome.accel.verdict}", f"gyros: {outcome.gyro.verdict}", outcome.verdict
+
+
+def accepted_groups(calibration: Calibration) -> tuple[str, ...]:
+    """The groups of parameters whose values may be used, of kinds of sensors that are not accepted as a whole."""
+    outcome, known = calibration.outcome, {group_name(p.name) for p in calibration.parameters}
+    spared = (name for name, judgement in outcome.groups.items() if judgement and name in known)
+    return tuple(name for name in spared if not outcome.of(sensor_kind(name)))
+
+
+def rests_said(recorded: Calibration | Launch) -> str:
+    """How far the corrected readings at rest are from g, and turns from the fit."""
+    rests, turns = recorded.rests, recorded.turns
+    rms = sqrt(sum(rest.residual**2 for rest in rests) / len(rests))
+    worst = max(range(len(rests)), key=[abs(rest.residual) for rest in rests].__getitem__)
+    size, unit = engineering("m/s^2", rms)
+    said = (
+        f"{len(rests)} rests: corrected readings miss g by {rms / size:.3g} {unit} (rms), at most by "
+        f"{abs(rests[worst].residual) / size:.3g} {unit} (rest {worst + 1})"
+    )
+    if not turns:
+        return said
+    return f"{said}; {len(turns)} turns, the worst {max(turn.sigmas for turn in turns):z.1f} sigma from the fit"
+
+
+def checked(fit: Fit) -> bool:
+    """Whether there are more data than unknowns."""
+    return fit.degrees >= 0.5
 
 
 def other_factors(parameters: Sequence[Parameter]) -> bool:

@@ -1,7 +1,7 @@
 """What a calibration consists of: parameters, sensor models, rests, turns, readings, launches, sessions together.
 
 Each is a plain dataclass; the annotations beyond the types are what a calibration file is held to, and how what is no
-plain dataclass stands in it (`as_table`).
+plain dataclass is read from it (`FromTable`); `tumble.result.file` writes it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from math import erfc, inf, isfinite, sqrt
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, Field, GetCoreSchemaHandler, PlainSerializer
+from pydantic import AfterValidator, Field, GetCoreSchemaHandler
 from pydantic_core import core_schema
 
 from tumble.documents import shown
@@ -26,7 +26,6 @@ from tumble.recording.session import (
     Circumstances,
     IsoDate,
     Site,
-    sensors_content,
     sensors_from,
 )
 from tumble.recording.session.document import ImuTable
@@ -45,20 +44,15 @@ LARGEST, LEAST = 1e60, 1e-60
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class AsTable:
-    """How a type that is no plain dataclass stands in the file: as a `table`, of which it is `read`."""
+class FromTable:
+    """That a type that is no plain dataclass stands in the file as a `table`, of which it is `read`."""
 
     table: Any
     read: Callable[[Any], Any]
-    write: Callable[[Any], Any]
 
     def __get_pydantic_core_schema__(self, _: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
         """That of the table."""
-        written, table = (
-            core_schema.plain_serializer_function_ser_schema(self.write),
-            handler.generate_schema(self.table),
-        )
-        return core_schema.no_info_after_validator_function(self.read, table, serialization=written)
+        return core_schema.no_info_after_validator_function(self.read, handler.generate_schema(self.table))
 
 
 def checked_sizes(*names: str) -> AfterValidator:
@@ -133,17 +127,7 @@ def _is_known(parameter: Parameter) -> Parameter:
     return parameter
 
 
-def parameter_content(parameter: Parameter) -> dict[str, Any]:
-    """A parameter as the file has it: what is None is left out, but for u and the prior."""
-    always = {key: getattr(parameter, key) for key in ("name", "value", "u", "unit", "prior", "k")}
-    others = {key: getattr(parameter, key) for key in ("deviation", "run_to_run", "learned", "dof")}
-    return always | {key: value for key, value in others.items() if value is not None}
-
-
-Parameters = Annotated[
-    tuple[Annotated[Parameter, AfterValidator(_is_known), PlainSerializer(parameter_content)], ...],
-    Field(max_length=MOST_PARAMETERS),
-]
+Parameters = Annotated[tuple[Annotated[Parameter, AfterValidator(_is_known)], ...], Field(max_length=MOST_PARAMETERS)]
 
 FEWEST_DEGREES = 0.99
 """Degrees of freedom without which no U is stated, those of two readings, one, but for its rounding: t is then beyond
@@ -308,17 +292,9 @@ class RecordedImu(ImuTable, extra="ignore"):
     """Which sensors of an autopilot, where they are of one."""
 
 
-def _known_content(circumstances: Circumstances) -> dict[str, Any]:
-    """The circumstances that are known."""
-    content = asdict(circumstances)
-    content["conditions"] = {key: value for key, value in content["conditions"].items() if value is not None}
-    return {key: value for key, value in content.items() if value}
-
-
 def fit_content(fit: Fit) -> dict[str, Any]:
     """A fit as the file has it."""
-    content = {"chi_square": fit.chi_square, "degrees": fit.degrees, "probability": fit.probability}
-    return content | {"scatter": fit.scatter, "unit": fit.unit}
+    return {key: getattr(fit, key) for key in ("chi_square", "degrees", "probability", "scatter", "unit")}
 
 
 def _check_site(site: Site) -> Site:
@@ -333,31 +309,19 @@ def _square(rows: tuple[tuple[float, ...], ...]) -> Array:
     return np.array(rows, float).reshape(len(rows), len(rows))
 
 
-Sensors = Annotated[
-    SensorModel,
-    AsTable(
-        table=SensorTable,
-        read=_model_of,
-        write=lambda model: {"matrix": model.matrix.tolist(), "bias": model.bias.tolist(), "unit": ""},
-    ),
-]
-Judged = Annotated[Outcome, AsTable(table=OutcomeTable, read=_outcome_of, write=Outcome.content)]
-Recorded = Annotated[Circumstances, PlainSerializer(_known_content)]
+Sensors = Annotated[SensorModel, FromTable(table=SensorTable, read=_model_of)]
+Judged = Annotated[Outcome, FromTable(table=OutcomeTable, read=_outcome_of)]
 Increments = Annotated[
     Mapping[str, float],
-    AsTable(
-        table=IterationTable,
-        read=lambda step: {p.name: p.increment for p in step.parameters},
-        write=lambda step: {"parameters": [{"name": name, "increment": value} for name, value in step.items()]},
-    ),
+    FromTable(table=IterationTable, read=lambda step: {p.name: p.increment for p in step.parameters}),
 ]
 Imu = Annotated[
     Mapping[str, AutopilotSensor],
-    AsTable(table=RecordedImu, read=lambda table: sensors_from(table.model_dump()), write=sensors_content),
+    FromTable(table=RecordedImu, read=lambda table: sensors_from(table.model_dump())),
 ]
-Covariance = Annotated[Array, AsTable(table=Matrix, read=_square, write=lambda array: array.tolist())]
+Covariance = Annotated[Array, FromTable(table=Matrix, read=_square)]
 Place = Annotated[Site, checked_sizes("gravity_u"), AfterValidator(_check_site)]
-Fits = Mapping[str, Annotated[Fit, checked_sizes("chi_square", "scatter"), PlainSerializer(fit_content)]]
+Fits = Mapping[str, Annotated[Fit, checked_sizes("chi_square", "scatter")]]
 Rests = Annotated[tuple[RestResult, ...], Field(max_length=MOST_RESTS)]
 Turns = Annotated[tuple[TurnResult, ...], Field(max_length=MOST_RESTS)]
 
@@ -440,7 +404,7 @@ class Launch:
     fits: Fits = field(default_factory=dict)
     session: str
     log_sha256: str = ""
-    circumstances: Recorded = UNKNOWN
+    circumstances: Circumstances = UNKNOWN
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -22,12 +22,10 @@ from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.hyperparameters import GUESSED, SHEET, STATED
 from tumble.inference.joint import joint
 from tumble.inference.sources import by_time_base, clocked, of_fit, source
-from tumble.recording.arrays import Temperatures, session_of_arrays
 from tumble.recording.log import Log
 from tumble.recording.session import LogSpec, Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
-from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.coverage import by_gravity
 from tumble.result.parts import Parameter
@@ -39,6 +37,7 @@ from tumble.sensors.grades import guessed_grade
 from tumble.sensors.parameters import Terms, usual_sizes
 
 if TYPE_CHECKING:
+    from tumble.recording.arrays import Temperatures
     from tumble.run.device_type import DeviceType
 
 _LOG = logging.getLogger(__name__)
@@ -133,6 +132,8 @@ def calibrate(
     if terms not in get_args(Terms):
         raise InputError(f"terms: expected {' or '.join(get_args(Terms))}, found {terms!r}")
     if session is None and "accel" in readings:
+        from tumble.recording.arrays import session_of_arrays
+
         given = session_of_arrays(**readings)
     elif session is None or readings:
         found = ", ".join(readings) or "nothing"
@@ -157,6 +158,8 @@ def calibrate(
     made = _calibrated(given, method, estimator, frame, terms, progress, device_type)
     if not given.excluded:
         return made
+
+    from tumble.result.accepted import accepted_kinds
 
     # what is accepted without some rests only is a choice, and no u contains it: the outcome of all counts too
     try:

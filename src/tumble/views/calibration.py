@@ -14,16 +14,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tumble.diagnosis.site_gravity import gravity_said
-from tumble.result.accepted import accepted_groups
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import without_expanded
 from tumble.result.further import (
     BY_PRIOR,
+    accepted_groups,
+    checked,
     decided_by_priors,
     group_lines,
     linear_parameters,
     other_factors,
     predicted,
+    rests_said,
     verdicts,
 )
 from tumble.result.parts import Parameter
@@ -45,8 +47,6 @@ from tumble.views.numbers import (
     with_expanded,
 )
 from tumble.views.render.terminal import text_of
-from tumble.views.report.recording import checked, recordings, rests_said, tables_of
-from tumble.views.uncertainty_budget import budget_blocks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -76,7 +76,7 @@ def calibration_blocks(
     device, spared = device_name(calibration.serial, calibration.model), accepted_groups(calibration)
     blocks: list[Block] = [
         f"device {device} · method {calibration.method} · frame {calibration.frame}",
-        *(verdict for verdict in verdicts(calibration)),
+        *verdicts(calibration),
         *([f"accepted all the same: {', '.join(spared)}"] if spared else []),
         *(f"remark: {remark}" for remark in calibration.outcome.remarks),
     ]
@@ -87,6 +87,8 @@ def calibration_blocks(
     if every:
         blocks += unknown_blocks(calibration)
     if budget:
+        from tumble.views.uncertainty_budget import budget_blocks
+
         blocks += budget_blocks(calibration, every=every)
     if several:
         blocks += [launch_table(calibration, parameters, deviations=which) for which in (False, True)[: 1 + passport]]
@@ -101,9 +103,12 @@ def calibration_blocks(
         blocks += [iteration_table(calibration, parameters), WHAT_AN_INCREMENT_SAYS]
     if parameters:
         blocks += [method_table(calibration, other, parameters) for other in others]
-    if every:
-        blocks += [shown for one in recordings(calibration) for shown in tables_of(one) if shown and not several]
-    lines = _rest_lines(calibration) if every else _short_lines(calibration)
+    if every and not several:
+        from tumble.views.report.recording import recordings, tables_of
+
+        blocks += [shown for shown in tables_of(recordings(calibration)[0]) if shown]
+    rests = [rests_said(calibration)] if calibration.rests and not several else []
+    lines = rests if every else _short_lines(calibration, rests)
     if truth is not None:
         z = [(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth]
         rms = math.sqrt(sum(v * v for v in z) / max(len(z), 1))
@@ -273,7 +278,7 @@ def difference_percent(value: Array | float, reference: Array | float) -> Array:
 # -------------------- lines --------------------
 
 
-def _short_lines(calibration: Calibration) -> list[str]:
+def _short_lines(calibration: Calibration, rests: list[str]) -> list[str]:
     """In a line each: the groups beyond the linear model, with what the session has learned of each; the rests; and
     chi-square of each kind of residuals, with its degrees of freedom and the scatter added."""
     groups, fits = [], []
@@ -287,12 +292,8 @@ def _short_lines(calibration: Calibration) -> list[str]:
         else:
             scatter = f", scatter {in_engineering(fit.unit, fit.scatter)}" if fit.scatter > 0.0 else ""
             fits.append(f"{name} {fit.chi_square:.1f} for {fit.degrees:.1f}{scatter}")
-    lines += _rest_lines(calibration)
+    lines += rests
     return [*lines, f"chi-square for degrees of freedom: {'; '.join(fits)}"] if fits else lines
-
-
-def _rest_lines(calibration: Calibration) -> list[str]:
-    return [rests_said(one) for one in recordings(calibration) if one.recorded.rests and not calibration.launches]
 
 
 # -------------------- in a notebook --------------------

@@ -19,8 +19,6 @@ from functools import lru_cache
 from itertools import product
 from typing import Any
 
-from tumble.recording.columns.patterns import is_unit
-
 LINE_BYTES = 1 << 20
 FIRST_ROWS = 5
 """By which it is found out whether a name is missing."""
@@ -202,6 +200,8 @@ _COUNTS = re.compile(
 
 def _are_units(names: Sequence[str]) -> bool:
     """Whether all that stands in a line are units."""
+    from tumble.recording.columns.patterns import is_unit
+
     return all(not name or is_unit(_bare(name)) for name in names)
 
 

@@ -15,6 +15,7 @@ from tumble.programme.positions import Position, from_attitudes
 from tumble.programme.sheet_words import short_code
 from tumble.recording.session import Site
 from tumble.result.calibration import Calibration
+from tumble.result.further import checked, rests_said
 from tumble.result.parts import Launch, TurnResult
 from tumble.rotation import unit_vector
 from tumble.units import DEGREE, G_STANDARD, Array, engineering
@@ -129,7 +130,7 @@ def measured(recording: RecordedSession) -> Section | None:
     if not recording.recorded.rests:
         return residuals(recording, "")
     rests, turns, fits = tables_of(recording)
-    residual = f"{rests_said(recording)}."
+    residual = f"{rests_said(recording.recorded)}."
     return section(recording.titled("What was measured"), _programme_said(recording), rests, turns, residual, fits)
 
 
@@ -204,22 +205,7 @@ def residuals(recording: RecordedSession, name: str) -> Section | None:
         svg=figures.residuals(name, recording.recorded.rests, recording.recorded.turns),
         caption="Residual of every rest, and how far rests and turns are from the fit.",
     )
-    return section(title, f"{rests_said(recording)}.", picture, fits)
-
-
-def rests_said(recording: RecordedSession) -> str:
-    """How far the corrected readings at rest are from g, and turns from the fit."""
-    rests, turns = recording.recorded.rests, recording.recorded.turns
-    rms = math.sqrt(sum(rest.residual**2 for rest in rests) / len(rests))
-    worst = max(range(len(rests)), key=lambda i: abs(rests[i].residual))
-    size, unit = engineering("m/s^2", rms)
-    said = (
-        f"{len(rests)} rests: corrected readings miss g by {rms / size:.3g} {unit} (rms), at most by "
-        f"{abs(rests[worst].residual) / size:.3g} {unit} (rest {worst + 1})"
-    )
-    if not turns:
-        return said
-    return f"{said}; {len(turns)} turns, the worst {max(turn.sigmas for turn in turns):z.1f} sigma from the fit"
+    return section(title, f"{rests_said(recording.recorded)}.", picture, fits)
 
 
 def _fit_table(fits: Mapping[str, Fit]) -> Table | None:
@@ -239,11 +225,6 @@ def _fit_table(fits: Mapping[str, Fit]) -> Table | None:
         "within rests; it is in every uncertainty. Noise within rests: the residuals if nothing were added."
     )
     return table(rows, words=("residuals of",), caption=caption) if rows else None
-
-
-def checked(fit: Fit) -> bool:
-    """Whether there are more data than unknowns."""
-    return fit.degrees >= 0.5
 
 
 # -------------------- noise and drift --------------------

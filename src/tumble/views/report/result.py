@@ -11,10 +11,11 @@ import numpy as np
 from tumble.acceptance.conformity import RESULTS, RULE, LimitJudgement, Verdict
 from tumble.acceptance.limits import Limits
 from tumble.errors import CalibrationError
-from tumble.result.accepted import WORDS, accepted_groups, accepted_kinds
+from tumble.result.accepted import WORDS, accepted_kinds
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import expanded
 from tumble.result.further import (
+    accepted_groups,
     by_group,
     decided_by_priors,
     described,
