@@ -58,7 +58,7 @@ def recorded(
 def matched(folder: Path, name: str, *, gyros: bool = True) -> Match:
     """The rests of a session matched to a built-in programme, whatever its session.toml says."""
     found = read_session(folder)
-    session: Session = replace(found, programme=ProgrammeSpec(name=name, positions=()))
+    session: Session = replace(found, programme=ProgrammeSpec(name=name))
     if not gyros:
         session = replace(session, log=replace(session.log, gyro=None))
     log = open_log(session)

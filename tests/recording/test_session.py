@@ -532,7 +532,7 @@ def test_positions_are_read_in_order(tmp_path: Path) -> None:
     ).programme
     assert spec is not None
     assert spec.name is None
-    assert [(p.attitude, p.start, p.stop) for p in spec.positions] == [
+    assert [(p.attitude, p.start, p.stop) for p in spec.position or ()] == [
         ("NUE", None, None),
         ("NUE N+45", 120.0, 180.0),
     ]

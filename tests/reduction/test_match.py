@@ -100,11 +100,11 @@ def matched(recording: Recording, spec: ProgrammeSpec | None, *, gyros: bool = T
 
 
 def named(name: str) -> ProgrammeSpec:
-    return ProgrammeSpec(name=name, positions=())
+    return ProgrammeSpec(name=name)
 
 
 def listed(codes: Sequence[str]) -> ProgrammeSpec:
-    return ProgrammeSpec(name=None, positions=tuple(ListedPosition(attitude=c, start=None, stop=None) for c in codes))
+    return ProgrammeSpec(position=[ListedPosition(attitude=code) for code in codes])
 
 
 def course(indices: Sequence[int]) -> Programme:
@@ -176,12 +176,11 @@ def test_stated_times_replace_what_was_found_there() -> None:
     recording = recorded(_listed_course(codes), rest=12.0)
     start, stop = recording.rests[1]
     spec = ProgrammeSpec(
-        name=None,
-        positions=(
+        position=[
             ListedPosition(attitude=codes[0], start=2.0, stop=9.0),
             ListedPosition(attitude=codes[1], start=start + 3.0, stop=stop - 4.0),
-            ListedPosition(attitude=codes[2], start=None, stop=None),
-        ),
+            ListedPosition(attitude=codes[2]),
+        ]
     )
     match = matched(recording, spec)
     times = np.array([(r.start, r.stop) for r in match.rests])
@@ -312,10 +311,9 @@ def test_times_without_a_sample_are_refused() -> None:
     recording = recorded(_listed_course(("NUE", "ENU")))
     beyond = float(recording.time[-1]) + 100.0
     spec = ProgrammeSpec(
-        name=None,
-        positions=(
-            ListedPosition(attitude="NUE", start=None, stop=None),
+        position=[
+            ListedPosition(attitude="NUE"),
             ListedPosition(attitude="ENU", start=beyond, stop=beyond + 10.0),
-        ),
+        ]
     )
     assert "position 2" in refused(recording, spec)

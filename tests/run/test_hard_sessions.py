@@ -102,10 +102,7 @@ def test_the_parts_before_and_after_a_jump_are_launches_of_one_log(hand: Recorde
     whole = hand.session(gyro=jumped(hand, 1.0, 9))
     at = 0.5 * (hand.rests[8][1] + hand.rests[9][0])
     ends = (0.0, at), (at, float(hand.time[-1]))
-    parts = [
-        replace(whole, excluded=(Exclusion(rest=None, turn=None, start=start, stop=stop, file=0, reason="jump"),))
-        for start, stop in ends
-    ]
+    parts = [replace(whole, excluded=(Exclusion(start=start, stop=stop, reason="jump"),)) for start, stop in ends]
     made = calibrate_launches(parts, terms="linear")
     assert made.outcome.accepted
     assert len(made.launches) == 2

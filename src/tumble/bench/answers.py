@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 from tumble.bench import session_folder
@@ -32,13 +31,13 @@ class Answers:
     def excluded(self) -> tuple[Exclusion, ...]:
         """What is left out, last what has no end yet."""
         ended = tuple(one for one in (*self._before, *self._added) if one != self._open)
-        return ended if self._open is None else (*ended, replace(self._open, stop=math.inf))
+        return ended if self._open is None else (*ended, self._open.model_copy(update={"stop": math.inf}))
 
     def moved(self, now: float) -> None:
         """End what is left out until the unit is moved."""
         if self._open is None:
             return
-        ended = replace(self._open, stop=now)
+        ended = self._open.model_copy(update={"stop": now})
         session_folder.leave_out(self._folder, ended, instead_of=self._open)
         self._added = [ended if one == self._open else one for one in self._added]
         self._open = None

@@ -24,7 +24,6 @@ from tumble.diagnosis.turn_likelihood import (
     turn_likelihoods,
 )
 from tumble.earth import EARTH_RATE
-from tumble.programme.positions import from_attitudes, programme
 from tumble.recording.session import Channels, LogSpec, Session
 from tumble.recording.session.log_tables import GyroTable
 from tumble.reduction.observations import Observations
@@ -177,9 +176,8 @@ def _misses(observations: Observations, gyro: SensorModel, vertical: Array) -> A
 def upside_down(observations: Observations, session: Session) -> list[str]:
     """Whether all accelerometers have the wrong sign, by the programme or the vertical part of the Earth's rate."""
     vertical = unit_vector(observations.accel_block.nominal().apply(observations.rests.accel))
-    spec = session.programme
-    if spec is not None:
-        listed = programme(spec.name) if spec.name is not None else from_attitudes([p.attitude for p in spec.positions])
+    if session.programme is not None:
+        listed = session.programme.listed
         expected = np.array([p.vertical_b for p in listed.positions])
         comparable = listed.ordered and len(expected) == len(vertical)
         if comparable and np.all(np.einsum("ij,ij->i", vertical, expected) < -np.cos(UPRIGHT)):

@@ -18,7 +18,7 @@ from tumble.acceptance.limits import parse_limits
 from tumble.acceptance.schedule import Occasion
 from tumble.errors import InputError
 from tumble.files import FilePath
-from tumble.recording.session.log_tables import LONGEST_NAME
+from tumble.recording.session.table import LONGEST_NAME
 from tumble.registry.due import keep_forecasts
 from tumble.registry.store import rows
 from tumble.registry.store.connect import Registry

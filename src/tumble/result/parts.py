@@ -29,7 +29,7 @@ from tumble.recording.session import (
     sensors_from,
 )
 from tumble.recording.session.document import ImuTable
-from tumble.recording.session.log_tables import name_of
+from tumble.recording.session.table import name_of
 from tumble.scipy_compiled import special
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import is_parameter

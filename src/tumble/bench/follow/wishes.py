@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 from tumble.planning.requirements import wanted_of
 from tumble.planning.setup import Setup
-from tumble.programme.positions import ANY_MOVE, Move, Programme, from_attitudes
-from tumble.programme.positions import programme as built_in
+from tumble.programme.positions import ANY_MOVE, Move, Programme
 from tumble.recording.session import Session
 from tumble.sensors.grades import grade
 from tumble.sensors.parameters import usual_sizes
@@ -81,10 +80,7 @@ class Task:
     @staticmethod
     def of(session: Session, wanted: Wanted, grade: str) -> Task:
         """Of a session; `grade` is that of a unit whose session does not say one."""
-        spec, programme = session.programme, None
-        if spec is not None:
-            attitudes = [position.attitude for position in spec.positions]
-            programme = from_attitudes(attitudes) if spec.name is None else built_in(spec.name)
+        programme = None if session.programme is None else session.programme.listed
         return Task(session=session, programme=programme, grade=session.device.grade or grade, wanted=wanted)
 
     @property

@@ -10,17 +10,19 @@ import datetime as dt
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
 from tumble.brief import Brief
 from tumble.documents import shown
-from tumble.errors import InputError
+from tumble.errors import InputError, ProgrammeError
+from tumble.programme.positions import BUILT_IN, Programme, attitude, programme_of
+from tumble.recording.session.table import SessionTable, check_span, key, one_of
 from tumble.recording.text.dialect import Dialect
 from tumble.sensors.model import Block
-from tumble.units import Array, Unit
+from tumble.units import TIME_UNITS, Array, Unit
 
 if TYPE_CHECKING:
     from tumble.recording.readers import KeptLog, TableLog
@@ -145,14 +147,22 @@ USUAL_CLOCK_U = 30e-6
 temperature and with age."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ReferenceClock:
-    """A second clock in the log: its column, in units of `factor` s, and how well it keeps time, the relative standard
-    uncertainty `u` of its rate."""
+class ReferenceClock(SessionTable):
+    """A second clock in the log, [log.reference_clock]: its column and unit, and how well it keeps time."""
 
-    column: str
-    factor: float
-    u: float
+    column: str = Field(min_length=1, description="a column name")
+    unit: Annotated[str, one_of(TIME_UNITS)] = key(f"one of {', '.join(TIME_UNITS)}", "s")
+    ppm_u: float = Field(ge=0, description="a number that is not negative")
+
+    @property
+    def factor(self) -> float:
+        """s, of its unit."""
+        return TIME_UNITS[self.unit]
+
+    @property
+    def u(self) -> float:
+        """Relative standard uncertainty of its rate."""
+        return 1e-6 * self.ppm_u
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -205,35 +215,76 @@ class LogSpec:
         return tuple(column for column in columns if column is not None)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ListedPosition:
-    """A position of the programme: its attitude code, and the rest's start and stop, s, where given."""
+class ListedPosition(SessionTable):
+    """A position of the programme, [[programme.position]]: its attitude code, and the rest's start and stop, s, where
+    given."""
 
-    attitude: str
-    start: float | None
-    stop: float | None
+    attitude: str = Field(description="an attitude code, a string")
+    start: float | None = key("a number (s)")
+    stop: float | None = key("a number (s)")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        try:
+            attitude(self.attitude)
+        except ProgrammeError as error:
+            raise ValueError(str(error)) from None
+        if (self.start is None) != (self.stop is None):
+            given = "start" if self.stop is None else "stop"
+            raise ValueError(f"{given}: expected start and stop together, found {given} alone")
+        check_span(self.start, self.stop)
+        return self
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ProgrammeSpec:
-    """Either the name of a built-in programme, or positions in order."""
+class ProgrammeSpec(SessionTable):
+    """[programme]: either the name of a built-in programme, or positions in order."""
 
-    name: str | None
-    positions: tuple[ListedPosition, ...]
+    name: Annotated[str, one_of(BUILT_IN)] | None = key("the name of a built-in programme")
+    position: list[ListedPosition] | None = key("one or more tables [[programme.position]]", min_length=1)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.name is None) == (self.position is None):
+            given = "neither" if self.name is None else "both"
+            raise ValueError(f"name: expected either programme.name or [[programme.position]], found {given}")
+        return self
+
+    @property
+    def listed(self) -> Programme:
+        """The programme that is meant."""
+        return programme_of(self.name or [position.attitude for position in self.position or ()])
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Exclusion:
-    """What a session leaves out: the rest or the turn of this number, from 1 as results count them, or what lies
-    between `start` and `stop`, s, of a file (its index). The others are None. `by` is who says so."""
+class Exclusion(SessionTable):
+    """What a session leaves out, [[exclude]]: the rest or the turn of this number, from 1 as results count them, or
+    what lies between `start` and `stop`, s, of a file (its number, from 1, the first where None)."""
 
-    rest: int | None = None
-    turn: int | None = None
-    start: float | None = None
-    stop: float | None = None
-    file: int = 0
-    reason: str = ""
-    by: Literal["session.toml", "request"] = "session.toml"
+    by: ClassVar[str] = "session.toml"
+    """Who says so."""
+    rest: int | None = key("the number of a rest, from 1", ge=1)
+    turn: int | None = key("the number of a turn, from 1", ge=1)
+    start: float | None = key("a number (s)")
+    stop: float | None = key("a number (s)")
+    file: int | None = key("the number of a file of the log, from 1", ge=1)
+    reason: str = key("a string", "")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        stated = [key for key in ("rest", "turn", "start", "stop") if getattr(self, key) is not None]
+        if stated not in (["rest"], ["turn"], ["start", "stop"]):
+            raise ValueError(
+                f"rest: expected either rest, or turn, or start and stop together, found {', '.join(stated) or 'none'}"
+            )
+        check_span(self.start, self.stop)
+        if self.file is not None and self.start is None:
+            raise ValueError("file: expected only with start and stop, found it without")
+        return self
+
+
+class Request(Exclusion):
+    """What a caller leaves out."""
+
+    by: ClassVar[str] = "request"
 
 
 # -------------------- what a certificate needs and no log says --------------------
@@ -348,5 +399,5 @@ class Session(Brief):
         for number in rests:
             if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:
                 raise InputError(f"without: expected numbers of rests, from 1 as results count them, found {number!r}")
-            more.append(Exclusion(rest=int(number), by="request"))
+            more.append(Request(rest=int(number)))
         return replace(self, excluded=(*self.excluded, *more))

@@ -15,20 +15,18 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
-from tumble.errors import ProgrammeError
-from tumble.programme import positions as programme
 from tumble.recording.session import (
     AirConditions,
     Circumstances,
     Device,
     Exclusion,
-    ListedPosition,
     ProgrammeSpec,
     Session,
     Site,
     sensors_from,
 )
-from tumble.recording.session.log_tables import LogTable, SessionTable, check_span, key, name_of, one_of, visible
+from tumble.recording.session.log_tables import LogTable
+from tumble.recording.session.table import SessionTable, key, name_of, visible
 from tumble.sensors.parameters import prior_of
 from tumble.units import DEGREE, G_STANDARD, TESLA
 
@@ -171,70 +169,6 @@ class CircumstancesTable(SessionTable):
         )
 
 
-class ExcludeTable(SessionTable):
-    """[[exclude]]"""
-
-    rest: int | None = key("the number of a rest, from 1", ge=1)
-    turn: int | None = key("the number of a turn, from 1", ge=1)
-    start: float | None = key("a number (s)")
-    stop: float | None = key("a number (s)")
-    file: int | None = key("the number of a file of the log, from 1", ge=1)
-    reason: str = key("a string", "")
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        stated = [key for key in ("rest", "turn", "start", "stop") if getattr(self, key) is not None]
-        if stated not in (["rest"], ["turn"], ["start", "stop"]):
-            raise ValueError(
-                f"rest: expected either rest, or turn, or start and stop together, found {', '.join(stated) or 'none'}"
-            )
-        check_span(self.start, self.stop)
-        if self.file is not None and self.start is None:
-            raise ValueError("file: expected only with start and stop, found it without")
-        return self
-
-    def si(self) -> Exclusion:
-        return Exclusion(**{**self.model_dump(), "file": (self.file or 1) - 1})
-
-
-class PositionTable(SessionTable):
-    """[[programme.position]]"""
-
-    attitude: str = Field(description="an attitude code, a string")
-    start: float | None = key("a number (s)")
-    stop: float | None = key("a number (s)")
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        try:
-            programme.attitude(self.attitude)
-        except ProgrammeError as error:
-            raise ValueError(str(error)) from None
-        if (self.start is None) != (self.stop is None):
-            given = "start" if self.stop is None else "stop"
-            raise ValueError(f"{given}: expected start and stop together, found {given} alone")
-        check_span(self.start, self.stop)
-        return self
-
-
-class ProgrammeTable(SessionTable):
-    """[programme]"""
-
-    name: Annotated[str, one_of(programme.BUILT_IN)] | None = key("the name of a built-in programme")
-    position: list[PositionTable] | None = key("one or more tables [[programme.position]]", min_length=1)
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if (self.name is None) == (self.position is None):
-            given = "neither" if self.name is None else "both"
-            raise ValueError(f"name: expected either programme.name or [[programme.position]], found {given}")
-        return self
-
-    def si(self) -> ProgrammeSpec:
-        positions = tuple(ListedPosition(**position.model_dump()) for position in self.position or [])
-        return ProgrammeSpec(name=self.name, positions=positions)
-
-
 class SessionDocument(SessionTable):
     """The whole file."""
 
@@ -242,9 +176,9 @@ class SessionDocument(SessionTable):
     device: DeviceTable = Field(description="the table [device]")
     site: SiteTable = Field(default_factory=SiteTable, description="the table [site]")
     log: LogTable = Field(description="the table [log]")
-    programme: ProgrammeTable | None = key("the table [programme]")
+    programme: ProgrammeSpec | None = key("the table [programme]")
     session: CircumstancesTable = Field(default_factory=CircumstancesTable, description="the table [session]")
-    exclude: list[ExcludeTable] = Field(default_factory=list, description="tables [[exclude]]")
+    exclude: list[Exclusion] = Field(default_factory=list, description="tables [[exclude]]")
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -259,8 +193,8 @@ class SessionDocument(SessionTable):
             device=self.device.si(place),
             site=self.site.si(),
             log=self.log.si(place),
-            programme=None if self.programme is None else self.programme.si(),
-            excluded=tuple(table.si() for table in self.exclude),
+            programme=self.programme,
+            excluded=tuple(self.exclude),
             circumstances=self.session.si(),
             description=self.model_dump(exclude_unset=True, exclude_none=True),
         )

@@ -1,26 +1,23 @@
-"""What the tables of session.toml have in common, and [log] with those within it."""
+"""[log] of session.toml with the tables within it."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from tumble.documents import as_written, is_plain, shown
-from tumble.errors import did_you_mean
+from tumble.documents import as_written
 from tumble.recording.session import Channels, LogSpec, ReferenceClock, TemperatureChannels
+from tumble.recording.session.table import SessionTable, check_known, key, one_of
 from tumble.recording.text.dialect import DELIMITERS, DIALECT_KEYS, Dialect
 from tumble.sensors.model import thermometers_of
 from tumble.units import ACCEL_UNITS, GYRO_UNITS, MAGNETIC_UNITS, TEMPERATURE_UNITS, TIME_UNITS, Array, Unit
 
-LONGEST_NAME = 200
-"""Characters of a serial number and of a type."""
 CLOCK = "iso8601"
 """The time unit of dates with times and times of day."""
 RAW = "raw"
@@ -32,42 +29,6 @@ _LEAST_SINE = 1e-3
 
 Numbers = float | list[float] | None
 """One for all columns, or one a column."""
-
-
-class SessionTable(BaseModel):
-    """A table of the file: no other keys, no other types."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, defer_build=True)
-
-
-def key(description: str, default: Any = None, **limits: Any) -> Any:
-    """A key that may be absent, and what is expected of it where it is there."""
-    return Field(default=default, description=description, **limits)
-
-
-def check_known(value: str, known: Iterable[str], key: str = "") -> str:
-    """The value. Raises ValueError where it is none of those known."""
-    names = list(known)
-    if value not in names:
-        hint, before = did_you_mean(value, names), f"{key}: " if key else ""
-        raise ValueError(f'{before}expected one of {", ".join(names)}, found "{value}"{hint}')
-    return value
-
-
-def one_of(names: Iterable[str]) -> AfterValidator:
-    return AfterValidator(partial(check_known, known=tuple(names)))
-
-
-def visible(text: str) -> str:
-    if not is_plain(text):
-        raise ValueError(f"expected no control characters, found {shown(text)}")
-    return text
-
-
-def name_of(text: str) -> str:
-    if not (text.strip() and text.isprintable() and len(text) <= LONGEST_NAME):
-        raise ValueError(f"expected 1 to {LONGEST_NAME} printable characters, found {shown(text)}")
-    return text
 
 
 def encoding_of_text(name: str) -> str:
@@ -85,16 +46,11 @@ def different(files: str | list[str]) -> str | list[str]:
     return files
 
 
-def check_span(start: float | None, stop: float | None) -> None:
-    if start is not None and stop is not None and start >= stop:
-        raise ValueError(f"start: expected a start before the stop {stop:g} s, found {start:g} s")
-
-
 def check_one_per_column(columns: int, **values: float | list[float] | None) -> None:
     """Raises ValueError for a list of another length than there are columns."""
-    for key, value in values.items():
+    for name, value in values.items():
         if isinstance(value, Sequence) and len(value) != columns:
-            raise ValueError(f"{key}: expected a number or {columns} numbers, one per column, found {len(value)}")
+            raise ValueError(f"{name}: expected a number or {columns} numbers, one per column, found {len(value)}")
 
 
 class SensorsTable(SessionTable):
@@ -274,17 +230,6 @@ class TemperatureTable(SessionTable):
         )
 
 
-class ReferenceClockTable(SessionTable):
-    """[log.reference_clock]"""
-
-    column: str = Field(min_length=1, description="a column name")
-    unit: Annotated[str, one_of(TIME_UNITS)] = key(f"one of {', '.join(TIME_UNITS)}", "s")
-    ppm_u: float = Field(ge=0, description="a number that is not negative")
-
-    def si(self) -> ReferenceClock:
-        return ReferenceClock(column=self.column, factor=TIME_UNITS[self.unit], u=1e-6 * self.ppm_u)
-
-
 class LogTable(SessionTable):
     """[log]"""
 
@@ -305,7 +250,7 @@ class LogTable(SessionTable):
     gyro: GyroTable | None = key("the table [log.gyro]")
     magnetometer: MagnetometerTable | None = key("the table [log.magnetometer]")
     temperature: TemperatureTable | None = key("the table [log.temperature]")
-    reference_clock: ReferenceClockTable | None = key("the table [log.reference_clock]")
+    reference_clock: ReferenceClock | None = key("the table [log.reference_clock]")
 
     @property
     def sensors(self) -> tuple[int, int]:
@@ -327,11 +272,11 @@ class LogTable(SessionTable):
         if self.reference_clock is not None and self.clock_ppm_u is not None:
             raise ValueError("clock_ppm_u: expected none beside log.reference_clock, which says it, found one")
         self._check_columns()
-        for key, table in (("accel", self.accel), ("gyro", self.gyro)):
+        for kind, table in (("accel", self.accel), ("gyro", self.gyro)):
             ranged = table is not None and table.range is not None and table.worth.kind == "increment"
             if ranged and self.rate_hz is None:
                 raise ValueError(
-                    f"{key}.range: expected log.rate_hz with the full scale of an increment per sample, "
+                    f"{kind}.range: expected log.rate_hz with the full scale of an increment per sample, "
                     "found log.time; leave range out"
                 )
         return self
@@ -367,5 +312,5 @@ class LogTable(SessionTable):
             regular=bool(self.regular),
             dialect=Dialect(**dialect) if dialect else None,
             clock_u=None if self.clock_ppm_u is None else 1e-6 * self.clock_ppm_u,
-            reference_clock=None if self.reference_clock is None else self.reference_clock.si(),
+            reference_clock=self.reference_clock,
         )

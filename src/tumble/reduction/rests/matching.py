@@ -19,7 +19,7 @@ from itertools import groupby
 import numpy as np
 
 from tumble.errors import ProgrammeError, SessionError
-from tumble.programme.positions import Programme, from_attitudes, programme
+from tumble.programme.positions import Programme
 from tumble.recording.session import Exclusion, ProgrammeSpec, Session
 from tumble.reduction.blocks.reducer import BLOCK_SECONDS, FileBlocks, Reduction
 from tumble.reduction.rests.segmentation import LevelJump, RestSpan, Segmentation, unrecorded
@@ -51,7 +51,7 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
     spec = session.programme
     if spec is None:
         return Match(rests=segmentation.rests, programme=None, position=None)
-    listed = programme(spec.name) if spec.name is not None else from_attitudes([p.attitude for p in spec.positions])
+    listed = spec.listed
     rests = _with_stated(listed, reduction, segmentation.rests, spec)
     if not rests:
         return Match(rests=(), programme=listed, position=np.empty(0, dtype=np.int64))
@@ -91,7 +91,7 @@ def _with_stated(
     """Rests found, with those that a position states by its times in their place: these are in the (first) file, and
     long enough to have a mean."""
     file, stated = reduction.files[0], []
-    for k, p in enumerate(spec.positions):
+    for k, p in enumerate(spec.position or ()):
         if p.start is None or p.stop is None:
             continue
         if p.start < file.edges[0] - BLOCK_SECONDS or p.stop > file.edges[-1] + BLOCK_SECONDS:
@@ -268,7 +268,7 @@ def without_times(reduction: Reduction, found: Segmentation, excluded: tuple[Exc
     rests = list(found.rests)
     for one in excluded:
         if one.start is not None and one.stop is not None:
-            parts = [_longest(reduction, span, one.file, one.start, one.stop) for span in rests]
+            parts = [_longest(reduction, span, (one.file or 1) - 1, one.start, one.stop) for span in rests]
             rests = [span for span in parts if span is not None]
     return replace(found, rests=tuple(rests))
 
@@ -335,7 +335,7 @@ def left_out(excluded: tuple[Exclusion, ...]) -> tuple[str, ...]:
     """What a session leaves out, as notes."""
     notes = []
     for one in excluded:
-        in_file = f" of file {one.file + 1}" if one.file else ""
+        in_file = f" of file {one.file}" if (one.file or 1) > 1 else ""
         what = f"{one.start:g}–{one.stop:g} s{in_file}" if one.start is not None else f"turn {one.turn}"
         what = what if one.rest is None else f"rest {one.rest}"
         notes.append(f"left out by {one.by}: {what}" + (f": {one.reason}" if one.reason else ""))
