@@ -7,6 +7,7 @@ import atexit
 import errno
 import gc
 import os
+import re
 import signal
 import sys
 import time
@@ -15,6 +16,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from importlib import import_module
+from pathlib import Path
 from typing import Any, NoReturn
 
 import click
@@ -66,76 +68,40 @@ def _in_one_line() -> Iterator[None]:
 STUCK_SECONDS = 5.0
 """How long a command may take to notice that it is to end."""
 
-COMMANDS: Mapping[str, Mapping[str, str]] = {
-    "From a recording to a calibration": {
-        "new": "Write a commented session.toml for a log into FOLDER, and say what was guessed.",
-        "inspect": "Show the rests and turns found in SESSION, and what was rejected and why.",
-        "calibrate": "Calibrate the device of SESSION, a folder with session.toml and a log.",
-        "ellipsoid": (
-            "Calibrate a triad from READINGS.csv, a table of mean readings in nine or more positions "
-            "of any orientation."
-        ),
-        "verify": "Test whether CALIBRATION holds in check positions, by g − |corrected reading| in each of them.",
-        "check": "Test from a few rests of its device what has changed since CALIBRATION, and by how much.",
-        "watch": "Test CALIBRATION by every rest of a flight or a day, as the readings of SOURCE come.",
-        "compare": "Differences of two calibration files in units of their combined uncertainty, and E_n numbers.",
-        "apply": "Correct the recording of SESSION with CALIBRATION, a calibration file of the same device.",
-        "mission": (
-            "What CALIBRATION, a calibration file, means for a vehicle: heading, tilt and position after 10, 60 and "
-            "600 s without aid, with what contributes, before and after calibration."
-        ),
-        "noise": (
-            "Allan deviation: the noise of every sensor, from the longest rest of SESSION or from all of a LOG at rest."
-        ),
-        "bench": "The live page: follow a recording, say what to do next, and calibrate at the end.",
-    },
-    "Before anything is recorded": {
-        "programme": "The operator's sheet of a built-in programme NAME or of a list of attitudes.",
-        "plan": (
-            "The least uncertainty a programme allows, the best next position, and better "
-            "programmes; over temperature with the time in a chamber."
-        ),
-        "budget": ("Expected errors of a calibration before it is made, what they are from, and the least possible."),
-        "require": (
-            "The table, the mounting and the rests that a wanted accuracy needs; what no table can give is named."
-        ),
-        "simulate": "Write a session with known truth (truth.json) into FOLDER.",
-    },
-    "To pass on and to keep": {
-        "report": "Report of a calibration, or of several of one device, in one file that needs nothing else.",
-        "export": "Write CALIBRATION, a calibration file, in the format of another program.",
-        "upload": "Write CALIBRATION, a calibration file, into PX4 or ArduPilot over MAVLink.",
-        "registry": "Devices, launches, calibrations and acceptance limits over years.",
-    },
-    "Many at once": {
-        "campaign": "Simulate and calibrate many times over the grid of FILE.toml.",
-        "fleet": "Calibrate all sessions that GLOB matches or MANIFEST lists, with a row for each.",
-    },
-    "This installation": {
-        "selftest": (
-            "Run the reference cases on this machine and compare them with published values, closed forms and truth."
-        ),
-    },
+COMMANDS: Mapping[str, str] = {
+    "From a recording to a calibration": (
+        "recordings.new recordings.inspect calibrate.calibrate calibrate.ellipsoid results.verify results.check "
+        "results.watch results.compare results.apply results.mission recordings.noise recordings.bench"
+    ),
+    "Before anything is recorded": (
+        "planning.programme planning.plan planning.budget planning.require planning.simulate"
+    ),
+    "To pass on and to keep": "passing_on.report passing_on.export passing_on.upload registry.registry",
+    "Many at once": "many.campaign many.fleet",
+    "This installation": "passing_on.selftest",
 }
-"""The commands by what they are for, each with the first sentence of its docstring: the list of them imports none."""
+"""The commands by what they are for, in the order of the list, each as file.function of `commands/`."""
 
-_FILES = {
-    "calibrate": ("calibrate", "ellipsoid"),
-    "recordings": ("new", "inspect", "noise", "bench"),
-    "results": ("verify", "check", "watch", "compare", "apply", "mission"),
-    "planning": ("programme", "plan", "budget", "require", "simulate"),
-    "passing_on": ("report", "export", "upload", "selftest"),
-    "many": ("campaign", "fleet"),
-}
-"""The files of `commands/` that several commands are in; every other command has one of its own name."""
-
-_READING = (*COMMANDS["From a recording to a calibration"], *COMMANDS["Many at once"])
-_NAMES = [name for group in COMMANDS.values() for name in group]
+_READING = ("recordings", "calibrate", "results", "many")
+"""Files of commands that read recordings."""
+_FILES = dict(place.split(".")[::-1] for group in COMMANDS.values() for place in group.split())
+"""The file of each command."""
 
 
-def first_sentence(command: click.Command) -> str:
+def first_sentence(docstring: str) -> str:
     """What the list of commands says of one."""
-    return " ".join((command.help or "").split("\n\n")[0].split()).partition(". ")[0].removesuffix(".") + "."
+    return " ".join(docstring.split("\n\n")[0].split()).partition(". ")[0].removesuffix(".") + "."
+
+
+def listed(places: str) -> dict[str, str]:
+    """Commands with the first sentences of their docstrings, which are read from the files: a list imports no command,
+    and so takes a tenth of the time."""
+    folder, says = Path(__file__).with_name("commands"), dict[str, str]()
+    for file, name in (place.split(".") for place in places.split()):
+        text = (folder / f"{file}.py").read_text(encoding="utf-8")
+        docstring = re.search(rf'^def {name}\(.*?"""(.*?)"""', text, re.MULTILINE | re.DOTALL)
+        says[name] = first_sentence(docstring[1] if docstring else "")
+    return says
 
 
 class _Commands(click.Group):
@@ -153,23 +119,22 @@ class _Commands(click.Group):
         """The commands by what they are for, each with its first sentence."""
         del ctx
         with formatter.section("Commands"):
-            for title, group in COMMANDS.items():
+            for title, places in COMMANDS.items():
                 formatter.write_text(title)
                 with formatter.indentation():
-                    formatter.write_dl(list(group.items()))
+                    formatter.write_dl(list(listed(places).items()))
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         del ctx
-        return _NAMES
+        return [*_FILES]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """A command, imported when it is first asked for."""
         del ctx
-        if cmd_name in _NAMES and cmd_name not in self.commands:
-            file = next((file for file, names in _FILES.items() if cmd_name in names), cmd_name)
-            command: click.Command = getattr(import_module(f"tumble.commands.{file}"), cmd_name)
+        if cmd_name in _FILES and cmd_name not in self.commands:
+            command: click.Command = getattr(import_module(f"tumble.commands.{_FILES[cmd_name]}"), cmd_name)
             for part in getattr(command, "commands", {}).values():
-                part.short_help = first_sentence(part)
+                part.short_help = first_sentence(part.help or "")
             self.add_command(command)
         return self.commands.get(cmd_name)
 
@@ -191,7 +156,7 @@ def main(context: click.Context, quiet: bool, verbose: bool) -> None:
     """Calibrate strapdown inertial measurement units on equipment that is not precise."""
     from tumble.recording.panic import COMMAND_LINE
 
-    if context.invoked_subcommand in _READING:
+    if _FILES.get(context.invoked_subcommand or "") in _READING:
         check_address_space()
     if as_python() and not quiet:
         click.echo("tumble: the loops over samples are not compiled and run as plain Python, slowly", err=True)
