@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -69,6 +69,24 @@ GYRO_UNITS = {
     "count": Unit(factor=1.0, kind="raw"),
     "V": Unit(factor=1.0, kind="raw"),
 }
+
+UNIT_TOLERANCE = 0.25
+"""Readings may be off by this part before their unit or scale is doubted: biases and scale errors are less."""
+
+
+def is_near_one(ratios: npt.ArrayLike) -> bool:
+    """Whether all of these are one, to UNIT_TOLERANCE."""
+    return bool(np.all(np.abs(np.asarray(ratios) - 1.0) <= UNIT_TOLERANCE))
+
+
+def fitting_units(read: npt.ArrayLike, sizes: Mapping[str, float]) -> list[str]:
+    """Those units, by their sizes, in which what is read for one of SI would be just that, to UNIT_TOLERANCE.
+
+    >>> fitting_units(1.02 / 9.81, {name: unit.factor for name, unit in ACCEL_UNITS.items()})
+    ['g']
+    """
+    return [name for name, size in sizes.items() if is_near_one(np.asarray(read) * size)]
+
 
 TESLA = {"nT": 1e-9, "uT": 1e-6, "gauss": 1e-4, "mgauss": 1e-7, "T": 1.0}
 """1 of each unit of a magnetic field, T."""

@@ -88,6 +88,23 @@ def test_lost_samples_are_named_first_where_all_scatters(seed: int) -> None:
     assert found.causes[0] == "lost samples"
 
 
+def test_turns_beyond_the_model_are_refused_where_they_are_aliased_too() -> None:
+    """The reason says both, and not that u contains it."""
+    estimate, _ = estimated("1 % of samples lost")
+    linearised = estimate.linearised
+    assert linearised is not None
+    observations, scatter = linearised.problem.observations, linearised.components.turn
+    assert observations.turns is not None
+    aliased = replace(observations.turns, aliased=np.full(len(observations.turns), scatter**2))
+    problem = replace(linearised.problem, observations=replace(observations, turns=aliased))
+    twice = replace(linearised, problem=problem, components=replace(linearised.components, aliased=2.0))
+    found = misfit(replace(estimate, linearised=twice))
+    assert found is not None
+    (said,) = [sentence for _, sentence in found.reasons if "where rates jump from sample to sample" in sentence]
+    assert "more than 30: something is there that the model does not have" in said
+    assert "u contains it" not in said
+
+
 def test_lost_samples_are_refused() -> None:
     outcome = verdict(*estimated("0.2 % of samples lost", seed=1))
     assert outcome.verdict == "not accepted"

@@ -12,7 +12,7 @@ from tumble.recording.session import Channels, LogSpec, Session
 from tumble.reduction.blocks.reducer import ChannelState, Reduction
 from tumble.reduction.rests.segmentation import RestSpan
 from tumble.rotation import onto_body
-from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, Array
+from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, UNIT_TOLERANCE, Array, fitting_units, is_near_one
 
 REST_SHARE = 0.2
 """At least this part of a recording is rest: there a sample of coarse resolution equals the one before."""
@@ -178,10 +178,6 @@ def _no_accident(state: ChannelState, run: int, explained: int) -> bool:
 # ---- accelerometers that do not read gravity
 
 
-UNIT_TOLERANCE = 0.25
-"""|a| at rest may differ from g by this part before the unit is doubted: bias and scale errors are less."""
-
-
 def accelerometer_faults(reduction: Reduction, session: Session) -> list[str]:
     """Accelerometers that do not read gravity at the median: exchanged with gyros, or in a unit or with a scale or
     offset that cannot be right."""
@@ -189,16 +185,21 @@ def accelerometer_faults(reduction: Reduction, session: Session) -> list[str]:
     accel, gyros = block_means(reduction)
     force = accel @ onto_body(channels.axes).T
     magnitude = float(np.median(np.linalg.norm(force, axis=1)))
-    if _near(magnitude, g):
+    if is_near_one(magnitude / g):
         return []
+    rates, increments = (
+        {} if channels.raw else {name: u.per_second(rate) for name, u in ACCEL_UNITS.items() if u.kind == kind}
+        for kind in ("rate", "increment")
+    )
+    of_g = channels.unit.per_second(rate) * g
     if gyro is not None:  # what the columns of the gyros would read as accelerometers, as vectors in SI
         n = min(gyros.shape[1], len(channels.columns))
         logged = gyros[:, :n] / gyro.unit.factor * gyro.scale[:n] + gyro.offset[:n]
         meant = (logged - channels.offset[:n]) / channels.scale[:n] * channels.unit.factor
         meant = meant @ onto_body(channels.axes[:n]).T
         of_gyros = float(np.median(np.linalg.norm(meant, axis=1)))
-        in_a_unit = magnitude < 0.5 * g and _fitting_units(of_gyros, channels, g, rate, ("rate",))
-        if (_near(of_gyros, g) and _like_gravity(meant)) or in_a_unit:
+        in_a_unit = magnitude < 0.5 * g and fitting_units(of_gyros / of_g, rates)
+        if (is_near_one(of_gyros / g) and _like_gravity(meant)) or in_a_unit:
             return [
                 f"accelerometer and gyro columns are exchanged: the accelerometers read {magnitude:.3g} m/s^2 and the "
                 f"gyro columns have the magnitude of gravity; exchange [log.accel] columns and [log.gyro] columns"
@@ -206,16 +207,13 @@ def accelerometer_faults(reduction: Reduction, session: Session) -> list[str]:
     read = f"the accelerometers read {magnitude:.4g} m/s^2 at the median, expected {g:.4g} m/s^2"
     if channels.raw:
         return [f"{read}: {_scale_or_offset(force, magnitude, channels, g)}"]
-    units = _fitting_units(magnitude, channels, g, rate, ("rate", "increment") if _like_gravity(force) else ("rate",))
+    units = fitting_units(magnitude / of_g, rates | (increments if _like_gravity(force) else {}))
     if units:
-        return [f'{read}: the unit of [log.accel] is not "{channels.unit_name}"; {" or ".join(units)} would fit']
+        fit = " or ".join(f'"{name}"' for name in units)
+        return [f'{read}: the unit of [log.accel] is not "{channels.unit_name}"; {fit} would fit']
     if magnitude < UNIT_TOLERANCE * g:
         return [f"{read}: gravity has been removed from the log; record the raw specific force"]
     return [f'{read}: the unit "{channels.unit_name}" of [log.accel] is not right, and no other known unit fits']
-
-
-def _near(magnitude: float, g: float) -> bool:
-    return abs(magnitude / g - 1.0) < UNIT_TOLERANCE
 
 
 def _scale_or_offset(force: Array, magnitude: float, channels: Channels, g: float) -> str:
@@ -226,25 +224,15 @@ def _scale_or_offset(force: Array, magnitude: float, channels: Channels, g: floa
     if np.linalg.norm(middle) > 2.0 * g and abs(about / g - 1.0) < 2.0 * UNIT_TOLERANCE:
         raw = channels.offset + channels.scale * (channels.axes @ middle) / channels.unit.factor
         return f"the offset of [log.accel] is wrong; about {', '.join(f'{v:.4g}' for v in raw)} would fit"
-    for name in ("m/s^2", "g"):
-        if _near(magnitude / channels.unit.factor * ACCEL_UNITS[name].factor, g):
-            return f'the scale of [log.accel] would fit with scale_per = "{name}"'
+    per = {name: ACCEL_UNITS[name].factor for name in ("m/s^2", "g")}
+    for name in fitting_units(magnitude / channels.unit.factor / g, per):
+        return f'the scale of [log.accel] would fit with scale_per = "{name}"'
     return f"the nominal scale of [log.accel] is about {times_wrong(magnitude / g)}, or its offset is wrong"
 
 
 def times_wrong(ratio: float) -> str:
     """How wrong a nominal scale is whose readings are `ratio` times what they should be."""
     return f"{ratio:.3g} times too small" if ratio > 1.0 else f"{1.0 / ratio:.3g} times too large"
-
-
-def _fitting_units(magnitude: float, channels: Channels, g: float, rate: float, kinds: tuple[str, ...]) -> list[str]:
-    """Units of accelerometers of these kinds in which a magnitude logged in the stated unit would be g."""
-    stated = channels.unit.per_second(rate)
-    return [
-        f'"{name}"'
-        for name, unit in ACCEL_UNITS.items()
-        if not channels.raw and unit.kind in kinds and _near(magnitude * unit.per_second(rate) / stated, g)
-    ]
 
 
 def _like_gravity(force: Array) -> bool:

@@ -242,22 +242,24 @@ def damaging(cause: Cause) -> Said:
 def _larger(group: Group, ratio: float, linearised: Linearised) -> str:
     """That a group of residuals is larger than its noise, with its size."""
     observations, components = linearised.problem.observations, linearised.components
-    scatter = group.scatter(components)
+    scatter, beyond, jumps = group.scatter(components), group.beyond_model(ratio, components), ""
     if group.name == "turn" and observations.turns is not None:
         aliased = components.aliased * float(np.sqrt(observations.turns.aliased.max()))
         if aliased > components.turn:
-            return (
+            jumps = (
                 f"the rotations of the turns err by up to about {aliased / DEGREE:.2g}° where rates jump from sample "
-                f"to sample, as instantaneous samples of jerky turns do{CONTAINED}; turn smoothly, or sample faster"
-                + jittering(observations)
+                "to sample, as instantaneous samples of jerky turns do"
             )
+    if jumps and not beyond:
+        return f"{jumps}{CONTAINED}; turn smoothly, or sample faster{jittering(observations)}"
     if scatter == 0.0:
         return f"the {group.words} are further from the fit than their noise explains"
     said = f"the {group.words} scatter by {sized(scatter, group.unit)}, {ratio:.2g} times their noise"
-    if group.beyond_model(ratio, components):
+    if beyond:
         said += f", more than {MANY:.0f}: something is there that the model does not have"
         if group.name not in REST_MODES:
             said += f"; look for lost or held samples{jittering(observations)}"
+    said += f"; and {jumps}: turn smoothly, or sample faster" if jumps else ""
     return f"{said}{AT_RANDOM}"
 
 

@@ -64,7 +64,7 @@ from tumble.sensors.frames import Convention, Frame, convert, frame_of
 from tumble.sensors.grades import GRADES
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.parameters import FURTHER, Terms, usual_sizes, variable_of
-from tumble.units import Array, engineering
+from tumble.units import Array, engineering, fitting_units, is_near_one
 from tumble.usual_setup import MOVE, ON_TABLE
 
 SCATTER_LIMIT = {"accel": 1e-3, "gyro": 1e-3, "mag": 2e-2}
@@ -74,10 +74,6 @@ field of the Earth is not the same in every position."""
 RECORDED_LIMIT = 2e-2
 """The same of samples of a triad that is waved about: of an accelerometer it is its own motion, which makes the vector
 longer by its square, 4e-4."""
-
-SIZE_TOLERANCE = 0.25
-"""Scale factors may be off the stated ones by this part before scale and unit are doubted. Iron around a magnetometer
-may do more."""
 
 NAMED = 4
 """Of more positions than these, the one to look at is not told."""
@@ -367,18 +363,15 @@ def _reasons(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> Itera
 
 
 def _misstated(nominal: Nominal, seen: Array | None) -> str | None:
-    """That the channels' output `seen` (3,), per SI unit, is not what scale and unit state, and which would fit."""
-
-    def near_one(ratios: Array) -> bool:
-        return bool(np.all(np.abs(ratios - 1.0) <= SIZE_TOLERANCE))
-
-    if nominal.estimated or nominal.sensor == "mag" or seen is None or near_one(seen / np.abs(nominal.scale)):
+    """That the channels' output `seen` (3,), per SI unit, is not what scale and unit state, and which would fit; iron
+    around a magnetometer may do more."""
+    if nominal.estimated or nominal.sensor == "mag" or seen is None or is_near_one(seen / np.abs(nominal.scale)):
         return None
     stated, outputs = (
         ", ".join(f"{v * nominal.per_factor:.3g}" for v in scale)
         for scale in (nominal.scale, np.sign(nominal.scale) * seen)
     )
-    fitting = [f"--unit {unit}" for unit, factor in UNITS[nominal.sensor].items() if near_one(seen * factor)]
+    fitting = [f"--unit {unit}" for unit in fitting_units(seen, UNITS[nominal.sensor])]
     if nominal.unit == nominal.per:
         length = "gravity" if nominal.sensor == "accel" else "--modulus"
         fault = f"the readings are {outputs} times what --unit {nominal.unit} and {length} give"
