@@ -28,9 +28,9 @@ from accuracy_formulas import (
 
 from tumble.earth import EARTH_RATE, earth_rate, normal_gravity
 from tumble.inference.hyperparameters import CORRELATION_TIME
-from tumble.planning.bounds import course_of
 from tumble.planning.budget import GROUPS, budget
 from tumble.planning.error_propagation import BudgetedMethod
+from tumble.planning.itinerary import itinerary_of
 from tumble.planning.requirements import require
 from tumble.planning.setup import NAMES, Setup
 from tumble.programme.positions import programme
@@ -132,7 +132,7 @@ def readings(setup: Setup, truth: Array, attitudes: Array, rng: np.random.Genera
 
 def in_run(setup: Setup, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
     """In-run biases (T, N, 3) at the rests: Gauss–Markov processes of unit variance, about their means."""
-    start = course_of(setup).start
+    start = itinerary_of(setup).rests[:, 0]
     root = np.linalg.cholesky(np.exp(-np.abs(start[:, None] - start) / CORRELATION_TIME))
     drawn = root @ rng.standard_normal(shape)
     return np.asarray(drawn - drawn.mean(axis=1, keepdims=True))

@@ -18,15 +18,16 @@ from tumble.inference.likelihood import Point, Problem, weights
 from tumble.inference.linearisation import linearise
 from tumble.inference.step import solve
 from tumble.inference.turns_about import TurnsAbout
-from tumble.planning.bounds import Course, bound, bound_of, course_of, instrument_of
+from tumble.planning.bounds import bound, bound_of, instrument_of
 from tumble.planning.budget import GROUPS, budget
+from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.setup import NAMES, Setup
 from tumble.programme.positions import TRIPLES, Programme, from_attitudes, programme
 from tumble.reduction.observations import Observations
 from tumble.sensors.grades import GRADES, NoiseModel
 from tumble.simulation import observations as simulated_observations
 from tumble.simulation.observations import simulate_observations
-from tumble.simulation.scenario import Itinerary, Scenario, itinerary, scenario_of
+from tumble.simulation.scenario import Scenario, itinerary, scenario_of
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
 GRAVITY = 9.815817
@@ -79,11 +80,9 @@ def cube(*chosen: int) -> Programme:
     return from_attitudes([programme("cube-26").positions[i].attitude for i in chosen])
 
 
-def programmed(setup: Setup) -> Course:
-    """The course of a programme with its own turns alone in the log."""
-    course = course_of(setup)
-    own = np.array([setup.programme.moves[k].axis is not None for k in course.first])
-    return replace(course, **{name: getattr(course, name)[own] for name in ("first", "moves", "seconds", "still")})
+def programmed(setup: Setup) -> Itinerary:
+    """That of a programme with its own turns alone in the log."""
+    return replace(itinerary_of(setup), turned=np.array([move.axis is not None for move in setup.programme.moves]))
 
 
 # -------------------- published figures --------------------
@@ -140,8 +139,9 @@ def test_the_bound_of_the_rough_table_is_the_published_one() -> None:
 def test_groups_beyond_the_linear_model_are_bounded_as_published(groups: tuple[str, ...]) -> None:
     """§4 of the dynamics method, every turn in 20 s, without priors: rms by group within 6 %."""
     setup = replace(SETUP, further=dict.fromkeys(groups, 1.0))
-    course = course_of(setup)
-    found = bound_of(replace(course, seconds=np.full(len(course.seconds), 20.0)), setup)
+    course = itinerary_of(setup)
+    start = (setup.rest + 20.0) * np.arange(len(course.rests))
+    found = bound_of(replace(course, rests=np.column_stack([start, start + setup.rest])), setup)
     for group, expected in SECTION_4[groups].items():
         assert found.rms(group) == pytest.approx(expected, rel=0.06), group
 
@@ -163,7 +163,7 @@ def test_one_more_turn_a_series_shows_the_asymmetry_of_the_gyros() -> None:
 def test_the_bound_is_that_of_the_joint_likelihood(monkeypatch: pytest.MonkeyPatch) -> None:
     """On observations of the same tilted table. Turns there are sums over samples, those of a bound are integrals: with
     the usual 64 samples the covariances differ by 1.9e-4 of u u', with 1024 by 256 times less."""
-    expected = bound_of(course_along(way_of(TILTED)), SETUP).covariance
+    expected = bound_of(way_of(TILTED), SETUP).covariance
     for samples, difference in ((64, 3e-4), (1024, 1e-6)):
         monkeypatch.setattr(simulated_observations, "SAMPLES", samples)
         observations = noiseless(TILTED)
@@ -182,7 +182,7 @@ def test_the_bound_is_the_covariance_that_joint_has_with_known_noise(monkeypatch
     about = estimate.linearised
     assert about is not None
     found = solve(about.problem, about.rows, weights(about.problem, about.rows, Components())).covariance[1:, 1:]
-    assert off(found, bound_of(course_along(way_of(TILTED)), SETUP).covariance) < 2e-5
+    assert off(found, bound_of(way_of(TILTED), SETUP).covariance) < 2e-5
 
 
 TILTED = replace(scenario_of(SETUP, np.random.default_rng(0)), truth=dict.fromkeys(NAMES, 0.0))
@@ -213,17 +213,10 @@ def way_of(scenario: Scenario) -> Itinerary:
     return itinerary(scenario, np.random.default_rng(3).spawn(3)[0])
 
 
-def course_along(way: Itinerary) -> Course:
-    """The course of a simulated session."""
-    seconds = way.rests[1:, 0] - way.rests[:-1, 1]
-    course = Course.of(way.attitudes, np.arange(len(seconds)), way.moves, SETUP)
-    return replace(course, seconds=seconds)
-
-
 def test_a_degree_of_the_table_changes_the_bound_by_less_than_a_hundredth() -> None:
     """So that the programme itself stands for what is done; both with the seconds that the ramps of turns take."""
-    tilted, exact = course_along(way_of(TILTED)), course_of(SETUP)
-    found, expected = (bound_of(one, SETUP) for one in (tilted, replace(exact, seconds=tilted.seconds)))
+    tilted, exact = way_of(TILTED), itinerary_of(SETUP)
+    found, expected = (bound_of(one, SETUP) for one in (tilted, replace(exact, rests=tilted.rests)))
     for group in GROUPS:
         assert found.rms(group) == pytest.approx(expected.rms(group), rel=0.01), group
 

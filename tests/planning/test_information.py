@@ -14,7 +14,8 @@ import pytest
 
 from tumble.earth import earth_rate
 from tumble.inference.hyperparameters import CORRELATION_TIME
-from tumble.planning.bounds import Course, bound_of, course_of
+from tumble.planning.bounds import bound_of
+from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.setup import Setup
 from tumble.rotation import axes_matrix, rotation_matrix, rotation_vector
 from tumble.sensors.parameters import usual_sizes
@@ -65,7 +66,7 @@ def integrated(theta: Array, rates: Array, forces: Array, dt: float, velocity: b
     return path[-1], V, middle
 
 
-def information(course: Course, setup: Setup, velocity: bool) -> Array:
+def information(course: Itinerary, setup: Setup, velocity: bool) -> Array:
     """Least covariance (p, p) of 21 parameters, or with velocities 28."""
     noise, p = setup.noise, 28 if velocity else 21
     unknowns = p + 9 * len(course.attitudes)  # three angles and six biases a rest
@@ -95,7 +96,7 @@ def information(course: Course, setup: Setup, velocity: bool) -> Array:
         sigma = np.repeat([noise.accel_white, noise.gyro_white], 3) / np.sqrt(setup.rest)
         total += (jacobian / sigma[:, None]).T @ (jacobian / sigma[:, None])
     add_process(total, course, setup, biases)
-    for first, move, T in zip(course.first, course.moves, course.seconds, strict=True):
+    for first, move, T in zip(course.first, course.moves[course.first], course.seconds, strict=True):
         add_turn(total, course, setup, (int(first), move, float(T)), with_bias, angles, biases, p, velocity)
     if velocity:
         usual = usual_sizes(setup.instrument)
@@ -107,7 +108,7 @@ def information(course: Course, setup: Setup, velocity: bool) -> Array:
     return np.asarray(asked @ np.linalg.pinv(total, rcond=1e-20) @ asked.T, dtype=float)
 
 
-def add_process(total: Array, course: Course, setup: Setup, biases: Callable[[int], slice]) -> None:
+def add_process(total: Array, course: Itinerary, setup: Setup, biases: Callable[[int], slice]) -> None:
     """Add that in-run biases are Gauss–Markov processes between the middles of the rests."""
     N, noise = len(course.attitudes), setup.noise
     moved = np.zeros(N)
@@ -122,7 +123,7 @@ def add_process(total: Array, course: Course, setup: Setup, biases: Callable[[in
 
 def add_turn(
     total: Array,
-    course: Course,
+    course: Itinerary,
     setup: Setup,
     turn: tuple[int, Array, float],
     with_bias: Callable[[Array, int], Array],
@@ -183,7 +184,7 @@ def test_the_bound_is_the_inverse_of_the_dense_information(grade: str, velocity:
     setup = Setup.of(grade=grade, programme="rough-table", gravity_u=0.0)
     names = {"accel.lever", "accel.delay"} if velocity else set()
     setup = replace(setup, further={name: value for name, value in usual_sizes(grade).items() if name in names})
-    course = course_of(setup)
+    course = itinerary_of(setup)
     found = bound_of(course, setup)
     u = np.sqrt(np.diag(information(course, setup, velocity)))
     np.testing.assert_allclose(found.u, u, rtol=0.02)

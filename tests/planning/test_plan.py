@@ -26,7 +26,8 @@ from tumble.planning.best_positions import (
     optimised,
     value_of,
 )
-from tumble.planning.bounds import Bound, Course, bound, bound_of, course_of, course_through, view
+from tumble.planning.bounds import Bound, bound, bound_of, view
+from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.reachable_attitudes import Places, TurnTable
 from tumble.programme.positions import Programme, from_attitudes, programme
 from tumble.rotation import rotation_vector
@@ -61,7 +62,7 @@ def test_what_a_candidate_shows_is_the_bound_with_it(letter: str, gyros: bool, t
     before, values, legs = candidates(NINE, aim, places)
     assert before == pytest.approx(value(bound(NINE, gyros=gyros), letter), rel=1e-6)
     whole = [
-        value(bound_of(added(course_of(NINE), places.attitudes[place], move), NINE, gyros=gyros), letter)
+        value(bound_of(added(itinerary_of(NINE), places.attitudes[place], move), NINE, gyros=gyros), letter)
         for place, move in zip(legs.places[:, 0], legs.moves[:, 0], strict=True)
     ]
     assert len(whole) >= 16
@@ -77,7 +78,7 @@ def test_what_a_candidate_shows_has_the_states_of_in_run_biases(gyros: bool) -> 
     aim, setup = Aim(gyros=gyros), replace(NINE, noise=GRADES["mems"].noise)
     criterion, places = Criterion.of(aim, setup), Places.of(HELD, setup, gyros=gyros, last=NINE.programme.positions[-1])
     before, values, legs = candidates(setup, aim, places)
-    courses = [course_of(setup)]
+    courses = [itinerary_of(setup)]
     for place, move in zip(legs.places[:6, 0], legs.moves[:6, 0], strict=True):
         courses.append(added(courses[0], places.attitudes[place], move))
     for course, found in zip(courses, [before, *values[:6]], strict=True):
@@ -87,13 +88,10 @@ def test_what_a_candidate_shows_has_the_states_of_in_run_biases(gyros: bool) -> 
         assert found == pytest.approx(float(criterion.of_triangles(triangle[None])[0]), rel=1e-6)
 
 
-def added(course: Course, attitude: np.ndarray, move: np.ndarray) -> Course:
-    """A course with one more rest."""
-    attitudes, first = (
-        np.concatenate([course.attitudes, attitude[None]]),
-        np.append(course.first, len(course.attitudes) - 1),
-    )
-    return Course.of(attitudes, first, np.concatenate([course.moves, move[None]]), SETUP)
+def added(course: Itinerary, attitude: np.ndarray, move: np.ndarray) -> Itinerary:
+    """The same with one more rest."""
+    attitudes, moves = (np.concatenate([course.attitudes, attitude[None]]), np.concatenate([course.moves, move[None]]))
+    return Itinerary.through(attitudes, moves, SETUP)
 
 
 def test_next_positions_come_best_first_and_equally_good_ones_once() -> None:
@@ -141,7 +139,7 @@ def test_no_exchange_of_a_position_makes_an_optimised_programme_better(gyros: bo
     at = replace(SETUP, programme=found)
     best = value_of(at, Aim(gyros=gyros))
     assert best == pytest.approx(value(bound(at, gyros=gyros), "A"), rel=1e-6)
-    places, course = Places.of(TurnTable(), SETUP, gyros=gyros), course_of(at)
+    places, course = Places.of(TurnTable(), SETUP, gyros=gyros), itinerary_of(at)
     tried = 0
     for i in range(count):
         for attitude in places.attitudes[:: 1 if gyros else 4]:
@@ -154,7 +152,7 @@ def test_no_exchange_of_a_position_makes_an_optimised_programme_better(gyros: bo
                 moves[i] = rotation_vector(attitudes[i + 1] @ attitude.T)
             if min(np.linalg.norm(moves, axis=1)) < 1e-9:
                 continue
-            other = bound_of(course_through(attitudes, moves, SETUP), SETUP, gyros=gyros)
+            other = bound_of(Itinerary.through(attitudes, moves, SETUP), SETUP, gyros=gyros)
             assert value(other, "A") > best * (1.0 - 1e-6) or other.rank < len(other.names)
             tried += 1
     assert tried > 200

@@ -11,7 +11,8 @@ from click.testing import CliRunner, Result
 from tumble.cli import main
 from tumble.inference.likelihood import Problem, instruments_of
 from tumble.inference.start import start_of
-from tumble.planning.bounds import components_of, course_of, covariance_of
+from tumble.planning.bounds import components_of, covariance_of
+from tumble.planning.itinerary import itinerary_of
 from tumble.planning.over_temperature import (
     SETTLED,
     Chamber,
@@ -116,7 +117,7 @@ def test_u_is_that_by_the_rows_of_logs(text: str, grade: str) -> None:
     instrument, of_each = instruments_of(whole)
     own = Problem.of(whole, instrument=instrument, own=of_each, usual=whole.usual)
     at = start_of(own)[0]
-    courses = [course_of(replace(setup, programme=session.programme)) for session in sessions]
+    courses = [itinerary_of(replace(setup, programme=session.programme)) for session in sessions]
     planned, its_rows, _ = problem_of(with_all_groups(setup), sessions, courses, gyros=True)
     assert own.instrument.names == planned.instrument.names
     u, expected = (

@@ -46,6 +46,7 @@ from tumble.inference.step import Told, joined, tell, whitened_rows
 from tumble.inference.turns_about import TurnsAbout, own_axes, warms
 from tumble.methods.least_squares import least_squares
 from tumble.planning.expected_sizes import expected
+from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.setup import ACCEL, GYRO, Setup, check_setup
 from tumble.planning.steady_turns import inertial_turns, steady_moments, white_turns
 from tumble.recording.session import Site
@@ -53,44 +54,10 @@ from tumble.reduction.blocks.tuning import USUAL
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
 from tumble.reduction.turns.turns import TURN_FLOOR, VELOCITY_FLOOR
-from tumble.rotation import rotation_vector
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import positions_by_group
-from tumble.units import Array, BoolArray, IntArray
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Course:
-    """Where a device rests and how it gets there: attitudes (N, 3, 3), body → geographic, of the rests in order, when
-    these begin and end (N,), s, and the turns that a log has between a rest `first` (K,) and the next: rotation vectors
-    `moves` (K, 3), geographic, rad, and `seconds` (K,), with so long before and after each that nothing turns and is
-    the turn's, `still` (K,) s."""
-
-    attitudes: Array
-    start: Array
-    stop: Array
-    first: IntArray
-    moves: Array
-    seconds: Array
-    still: Array
-
-    @staticmethod
-    def of(attitudes: Array, first: IntArray, moves: Array, setup: Setup) -> Course:
-        """The course with the rests and turns of a set-up, all at its rate."""
-        seconds = np.linalg.norm(moves, axis=1) / setup.turn_rate
-        moved = np.zeros(len(attitudes))
-        moved[first + 1] = seconds
-        start = np.asarray(setup.rest * np.arange(len(attitudes)) + np.cumsum(moved), dtype=float)
-        return Course(
-            attitudes=attitudes,
-            start=start,
-            stop=np.asarray(start + setup.rest),
-            first=first,
-            moves=moves,
-            seconds=seconds,
-            still=np.zeros(len(first)),
-        )
+from tumble.units import Array, BoolArray
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
@@ -146,11 +113,11 @@ def bound(setup: Setup, *, gyros: bool = True) -> Bound:
     >>> found.rank == len(found.names)
     True
     """
-    return bound_of(course_of(setup), setup, gyros=gyros)
+    return bound_of(itinerary_of(setup), setup, gyros=gyros)
 
 
-def bound_of(course: Course, setup: Setup, *, gyros: bool = True) -> Bound:
-    """The bound of a course; of the set-up, all but programme, table and mounting counts. Raises InputError."""
+def bound_of(course: Itinerary, setup: Setup, *, gyros: bool = True) -> Bound:
+    """The bound of an itinerary; of the set-up, all but programme, table and mounting counts. Raises InputError."""
     return _bound(view(course, setup, gyros=gyros), setup)
 
 
@@ -166,9 +133,8 @@ class TypePrior(Protocol):
 def stated(setup: Setup, *, gyros: bool = True, device_type: TypePrior | None = None) -> Bound:
     """The same with what `calibrate` does not know of a recording by a set-up's programme: what it will state on the
     average over instruments, or with what others of its type say. Raises InputError."""
-    margin = USUAL.margin_of(setup.rest)
-    course = course_of(replace(setup, rest=setup.rest - 2.0 * margin))
-    seen = view(replace(course, still=course.still + 0.5 * setup.ramp + margin), setup, gyros=gyros)
+    course = itinerary_of(setup).as_logged(setup.ramp, USUAL.margin_of(setup.rest))
+    seen = view(course, setup, gyros=gyros)
     problem, components = expected(seen.problem, seen.rows, seen.components)
     by_type = np.zeros((0, len(problem.instrument.names)))
     if device_type is not None:
@@ -266,30 +232,6 @@ def instrument_of(setup: Setup, gyros: bool) -> Instrument:
     return Instrument.of(ACCEL, GYRO if gyros else None, tuple(setup.further))
 
 
-# The course of a programme
-
-
-def course_of(setup: Setup) -> Course:
-    """The positions of a set-up's programme in the order listed, with the programme's turns and, where any move will
-    do, the shortest, all at the rate of the set-up."""
-    attitudes = np.array([position.matrix for position in setup.programme.positions])
-    shortest = rotation_vector(attitudes[1:] @ np.swapaxes(attitudes[:-1], 1, 2))
-    moves = np.array(
-        [
-            way if move.axis is None or move.angle is None else move.angle * move.axis
-            for move, way in zip(setup.programme.moves, shortest, strict=True)
-        ]
-    ).reshape(-1, 3)
-    return course_through(attitudes, moves, setup)
-
-
-def course_through(attitudes: Array, moves: Array, setup: Setup) -> Course:
-    """The course through attitudes (N, 3, 3) by rotation vectors (N − 1, 3) at the rate of a set-up; where nothing
-    moves the log has no turn."""
-    first = np.flatnonzero(np.linalg.norm(moves, axis=1) > 0.0)
-    return Course.of(attitudes, first, moves[first], setup)
-
-
 # What the likelihood sees of it
 
 
@@ -329,7 +271,7 @@ def begun(rest: Array, states: int) -> Array:
     return out
 
 
-def view(course: Course, setup: Setup, *, gyros: bool) -> View:
+def view(course: Itinerary, setup: Setup, *, gyros: bool) -> View:
     """The rows at perfect sensors and the attitudes of the course. Raises InputError."""
     instrument = instrument_of(setup, gyros)
     observations, about = observed(course, setup, instrument)
@@ -350,7 +292,7 @@ def components_of(noise: NoiseModel) -> Components:
     )
 
 
-def observed(course: Course, setup: Setup, instrument: Instrument) -> tuple[Observations, TurnsAbout | None]:
+def observed(course: Itinerary, setup: Setup, instrument: Instrument) -> tuple[Observations, TurnsAbout | None]:
     """What perfect sensors observe on a course, with the covariances of white noise, and its turns about the parameters
     of an instrument, where it has gyros. Raises InputError for values that make no sense, and where there is no
     noise."""
@@ -364,24 +306,24 @@ def observed(course: Course, setup: Setup, instrument: Instrument) -> tuple[Obse
             raise InputError(f"noise: expected {sensors} with noise, found none; without it there is no bound")
     earth, g = np.array(earth_rate(setup.latitude)), setup.gravity
     turns = about = None
-    if gyros and len(course.first) > 0:
-        start, end = course.attitudes[course.first], course.attitudes[course.first + 1]
-        vector = inertial_turns(start, end, course.moves, course.seconds, setup.latitude)
-        moments, grown = steady_moments(vector, course.seconds, start, setup, own_axes(instrument), course.still)
+    first, seconds = course.first, course.seconds
+    if gyros and len(first) > 0:
+        start, end, still = course.attitudes[first], course.attitudes[first + 1], course.still[first]
+        vector = inertial_turns(start, end, course.moves[first], seconds, setup.latitude)
+        moments, grown = steady_moments(vector, seconds, start, setup, own_axes(instrument), still)
         ends = (g * start[:, 1], g * end[:, 1]), (earth @ start, earth @ end)
         exact = (instrument.all_coefficients(np.zeros(len(instrument.names))), 0.0)
         growing = grown if warms(instrument) else None
         about = TurnsAbout.from_moments(moments, instrument.accel, exact, (np.eye(3), np.eye(3)), ends, growing)
-        T = course.seconds + 2.0 * course.still
+        T = seconds + 2.0 * still
         rotation = (noise.gyro_white**2 * T + TURN_FLOOR**2)[:, None, None] * np.eye(3)
-        turns = white_turns(course.first, T, rotation, noise.accel_white**2 * T + VELOCITY_FLOOR**2, moments)
+        turns = white_turns(first, T, rotation, noise.accel_white**2 * T + VELOCITY_FLOOR**2, moments)
     observations = Observations(
         accel_block=ACCEL,
         gyro_block=instrument.gyro,
         site=Site(latitude=setup.latitude, height=0.0, gravity=g, gravity_u=setup.gravity_u),
         rests=Rests.of_white_noise(
-            course.start,
-            course.stop,
+            *course.rests.T,
             accel=g * course.attitudes[:, 1],
             gyro=(earth @ course.attitudes)[:, : 3 if gyros else 0],
             densities=(noise.accel_white, noise.gyro_white),

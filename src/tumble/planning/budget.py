@@ -35,7 +35,7 @@ from tumble.brief import Brief
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.errors import InputError
 from tumble.inference.hyperparameters import CORRELATION_TIME
-from tumble.planning.bounds import bound, course_of
+from tumble.planning.bounds import bound
 from tumble.planning.error_propagation import (
     BUDGETED_METHODS,
     STEP,
@@ -48,6 +48,7 @@ from tumble.planning.error_propagation import (
     plan_of,
     second_order,
 )
+from tumble.planning.itinerary import itinerary_of
 from tumble.planning.setup import NAMES, Setup, check_setup
 from tumble.sensors.grades import spread_of
 from tumble.sensors.parameters import group_name, positions_by_group, units_of
@@ -324,7 +325,7 @@ def _noise(setup: Setup, plan: Plan) -> dict[str, Array]:
             out.append(estimated(plan, seen, rows))
         return np.asarray((out[0] - out[1]) / (2.0 * step))
 
-    alike = np.exp(-np.abs(np.subtract.outer(*[course_of(setup).start] * 2)) / CORRELATION_TIME)
+    alike = np.exp(-np.abs(np.subtract.outer(*[itinerary_of(setup).rests[:, 0]] * 2)) / CORRELATION_TIME)
 
     def wandered(gains: Array, bias: str) -> Array:
         """Variances (21,) by biases that are a process of unit variance, with what comes of each rest and axis

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,16 +34,15 @@ from tumble.inference.linearisation import linearise, with_priors
 from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.variables import both_ways, over_a_range
 from tumble.planning.bounds import (
-    Course,
     bound_of,
     components_of,
-    course_of,
     covariance_of,
     findings,
     instrument_of,
     observed,
 )
 from tumble.planning.expected_sizes import expected
+from tumble.planning.itinerary import NO_TIME, Itinerary, itinerary_of
 from tumble.planning.setup import Setup, time_of, wanted_accuracies, with_all_groups
 from tumble.programme.positions import ANY_MOVE, Programme
 from tumble.reduction.blocks.tuning import USUAL
@@ -171,7 +170,7 @@ def plan_over_temperature(
     if not sessions:
         raise InputError("temperature: expected at least one recording, found none")
     setup, chamber = with_all_groups(setup), chamber or Chamber()
-    courses = [course_of(replace(setup, programme=session.programme)) for session in sessions]
+    courses = [itinerary_of(replace(setup, programme=session.programme)) for session in sessions]
     problem, rows, point = problem_of(setup, sessions, courses, gyros=gyros)
     problem, components = expected(problem, rows, components_of(setup.noise))
     covariance = covariance_of(problem, with_priors(rows, problem, point), components, setup.clock_u)
@@ -207,7 +206,7 @@ def wanted_over_temperature(texts: Sequence[str]) -> dict[str, float]:
 
 
 def _planned(
-    setup: Setup, sessions: Sequence[ChamberSession], courses: Sequence[Course], chamber: Chamber, *, gyros: bool
+    setup: Setup, sessions: Sequence[ChamberSession], courses: Sequence[Itinerary], chamber: Chamber, *, gyros: bool
 ) -> Iterator[PlannedSession]:
     """The recordings one after the other, from room temperature."""
     now, lag = ROOM, setup.further.get("temperature.lag", 0.0)
@@ -241,8 +240,6 @@ def soak_of(chamber: Chamber, difference: float, lag: float) -> float:
 
 TYPICAL = 0.5
 """The lag of a typical instrument, in parts of the usual size."""
-NO_TIME = 1e-6
-"""s, of what is between the parts of a rest."""
 
 CourseOfTemperature = Callable[[float], tuple[Array, Array]]
 """From how long a recording takes, s, to times (K,), s, from its start and the temperatures (K,), K, of its
@@ -270,16 +267,14 @@ def rests_of(programme: Programme, count: int) -> Programme:
 
 
 def problem_of(
-    setup: Setup, sessions: Sequence[ChamberSession], courses: Sequence[Course], *, gyros: bool
+    setup: Setup, sessions: Sequence[ChamberSession], courses: Sequence[Itinerary], *, gyros: bool
 ) -> tuple[Problem, Rows, Point]:
     """The sessions as one problem, its rows, and the point at which they are."""
     recorded = [_recorded(*each, setup, parts=len(sessions) > 1) for each in zip(sessions, courses, strict=True)]
     counts, bare = [len(each.attitudes) for each in recorded], replace(instrument_of(setup, gyros), further=())
-    joined = {each.name: np.concatenate([getattr(one, each.name) for one in recorded]) for each in fields(Course)}
-    joined["first"] += np.repeat(np.cumsum([0, *counts[:-1]]), [len(each.first) for each in recorded])
-    course = Course(**joined)  # one after the other, without a turn from one to the next
+    course = Itinerary.joined(recorded)
     file = np.repeat(np.arange(len(sessions)), counts)
-    temperatures = [session.course(own.stop[-1]) for session, own in zip(sessions, recorded, strict=True)]
+    temperatures = [session.course(own.rests[-1, 1]) for session, own in zip(sessions, recorded, strict=True)]
     thermometers = Thermometers.of({i: (time, kelvin[:, None]) for i, (time, kelvin) in enumerate(temperatures)})
     together = Together(
         names=tuple(session.name for session in sessions),
@@ -290,7 +285,7 @@ def problem_of(
     def seen(instrument: Instrument) -> tuple[Observations, TurnsAbout | None]:
         observations, about = observed(course, setup, instrument)
         rests, turns = observations.rests, observations.turns
-        kelvin = thermometers.means(file, course.start, course.stop).kelvin
+        kelvin = thermometers.means(file, *course.rests.T).kelvin
         if turns is not None:  # those between the parts of a rest are of no duration
             turns = replace(turns, duration=np.where(course.seconds > NO_TIME, turns.duration, 0.0))
         return replace(
@@ -320,31 +315,27 @@ def problem_of(
     return problem, replace(rows, rest=rest, turn=turn), point
 
 
-def _recorded(session: ChamberSession, course: Course, setup: Setup, *, parts: bool) -> Course:
-    """A session as its log has it: the course with moves that are reached and left in a ramp, rests cut off at both
-    ends, which the turns have, and, in `parts` where several sessions are one estimate, rests that warm divided, which
-    nothing turns between."""
-    moved, margin = np.isin(np.arange(len(course.attitudes)), course.first + 1), USUAL.margin_of(setup.rest)
-    start = course.start + setup.ramp * np.cumsum(moved)
-    time, kelvin = session.course(float(start[-1]) + setup.rest)
-    begin, end = start + margin, start + setup.rest - margin
-    change = np.abs(np.interp(end, time, kelvin) - np.interp(begin, time, kelvin))
-    most = max(min(MOST_PARTS, int((setup.rest - 2.0 * margin) / SHORTEST_PART)), 1) if parts else 1
+def _recorded(session: ChamberSession, course: Itinerary, setup: Setup, *, parts: bool) -> Itinerary:
+    """A session as its log has it, and, in `parts` where several sessions are one estimate, rests that warm divided,
+    which nothing turns between."""
+    margin = USUAL.margin_of(setup.rest)
+    logged = course.as_logged(setup.ramp, margin)
+    if not parts:
+        return logged
+    time, kelvin = session.course(float(logged.rests[-1, 1]) + margin)
+    change = np.abs(np.diff(np.interp(logged.rests, time, kelvin), axis=1)[:, 0])
+    most = max(min(MOST_PARTS, int((setup.rest - 2.0 * margin) / SHORTEST_PART)), 1)
     count = np.clip(np.ceil(change / WARMED), 1, most).astype(np.int64)
-    last = np.cumsum(count) - 1
-    moves, seconds = np.zeros((count.sum() - 1, 3)), np.full(count.sum() - 1, NO_TIME)
-    at = last[course.first]
-    moves[at], seconds[at] = course.moves, course.seconds
-    first = np.setdiff1d(np.arange(len(seconds)), np.setdiff1d(last[:-1], at))
-    edges = [np.linspace(a, b, n + 1) for a, b, n in zip(begin, end, count, strict=True)]
-    return Course(
-        attitudes=np.repeat(course.attitudes, count, axis=0),
-        start=np.concatenate([each[:-1] for each in edges]),
-        stop=np.concatenate([each[1:] for each in edges]),
-        first=first,
-        moves=moves[first],
-        seconds=seconds[first],
-        still=np.where(seconds[first] > NO_TIME, 0.5 * setup.ramp + margin, 0.0),
+    edges = [np.linspace(a, b, n + 1) for (a, b), n in zip(logged.rests, count, strict=True)]
+    last, N = np.cumsum(count)[:-1] - 1, count.sum()
+    moves, turned, still = np.zeros((N - 1, 3)), np.ones(N - 1, dtype=bool), np.zeros(N - 1)
+    moves[last], turned[last], still[last] = logged.moves, logged.turned, logged.still
+    return Itinerary(
+        attitudes=np.repeat(logged.attitudes, count, axis=0),
+        rests=np.concatenate([np.column_stack([each[:-1], each[1:]]) for each in edges]),
+        moves=moves,
+        turned=turned,
+        still=still,
     )
 
 

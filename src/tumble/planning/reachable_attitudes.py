@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.planning.bounds import Course, begun, course_through, view
+from tumble.planning.bounds import begun, view
+from tumble.planning.itinerary import Itinerary
 from tumble.planning.setup import Setup
 from tumble.programme.positions import TRIPLES, Position, from_attitudes
 from tumble.rotation import rotation_vector
@@ -113,7 +114,7 @@ class Places:
                     positions.append(position)
                     known = np.concatenate([known, position.matrix[None]])
         attitudes = np.array([position.matrix for position in positions])
-        still = course_through(attitudes, np.zeros((len(attitudes) - 1, 3)), setup)
+        still = Itinerary.through(attitudes, np.zeros((len(attitudes) - 1, 3)), setup)
         seen = view(still, setup, gyros=gyros)
         return Places(
             table=table,
@@ -137,7 +138,7 @@ class Places:
 
     def legs(self, place: int, sense: int) -> Ways:
         """The ways by one leg from a place to others (1), which are its places, or from others to it (−1); turns of the
-        table first. Half turns by hand go the way that `course_of` takes."""
+        table first. Half turns by hand go the way that `itinerary_of` takes."""
         if (place, sense) in self._legs:
             return self._legs[place, sense]
         away = self.attitudes @ self.attitudes[place].T
@@ -152,8 +153,9 @@ class Places:
         one, two, three = (np.flatnonzero(kind) for kind in (turned, half, by_hand))
         others, moves = np.concatenate([one, two, three]), np.concatenate([vectors[one], -vectors[two], vectors[three]])
         ends = np.stack([np.full(len(others), place), others], axis=1)[:, ::sense]
-        # one leg after the other as if in one long course
-        course = Course.of(self.attitudes[ends.ravel()], 2 * np.arange(len(others)), moves, self.setup)
+        # one leg after the other as if in one long session, without a turn from one to the next
+        apart = np.stack([moves, np.zeros_like(moves)], axis=1).reshape(-1, 3)[:-1]
+        course = Itinerary.through(self.attitudes[ends.ravel()], apart, self.setup)
         self._legs[place, sense] = Ways(
             places=others[:, None],
             moves=moves[:, None],

@@ -29,6 +29,7 @@ import numpy.typing as npt
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError
+from tumble.planning.itinerary import Itinerary
 from tumble.planning.steady_turns import inertial_turns, white_turns
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.observations import Observations
@@ -43,9 +44,9 @@ from tumble.reduction.turns.turns import (
     TurnSamples,
 )
 from tumble.rotation import onto_body, rotation_matrix, skew
-from tumble.simulation.scenario import Itinerary, OnTable, Scenario, itinerary
+from tumble.simulation.scenario import OnTable, Scenario, itinerary
 from tumble.simulation.sensors import InRunBias, SimulatedBlock
-from tumble.units import Array, IntArray
+from tumble.units import Array
 
 ComplexArray = npt.NDArray[np.complex128]
 SAMPLES = 256
@@ -72,9 +73,11 @@ def simulate_observations(
         for block in (accel, gyro)
     )
     rests = _rests(scenario, way, (accel, gyro), biases, noise)
-    linked = np.array(way.programmed, dtype=bool) | (not only_programmed)
-    first = np.flatnonzero(linked).astype(np.int64)
-    turns, samples, integrals = _turns(scenario, way, first, (accel, gyro), biases, noise)
+    listed = scenario.course.programme if isinstance(scenario.course, OnTable) else None
+    if only_programmed:
+        programmed = [move.axis is not None for move in listed.moves] if listed is not None else False
+        way = replace(way, turned=way.turned & programmed)
+    turns, samples, integrals = _turns(scenario, way, (accel, gyro), biases, noise)
     site = scenario.site
     observations = Observations(
         accel_block=scenario.accel,
@@ -83,8 +86,8 @@ def simulate_observations(
         rests=rests,
         turns=turns,
         turn_samples=samples,
-        programme=scenario.course.programme if isinstance(scenario.course, OnTable) else None,
-        position=np.array(way.positions) if isinstance(scenario.course, OnTable) else None,
+        programme=listed,
+        position=None if listed is None else np.array(way.positions),
         turn_readings=integrals if scenario.gyro.size > 3 else None,
         usual=scenario.usual,
         thermometers=None if scenario.climate is None else scenario.climate.record,
@@ -121,18 +124,16 @@ def _rests(
 def _turns(
     scenario: Scenario,
     way: Itinerary,
-    first: IntArray,
     sensors: tuple[SimulatedBlock, SimulatedBlock],
     biases: tuple[InRunBias, ...],
     rng: np.random.Generator,
 ) -> tuple[Turns, TurnSamples, TurnReadings]:
-    """The turns after the rests `first` (K,), not yet integrated, and their samples: for each turn AHEAD more are
+    """The turns (K,), not yet integrated, and their samples: for each turn AHEAD more are
     kept ahead of it, which its first step wants, as if it turned already. All have white noise but those of the gyros
     ahead."""
-    accel, gyro = sensors
+    (accel, gyro), first, T = sensors, way.first, way.seconds
     K, n, S, before = len(first), gyro.block.size, SAMPLES + AHEAD, way.attitudes[first]
     to_body, to_force = onto_body(gyro.block.axes), np.linalg.pinv(accel.block.axes)
-    T = way.rests[first + 1, 0] - way.rests[first, 1]
     vector = inertial_turns(before, way.attitudes[first + 1], way.moves[first], T, scenario.latitude)
     dt = T / SAMPLES
     when = way.rests[first, 1][:, None] + (np.arange(S) - AHEAD + 0.5) * dt[:, None]
@@ -144,7 +145,7 @@ def _turns(
         times, which = np.unique(late, return_inverse=True)
         each = [_mean_verticals(scenario, before, vector, T, behind) for behind in times.tolist()]
         force = scenario.site.gravity * np.stack(each, axis=2)[:, :, which]
-    felt = _sampled(accel, _with_levers(scenario, way, first, force, vector, T), rate, when)
+    felt = _sampled(accel, _with_levers(scenario, way, force, vector, T), rate, when)
     felt += biases[0].at(when) + accel.white / np.sqrt(dt)[:, None, None] * rng.spawn(1)[0].standard_normal(felt.shape)
     stored = MotionSamples()
     stored.append(
@@ -171,7 +172,7 @@ def _sampled(sensors: SimulatedBlock, force: Array, rate: Array, when: Array) ->
     return sensors.read(flat, rate.reshape(K * S, 3), when.ravel()).reshape(K, S, len(sensors.coefficients))
 
 
-def _with_levers(scenario: Scenario, way: Itinerary, first: IntArray, force: Array, vector: Array, T: Array) -> Array:
+def _with_levers(scenario: Scenario, way: Itinerary, force: Array, vector: Array, T: Array) -> Array:
     """Forces at the accelerometers (K, S, n, 3) from those of the body (K, S, 3), or (K, S, n, 3) where accelerometers
     are late; the same where no arm is known.
 
@@ -187,7 +188,7 @@ def _with_levers(scenario: Scenario, way: Itinerary, first: IntArray, force: Arr
     out = np.repeat(force[:, :, None], len(arms), axis=2) if force.ndim == 3 else force.copy()
     centripetal = skew(rate) @ skew(rate) @ arms.T
     out[:, AHEAD:] += centripetal.swapaxes(1, 2)[:, None]
-    for sample, rests, sign in ((AHEAD, first, 1.0), (-1, first + 1, -1.0)):
+    for sample, rests, sign in ((AHEAD, way.first, 1.0), (-1, way.first + 1, -1.0)):
         jump = skew(rate - earth @ way.attitudes[rests]) @ arms.T
         turned = rotation_matrix((late - 0.5 * sign * dt[:, None])[..., None] * rate[:, None])
         out[:, sample] += np.einsum("kpij,kjp->kpi", turned, jump) * (sign / dt)[:, None, None]

@@ -26,10 +26,11 @@ import numpy as np
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError
+from tumble.planning.itinerary import Itinerary
 from tumble.rotation import UP, skew
 from tumble.sensors.instrument import is_linear
 from tumble.sensors.model import Block
-from tumble.simulation.scenario import Itinerary, Scenario, itinerary
+from tumble.simulation.scenario import Scenario, itinerary
 from tumble.simulation.sensors import SimulatedBlock
 from tumble.units import Array
 

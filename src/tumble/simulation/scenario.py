@@ -15,6 +15,7 @@ from decimal import Decimal
 import numpy as np
 
 from tumble.errors import InputError
+from tumble.planning.itinerary import Itinerary
 from tumble.planning.setup import ACCEL, GYRO, Setup
 from tumble.programme.positions import ANY_MOVE, Move, Programme
 from tumble.recording.session import Site
@@ -187,28 +188,6 @@ def draw_further(spreads: Mapping[str, float], accel: Block, gyro: Block, rng: n
     }
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Itinerary:
-    """Where a simulated device rests and how it gets there: `attitudes`, `rests`, `moves` and `positions` as in a
-    `Recording`; `programmed` (R − 1,): whether the programme prescribes the turn."""
-
-    attitudes: Array
-    rests: Array
-    moves: Array
-    positions: tuple[int, ...]
-    programmed: tuple[bool, ...]
-
-    @property
-    def times(self) -> Array:
-        """Times (R,) of the rests, s, from the mean of all."""
-        return np.asarray(self.rests.mean(axis=1) - self.middle)
-
-    @property
-    def middle(self) -> float:
-        """Mean time of the rests, s, from the start of the session."""
-        return float(self.rests.mean())
-
-
 def itinerary(scenario: Scenario, rng: np.random.Generator) -> Itinerary:
     """Attitudes, moves and times of a scenario; of the two ways round, a move goes the one nearer to the nominal move,
     or the shorter one if any movement will do. Raises InputError, one line, if the scenario is impossible."""
@@ -231,8 +210,9 @@ def itinerary(scenario: Scenario, rng: np.random.Generator) -> Itinerary:
         attitudes=attitudes,
         rests=np.column_stack([stops - rests, stops]),
         moves=moves,
+        turned=np.ones(len(moves), dtype=bool),
+        still=np.zeros(len(moves)),
         positions=positions,
-        programmed=tuple(move.axis is not None for move in nominal),
     )
 
 
