@@ -11,16 +11,16 @@ from click.testing import CliRunner, Result
 from tumble.cli import main
 from tumble.inference.likelihood import Problem, instruments_of
 from tumble.inference.start import start_of
-from tumble.planning.bounds import components_of, covariance_of
+from tumble.planning.bounds import View, components_of
 from tumble.planning.itinerary import itinerary_of
 from tumble.planning.over_temperature import (
     SETTLED,
     Chamber,
     ChamberSession,
     plan_over_temperature,
-    problem_of,
     rests_of,
     soak_of,
+    view_of,
 )
 from tumble.planning.setup import Setup, with_all_groups
 from tumble.programme.positions import from_attitudes, programme
@@ -118,11 +118,11 @@ def test_u_is_that_by_the_rows_of_logs(text: str, grade: str) -> None:
     own = Problem.of(whole, instrument=instrument, own=of_each, usual=whole.usual)
     at = start_of(own)[0]
     courses = [itinerary_of(replace(setup, programme=session.programme)) for session in sessions]
-    planned, its_rows, _ = problem_of(with_all_groups(setup), sessions, courses, gyros=True)
-    assert own.instrument.names == planned.instrument.names
+    planned = view_of(with_all_groups(setup), sessions, courses, gyros=True)
+    assert own.instrument.names == planned.problem.instrument.names
+    of_logs = View(problem=own.warmed(at.point), rows=at.rows, components=components_of(setup.noise))
     u, expected = (
-        np.sqrt(np.diag(covariance_of(problem, rows, components_of(setup.noise), setup.clock_u)))
-        for problem, rows in ((own.warmed(at.point), at.rows), (planned, its_rows))
+        np.sqrt(np.diag(seen.bound(setup.turn_rate, setup.clock_u).covariance)) for seen in (of_logs, planned)
     )
     found = dict(zip(own.instrument.names, (u / expected).tolist(), strict=True))
     off = {name: ratio for name, ratio in found.items() if abs(ratio - 1.0) > (LEVERS if "lever" in name else 0.02)}

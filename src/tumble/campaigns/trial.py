@@ -27,7 +27,7 @@ from tumble.inference.estimate import DETERMINED
 from tumble.inference.likelihood import Point, Problem
 from tumble.inference.linearisation import linearise
 from tumble.inference.turns_about import TurnsAbout
-from tumble.planning.bounds import components_of, covariance_of
+from tumble.planning.bounds import View, components_of
 from tumble.planning.setup import NAMES, Setup
 from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
@@ -129,10 +129,8 @@ def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> d
     about = TurnsAbout.of(observations, instrument, truth)
     point = Point(values=truth, gravity=scenario.site.gravity, attitudes=attitudes)
     rows = linearise(problem, point, about)
-    found = np.sqrt(np.diag(covariance_of(problem, rows, components_of(scenario.noise))))
-    determined = problem.spread / DETERMINED
-    determined[instrument.linear_count :] = np.inf  # by their priors
-    return {n: float(u) for n, u, s in zip(instrument.names, found, determined, strict=True) if u < s}
+    least = View(problem=problem, rows=rows, components=components_of(scenario.noise)).bound(scenario.profile.rate)
+    return {name: float(u) for name, u in zip(least.names, least.u, strict=True) if np.isfinite(u)}
 
 
 # Rests alone

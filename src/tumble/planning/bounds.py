@@ -26,7 +26,7 @@ combination of unit length that is determined worst. For accelerometers alone th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -42,7 +42,7 @@ from tumble.inference.in_run import InRun, mean_along
 from tumble.inference.likelihood import Point, Problem, Rows, weights
 from tumble.inference.linearisation import linearise
 from tumble.inference.sources import by_time_base, clocked
-from tumble.inference.step import Told, joined, tell, whitened_rows
+from tumble.inference.step import tell, whitened_rows, with_own
 from tumble.inference.turns_about import TurnsAbout, own_axes, warms
 from tumble.methods.least_squares import least_squares
 from tumble.planning.expected_sizes import expected
@@ -118,7 +118,7 @@ def bound(setup: Setup, *, gyros: bool = True) -> Bound:
 
 def bound_of(course: Itinerary, setup: Setup, *, gyros: bool = True) -> Bound:
     """The bound of an itinerary; of the set-up, all but programme, table and mounting counts. Raises InputError."""
-    return _bound(view(course, setup, gyros=gyros), setup)
+    return view(course, setup, gyros=gyros).bound(setup.turn_rate)
 
 
 class TypePrior(Protocol):
@@ -136,95 +136,15 @@ def stated(setup: Setup, *, gyros: bool = True, device_type: TypePrior | None = 
     course = itinerary_of(setup).as_logged(setup.ramp, USUAL.margin_of(setup.rest))
     seen = view(course, setup, gyros=gyros)
     problem, components = expected(seen.problem, seen.rows, seen.components)
-    by_type = np.zeros((0, len(problem.instrument.names)))
+    by_type = None
     if device_type is not None:
         places, covariance = device_type.prior(problem.instrument.names)
-        by_type = np.zeros((len(places), by_type.shape[1]))
+        by_type = np.zeros((len(places), len(problem.instrument.names)))
         by_type[:, places] = np.linalg.inv(np.linalg.cholesky(covariance))
         size, usual = problem.measured[1].copy(), problem.usual[1].copy()
         size[1 + np.array(places)] = usual[1 + np.array(places)] = np.sqrt(np.diag(covariance))
         problem = replace(problem, measured=(problem.measured[0], size), usual=(problem.usual[0], usual))
-    return _bound(replace(seen, problem=problem, components=components), setup, setup.clock_u, by_type)
-
-
-def _bound(seen: View, setup: Setup, clock_u: float = 0.0, by_type: Array | None = None) -> Bound:
-    """What the rows of a course say, with a time base of this relative standard uncertainty, and with whitened rows
-    (k, m) of what the device's type says in the place of the usual sizes of those parameters.
-
-    The covariance of the linear parameters, whatever gravity and the others are: with the columns of these first, the
-    triangle of all is R = (F X; 0 L), and L that of the linear ones. Gravity that is exact has no column."""
-    problem, instrument = seen.problem, seen.problem.instrument
-    linear, m = instrument.linear_count, len(instrument.names)
-    spread, own = problem.spread[:linear], slice(1, 1 + linear)
-    told = tell(problem, seen.rows, weights(problem, seen.rows, seen.components))
-    before = problem.measured[1].copy()
-    before[own] = 0.0
-    if by_type is not None:
-        before[1:][by_type.any(axis=0)] = 0.0
-    triangle = np.diag(np.append(np.where(before > 0.0, 1.0 / np.where(before > 0.0, before, 1.0), 0.0), 0.0))
-    fold(told.sessions[0], triangle, triangular=True)
-    if by_type is not None and len(by_type):
-        fold(np.pad(by_type, ((0, 0), (1, 1))), triangle)
-    triangle = triangle[:-1, :-1]
-    others = np.setdiff1d(np.flatnonzero(triangle.any(axis=0)), np.arange(1, 1 + linear))
-    R, q = np.asarray(np.linalg.qr(np.hstack([triangle[:, others], triangle[:, own]]), mode="r")), len(others)
-    L = R[q : q + linear, q:]
-    solution = least_squares(L, np.zeros(len(L)), spread)
-    known = np.hstack([solution.gain, spread[:, None] * solution.null.T])
-    root = np.zeros((1 + m, known.shape[1] + q))
-    root[own, : known.shape[1]] = known
-    root[others] = np.hstack([-np.linalg.solve(R[:q, :q], R[:q, q:]) @ known, np.linalg.inv(R[:q, :q])])
-    root = over_session(problem, told, root, clock_u)
-    covariance = root @ root.T
-    natural_sizes = {"m/s^2": setup.gravity, "rad/s": setup.turn_rate, "1": 1.0, "rad": 1.0}
-    natural = np.array([natural_sizes[unit] for unit in instrument.units[:linear]])
-    direction, size, _ = np.linalg.svd(root[:linear] / natural[:, None])
-    null = solution.null * spread / natural
-    null /= np.linalg.norm(null, axis=1, keepdims=True)
-    worst = null[0] if len(null) else direction[:, 0]
-    return Bound(
-        names=instrument.names,
-        units=instrument.units,
-        linear=linear,
-        covariance=covariance,
-        observable=np.append(solution.observable, np.ones(m - linear, dtype=bool)),
-        natural=natural,
-        null=null,
-        condition=np.inf if len(null) else float(size[0]) / max(float(size[-1]), np.finfo(float).tiny),
-        worst=worst * np.sign(worst[np.argmax(np.abs(worst))]),
-        worst_u=np.inf if len(null) else float(size[0]),
-        further=tuple(findings(problem, np.diag(covariance))),
-    )
-
-
-def over_session(problem: Problem, told: Told, root: Array, clock_u: float = 0.0) -> Array:
-    """A root (m, ·) of the covariance of the parameters, with a time base of this relative standard uncertainty and the
-    biases of one session being the means over it, from one (1 + m, ·) of gravity and the parameters, biases being the
-    means of their processes. Sensors read rates and forces, no increments."""
-    clock = np.append(0.0, by_time_base(problem.instrument.names, clocked(clock_u, {"accel": False, "gyro": False})))
-    moved, more = root, np.zeros((len(root), 0))
-    if told.process is not None and len(problem.parts) == 1:
-        _, by, noise = mean_along(told, given_others(told.factor))
-        biases, moved, more = 1 + problem.biases, root.copy(), np.zeros((len(root), len(by)))
-        moved[biases] += by @ root
-        value, vectors = np.linalg.eigh(np.einsum("ibd,icd->bc", noise, noise))
-        more[biases] = vectors * np.sqrt(np.maximum(value, 0.0))
-    return np.column_stack([moved, more, clock])[1:]
-
-
-def covariance_of(problem: Problem, rows: Rows, components: Components, clock_u: float = 0.0) -> Array:
-    """The covariance (m, m) of the parameters by rows and priors, with a time base of this relative standard
-    uncertainty; biases of one session are the means over it."""
-    told, q = tell(problem, rows, weights(problem, rows, components)), len(problem.own_known)
-    root = over_session(problem, told, joined(problem, rows, told).roots[0][q:, q:], clock_u)
-    return np.asarray(root @ root.T)
-
-
-def findings(problem: Problem, variance: Array) -> Iterator[GroupFinding]:
-    """What a programme finds out about each group beyond the linear model, of the size that it has in a problem."""
-    sizes, usual = problem.measured[1][1:], problem.usual[1][1:]
-    for name, members in problem.instrument.members.items():
-        yield GroupFinding.of(name, usual[members], sizes[members], variance[members])
+    return replace(seen, problem=problem, components=components).bound(setup.turn_rate, setup.clock_u, by_type)
 
 
 def instrument_of(setup: Setup, gyros: bool) -> Instrument:
@@ -237,7 +157,8 @@ def instrument_of(setup: Setup, gyros: bool) -> Instrument:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class View:
-    """A course as the likelihood sees it: problem, the rows at perfect sensors, and in-run instability."""
+    """A session, or several, as the likelihood sees it: problem, the rows at the true parameters, and in-run
+    instability."""
 
     problem: Problem
     rows: Rows
@@ -247,6 +168,73 @@ class View:
     def states(self) -> int:
         """How many in-run biases a rest has among its unknowns."""
         return self.problem.sensors if self.components.wanders else 0
+
+    def bound(self, rate: float, clock_u: float = 0.0, by_type: Array | None = None) -> Bound:
+        """What the rows say, of turns at a rate, rad/s, that gives biases of gyros their natural unit, with a time base
+        of this relative standard uncertainty, and with whitened rows (k, m) of what the device's type says in the place
+        of the usual sizes of those parameters.
+
+        The covariance of the linear parameters, whatever gravity and the others are: with the columns of these first,
+        the triangle of all is R = (F X; 0 L), and L that of the linear ones. Gravity that is exact has no column."""
+        problem, instrument, q = self.problem, self.problem.instrument, len(self.problem.own_known)
+        linear, m = instrument.linear_count, len(instrument.names)
+        spread, own = problem.spread[:linear], slice(1, 1 + linear)
+        told = tell(problem, self.rows, weights(problem, self.rows, self.components))
+        size = problem.measured[1].copy()
+        size[own] = 0.0
+        if by_type is not None:
+            size[1:][by_type.any(axis=0)] = 0.0
+        triangle = np.diag(np.append(np.divide(1.0, size, out=np.zeros(1 + m), where=size > 0.0), 0.0))
+        for session, residual in zip(told.sessions, self.rows.own, strict=True):
+            fold(with_own(problem, session, residual)[q:, q:], triangle, triangular=True)
+        if by_type is not None:
+            fold(np.pad(by_type, ((0, 0), (1, 1))), triangle)
+        triangle = triangle[:-1, :-1]
+        others = np.setdiff1d(np.flatnonzero(triangle.any(axis=0)), np.arange(1, 1 + linear))
+        R, k = np.asarray(np.linalg.qr(np.hstack([triangle[:, others], triangle[:, own]]), mode="r")), len(others)
+        L = R[k : k + linear, k:]
+        solution = least_squares(L, np.zeros(len(L)), spread)
+        known = np.hstack([solution.gain, spread[:, None] * solution.null.T])
+        root = np.zeros((1 + m, known.shape[1] + k))
+        root[own, : known.shape[1]] = known
+        root[others] = np.hstack([-np.linalg.solve(R[:k, :k], R[:k, k:]) @ known, np.linalg.inv(R[:k, :k])])
+
+        # with the time base, of sensors that read rates and forces, no increments; and the biases of one session the
+        # means over it
+        clock = by_time_base(instrument.names, clocked(clock_u, {"accel": False, "gyro": False}))
+        more = np.zeros((len(root), 0))
+        if told.process is not None and len(problem.parts) == 1:
+            _, by, noise = mean_along(told, given_others(told.factor))
+            biases, more = 1 + problem.biases, np.zeros((len(root), len(by)))
+            root[biases] += by @ root
+            value, vectors = np.linalg.eigh(np.einsum("ibd,icd->bc", noise, noise))
+            more[biases] = vectors * np.sqrt(np.maximum(value, 0.0))
+        root = np.column_stack([root[1:], more[1:], clock])
+        covariance = root @ root.T
+
+        natural_sizes = {"m/s^2": problem.observations.site.gravity, "rad/s": rate, "1": 1.0, "rad": 1.0}
+        natural = np.array([natural_sizes[unit] for unit in instrument.units[:linear]])
+        direction, length, _ = np.linalg.svd(root[:linear] / natural[:, None])
+        null = solution.null * spread / natural
+        null /= np.linalg.norm(null, axis=1, keepdims=True)
+        worst = null[0] if len(null) else direction[:, 0]
+        sizes, usual, variance = problem.measured[1][1:], problem.usual[1][1:], np.diag(covariance)
+        return Bound(
+            names=instrument.names,
+            units=instrument.units,
+            linear=linear,
+            covariance=covariance,
+            observable=np.append(solution.observable, np.ones(m - linear, dtype=bool)),
+            natural=natural,
+            null=null,
+            condition=np.inf if len(null) else float(length[0]) / max(float(length[-1]), np.finfo(float).tiny),
+            worst=worst * np.sign(worst[np.argmax(np.abs(worst))]),
+            worst_u=np.inf if len(null) else float(length[0]),
+            further=tuple(
+                GroupFinding.of(name, usual[members], sizes[members], variance[members])
+                for name, members in instrument.members.items()
+            ),
+        )
 
     def whitened(self) -> tuple[Array, Array]:
         """The whitened rows of the rests (N, r + n, d + p + 1), n = d − 3 being the states of in-run biases, and those

@@ -28,16 +28,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.inference.estimate import DETERMINED, GroupFinding
-from tumble.inference.likelihood import Point, Problem, Rows, instruments_of
-from tumble.inference.linearisation import linearise, with_priors
+from tumble.inference.likelihood import Point, Problem, instruments_of
+from tumble.inference.linearisation import linearise
 from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.variables import both_ways, over_a_range
 from tumble.planning.bounds import (
+    Bound,
+    View,
     bound_of,
     components_of,
-    covariance_of,
-    findings,
     instrument_of,
     observed,
 )
@@ -111,48 +110,33 @@ class PlannedSession:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ThermalPlan:
-    """The least covariance (m, m), SI, of the parameters at the `reference`, K, from recordings between `low` and
-    `high`, K; `further` says what they find out about each group beyond the linear model, of whose parameters there are
-    `linear`; `notes` what they do not show, and why."""
+    """The `bound` of the parameters at the `reference`, K, from recordings between `low` and `high`, K; `notes` say
+    what they do not show, and why."""
 
     setup: Setup
     sessions: tuple[PlannedSession, ...]
     reference: float
     low: float
     high: float
-    names: tuple[str, ...]
-    linear: int
-    covariance: Array
-    determined: tuple[bool, ...]
-    further: tuple[GroupFinding, ...]
+    bound: Bound
     notes: tuple[str, ...]
 
-    @property
-    def u(self) -> Array:
-        """Least standard uncertainties (m,) at the reference, SI; infinite where a parameter is not determined."""
-        return self.at(self.reference)
-
     def at(self, kelvin: float) -> Array:
-        """The same at another temperature, K."""
-        J = to_temperature(self.names, kelvin - self.reference)
-        return np.where(self.determined, np.sqrt(np.einsum("ij,jk,ik->i", J, self.covariance, J)), np.inf)
+        """Least standard uncertainties (m,) at a temperature, K, SI; infinite where a parameter is not determined."""
+        J = to_temperature(self.bound.names, kelvin - self.reference)
+        return np.where(self.bound.observable, np.sqrt(np.einsum("ij,jk,ik->i", J, self.bound.covariance, J)), np.inf)
 
     def rms(self, group: str, kelvin: float | None = None) -> float:
         """The u, root mean square, of a group such as "accel.bias" or "accel.bias.t1", SI, at the reference or at a
         temperature, K. Raises KeyError for a group that is not there."""
-        own = positions_by_group(self.names)[group]
+        own = positions_by_group(self.bound.names)[group]
         return float(np.sqrt(np.mean(self.at(self.reference if kelvin is None else kelvin)[own] ** 2)))
 
     def worst(self, group: str) -> float:
         """The largest u, rms, of a group within the range; of coefficients, that at the reference."""
-        if group not in self.groups:
+        if group not in self.bound.groups:
             return self.rms(group)
         return max(self.rms(group, kelvin) for kelvin in (self.low, self.reference, self.high))
-
-    @property
-    def groups(self) -> tuple[str, ...]:
-        """The kinds of linear parameters there are, in order."""
-        return tuple(positions_by_group(self.names[: self.linear]))
 
     @property
     def seconds(self) -> float:
@@ -171,28 +155,20 @@ def plan_over_temperature(
         raise InputError("temperature: expected at least one recording, found none")
     setup, chamber = with_all_groups(setup), chamber or Chamber()
     courses = [itinerary_of(replace(setup, programme=session.programme)) for session in sessions]
-    problem, rows, point = problem_of(setup, sessions, courses, gyros=gyros)
-    problem, components = expected(problem, rows, components_of(setup.noise))
-    covariance = covariance_of(problem, with_priors(rows, problem, point), components, setup.clock_u)
+    seen = view_of(setup, sessions, courses, gyros=gyros)
+    problem, components = expected(seen.problem, seen.rows, seen.components)
+    bound = replace(seen, problem=problem, components=components).bound(setup.turn_rate, setup.clock_u)
     planned = tuple(_planned(setup, sessions, courses, chamber, gyros=gyros))
-    instrument, kelvin = problem.instrument, problem.observations.rests.temperature
+    kelvin = problem.observations.rests.temperature
     assert kelvin is not None
-    linear = instrument.linear_count
-    determined = np.ones(len(covariance), dtype=bool)
-    determined[:linear] = np.sqrt(np.diag(covariance)[:linear]) < problem.spread[:linear] / DETERMINED
-    further = tuple(findings(problem, np.diag(covariance)))
     return ThermalPlan(
         setup=setup,
         sessions=planned,
         reference=float(kelvin.mean()),
         low=float(kelvin.min()),
         high=float(kelvin.max()),
-        names=instrument.names,
-        linear=linear,
-        covariance=covariance,
-        determined=tuple(determined.tolist()),
-        further=further,
-        notes=tuple(_notes(problem, planned, covariance, further, chamber)),
+        bound=bound,
+        notes=tuple(_notes(problem, planned, bound, chamber)),
     )
 
 
@@ -266,10 +242,8 @@ def rests_of(programme: Programme, count: int) -> Programme:
     )
 
 
-def problem_of(
-    setup: Setup, sessions: Sequence[ChamberSession], courses: Sequence[Itinerary], *, gyros: bool
-) -> tuple[Problem, Rows, Point]:
-    """The sessions as one problem, its rows, and the point at which they are."""
+def view_of(setup: Setup, sessions: Sequence[ChamberSession], courses: Sequence[Itinerary], *, gyros: bool) -> View:
+    """The sessions as the likelihood sees them."""
     recorded = [_recorded(*each, setup, parts=len(sessions) > 1) for each in zip(sessions, courses, strict=True)]
     counts, bare = [len(each.attitudes) for each in recorded], replace(instrument_of(setup, gyros), further=())
     course = Itinerary.joined(recorded)
@@ -282,7 +256,7 @@ def problem_of(
         number=np.concatenate([np.arange(count) for count in counts]),
     )
 
-    def seen(instrument: Instrument) -> tuple[Observations, TurnsAbout | None]:
+    def observed_by(instrument: Instrument) -> tuple[Observations, TurnsAbout | None]:
         observations, about = observed(course, setup, instrument)
         rests, turns = observations.rests, observations.turns
         kelvin = thermometers.means(file, *course.rests.T).kelvin
@@ -296,23 +270,24 @@ def problem_of(
             together=together if len(sessions) > 1 else None,
         ), about
 
-    instrument, own = instruments_of(seen(bare)[0])
-    observations, about = seen(instrument)
+    instrument, own = instruments_of(observed_by(bare)[0])
+    observations, about = observed_by(instrument)
     problem = Problem.of(held(observations), instrument=instrument, own=own, usual=setup.further)
     values, of_each = np.zeros(len(instrument.names)), np.zeros((len(problem.parts), len(problem.own_known)))
     if problem.lag is not None:
         values[problem.lag] = TYPICAL * setup.further["temperature.lag"]
     point = Point(values=values, gravity=setup.gravity, attitudes=course.attitudes, own=of_each)
     rows, warmed = linearise(problem, point, about), problem.warmed(point)
+    seen = View(problem=problem, rows=rows, components=components_of(setup.noise))
     if warmed.lag is None:
-        return problem, rows, point
+        return seen
     rest, turn = rows.rest.copy(), rows.turn.copy()
     for by, place in ((rest[:, :, 4:-1], 0), (turn[:, :, 7:-1], 1)):
         for of, base, variable in warmed.changes:
             if variable == "temperature" and len(by):
                 warmer = warmed.goes_with(warmed.by_lag, variable, of, place)[:, None]
                 by[:, :, warmed.lag] += (warmer * by[:, :, base]) @ warmed.measured[1][1:][of]
-    return problem, replace(rows, rest=rest, turn=turn), point
+    return replace(seen, rows=replace(rows, rest=rest, turn=turn))
 
 
 def _recorded(session: ChamberSession, course: Itinerary, setup: Setup, *, parts: bool) -> Itinerary:
@@ -342,17 +317,11 @@ def _recorded(session: ChamberSession, course: Itinerary, setup: Setup, *, parts
 # What is said
 
 
-def _notes(
-    problem: Problem,
-    planned: Sequence[PlannedSession],
-    covariance: Array,
-    further: Sequence[GroupFinding],
-    chamber: Chamber,
-) -> Iterator[str]:
+def _notes(problem: Problem, planned: Sequence[PlannedSession], bound: Bound, chamber: Chamber) -> Iterator[str]:
     """What the recordings do not show, and why."""
     observations = problem.observations
     ramps = [session for session in planned if session.high - session.low > PASSED]
-    usual = [g.name for g in further if variable_of(g.name) in THERMAL and max(g.learned) < LITTLE]
+    usual = [g.name for g in bound.further if variable_of(g.name) in THERMAL and max(g.learned) < LITTLE]
     if usual:
         levels = len({round(0.5 * (session.low + session.high) / APART) for session in planned})
         remedy = {
@@ -373,7 +342,7 @@ def _notes(
     elif ramps and (at := problem.lag) is not None and not both_ways(observations):
         yield (
             "no temperature is passed both ways in a recording: a lag behind the thermometer shows only where a ramp "
-            f"begins, a typical one to {math.sqrt(covariance[at, at]):.0f} s, which is in u, and hysteresis not at "
+            f"begins, a typical one to {bound.u[at]:.0f} s, which is in u, and hysteresis not at "
             "all, which is in u by its usual size; ramp there and back in one recording"
         )
     elif not ramps:

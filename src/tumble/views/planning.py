@@ -203,8 +203,8 @@ def thermal_plan_blocks(plan: ThermalPlan) -> list[Block]:
         row = {"recording": session.name, "°C": span, "rests": str(session.rests), "change": clock(session.change)}
         row |= {"soak": clock(session.soak), "in all": clock(session.recording)}
         sessions.append(row | {f"{group} alone": in_unit(group, u) for group, u in session.alone.items()})
-    parameters, named = [], positions_by_group(plan.names)
-    for group in plan.groups:
+    parameters, named = [], positions_by_group(plan.bound.names)
+    for group in plan.bound.groups:
         row = {"bound of u (rms)": group}
         for kelvin in dict.fromkeys((plan.low, plan.reference, plan.high)):
             row[f"at {_celsius(kelvin)} °C"] = in_unit(group, plan.rms(group, kelvin))
@@ -216,20 +216,20 @@ def thermal_plan_blocks(plan: ThermalPlan) -> list[Block]:
         head,
         table(sessions, words=("recording",)),
         table(parameters, words=("bound of u (rms)",)),
-        _further_table(plan.names, plan.u, plan.further),
+        _further_table(plan.bound.names, plan.bound.u, plan.bound.further),
     ]
 
 
 def short_over_temperature(plan: ThermalPlan, wanted: Mapping[str, float]) -> list[str]:
     """What the recordings do not determine, and wanted accuracies that they cannot give at every temperature, in
     sentences."""
-    missing = [name for name, seen in zip(plan.names, plan.determined, strict=True) if not seen]
+    missing = [name for name, seen in zip(plan.bound.names, plan.bound.observable, strict=True) if not seen]
     out = [f"not determined: {', '.join(missing)}"] if missing else []
     for group, value in wanted.items():
-        if group not in positions_by_group(plan.names):
+        if group not in positions_by_group(plan.bound.names):
             out.append(f"{group}: expected {in_unit(group, value)} (rms), found nothing that shows it; see the notes")
         elif (worst := plan.worst(group)) > value:
-            over = f" from {_celsius(plan.low)} to {_celsius(plan.high)} °C" if group in plan.groups else ""
+            over = f" from {_celsius(plan.low)} to {_celsius(plan.high)} °C" if group in plan.bound.groups else ""
             out.append(f"{group}: expected {in_unit(group, value)} (rms){over}, found at best {in_unit(group, worst)}")
     return out
 
@@ -240,8 +240,8 @@ def _celsius(kelvin: float) -> str:
 
 def thermal_plan_data(plan: ThermalPlan, reasons: list[str]) -> Content:
     """What recordings over temperature can show at best, how long each takes, and what is wanted and not had."""
-    units = (group_of(name).unit for name in plan.names)
-    columns = plan.names, units, plan.u, plan.at(plan.low), plan.at(plan.high)
+    units = (group_of(name).unit for name in plan.bound.names)
+    columns = plan.bound.names, units, plan.bound.u, plan.at(plan.low), plan.at(plan.high)
     return {
         **judged(reasons),
         "programme": plan.setup.programme.name,
@@ -249,7 +249,7 @@ def thermal_plan_data(plan: ThermalPlan, reasons: list[str]) -> Content:
         **fields(plan, "low reference high"),
         "recordings": plan.sessions,
         "parameters": rows("name unit u u_low u_high", *columns),
-        "groups": _further_data(plan.names, plan.u, plan.further),
+        "groups": _further_data(plan.bound.names, plan.bound.u, plan.bound.further),
         "notes": plan.notes,
     }
 
