@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -190,27 +191,28 @@ def _bad_run(
             if too_long or min(first - low, high - run.stop) < tuning.band_samples:
                 continue
             near, inner = values[low:high].copy(), slice(first - low, run.stop - low)
-            near[inner] = mended = _between(values, run)
+            ends = values[[first - 2, first - 1, run.stop, run.stop + 1]]
+            near[inner] = mended = _of_cubic(length) @ ends
             band = np.maximum(tuning.band_beyond * _off_cubic(near).max(axis=0), least)
             off = values[run] - mended
             beyond = np.abs(off).max(axis=0) > band
+            held = np.all(np.ptp(values[run][:, beyond], axis=0) == 0.0)
+            if not (beyond.any() and held and _corrupt(off, dt[run], beyond, tuning)):
+                continue
             about = slice(inner.start - 2, inner.stop + 2)
             others = _off_cubic(np.where(beyond, 0.0, near))
             far = np.delete(others, np.r_[about], axis=0).max(axis=0)
             stirred = others[about].max(axis=0) > np.maximum(tuning.band_beyond * far, least)
-            held = np.all(np.ptp(values[run][:, beyond], axis=0) == 0.0)
-            # where others are stirred, a lever arm feels a rate that steps
-            if beyond.any() and held and not stirred.any() and _corrupt(off, dt[run], beyond, tuning):
+            if not stirred.any():  # where others are stirred, a lever arm feels a rate that steps
                 yield from ((first + i, row) for i, row in enumerate(np.where(beyond, mended, values[run])))
                 return
 
 
-def _between(values: Array, run: slice) -> Array:
-    """What the cubic through the two samples before and the two after a run has in it."""
-    length = run.stop - run.start
+@cache
+def _of_cubic(length: int) -> Array:
+    """What the cubic through two samples before and two after a run of so many has in it, by these (length, 4)."""
     nodes, inside = np.array([-2.0, -1.0, length, length + 1.0]), np.arange(float(length))
-    weights = np.array([np.prod([(inside - b) / (a - b) for b in nodes if b != a], axis=0) for a in nodes])
-    return np.asarray(weights.T @ values[[run.start - 2, run.start - 1, run.stop, run.stop + 1]])
+    return np.array([np.prod([(inside - b) / (a - b) for b in nodes if b != a], axis=0) for a in nodes]).T
 
 
 def _corrupt(off: Array, dt: Array, beyond: BoolArray, tuning: Tuning) -> bool:
