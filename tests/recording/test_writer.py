@@ -11,7 +11,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from tumble.recording.log import one_ahead
+from tumble.recording.log_source import one_ahead
 from tumble.recording.readers import write_tables
 
 TABLE = pl.DataFrame({"t": [float(row) for row in range(1000)]})

@@ -10,11 +10,10 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -26,8 +25,6 @@ from tumble.recording.rows.gaps import Bridge, Gap, Grid
 from tumble.recording.rows.timed import check_head, regular_grid, rounded_grid, rows_of
 from tumble.recording.session import LogSpec, Session, date_of_unix
 from tumble.units import ZERO_CELSIUS, Array
-
-T = TypeVar("T")
 
 HEAD_ROWS = 1000
 """LogRows from which the interval of a file is taken, their median."""
@@ -199,15 +196,6 @@ def open_log(session: Session) -> Log:
         )
     rate = 1.0 / intervals[0] if spec.rate is None else spec.rate
     return Log(session=session, rate=rate, _sources=sources, _grids=tuple(grids), _first_stamp=float(heads[0][0]))
-
-
-def one_ahead(parts: Iterator[T]) -> Iterator[T]:
-    """The same parts; the next one is read while this one is worked on."""
-    with ThreadPoolExecutor(max_workers=1) as beside:
-        ahead = beside.submit(next, parts, None)
-        while (part := ahead.result()) is not None:
-            ahead = beside.submit(next, parts, None)
-            yield part
 
 
 def _grid(source: LogSource, spec: LogSpec, head: Array) -> Grid:

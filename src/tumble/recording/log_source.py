@@ -5,11 +5,12 @@ from __future__ import annotations
 import sys
 import zlib
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 import polars as pl
@@ -23,6 +24,7 @@ else:
     from backports import zstd
 
 _SHOWN = 40
+_Part = TypeVar("_Part")
 
 
 class Kind(Enum):
@@ -89,6 +91,15 @@ def first_numbers(source: LogSource, column: str, rows: int, *, clock: bool) -> 
         if sum(map(len, parts)) >= rows:
             break
     return np.concatenate(parts)[:rows]
+
+
+def one_ahead(parts: Iterator[_Part]) -> Iterator[_Part]:
+    """The same parts; the next one is read while this one is worked on."""
+    with ThreadPoolExecutor(max_workers=1) as beside:
+        ahead = beside.submit(next, parts, None)
+        while (part := ahead.result()) is not None:
+            ahead = beside.submit(next, parts, None)
+            yield part
 
 
 @contextmanager

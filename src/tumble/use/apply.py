@@ -30,8 +30,8 @@ from tumble.errors import InputError, LogError
 from tumble.files import FilePath
 from tumble.recording.arrays import SI
 from tumble.recording.columns.names import unit_of_name
-from tumble.recording.log import one_ahead, open_log
-from tumble.recording.log_source import rows_of_numbers
+from tumble.recording.log import open_log
+from tumble.recording.log_source import one_ahead, rows_of_numbers
 from tumble.recording.readers import source_of, write_tables
 from tumble.recording.rows.gaps import side_by_side
 from tumble.recording.session import Channels, Session

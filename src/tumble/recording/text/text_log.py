@@ -15,13 +15,14 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
 from tumble.errors import LogError
-from tumble.recording.log_source import Kind, Unread, in_column, readable, rows_of_numbers
+from tumble.recording.log_source import Kind, Unread, in_column, one_ahead, readable, rows_of_numbers
 from tumble.recording.session import LogSpec
 from tumble.recording.text.dialect import (
     BLANKS,
@@ -58,8 +59,8 @@ class TextLog:
         return date_of(self._cell(next(self.pieces(), b""), column))
 
     def tables(self, columns: Sequence[str], clock: str | None = None) -> Iterator[tuple[pl.DataFrame, list[Unread]]]:
-        first, day = 1, None
-        for piece in self.pieces():
+        first, day, pieces = 1, None, self.pieces()
+        for piece in chain(islice(pieces, 1), one_ahead(pieces)):  # of the first one the head of a log is read alone
             if clock is not None and day is None:  # the day from which a clock counts
                 day = day_of(self._cell(piece, clock))
             table, unread = self._rows(piece, first, columns, clock, day or 0)

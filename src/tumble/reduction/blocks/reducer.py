@@ -13,7 +13,8 @@ from types import MappingProxyType
 import numpy as np
 
 from tumble.errors import LogError
-from tumble.recording.log import Chunk, Log, one_ahead
+from tumble.recording.log import Chunk, Log
+from tumble.recording.log_source import one_ahead
 from tumble.recording.rows.gaps import Gap
 from tumble.reduction import kernels as _kernels
 from tumble.reduction.blocks.motion_samples import MotionSamples
