@@ -138,7 +138,7 @@ def main() -> None:
             lines.append(f"    in process {ours:.3f} s; polars reads it in {theirs:.3f} s; ratio {ratio:.2f}")
             (wall, busy), (its_wall, its_busy) = reading_against_polars(folder)
             lines.append(
-                f"    until blocks are reduced {wall:.3f} s, of processor time {busy:.3f} s; polars reads all columns in "
+                f"    until blocks are reduced {wall:.3f} s, of processor time {busy:.3f} s; polars reads all of it in "
                 f"{its_wall:.3f} s, {its_busy:.3f} s; ratios {wall / its_wall:.2f}, {busy / its_busy:.2f}"
             )
             shutil.rmtree(folder)
