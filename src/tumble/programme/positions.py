@@ -80,8 +80,6 @@ def attitude(code: str) -> Array:
 
     Raises ProgrammeError if the letters are not a right-handed triple or a turn is not like N+45."""
     code = " ".join(code.split())
-    if code.startswith(CORNER):
-        code = _corners().get(code, code)  # to the last digit the same as its turns
     letters, *turns = code.split(" ")
     if letters == CORNER:
         signs = turns.pop(0) if turns else ""
@@ -90,7 +88,7 @@ def attitude(code: str) -> Array:
                 f'attitude "{code}": expected the axes above (+) and below (-) the horizon, such as corner +X-Y+Z, '
                 f'found "{signs}"'
             )
-        matrix = attitude(_codes(np.array([float(f"{sign}1") for sign in signs[::2]]), _ON_CORNER)[0])
+        matrix = attitude(_standing(_ON_CORNER)[tuple(int(f"{sign}1") for sign in signs[::2])][0])
     else:
         matrix = _pointing(code, letters)
     for turn in turns:
@@ -225,53 +223,30 @@ def _rough_table(name: str, *turns: str) -> Programme:
 def _cube(name: str, *kinds: int) -> Programme:
     """Positions of a cube on faces (1), edges (2), vertices (3): so many body axes are off the horizon. The azimuth
     changes from each to the next: the turns between them, taken as listed, then depend on every gyro parameter."""
-    signs = [s for kind in kinds for s in product((1, 0, -1), repeat=3) if np.count_nonzero(s) == kind]
-    return _listed(name, [_standing(np.array(s, dtype=float), k) for k, s in enumerate(signs)], ordered=False)
+    lifts, azimuths = ("", _ON_EDGE, _ON_CORNER), ("", " U-120", " U+120")
+    codes: list[str] = []
+    for kind in kinds:
+        for signs in product((1, 0, -1), repeat=3):
+            if np.count_nonzero(signs) != kind:
+                continue
+            every, k = _standing(lifts[kind - 1])[signs], len(codes)
+            axes = "".join(f"{'+' if sign > 0 else '-'}{axis}" for sign, axis in zip(signs, "XYZ", strict=True))
+            codes.append(f"{CORNER} {axes}{azimuths[k % 3]}" if kind == 3 else every[k % len(every)])
+    return _listed(name, codes, ordered=False)
 
 
 _ON_EDGE, _ON_CORNER = " N+45", f" N+45 E+{math.degrees(math.atan(math.sqrt(0.5)))}"
 
 
-def _standing(signs: Array, choice: int) -> str:
-    """A code with the vertical along `signs`, body components 1, 0 or −1: from a right-handed triple, +45°
-    about N lifts the axes that pointed U and W, and atan(1/√2) about E lifts the one that pointed N. The two to
-    four triples that do so differ in azimuth; `choice` goes round them."""
-    codes = _codes(signs, ("", _ON_EDGE, _ON_CORNER)[np.count_nonzero(signs) - 1])
-    code = codes[choice % len(codes)]
-    return _corner_name(signs, attitude(code) @ attitude(codes[0]).T) if np.all(signs) else code
-
-
-def _codes(signs: Array, lift: str) -> list[str]:
-    """The codes of lifted triples with the vertical along `signs` in the body."""
-    up = signs / np.linalg.norm(signs)
-    return [code for code, vertical_b in _lifted(lift).items() if np.abs(vertical_b - up).max() < _SAME]
-
-
 @cache
-def _corners() -> dict[str, str]:
-    """The code in turns of every corner of a cube in three azimuths, by its name."""
-    every = {signs: _codes(np.array(signs), _ON_CORNER) for signs in product((1.0, -1.0), repeat=3)}
-    return {
-        _corner_name(np.array(signs), attitude(code) @ attitude(codes[0]).T): code
-        for signs, codes in every.items()
-        for code in codes
-    }
-
-
-def _corner_name(signs: Array, turned: Array) -> str:
-    """The code of a block on its corner, `turned` (3, 3) about the vertical."""
-    axes = "".join(f"{'+' if sign > 0 else '-'}{axis}" for sign, axis in zip(signs, "XYZ", strict=True))
-    azimuth = round(math.degrees(math.atan2(turned[0, 2], turned[0, 0])))
-    return f"{CORNER} {axes}" + (f" U{azimuth:+d}" if azimuth else "")
-
-
-_SAME = 1e-9
-
-
-@cache
-def _lifted(lift: str) -> dict[str, Array]:
-    """The vertical in the body of every right-handed triple, lifted, by its code."""
-    return {letters + lift: attitude(letters + lift)[1] for letters in TRIPLES}
+def _standing(lift: str) -> dict[tuple[int, ...], list[str]]:
+    """The codes of right-handed triples lifted on an edge or a corner, which differ in azimuth, by which body axes they
+    have above (1), on (0) and below (−1) the horizon: from a triple, +45° about N lifts the axes that pointed U and W,
+    and atan(1/√2) about E lifts the one that pointed N."""
+    codes: dict[tuple[int, ...], list[str]] = {}
+    for code in (letters + lift for letters in TRIPLES):
+        codes.setdefault(tuple(np.sign(attitude(code)[1].round(9)).astype(int).tolist()), []).append(code)
+    return codes
 
 
 TRIPLES = [
