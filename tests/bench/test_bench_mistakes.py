@@ -9,9 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.bench_driver import Bench, served
+from tests.support.bench_driver import Bench, ClumsyTable, served
 from tests.support.browser import Browser, chromium, eventually, inaccessible
-from tumble.bench.record.virtual_table import VirtualTable
 from tumble.recording.session_file import read_session
 
 needs_browser = pytest.mark.skipif(chromium() is None, reason="no Chromium is installed")
@@ -28,7 +27,7 @@ class Shown:
     faults: list[str] = field(default_factory=list)
 
     @property
-    def table(self) -> VirtualTable:
+    def table(self) -> ClumsyTable:
         return self.bench.table
 
     def moved(self) -> None:

@@ -12,15 +12,52 @@ from typing import Any
 
 import uvicorn
 
-from tumble.bench.record.virtual_table import FULL_SCALE, VirtualTable
+from tumble.bench.record.virtual_table import AXES, FULL_SCALE, SAMPLE_RATE, VirtualTable
 from tumble.bench.session_folder import begin, in_si
 from tumble.bench.station import Station
 from tumble.bench.web.access import Access
 from tumble.bench.web.connections import Connection
 from tumble.bench.web.server import app_of
+from tumble.rotation import rotation_matrix
+from tumble.units import DEGREE, Array
 
 SITE = {"latitude_deg": 56.84}
 TOKEN = "0123456789abcdef"
+
+
+class ClumsyTable(VirtualTable):
+    """The virtual table with a thermometer, where it is asked for, and a unit that may be put down with movement."""
+
+    ROCKING = 1.0 * DEGREE
+
+    def __init__(self, programme_name: str, *, temperature: bool) -> None:
+        self._rocking: tuple[int, int] | None = None
+        self._warming, self._temperature = (0, 0.0), temperature
+        super().__init__(programme_name)
+
+    def rock(self, seconds: float = 1.5) -> None:
+        """A unit put down with movement when the turn under way ends: it comes to rest slowly."""
+        self._rocking = self.first + self.samples, round(seconds * SAMPLE_RATE)
+
+    def warm(self, rate: float) -> None:
+        """The temperature drifts from now on, K/s."""
+        self._warming = self.sample, rate
+
+    def turned(self, sample: float) -> tuple[Array, Array]:
+        L, rate = super().turned(sample)
+        if self._rocking is not None:
+            first, samples = self._rocking
+            if (away := 1.0 - (sample - first) / samples) >= 0.0:
+                still = rotation_matrix(self.ROCKING * min(away, 1.0) * AXES["N"])
+                back = -self.ROCKING * SAMPLE_RATE / samples if away <= 1.0 else 0.0
+                return still @ L, still @ rate + back * AXES["N"]
+        return L, rate
+
+    def line(self) -> str:
+        line = super().line()
+        since, warming = self._warming
+        celsius = 25.0 + warming * (self.sample - since) / SAMPLE_RATE
+        return f"{line[:-1]},{celsius:.9g}\n" if line and self._temperature else line
 
 
 class Bench:
@@ -30,7 +67,7 @@ class Bench:
     def __init__(
         self, folder: Path, programme: str | None = "nine", *, temperature: bool = False, gyros: bool = True
     ) -> None:
-        self.table = VirtualTable(f"{programme or 'nine'}@1000x", temperature=temperature)
+        self.table = ClumsyTable(f"{programme or 'nine'}@1000x", temperature=temperature)
         log = in_si() | ({"temperature": {"columns": ["T"], "unit": "degC"}} if temperature else {})
         columns = [log["time"], *log["accel"]["columns"], *log["gyro"]["columns"], *(["T"] if temperature else [])]
         log["gyro"] = log["gyro"] | {"range": FULL_SCALE}

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import closing, suppress
-from dataclasses import replace
 from itertools import chain, pairwise
 from pathlib import Path
 
@@ -45,7 +44,7 @@ class LiveSamples:
             session = _in_si(self._before.partition(b"\n")[0], source.name, calibration)
         self.session, spec = session, session.log
         self._lines = Lines(columns=spec.columns, clock=spec.time, refuse=lambda _: None)
-        self._clock = Clock(spec=spec)
+        self._clock = Clock(spec)
 
     @property
     def interval(self) -> float | None:
@@ -69,10 +68,11 @@ class LiveSamples:
                     last = float(time[-1])
                 for begin, end in pairwise([0, *back.tolist(), len(rows)]):
                     if begin in back:
-                        self._clock, file = Clock(spec=spec, interval=self._clock.interval), file + 1
-                    samples = self._clock.samples(rows[begin:end]) if end > begin else None
-                    if samples is not None:
-                        yield replace(samples[0], file=file)
+                        file += 1
+                        self._clock = Clock(spec, interval=self._clock.interval, file=file)
+                    chunk = self._clock.samples(rows[begin:end]) if end > begin else None
+                    if chunk is not None:
+                        yield chunk
 
 
 def _in_si(first: bytes, name: str, calibration: Calibration) -> Session:

@@ -105,8 +105,8 @@ class Log(Brief):
         if rows < 1:
             raise ValueError(f"rows: expected at least 1, found {rows}")
         self._gaps.clear()
-        for file in range(len(self._sources)):
-            for chunk in self._samples(file):
+        for file, (source, grid) in enumerate(zip(self._sources, self._grids, strict=True)):
+            for chunk in samples_of_file(source, self.session.log, file, grid, self._gaps):
                 for start in range(0, len(chunk.time), rows):
                     yield chunk.part(slice(start, start + rows))
 
@@ -124,23 +124,23 @@ class Log(Brief):
                     hashlib.file_digest(stream, lambda: digest)
         return digest.hexdigest()
 
-    def _samples(self, file: int) -> Iterator[Chunk]:
-        """The samples of one file as they come from its reader, repaired and in SI."""
-        spec = self.session.log
-        source, grid = self._sources[file], self._grids[file]
-        bridge = Bridge(source=source, file=file, spec=spec, interval=grid.interval, gaps=self._gaps)
-        rows = rows_of(source, spec, file, grid, self._gaps, on_grid=spec.unstamped or grid.rounded)
-        for time, dt_of_log, values in bridge.samples(rows):
-            dt = dt_of_log if spec.clock_rate == 1.0 else spec.clock_rate * dt_of_log
-            yield Chunk(
-                file=file,
-                time=time,
-                dt=dt,
-                accel=spec.accel.to_si(values[0], dt),
-                gyro=spec.gyro.to_si(values[1], dt) if spec.gyro else None,
-                temperature=spec.temperature.to_celsius(values[-1]) + ZERO_CELSIUS if spec.temperature else None,
-                magnetometer=values[2 if spec.gyro else 1] if spec.magnetometer else None,
-            )
+
+def samples_of_file(source: LogSource, spec: LogSpec, file: int, grid: Grid, gaps: list[Gap]) -> Iterator[Chunk]:
+    """The samples of one file as they come from its reader, repaired and in SI; what was bridged or left out is added
+    to `gaps`."""
+    bridge = Bridge(source=source, file=file, spec=spec, interval=grid.interval, gaps=gaps)
+    rows = rows_of(source, spec, file, grid, gaps, on_grid=spec.unstamped or grid.rounded)
+    for time, dt_of_log, values in bridge.samples(rows):
+        dt = dt_of_log if spec.clock_rate == 1.0 else spec.clock_rate * dt_of_log
+        yield Chunk(
+            file=file,
+            time=time,
+            dt=dt,
+            accel=spec.accel.to_si(values[0], dt),
+            gyro=spec.gyro.to_si(values[1], dt) if spec.gyro else None,
+            temperature=spec.temperature.to_celsius(values[-1]) + ZERO_CELSIUS if spec.temperature else None,
+            magnetometer=values[2 if spec.gyro else 1] if spec.magnetometer else None,
+        )
 
 
 def open_log(session: Session) -> Log:

@@ -10,18 +10,16 @@ import numpy as np
 
 from tumble.bench.follow.faults import Fault, SampleWatch
 from tumble.bench.follow.rests import Blocks, Judged, Progress, Rest, StillLimits, calm_since, grouped
-from tumble.bench.follow.samples import BRIDGED, Clock
+from tumble.bench.follow.samples import Clock
 from tumble.bench.follow.wishes import Task
 from tumble.bench.record.lines import Lines
 from tumble.bench.record.recorder import growing_file
 from tumble.recording.log import HEAD_ROWS, Chunk
-from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Exclusion
 from tumble.reduction.blocks.reducer import Reducer, Reduction
 from tumble.reduction.rests.blemishes import without_blemishes
 from tumble.reduction.rests.matching import without_times
 from tumble.reduction.rests.segmentation import RestSpan, find_rests
-from tumble.units import Array
 
 PIECE_BYTES = 1 << 18
 _PIECES = 32
@@ -45,7 +43,7 @@ class Live:
         self._ended: dict[tuple[int, int], Rest] = {}
         self._judged: dict[int, tuple[int, Judged]] = {}
         self._enough: list[tuple[int, int]] = []
-        self._begin(Clock(spec=task.session.log))
+        self._begin(Clock(task.session.log))
 
     def _begin(self, clock: Clock) -> None:
         self.now: Progress | None = None
@@ -55,7 +53,7 @@ class Live:
         self.at, self._path, self._clock = 0, growing_file(spec), clock
         self._lines = Lines(columns=spec.columns, clock=spec.time, refuse=lambda _: None)  # counted by who records it
         self._reducer: Reducer | None = None
-        self._gaps: list[Gap] = []
+        self._gaps = 0
         self._watches: list[SampleWatch] = []
         self._searched: tuple[object, ...] = ()
         self._searched_blocks = 0
@@ -78,17 +76,17 @@ class Live:
             rows = self._lines.numbers(data)
             if not len(rows):
                 break
-            samples = self._clock.samples(rows)
-            if samples is not None and self._clock.interval is not None:
-                self._take(*samples, self._clock.interval)
+            chunk = self._clock.samples(rows)
+            if chunk is not None and self._clock.interval is not None:
+                self._take(chunk, self._clock.interval)
             if self._clock.head < HEAD_ROWS <= self.samples:
-                self._begin(Clock(spec=self._task.session.log, head=HEAD_ROWS))
+                self._begin(Clock(self._task.session.log, head=HEAD_ROWS))
         if self._reducer is not None:
-            reduction = replace(self._reducer.now(), gaps=tuple(self._gaps))
+            reduction = replace(self._reducer.now(), gaps=tuple(self._clock.gaps))
             if reduction.files:
                 self.now = self._progress(reduction, excluded)
 
-    def _take(self, chunk: Chunk, lost: Array, interval: float) -> None:
+    def _take(self, chunk: Chunk, interval: float) -> None:
         """Look at samples, and feed them to the reduction."""
         session, log = self._task.session, self._task.session.log
         if self._reducer is None:
@@ -105,15 +103,13 @@ class Live:
                 self.faults += watch.look(chunk.time, readings)
         self._reducer.feed(chunk)
         self.samples += len(chunk.time)
-        self.lost += int(lost.sum())
-        for i in np.flatnonzero(lost > BRIDGED):
-            missing, stop = int(lost[i]), float(chunk.time[i])
-            start = stop - (missing + 1) * float(chunk.dt[i])
-            said = f"gap of {stop - start:.1f} s at {start:.1f} s: {missing} samples did not arrive"
-            self.faults.append(Fault(kind="gap", said=said, start=start, stop=stop))
-            self._gaps.append(
-                Gap(file=0, row=0, time=start, samples=missing, what="missing samples", stop=stop, integrable=False)
-            )
+        for gap in self._clock.gaps[self._gaps :]:
+            self.lost += gap.samples
+            if not gap.integrable:
+                start = gap.time - interval
+                said = f"gap of {gap.stop - start:.1f} s at {start:.1f} s: {gap.samples} samples did not arrive"
+                self.faults.append(Fault(kind="gap", said=said, start=start, stop=gap.stop))
+        self._gaps = len(self._clock.gaps)
 
     def _progress(self, reduction: Reduction, excluded: tuple[Exclusion, ...]) -> Progress:
         """What the log says now. Rests are looked for in the whole of it, as the calibration looks for them, whenever

@@ -1,83 +1,77 @@
-"""The samples that the rows of a log are, as they come."""
+"""The samples that rows are as they come, by the same chain as those of a log that has ended."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
+import polars as pl
 
-from tumble.recording.log import Chunk
-from tumble.recording.rows.gaps import JUMP
-from tumble.recording.rows.timed import leaping
+from tumble.recording.log import Chunk, samples_of_file
+from tumble.recording.log_source import Unread, in_column
+from tumble.recording.rows.gaps import Gap, Grid, is_reading
 from tumble.recording.session import LogSpec
-from tumble.units import ZERO_CELSIUS, Array
+from tumble.units import Array
 
-BRIDGED = 25
-"""Samples in a row that may be missing without a turn being lost."""
 _HEAD = 100
 
 
 @dataclass(kw_only=True, slots=True, eq=False)
+class _ComingRows:
+    """The source of a log of which rows may come at any time: while none has, its tables are empty."""
+
+    path: Path
+    names: tuple[str, ...]
+    waiting: list[Array] = field(default_factory=list)
+
+    def first_date(self, column: str) -> str | None:
+        del column
+        return None
+
+    def tables(self, columns: Sequence[str], clock: str | None = None) -> Iterator[tuple[pl.DataFrame, list[Unread]]]:
+        del clock
+        while True:
+            rows = np.concatenate([np.empty((0, len(self.names))), *self.waiting])
+            self.waiting.clear()
+            yield pl.DataFrame(rows, schema=list(self.names), orient="row").select(columns), []
+
+    def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
+        return (table for table, _ in self.tables(numbers))
+
+    def place(self, row: int, column: str | None = None) -> str:
+        return f"{self.path}: row {row}" + in_column(column)
+
+
 class Clock:
-    """Makes samples of rows: in the order of their times, with the interval of each. `interval` is None until there
-    are enough rows to know it. A row that leaps beyond the next one is none, as in the log that is calibrated; a last
-    one that may is held until the next has come."""
+    """Makes samples of the rows of a file of a log. The `interval`, s, is learned from the first `head` rows, and None
+    until there are as many; `gaps` is what was bridged or left out."""
 
-    spec: LogSpec
-    head: int = _HEAD
-    """Rows from which the interval is learned."""
-    interval: float | None = None
-    _last: float | None = None
-    _count: int = 0
-    _start: float = 0.0
-    _before: tuple[Array, ...] = ()
-    """Rows that came before the interval was known."""
-    _held: Array | None = None
+    def __init__(self, spec: LogSpec, *, head: int = _HEAD, interval: float | None = None, file: int = 0) -> None:
+        self.head, self.interval, self.gaps = head, interval, list[Gap]()
+        self._spec, self._file = spec, file
+        self._coming = _ComingRows(path=Path("what is received"), names=spec.columns)
+        self._samples: Iterator[Chunk] | None = None
 
-    def samples(self, rows: Array) -> tuple[Chunk, Array] | None:
-        """The sound samples of the next rows, SI, and how many are lost before each; None while the interval is not
-        known, or where there are none."""
-        spec = self.spec
-        if self.interval is None:
-            self._before = (*self._before, rows)
-            if sum(map(len, self._before)) < self.head:
+    def samples(self, rows: Array) -> Chunk | None:
+        """The samples that are known with the next rows; None where there are none, or the interval is not known."""
+        spec, waiting = self._spec, self._coming.waiting
+        waiting.append(rows)
+        if self._samples is None:
+            head = np.concatenate(waiting)
+            head = head[int(np.argmax(is_reading(head).all(axis=1))) :]  # a log begins with a whole row
+            waiting[:] = [head]
+            if len(head) < (self.head if self.interval is None else 1):
                 return None
-            rows, self._before = np.concatenate(self._before), ()
-            if spec.time is None:
-                self.interval = self._start = 1.0 / (spec.rate or 1.0)
+            start = self.interval or 0.0
+            if spec.rate is not None:
+                start = self.interval = 1.0 / spec.rate
             else:
-                time = rows[: self.head, 0] * spec.time_factor
-                regular = (time[-1] - time[0]) / (len(time) - 1)
-                self.interval = float(regular if spec.regular else np.median(np.diff(time)))
-                self._start = float(time[0])
-        interval, last = self.interval, self._last
-        if spec.time is None or spec.regular:
-            time = self._start + interval * np.arange(self._count, self._count + len(rows), dtype=float)
-            self._count += len(rows)
-        else:  # those whose times increase, without those that leap beyond the next
-            rows = rows if self._held is None else np.concatenate([self._held, rows])
-            time = rows[:, 0] * spec.time_factor
-            times = np.concatenate([[-math.inf if last is None else last], time])
-            keep = ~leaping(time, float(times[0]), JUMP * interval)
-            self._held = rows[-1:] if len(time) and times[-1] - times[-2] > JUMP * interval else None
-            if self._held is not None:
-                keep[-1] = False
-            rows, time = rows[keep], time[keep]
-            later = time > np.maximum.accumulate(np.concatenate([times[:1], time]))[:-1]
-            rows, time = rows[later], time[later]
-        sound = np.isfinite(rows).all(axis=1)
-        values, time = (rows if spec.time is None else rows[:, 1:])[sound], time[sound]
-        if not len(time):
-            return None
-        dt = np.diff(time, prepend=time[0] - interval if last is None else last)
-        lost = np.where(dt > 1.5 * interval, np.round(dt / interval) - 1.0, 0.0)
-        dt, self._last = np.where(lost > BRIDGED, interval, dt), float(time[-1])
-        n, heat = len(spec.accel.columns), 0 if spec.temperature is None else len(spec.temperature.columns)
-        gyro = kelvin = None
-        if spec.gyro is not None:
-            gyro = spec.gyro.to_si(values[:, n : n + len(spec.gyro.columns)], dt)
-        if spec.temperature is not None:
-            kelvin = spec.temperature.to_celsius(values[:, -heat:]) + ZERO_CELSIUS
-        accel = spec.accel.to_si(values[:, :n], dt)
-        return Chunk(file=0, time=time, dt=dt, accel=accel, gyro=gyro, temperature=kelvin), lost
+                time = head[: self.head, spec.columns.index(spec.time or "")] * spec.time_factor
+                start, steps = float(time[0]), np.diff(time)
+                self.interval = self.interval or float(steps.mean() if spec.regular else np.median(steps))
+            grid = Grid(start=start, interval=self.interval)
+            self._samples = samples_of_file(self._coming, spec, self._file, grid, self.gaps)
+        chunk = next(self._samples, None)
+        return chunk if chunk is not None and len(chunk.time) else None

@@ -30,7 +30,6 @@ NEAR = 20.0 * DEGREE
 GRAVITY = 9.81579
 KNOCK = 3.0
 """m/s², for a tenth of a second."""
-ROCKING = 1.0 * DEGREE
 FULL_SCALE = 300.0 * DEGREE
 LASTING = {"knock": 0.1, "lose": 0.5, "stick": 2.0}
 """s, of each mischief."""
@@ -41,11 +40,10 @@ AXES = {"N": np.array([1.0, 0.0, 0.0]), "U": np.array([0.0, 1.0, 0.0]), "E": np.
 class VirtualTable(LineSource):
     """A source: what a unit on the virtual table sends, in SI, so many times as fast as time passes."""
 
-    def __init__(self, programme_name: str, *, temperature: bool = False) -> None:
+    def __init__(self, programme_name: str) -> None:
         name, _, speed = programme_name.partition("@")
         self.programme: Programme = programme(name or "rough-table")
         self.name = f"simulator:{self.programme.name}"
-        self._temperature = temperature
         self._speed = speed_of(f"simulator:{programme_name}", speed or "1x")
         self._rng = np.random.default_rng(_SEED)
         kind = grade("mems")
@@ -56,35 +54,34 @@ class VirtualTable(LineSource):
             models.append(block.model(0.5 * size * self._rng.standard_normal(len(size))))
         self._matrix, self._bias = block_diag(*(m.matrix for m in models)), np.concatenate([m.bias for m in models])
         self._sigma, self._earth = np.repeat(noise, 3), np.array(earth_rate(LATITUDE_DEG * DEGREE))
-        self._sample = 0
+        self.sample = 0
+        """The number of those that were made."""
         self._begun: float | None = None
-        self._turn, self._first, self._samples = np.zeros(3), 0, 1
+        self._turn, self.first, self.samples = np.zeros(3), 0, 1
         """A turn by this vector (3,) in the geographic frame, rad, from this sample on, over so many."""
         self._from = self._to = self._near(self.programme.positions[0].matrix)
         """The attitudes, body → geographic, at which it began and where it ends."""
         self._until = dict.fromkeys(LASTING, -1)
         """The sample until which each mischief lasts."""
-        self._rocking: tuple[int, int] | None = None
-        self._warming: tuple[int, float] | None = None
         self._last_x = 0.0
 
     def skip_to(self, at: float) -> None:
-        self._sample = round(at * SAMPLE_RATE)
+        self.sample = round(at * SAMPLE_RATE)
 
     def _near(self, attitude: Array) -> Array:
         return rotation_matrix(OFF * self._rng.uniform(-1.0, 1.0, 3)) @ attitude
 
-    def _turned(self, sample: float) -> tuple[Array, Array]:
+    def turned(self, sample: float) -> tuple[Array, Array]:
         """Attitude, body → geographic, and angular rate, rad/s, in the geographic frame, at a time in samples."""
-        part = max((sample - self._first) / self._samples, 0.0)
+        part = max((sample - self.first) / self.samples, 0.0)
         if part >= 1.0:
             return self._to, np.zeros(3)
         L = rotation_matrix((part - np.sin(2.0 * np.pi * part) / (2.0 * np.pi)) * self._turn) @ self._from
-        return L, (1.0 - np.cos(2.0 * np.pi * part)) * SAMPLE_RATE / self._samples * self._turn
+        return L, (1.0 - np.cos(2.0 * np.pi * part)) * SAMPLE_RATE / self.samples * self._turn
 
     @property
     def moving(self) -> bool:
-        return self._sample < self._first + self._samples
+        return self.sample < self.first + self.samples
 
     def turn(self, axis: str, degrees: float, *, rate: float = RATE) -> None:
         """Turn about N, U or E."""
@@ -94,7 +91,7 @@ class VirtualTable(LineSource):
         """Turn into a position of the programme, the way of the programme where it has one."""
         target = self._near(self.programme.positions[position].matrix)
         move = self.programme.moves[position - 1] if position else None
-        now, _ = self._turned(self._sample)
+        now, _ = self.turned(self.sample)
         vector = rotation_vector(target @ now.T)
         if move is not None and move.axis is not None and move.angle is not None and np.linalg.norm(vector) > 1.0:
             whole = move.angle * move.axis
@@ -115,54 +112,37 @@ class VirtualTable(LineSource):
                 self.turn(what[0], float(what[1:]))
 
     def _start(self, vector: Array, rate: float) -> None:
-        self._from, _ = self._turned(self._sample)
-        self._turn, self._first, self._to = vector, self._sample, rotation_matrix(vector) @ self._from
-        self._samples = max(round(2.0 * float(np.linalg.norm(vector)) / rate * SAMPLE_RATE), 10)
+        self._from, _ = self.turned(self.sample)
+        self._turn, self.first, self._to = vector, self.sample, rotation_matrix(vector) @ self._from
+        self.samples = max(round(2.0 * float(np.linalg.norm(vector)) / rate * SAMPLE_RATE), 10)
 
     def mischief(self, kind: str, seconds: float | None = None) -> None:
         """A blow against the table ("knock"), samples that do not arrive ("lose"), a channel that repeats itself
         ("stick"), for so long."""
-        self._until[kind] = self._sample + round((LASTING[kind] if seconds is None else seconds) * SAMPLE_RATE)
-
-    def rock(self, seconds: float = 1.5) -> None:
-        """A unit put down with movement when the turn under way ends: it comes to rest slowly."""
-        self._rocking = self._first + self._samples, round(seconds * SAMPLE_RATE)
-
-    def warm(self, rate: float = 1.0) -> None:
-        """The temperature drifts from now on, K/s, where it is sent."""
-        self._warming = self._sample, rate
+        self._until[kind] = self.sample + round((LASTING[kind] if seconds is None else seconds) * SAMPLE_RATE)
 
     def read(self, timeout: float) -> bytes:
         if self._begun is None:
-            self._begun = time.monotonic() - self._sample / SAMPLE_RATE / self._speed
+            self._begun = time.monotonic() - self.sample / SAMPLE_RATE / self._speed
         due = int((time.monotonic() - self._begun) * self._speed * SAMPLE_RATE)
-        if due <= self._sample:
+        if due <= self.sample:
             time.sleep(min(timeout, 0.02))
             return b""
-        lines = [self.line() for _ in range(min(due - self._sample, 4096))]
+        lines = [self.line() for _ in range(min(due - self.sample, 4096))]
         return "".join(lines).encode("ascii")
 
     def line(self) -> str:
         """The next sample as a line; empty where it does not arrive."""
-        L, rate = self._turned(middle := self._sample + 0.5)
-        if self._rocking is not None:  # of a unit put down with movement: as far from where it will lie as it still is
-            first, samples = self._rocking
-            if (away := 1.0 - (middle - first) / samples) >= 0.0:
-                still = rotation_matrix(ROCKING * min(away, 1.0) * AXES["N"])
-                back = -ROCKING * SAMPLE_RATE / samples if away <= 1.0 else 0.0
-                L, rate = still @ L, still @ rate + back * AXES["N"]
+        L, rate = self.turned(self.sample + 0.5)
         force = L.T @ (GRAVITY * AXES["U"])
-        if self._sample < self._until["knock"]:
+        if self.sample < self._until["knock"]:
             force = force + KNOCK * self._rng.standard_normal(3)
         true = np.concatenate([force, L.T @ (rate + self._earth)])
         row = (self._matrix @ true + self._bias + self._sigma * self._rng.standard_normal(6)).tolist()
         row[3:] = [min(max(value, -FULL_SCALE), FULL_SCALE) for value in row[3:]]
-        if self._sample < self._until["stick"]:
+        if self.sample < self._until["stick"]:
             row[1] = self._last_x
-        self._last_x, self._sample = row[1], self._sample + 1
-        if self._temperature:
-            since, warming = self._warming or (self._sample, 0.0)
-            row.append(25.0 + warming * (self._sample - since) / SAMPLE_RATE)
-        if self._sample < self._until["lose"]:
+        self._last_x, self.sample = row[1], self.sample + 1
+        if self.sample < self._until["lose"]:
             return ""
-        return ",".join(f"{value:.9g}" for value in [self._sample / SAMPLE_RATE, *row]) + "\n"
+        return ",".join(f"{value:.9g}" for value in [self.sample / SAMPLE_RATE, *row]) + "\n"

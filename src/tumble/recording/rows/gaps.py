@@ -168,7 +168,8 @@ class Bridge:
         count, start = 0, 0.0
         for new in stream:
             count += len(new.time)
-            if not len(new.time):
+            if not len(new.time):  # nothing has come of a log that grows
+                yield new.time, new.time, new.values
                 continue
             rows = new if self.held is None else self.held.followed_by(new)
             lost = rows.lost()
