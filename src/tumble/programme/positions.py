@@ -88,7 +88,10 @@ def attitude(code: str) -> Array:
                 f'attitude "{code}": expected the axes above (+) and below (-) the horizon, such as corner +X-Y+Z, '
                 f'found "{signs}"'
             )
-        matrix = attitude(_standing(_ON_CORNER)[tuple(int(f"{sign}1") for sign in signs[::2])][0])
+        every = _standing(_ON_CORNER)[tuple(int(f"{sign}1") for sign in signs[::2])]
+        if " ".join(turns) in _AZIMUTHS:  # to the last digit the same as a triple lifted
+            return attitude(every[_AZIMUTHS.index(" ".join(turns))])
+        matrix = attitude(every[0])
     else:
         matrix = _pointing(code, letters)
     for turn in turns:
@@ -223,19 +226,20 @@ def _rough_table(name: str, *turns: str) -> Programme:
 def _cube(name: str, *kinds: int) -> Programme:
     """Positions of a cube on faces (1), edges (2), vertices (3): so many body axes are off the horizon. The azimuth
     changes from each to the next: the turns between them, taken as listed, then depend on every gyro parameter."""
-    lifts, azimuths = ("", _ON_EDGE, _ON_CORNER), ("", " U-120", " U+120")
     codes: list[str] = []
     for kind in kinds:
         for signs in product((1, 0, -1), repeat=3):
             if np.count_nonzero(signs) != kind:
                 continue
-            every, k = _standing(lifts[kind - 1])[signs], len(codes)
+            every, k = _standing(("", _ON_EDGE, _ON_CORNER)[kind - 1])[signs], len(codes)
             axes = "".join(f"{'+' if sign > 0 else '-'}{axis}" for sign, axis in zip(signs, "XYZ", strict=True))
-            codes.append(f"{CORNER} {axes}{azimuths[k % 3]}" if kind == 3 else every[k % len(every)])
+            codes.append(f"{CORNER} {axes} {_AZIMUTHS[k % 3]}".rstrip() if kind == 3 else every[k % len(every)])
     return _listed(name, codes, ordered=False)
 
 
 _ON_EDGE, _ON_CORNER = " N+45", f" N+45 E+{math.degrees(math.atan(math.sqrt(0.5)))}"
+_AZIMUTHS = ("", "U-120", "U+120")
+"""Of a block on a corner, in the order of the triples."""
 
 
 @cache
