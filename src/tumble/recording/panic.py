@@ -56,17 +56,17 @@ def without_panic(*, silent: bool = False) -> Iterator[None]:
 
 
 def wait_for_last_words() -> None:
-    """Waits for other threads to print why they stop."""
+    """Waits for other threads to print why they stop: some time, and as long as one of them has work to do, as far as
+    the system tells."""
+
+    def others_at_work() -> bool:
+        for task in Path("/proc/self/task").glob("*/stat"):
+            with suppress(OSError):  # ended meanwhile
+                state = task.read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()[0]
+                if state == "R" and task.parent.name != str(get_native_id()):
+                    return True
+        return False
+
     begun, ended = (time.monotonic() + seconds for seconds in LAST_WORDS)
-    while (now := time.monotonic()) < begun or (now < ended and _others_at_work()):
+    while (now := time.monotonic()) < begun or (now < ended and others_at_work()):
         time.sleep(0.01)
-
-
-def _others_at_work() -> bool:
-    """Whether a thread of this process but the one that asks has work to do, as far as the system tells."""
-    tasks = [task for task in Path("/proc/self/task").glob("*/stat") if task.parent.name != str(get_native_id())]
-    for task in tasks:
-        with suppress(OSError):  # ended meanwhile
-            if task.read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()[0] == "R":
-                return True
-    return False

@@ -83,9 +83,24 @@ class TableLog:
         return None if first is None else str(first.isoformat(timespec="seconds"))
 
     def tables(self, columns: Sequence[str], clock: str | None = None) -> Iterator[tuple[pl.DataFrame, list[Unread]]]:
-        first = 1
-        for table in self._batches(self._scan(columns, clock)):
-            self._check_no_nulls(table, first)
+        scan, first = self.scan().select(columns), 1
+        for column in columns:
+            kind = self.types[column]
+            if column == clock and isinstance(kind, pl.Datetime):  # seconds since midnight of the first
+                day = self._collected(self.scan().select(pl.col(clock).dt.truncate("1d").first())).item()
+                scan = scan.with_columns((pl.col(clock) - pl.lit(day)).dt.total_nanoseconds() * 1e-9)
+            elif not kind.is_numeric():
+                raise LogError(
+                    f"{self.path}: column '{column}': expected numbers, found the type {kind}; write it as float64"
+                )
+        for table in self._batches(scan.select(pl.col(columns).cast(pl.Float64))):
+            for values in table:
+                if values.null_count():
+                    place = self.place(first + int(np.argmax(values.is_null().to_numpy())), values.name)
+                    raise LogError(
+                        f"{place}: expected a number, found an empty value; correct or remove the row, or write nan "
+                        "for a lost sample"
+                    )
             first += table.height
             yield table, []
 
@@ -102,20 +117,6 @@ class TableLog:
         for column in self._collected(self.scan().select(columns)):
             yield column.name.encode()
             yield np.ascontiguousarray(column.to_numpy(), dtype=np.float64).tobytes()
-
-    def _scan(self, columns: Sequence[str], clock: str | None) -> pl.LazyFrame:
-        """Columns as numbers, dates with times as seconds since midnight of the first."""
-        scan = self.scan().select(columns)
-        for column in columns:
-            kind = self.types[column]
-            if column == clock and isinstance(kind, pl.Datetime):
-                day = self._collected(self.scan().select(pl.col(clock).dt.truncate("1d").first())).item()
-                scan = scan.with_columns((pl.col(clock) - pl.lit(day)).dt.total_nanoseconds() * 1e-9)
-            elif not kind.is_numeric():
-                raise LogError(
-                    f"{self.path}: column '{column}': expected numbers, found the type {kind}; write it as float64"
-                )
-        return scan.select(pl.col(columns).cast(pl.Float64))
 
     def _collected(self, scan: pl.LazyFrame) -> pl.DataFrame:
         with readable(self.path), without_panic():
@@ -140,15 +141,6 @@ class TableLog:
                 f"{self.path}: expected {self.rows} rows, found {rows} that can be read: the file is damaged; "
                 "copy or record it again"
             )
-
-    def _check_no_nulls(self, table: pl.DataFrame, first: int) -> None:
-        for column in table:
-            if column.null_count():
-                place = self.place(first + int(np.argmax(column.is_null().to_numpy())), column.name)
-                raise LogError(
-                    f"{place}: expected a number, found an empty value; correct or remove the row, or write nan for a "
-                    "lost sample"
-                )
 
 
 def samples_of(data: Data) -> tuple[TableLog, ...]:

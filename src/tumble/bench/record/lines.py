@@ -94,9 +94,22 @@ class Lines:
     def _row(self, line: bytes) -> Row | None:
         """The row of a line; None of an empty one and of a header. Raises ValueError that says why there is none."""
         if line.startswith(b"{"):
-            chosen = self._values_of_json(line)
+            try:
+                given = json.loads(line.decode("utf-8"))
+                chosen = [repr(float(given[column])) for column in self.columns]
+            except UnicodeDecodeError:
+                raise ValueError("bytes that are no text") from None
+            except (ValueError, TypeError, KeyError, RecursionError, OverflowError):
+                raise ValueError("JSON without a number for every column") from None
         elif line.startswith(MOTIONCAL.encode()):
-            chosen = self._values_of_motioncal(line)
+            try:
+                counts = [int(value) for value in line.removeprefix(MOTIONCAL.encode()).split(b",")]
+            except ValueError:
+                counts = []
+            if self.columns != MOTIONCAL_COLUMNS or len(counts) != len(MOTIONCAL_COLUMNS) - 1:
+                raise ValueError("a line of MotionCal that is not nine numbers")
+            field = [repr(count / _MAGNETIC_COUNTS) for count in counts[6:]]
+            chosen = [repr(self._now()), *map(str, counts[:6]), *field]
         else:
             values = [value.strip() for value in line.decode("utf-8", errors="replace").split(",")]
             names = [value.lstrip("\ufeff") for value in values]
@@ -118,25 +131,6 @@ class Lines:
         if any(map(math.isinf, numbers)) or (at is not None and math.isnan(at)):
             raise ValueError("a number that is not finite")
         return Row(text=",".join(chosen), time=at)
-
-    def _values_of_json(self, line: bytes) -> list[str]:
-        try:
-            given = json.loads(line.decode("utf-8"))
-            return [repr(float(given[column])) for column in self.columns]
-        except UnicodeDecodeError:
-            raise ValueError("bytes that are no text") from None
-        except (ValueError, TypeError, KeyError, RecursionError, OverflowError):
-            raise ValueError("JSON without a number for every column") from None
-
-    def _values_of_motioncal(self, line: bytes) -> list[str]:
-        try:
-            numbers = [int(value) for value in line.removeprefix(MOTIONCAL.encode()).split(b",")]
-        except ValueError:
-            numbers = []
-        if self.columns != MOTIONCAL_COLUMNS or len(numbers) != len(MOTIONCAL_COLUMNS) - 1:
-            raise ValueError("a line of MotionCal that is not nine numbers")
-        field = [repr(number / _MAGNETIC_COUNTS) for number in numbers[6:]]
-        return [repr(self._now()), *map(str, numbers[:6]), *field]
 
 
 def numbers_in(data: bytes, columns: int) -> Array | None:

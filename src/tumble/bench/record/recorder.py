@@ -223,36 +223,36 @@ class Intake:
     def _run(self) -> None:
         try:
             while not self._stop.is_set() and not self.ended:
-                self._take_next()
+                data = b""
+                try:
+                    data = self.source.read(READ_SECONDS)
+                    self._take(data)
+                except Ended:
+                    self._take(b"\n")
+                    self.ended = True
+                except Exception as error:  # costs what came with it, which is refused; the recording goes on
+                    failure = f"an error of the program while receiving ({type(error).__name__}: {error})"
+                    if (failure := " ".join(failure.split())) != self._failure:
+                        self._failure = failure
+                        log.error("what is received cannot be recorded", exc_info=error)
+                    self.recorder.refuse(data)
+                    self._stop.wait(READ_SECONDS)
             self.source.close()
         finally:  # with a complete log
             self.recorder.append(self.order.end())
             self.recorder.hold([])
             self.recorder.close()
 
-    def _take_next(self) -> None:
-        """Record what comes next. An error costs what came with it, which is refused; the recording goes on."""
-        data = b""
-        try:
-            data = self.source.read(READ_SECONDS)
-            self._take(data)
-        except Ended:
-            self._take(b"\n")
-            self.ended = True
-        except Exception as error:
-            failure = " ".join(f"an error of the program while receiving ({type(error).__name__}: {error})".split())
-            if failure != self._failure:
-                self._failure = failure
-                log.error("what is received cannot be recorded", exc_info=error)
-            self.recorder.refuse(data)
-            self._stop.wait(READ_SECONDS)
-
     def _take(self, data: bytes) -> None:
         waited = bool(self.order.waiting)
         rows: list[str] = []
         if data or waited:
-            whole = self.lines.cut(data)
-            rows = self._sound(whole) or self.order.feed(self.lines.rows(whole))
+            lines, whole = self.lines, self.lines.cut(data)
+            # where nothing is wrong with any of the rows they need be looked at together only
+            numbers = numbers_in(whole, len(lines.columns)) if lines.clock is not None and lines.in_order else None
+            if numbers is not None and self.order.passes(numbers[:, lines.columns.index(lines.clock or "")]):
+                rows = whole[:-1].decode("ascii").split("\n")
+            rows = rows or self.order.feed(lines.rows(whole))
         if rows:
             self.recorder.append(rows)
             self.rows += len(rows)
@@ -260,15 +260,6 @@ class Intake:
         if waited or self.order.waiting:
             self.recorder.hold(self.order.waiting)
         self.recorder.sync_if_due()
-
-    def _sound(self, whole: bytes) -> list[str]:
-        """The rows in whole lines where nothing is wrong with any of them, so that they need be looked at together
-        only; else none."""
-        lines = self.lines
-        numbers = numbers_in(whole, len(lines.columns)) if lines.clock is not None and lines.in_order else None
-        if numbers is None or not self.order.passes(numbers[:, lines.columns.index(lines.clock or "")]):
-            return []
-        return whole[:-1].decode("ascii").split("\n")
 
     def stop(self) -> None:
         self._stop.set()

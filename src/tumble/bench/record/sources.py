@@ -259,18 +259,15 @@ class Mavlink(LineSource):
         out: list[str] = []
         wait = timeout
         while len(out) < 256 and (message := self._link.recv_match(type=list(MESSAGES), blocking=True, timeout=wait)):
-            wait = 0.001
-            if self._takes(message.get_type()):
+            wait, kind = 0.001, message.get_type()
+            if self._chosen is None:
+                self._first = self._first or time.monotonic()
+                self._seen.add(kind)
+                if time.monotonic() - self._first > _CHOOSE_SECONDS:
+                    self._chosen = next(name for name in MESSAGES if name in self._seen)
+            if kind == self._chosen:
                 out.append(line_of(message))
         return "".join(out).encode("ascii")
-
-    def _takes(self, kind: str) -> bool:
-        if self._chosen is None:
-            self._first = self._first or time.monotonic()
-            self._seen.add(kind)
-            if time.monotonic() - self._first > _CHOOSE_SECONDS:
-                self._chosen = next(name for name in MESSAGES if name in self._seen)
-        return kind == self._chosen
 
     def close(self) -> None:
         self._link.close()
