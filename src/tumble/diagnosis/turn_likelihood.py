@@ -25,7 +25,9 @@ import numpy as np
 from tumble.units import DEGREE, Array
 
 _STEPS = 192
-"""Rotations that a turn is made of: of a whole revolution 2° each."""
+"""Rotations that a turn is made of at most: of a whole revolution 2° each."""
+_TOGETHER = 4
+"""So many of them are taken as one, and so many steps of the grid, where exchanges are first looked at."""
 MOST_TURNS = 24
 """The shortest turns, which tell."""
 _MOST_MISFIT = 9.0  # of a turn
@@ -124,7 +126,8 @@ def turn_likelihoods(
     do; none where nothing turned. Of each turn what the gyros read above their bias times the interval, sample by
     sample (m, 3), and the verticals (3,) before and behind it; the shortest are taken."""
     turns = sorted(turns, key=lambda turn: len(turn[0]))[:MOST_TURNS]
-    steps = np.zeros((len(turns), _STEPS, 3))
+    longest = min(_STEPS, max((len(turn[0]) for turn in turns), default=0))
+    steps = np.zeros((len(turns), -(-longest // _TOGETHER) * _TOGETHER, 3))
     for row, (sums, _, _) in zip(steps, turns, strict=True):
         edges = np.linspace(0, len(sums), min(_STEPS, len(sums)), endpoint=False).astype(int)
         row[: len(edges)] = np.add.reduceat(sums, edges, axis=0)
@@ -135,50 +138,62 @@ def turn_likelihoods(
     before, behind = (np.array([turn[end] for turn in turns]) for end in (1, 2))
     low, high = (math.log(middle / angle) for angle in _PATHS)
 
-    def likelihood(exchange: Array, grid: float, together: int, most: int) -> TurnLikelihood:
+    def likelihoods(exchanges: Sequence[Array], grid: float, together: int, most: int) -> list[TurnLikelihood]:
         log_q = np.arange(low, high, grid)
         q = np.append(np.exp(log_q), np.inf)[:, None]
-        sums = steps[:most].reshape(min(len(turns), most), -1, together, 3).sum(axis=2) @ exchange
-        cosine = (_carried_back(sums, behind[:most], q) * before[:most].T[:, None, :]).sum(axis=0)
+        sums = steps[:most].reshape(min(len(turns), most), -1, together, 3).sum(axis=2)
+        cosines = np.empty((len(exchanges), *(q / path[:most]).shape))
+        for sense in (1.0, -1.0):  # gyros that are a mirror image turn the other way
+            own = np.linalg.det(exchanges) * sense > 0.0
+            if own.any():
+                of_gyros = [np.einsum("eij,kj->eki", np.array(exchanges)[own], end[:most]) for end in (before, behind)]
+                cosines[own] = _cosines(sense * sums, of_gyros[0], of_gyros[1], q)
         kappa = 1.0 / (widths.vertical**2 + (widths.axes * path[:most] / q) ** 2)
-        density = 2.0 * kappa / -np.expm1(-2.0 * kappa) * np.exp(kappa * (np.minimum(cosine, 1.0) - 1.0))
-        cost = -2.0 * np.log(widths.damaged + (1.0 - widths.damaged) * density).sum(axis=1)
-        least = kappa[np.argmin(cost[:-1])]
-        misfit = np.minimum(2.0 * least * (1.0 - cosine[:-1]), _MOST_MISFIT).sum(axis=1)
-        unlike = not np.array_equal(exchange, np.eye(3))
-        return TurnLikelihood(
-            log_q=log_q,
-            cost=cost[:-1],
-            misfit=misfit,
-            unturned=cost[-1],
-            exchange=exchange,
-            exchanged=-2.0 * math.log(widths.exchanged / 47.0) if unlike else 0.0,
-        )
+        most_density, out = 2.0 * kappa / -np.expm1(-2.0 * kappa), []
+        for exchange, cosine in zip(exchanges, cosines, strict=True):
+            density = most_density * np.exp(kappa * (np.minimum(cosine, 1.0) - 1.0))
+            cost = -2.0 * np.log(widths.damaged + (1.0 - widths.damaged) * density).sum(axis=1)
+            least = kappa[np.argmin(cost[:-1])]
+            unlike = not np.array_equal(exchange, np.eye(3))
+            out.append(
+                TurnLikelihood(
+                    log_q=log_q,
+                    cost=cost[:-1],
+                    misfit=np.minimum(2.0 * least * (1.0 - cosine[:-1]), _MOST_MISFIT).sum(axis=1),
+                    unturned=cost[-1],
+                    exchange=exchange,
+                    exchanged=-2.0 * math.log(widths.exchanged / 47.0) if unlike else 0.0,
+                )
+            )
+        return out
 
     as_they_are, *exchanges = signed_permutations()
-    first = likelihood(as_they_are, _GRID, 1, MOST_TURNS)
+    (first,) = likelihoods([as_they_are], _GRID, 1, MOST_TURNS)
     attainable = -2.0 * len(turns) * math.log(2.0 / widths.vertical**2)
     if first.least < 0.5 * attainable:
         return (first,)
-    rough = sorted((likelihood(e, 4.0 * _GRID, 4, MOST_TURNS // 2) for e in exchanges), key=lambda p: p.least)
-    return first, *(likelihood(p.exchange, _GRID, 1, MOST_TURNS) for p in rough[:_MOST_EXCHANGES])
+    rough = sorted(likelihoods(exchanges, _TOGETHER * _GRID, _TOGETHER, MOST_TURNS // 2), key=lambda p: p.least)
+    return first, *likelihoods([p.exchange for p in rough[:_MOST_EXCHANGES]], _GRID, 1, MOST_TURNS)
 
 
-def _carried_back(steps: Array, vertical: Array, q: Array) -> Array:
-    """Verticals (K, 3) behind turns, (3, G, K) as they were before, by rotations of steps (K, B, 3) / q (G, 1)."""
+def _cosines(steps: Array, before: Array, behind: Array, q: Array) -> Array:
+    """Cosines (E, G, K) of what turns by rotations of steps (K, B, 3) / q (G, 1) miss from verticals before them to
+    those behind them, (E, K, 3) each."""
     length = np.linalg.norm(steps, axis=2)
     axes = steps / np.maximum(length, 1e-300)[..., None]
-    x, y, z = (np.broadcast_to(v, (len(q), len(vertical))) for v in vertical.T)
+    x, y, z = np.moveaxis(behind[:, None], -1, 0)  # carried back
     for k in reversed(range(steps.shape[1])):
         angle, (u, v, w) = length[:, k] / q, axes[:, k].T
         c, s = np.cos(angle), np.sin(angle)
-        along = (u * x + v * y + w * z) * (1.0 - c)
+        us, vs, ws, rest = u * s, v * s, w * s, 1.0 - c
+        uv, uw, vw = u * v * rest, u * w * rest, v * w * rest
         x, y, z = (
-            x * c + (v * z - w * y) * s + u * along,
-            y * c + (w * x - u * z) * s + v * along,
-            z * c + (u * y - v * x) * s + w * along,
+            (c + u * u * rest) * x + (uv - ws) * y + (uw + vs) * z,
+            (uv + ws) * x + (c + v * v * rest) * y + (vw - us) * z,
+            (uw - vs) * x + (vw + us) * y + (c + w * w * rest) * z,
         )
-    return np.array([x, y, z])
+    of_x, of_y, of_z = np.moveaxis(before[:, None], -1, 0)
+    return np.asarray(of_x * x + of_y * y + of_z * z)
 
 
 # -------------------- columns that are exchanged or have the wrong sign --------------------
