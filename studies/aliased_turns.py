@@ -89,7 +89,7 @@ def unit(number: int) -> tuple[dict[str, Calibration], dict[str, float]]:
     """The calibrations of a session of instantaneous samples and of one of means, and the truth."""
     rng = np.random.default_rng([41, number])
     scenario = scenario_of(Setup.of(grade="consumer", positions=POSITIONS), rng, serial=f"unit-{number}")
-    steady = [g.name for g in FURTHER if g.regressors is not None and g.name in scenario.usual]
+    steady = [g.name for g in FURTHER if g.regressors is not None and g.name in scenario.setup.further]
     instrument = Instrument.of(scenario.accel, scenario.gyro, steady)
     values = np.array([scenario.truth[name] for name in instrument.names])
     rates, forces = motion(rng)

@@ -143,7 +143,7 @@ def _session(scenario: Scenario, off: float, launches: int, rng: np.random.Gener
         for name in changed:
             kind, what, _ = name.split(".")
             changed[name] += RUN_TO_RUN[kind] * rng.standard_normal() if what == "bias" else 0.0
-    launch = replace(scenario, truth=changed, site=replace(scenario.site, gravity_u=0.0))
+    launch = replace(scenario.changed(gravity_u=0.0), truth=changed)
     made = simulate_observations(launch, rng)
     site = replace(scenario.site, gravity=scenario.site.gravity + off)
     found = joint(replace(made, usual={}, site=site))

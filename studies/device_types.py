@@ -39,7 +39,7 @@ from tumble.run.from_estimate import learned_in, parameters_of
 from tumble.sensors.grades import spread_of
 from tumble.sensors.parameters import group_name, variable_of
 from tumble.simulation.observations import simulate_observations
-from tumble.simulation.scenario import HandHeld, scenario_of
+from tumble.simulation.scenario import scenario_of
 from tumble.units import Array
 
 SEED = 29
@@ -86,7 +86,7 @@ def session(number: int, part: float) -> Unit:
     drawn = replace(drawn, truth=dict(zip(drawn.names, truth_of(drawn.names, number, part).tolist(), strict=True)))
     estimates, observed = [], []
     for rests in (ALL, HALF):
-        observed.append(simulate_observations(replace(drawn, course=HandHeld(positions=rests)), rng))
+        observed.append(simulate_observations(drawn.changed(by_hand=rests), rng))
         estimates.append(joint(observed[-1]))
     return _unit(number, drawn.truth, estimates, observed[-1])
 

@@ -25,7 +25,7 @@ from tumble.result.calibration import Calibration
 from tumble.result.parts import CalibratedDevice, Parameter
 from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.simulation.observations import simulate_observations
-from tumble.simulation.scenario import HandHeld, Scenario, scenario_of
+from tumble.simulation.scenario import Scenario, scenario_of
 from tumble.units import DEGREE, G_STANDARD
 from tumble.use.check import known_before
 
@@ -115,7 +115,7 @@ def checked(
     scenario: Scenario, calibration: Calibration, case: Case, truth: dict[str, float], rng: np.random.Generator
 ) -> CheckResult:
     """The result of a check of a device with these true values."""
-    again = replace(scenario, truth=truth, course=HandHeld(positions=case.rests))
+    again = replace(scenario.changed(by_hand=case.rests), truth=truth)
     observations = simulate_observations(again, rng, only_programmed=not case.turns)
     return field_check(observations, known_before(calibration, observations, GRADE, {}))
 

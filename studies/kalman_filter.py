@@ -27,7 +27,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -82,7 +82,7 @@ class Filter:
 
     def turn(self, readings: Array, dt: float) -> None:
         """Carry the attitude through gyro readings (n + 1, 3), the first of which is the sample before."""
-        block, noise = self.scenario.gyro, self.scenario.noise.gyro_white
+        block, noise = self.scenario.gyro, self.scenario.setup.noise.gyro_white
         model, h = block.model(self.gyro), dt * (len(readings) - 1)
         inverse = np.linalg.inv(model.matrix)
         each = np.full(len(readings), dt)
@@ -110,7 +110,7 @@ class Filter:
 
     def rest(self, accel: Array, gyro: Array, h: float) -> None:
         """Take in mean readings (3,) of h seconds at rest."""
-        noise, g = self.scenario.noise, self.scenario.site.gravity
+        noise, g = self.scenario.setup.noise, self.scenario.site.gravity
         H = np.zeros((6, 24))
         residual = np.empty(6)
         for rows, block, values, columns, vector, reading in (
@@ -137,7 +137,7 @@ class Filter:
 
 def run(scenario: Scenario, recording: Recording, rests: Array, start: Array) -> Filter:
     """One pass of the filter over a log whose rests are samples [first, last) (R, 2), from parameters (21,)."""
-    dt, size = 1.0 / scenario.profile.sample_rate, round(STEP * scenario.profile.sample_rate)
+    dt, size = 1.0 / scenario.setup.sample_rate, round(STEP * scenario.setup.sample_rate)
     accel, gyro = scenario.accel.model(start[:9]), scenario.gyro.model(start[9:])
     first = slice(*rests[0])
     force = accel.apply(recording.accel[first].mean(axis=0))
@@ -174,7 +174,7 @@ def pieces(begin: int, end: int, size: int) -> list[tuple[int, int]]:
 
 def observed(scenario: Scenario, recording: Recording) -> Observations:
     """The observations of a log in memory."""
-    rate = scenario.profile.sample_rate
+    rate = scenario.setup.sample_rate
     reducer = Reducer(rate=rate, accel=scenario.accel, gyro=scenario.gyro)
     dt = np.full(len(recording.time), 1.0 / rate)
     reducer.feed(
@@ -203,7 +203,7 @@ def compare(noise: NoiseModel, sessions: int) -> Compared:
     seconds = dict.fromkeys(("reduction", "staged", "joint", "filter"), 0.0)
     for seed in range(sessions):
         scenario = scenario_of(REQUEST, np.random.default_rng([51, seed]), serial="")
-        scenario = replace(scenario, noise=noise)
+        scenario = scenario.changed(noise=noise)
         recording = record(scenario, np.random.default_rng([52, seed]))
         truth = np.array([scenario.truth[name] for name in names(scenario)])
         clock = [time.perf_counter()]
@@ -214,7 +214,7 @@ def compare(noise: NoiseModel, sessions: int) -> Compared:
         jointly = joint(observations)
         clock.append(time.perf_counter())
         times = np.column_stack([observations.rests.start, observations.rests.stop])
-        rests = np.rint(times * scenario.profile.sample_rate).astype(int)
+        rests = np.rint(times * scenario.setup.sample_rate).astype(int)
         one = run(scenario, recording, rests, np.zeros(21))
         clock.append(time.perf_counter())
         two = run(scenario, recording, rests, one.values)

@@ -39,7 +39,7 @@ from tumble.run.together import calibrate_together
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import Variable, group_name, named_group, usual_sizes
 from tumble.simulation.observations import simulate_observations
-from tumble.simulation.scenario import OnTable, Scenario, itinerary, scenario_of
+from tumble.simulation.scenario import Scenario, itinerary, scenario_of
 from tumble.simulation.session import session_in_memory
 from tumble.simulation.temperature_profile import (
     LAG_NAME,
@@ -127,8 +127,6 @@ def session(procedure: Procedure, course: Sequence[float], lag: float) -> tuple[
 def device(procedure: Procedure, rng: np.random.Generator) -> Scenario:
     """An instrument with every parameter of the usual size."""
     scenario = scenario_of(SETUP, rng)
-    course = scenario.course
-    assert isinstance(course, OnTable)
     every = Instrument.of(scenario.accel, scenario.gyro, USUAL, WITH_TEMPERATURE)
     more = {
         name: float(USUAL[group.name] * rng.standard_normal())
@@ -139,22 +137,21 @@ def device(procedure: Procedure, rng: np.random.Generator) -> Scenario:
     if procedure in (WARM_UP, ISOTHERMAL):
         for name in more:
             more[name] *= SLOPES.get(group_name(name), 0.0) / USUAL[group_name(name)]
-    course = replace(course, programme=procedure.programme)
     if procedure.steady:
-        noise = replace(scenario.noise, accel_instability=0.0, gyro_instability=0.0)
-        scenario = replace(scenario, noise=noise)
+        noise = replace(scenario.setup.noise, accel_instability=0.0, gyro_instability=0.0)
+        scenario = scenario.changed(noise=noise)
     truth = {name: value if procedure.has(name) else 0.0 for name, value in (dict(scenario.truth) | more).items()}
     usual = {name: size for name, size in USUAL.items() if procedure.has(name)}
-    return replace(scenario, truth=truth, usual=usual, course=course)
+    return replace(scenario.changed(further=usual, programme=procedure.programme), truth=truth)
 
 
 def of_launch(scenario: Scenario, rng: np.random.Generator, *, several: bool) -> Scenario:
     """The instrument in another session: with drifts of its own, and of several, with biases of its own."""
     truth = dict(scenario.truth)
     for name in truth:
-        group, size = group_name(name), scenario.usual.get(f"{group_name(name)}.launch")
+        group, size = group_name(name), scenario.setup.further.get(f"{group_name(name)}.launch")
         if group.endswith(".drift"):
-            truth[name] = float(scenario.usual.get(group, 0.0) * rng.standard_normal())
+            truth[name] = float(scenario.setup.further.get(group, 0.0) * rng.standard_normal())
         elif several and size is not None:
             truth[name] += float(size * rng.standard_normal())
     return replace(scenario, truth=truth)
@@ -184,12 +181,11 @@ def calibrated(procedure: Procedure, number: int) -> tuple[Calibration, dict[str
     """The calibration of a device from logs of every sample, and the truth at its reference temperature."""
     rng = np.random.default_rng([13, number])
     scenario = scenario_of(RECORDED, rng)
-    course, blocks = scenario.course, {"accel": scenario.accel, "gyro": scenario.gyro}
-    assert isinstance(course, OnTable)
+    blocks = {"accel": scenario.accel, "gyro": scenario.gyro}
     thermal, lag = draw_thermal(RECORDED.further, "tactical", blocks, rng), draw_lag(RECORDED.further, rng)
     if not procedure.hysteresis:
         thermal = {name: value for name, value in thermal.items() if not name.endswith("hysteresis")}
-    scenario = replace(scenario, usual=RECORDED.further, course=replace(course, programme=procedure.programme))
+    scenario = scenario.changed(programme=procedure.programme)
     duration = float(itinerary(scenario, rng.spawn(1)[0]).rests[-1, 1])
     scenario = replace(scenario, truth=dict(scenario.truth) | thermal)
     sessions, several = [], len(procedure.courses) > 1

@@ -43,7 +43,8 @@ def unit(number: int) -> tuple[Scenario, Observations]:
     truth = dict(scenario.truth) | draw_thermal({}, "mems", {"accel": accel, "gyro": gyro}, rng)
     duration = float(itinerary(scenario, rng.spawn(1)[0]).rests[-1, 1])
     climate = PROFILE.climate(1.05 * duration, abs(LAG * float(rng.standard_normal())))
-    made = replace(scenario, accel=accel, gyro=gyro, truth=truth, climate=climate, usual=usual_sizes("mems"))
+    made = scenario.changed(further=usual_sizes("mems"))
+    made = replace(made, accel=accel, gyro=gyro, truth=truth, climate=climate)
     return made, simulate_observations(made, rng)
 
 

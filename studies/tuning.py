@@ -157,7 +157,7 @@ class Judge:
         self, _: tuple[tuple[RestSpan, ...], tuple[int, ...], tuple[tuple[int, int], ...]]
     ) -> tuple[float, int]:
         """Σ z² and how many parameters of the linear model are known."""
-        observations: Observations = replace(self.observations, usual=self.session.scenario.usual)
+        observations: Observations = replace(self.observations, usual=self.session.scenario.setup.further)
         try:
             found = joint(observations)
         except np.linalg.LinAlgError:  # too few rests

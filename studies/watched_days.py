@@ -29,7 +29,7 @@ from tumble.result.calibration import Calibration
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.parameters import group_name, usual_sizes
 from tumble.simulation.observations import simulate_observations
-from tumble.simulation.scenario import HandHeld, Scenario
+from tumble.simulation.scenario import Scenario
 from tumble.units import DEGREE, G_STANDARD, Array
 from tumble.use.check import known_before
 
@@ -62,8 +62,8 @@ def day(scenario: Scenario, rng: np.random.Generator, way: Way) -> Observations:
     truth = turned_on_again(scenario, rng)
     if way == "wanders":  # then what turning on changes in biases is in the process
         truth |= {name: value for name, value in scenario.truth.items() if group_name(name) in BIASES}
-    quiet = replace(scenario.noise, accel_instability=0.0, gyro_instability=0.0)
-    again = replace(scenario, truth=truth, noise=quiet, course=HandHeld(positions=RESTS))
+    quiet = replace(scenario.setup.noise, accel_instability=0.0, gyro_instability=0.0)
+    again = replace(scenario.changed(noise=quiet, by_hand=RESTS), truth=truth)
     observations = simulate_observations(again, rng, only_programmed=True)
     rests, start = observations.rests, EVERY * np.arange(RESTS)
     moved = {"start": start, "stop": start + rests.stop - rests.start}

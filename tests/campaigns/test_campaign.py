@@ -126,7 +126,7 @@ def test_a_trial_through_a_log_sees_the_same_device() -> None:
 
 def test_a_factor_multiplies_all_noise() -> None:
     rng = np.random.default_rng(0)
-    usual, loud = (scenario_of(Cell.of({"noise_factor": f}).setup, rng).noise for f in (1.0, 3.0))
+    usual, loud = (scenario_of(Cell.of({"noise_factor": f}).setup, rng).setup.noise for f in (1.0, 3.0))
     for name in ("accel_white", "gyro_white", "accel_instability", "gyro_instability"):
         assert getattr(loud, name) == pytest.approx(3.0 * getattr(usual, name), rel=1e-15) != 0.0
 
@@ -143,18 +143,17 @@ def test_the_vertical_after_a_rotation_is_that_of_the_rotation_matrix() -> None:
 def test_verticals_of_an_exact_table_are_those_of_the_programme() -> None:
     exact = Setup.of(programme="nine", table_error_deg=0.0, mounting_error_deg=0.0)
     rng = np.random.default_rng(0)
-    scenario = scenario_of(exact, rng)
-    found = trial._verticals(scenario, rng)
+    found = trial._verticals(exact, rng)
     assert found.shape == (BLOCK, 9, 3)
-    nominal = [position.vertical_b for position in scenario.course.programme.positions]  # type: ignore[union-attr]
+    nominal = [position.vertical_b for position in exact.programme.positions]
     np.testing.assert_allclose(found, np.broadcast_to(nominal, found.shape), rtol=0.0, atol=1e-15)
 
 
 def test_verticals_spread_as_those_of_the_simulated_sessions() -> None:
     rng = np.random.default_rng(0)
     scenario = scenario_of(Cell.of({"programme": "nine", "table_error_deg": 5.0}).setup, rng)
-    nominal = np.array([position.vertical_b for position in scenario.course.programme.positions])  # type: ignore[union-attr]
-    ours = (trial._verticals(scenario, rng) - nominal).std(axis=0)
+    nominal = np.array([position.vertical_b for position in scenario.setup.programme.positions])
+    ours = (trial._verticals(scenario.setup, rng) - nominal).std(axis=0)
     theirs = np.array([itinerary(scenario, rng).attitudes[:, 1] for _ in range(1500)]) - nominal
     # 1500 runs, 27 ratios: a standard deviation of a nearly uniform variable is known to 1 %
     large = ours > 0.01

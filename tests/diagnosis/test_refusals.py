@@ -29,7 +29,6 @@ from tumble.inference.estimate import Estimate
 from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.programme.positions import attitude, from_attitudes, programme
-from tumble.recording.session import Site
 from tumble.recording.session_file import read_session
 from tumble.rotation import rotation_matrix
 from tumble.run.calibrate import calibrate as calibrated
@@ -37,7 +36,7 @@ from tumble.run.observed import inspect_session
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block
 from tumble.simulation.recording import record
-from tumble.simulation.scenario import OnTable, Profile, Scenario, Vibration, draw_parameters
+from tumble.simulation.scenario import Scenario, Vibration, draw_parameters
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
 
@@ -676,13 +675,24 @@ def _recorded(
     """Times, accelerometers, gyros and rests of one instrument of a grade in positions of a table."""
     accel, gyro = _triads()
     scenario = Scenario(
-        course=OnTable(programme=from_attitudes(codes), table_error=table_error, mounting_error=0.0),
+        setup=Setup(
+            programme=from_attitudes(codes),
+            table_error=table_error,
+            mounting_error=0.0,
+            first_rest=6.0,
+            rest=6.0,
+            turn_rate=60 * DEGREE,
+            ramp=0.5,
+            sample_rate=SAMPLE_RATE,
+            noise=replace(GRADES[grade].noise, accel_instability=0.0, gyro_instability=0.0),
+            latitude=56.84 * DEGREE,
+            height=0.0,
+            gravity=G_STANDARD,
+            gravity_u=1e-6,
+        ),
         accel=accel,
         gyro=gyro,
         truth=draw_parameters(GRADES[grade], (accel, gyro), np.random.default_rng(5)),
-        noise=replace(GRADES[grade].noise, accel_instability=0.0, gyro_instability=0.0),
-        profile=Profile(first_rest=6.0, rest=6.0, rate=60 * DEGREE, ramp=0.5, sample_rate=SAMPLE_RATE),
-        site=Site(latitude=56.84 * DEGREE, height=0.0, gravity=G_STANDARD, gravity_u=1e-6),
         vibration=Vibration(),
         serial="A-1",
     )

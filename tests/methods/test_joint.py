@@ -36,7 +36,7 @@ from tumble.sensors.grades import GRADES, NoiseModel, Spread
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import usual_sizes
 from tumble.simulation.observations import simulate_observations
-from tumble.simulation.scenario import HandHeld, Scenario, profile_of, scenario_of
+from tumble.simulation.scenario import Scenario, scenario_of
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
 SETUP = device_setup(latitude=56.8 * DEGREE, gravity=9.815817, rest=120.0, turn_rate=180.0 / 19.0 * DEGREE)
@@ -71,7 +71,9 @@ def scenario(setup: Setup, seed: int, axes: Array = TRIAD) -> Scenario:
 
 
 def in_the_hand(chosen: Scenario, positions: int = 30) -> Scenario:
-    return replace(chosen, course=HandHeld(positions=positions), profile=profile_of(Setup.of(positions=positions)))
+    usual = Setup.of(positions=positions)
+    times = {name: getattr(usual, name) for name in ("first_rest", "rest", "turn_rate", "ramp", "sample_rate")}
+    return chosen.changed(by_hand=positions, **times)
 
 
 def observed(chosen: Scenario, seed: int, *, only_programmed: bool = False) -> Observations:

@@ -198,7 +198,7 @@ def off(found: Array, expected: Array) -> float:
 def noiseless(loud: Scenario) -> Observations:
     """Exact observations with the covariances of the noise."""
     seen, noisy = (
-        simulate_observations(one, np.random.default_rng(3)) for one in (replace(loud, noise=NoiseModel()), loud)
+        simulate_observations(one, np.random.default_rng(3)) for one in (loud.changed(noise=NoiseModel()), loud)
     )
     assert seen.turns is not None
     assert noisy.turns is not None

@@ -30,7 +30,7 @@ from tumble.reduction.turns.turns import VELOCITY_FLOOR
 from tumble.run.observed import inspect_session, observations_for_calibration, observations_in_parts
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_name, usual_sizes
-from tumble.simulation.scenario import OnTable, Scenario, itinerary, scenario_of
+from tumble.simulation.scenario import Scenario, itinerary, scenario_of
 from tumble.simulation.session import session_in_memory
 from tumble.simulation.temperature_profile import Climate, chamber_sessions
 from tumble.units import ZERO_CELSIUS
@@ -65,13 +65,12 @@ def devices(setup: Setup, sessions: tuple[ChamberSession, ...], seed: int) -> li
         if group.variable == "temperature"
         for name in group.names(every.block(group))
     }
-    course, out = base.course, []
-    assert isinstance(course, OnTable)
+    out = []
     for session in sessions:
-        still = replace(base, truth=truth, course=replace(course, programme=session.programme))
+        still = replace(base.changed(programme=session.programme), truth=truth)
         time, kelvin = session.course(float(itinerary(still, np.random.default_rng(0)).rests[-1, 1]))
         climate = Climate(time=time, kelvin=kelvin[:, None], reference=20.0 + ZERO_CELSIUS, lag=LAG)
-        out.append(replace(still, truth=truth | slopes, climate=climate, usual=usual))
+        out.append(replace(still.changed(further=usual), truth=truth | slopes, climate=climate))
     return out
 
 

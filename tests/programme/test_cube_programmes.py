@@ -25,7 +25,7 @@ from tumble.reduction.rests.matching import Match, match_rests
 from tumble.reduction.rests.segmentation import find_rests
 from tumble.result.calibration import read_calibration
 from tumble.rotation import rotation_matrix
-from tumble.simulation.scenario import OnTable, Profile, scenario_of
+from tumble.simulation.scenario import scenario_of
 from tumble.simulation.session import simulate_session, write_simulation
 from tumble.units import DEGREE, Array
 
@@ -47,10 +47,15 @@ def recorded(
 ) -> Path:
     """A short session of a course with errors of up to `error` degrees about every axis, of mounting and positions."""
     scenario = scenario_of(Setup.of(grade=grade), rng, serial="cube")
-    scenario = replace(
-        scenario,
-        course=OnTable(programme=course, table_error=error * DEGREE, mounting_error=error * DEGREE),
-        profile=Profile(first_rest=5.0, rest=5.0, rate=60.0 * DEGREE, ramp=0.5, sample_rate=20.0),
+    scenario = scenario.changed(
+        programme=course,
+        table_error=error * DEGREE,
+        mounting_error=error * DEGREE,
+        first_rest=5.0,
+        rest=5.0,
+        turn_rate=60.0 * DEGREE,
+        ramp=0.5,
+        sample_rate=20.0,
     )
     return write_simulation(folder, scenario, rng)
 

@@ -20,7 +20,7 @@ from tumble.reduction.rests.segmentation import find_rests
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
-from tumble.simulation.scenario import OnTable, Profile, scenario_of
+from tumble.simulation.scenario import scenario_of
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, Array
 
 RATE = 20.0
@@ -40,10 +40,15 @@ def recorded(
 ) -> Recording:
     """A short session of a course on a table with errors of so many degrees."""
     scenario = scenario_of(Setup.of(grade=grade), np.random.default_rng(seed), serial="S")
-    scenario = replace(
-        scenario,
-        course=OnTable(programme=course, table_error=table_error * DEGREE, mounting_error=table_error * DEGREE),
-        profile=Profile(first_rest=rest, rest=rest, rate=turning * DEGREE, ramp=0.5, sample_rate=RATE),
+    scenario = scenario.changed(
+        programme=course,
+        table_error=table_error * DEGREE,
+        mounting_error=table_error * DEGREE,
+        first_rest=rest,
+        rest=rest,
+        turn_rate=turning * DEGREE,
+        ramp=0.5,
+        sample_rate=RATE,
     )
     return record(scenario, np.random.default_rng(seed))
 

@@ -95,7 +95,7 @@ def test_a_noiseless_move_is_the_true_rotation(sample_rate: float, tolerance: fl
     turns = observations.turns_about(true_gyros(scenario))
     assert len(turns) == 8
     np.testing.assert_array_equal(np.column_stack([turns.first, turns.last]), [[i, i + 1] for i in range(8)])
-    earth = np.array(earth_rate(scenario.latitude))
+    earth = np.array(earth_rate(scenario.setup.latitude))
     for k, T in enumerate(turns.duration):
         expected = recording.attitudes[k].T @ rotation_matrix(earth * T) @ recording.attitudes[k + 1]
         np.testing.assert_allclose(turns.C[k], expected, atol=tolerance)

@@ -67,7 +67,7 @@ def found(time: Array, accel: Array, gyro: Array | None) -> Segmentation:
 def scenario(request: Setup, seed: int, vibration: Vibration = NO_VIBRATION) -> Scenario:
     """A typical scenario whose first rest is like the others."""
     made = scenario_of(request, np.random.default_rng(seed), serial="S", vibration=vibration)
-    return replace(made, profile=replace(made.profile, first_rest=made.profile.rest))
+    return made.changed(first_rest=made.setup.rest)
 
 
 def recorded(request: Setup, seed: int, vibration: Vibration = NO_VIBRATION) -> Recording:
@@ -294,10 +294,7 @@ def test_a_log_without_a_rest_has_none_and_says_why(kind: str, gyros: bool) -> N
 def test_a_stretch_too_short_for_a_rest_is_rejected_with_its_duration() -> None:
     request = Setup.of(grade="mems", programme="nine", rest=6.0, rate_deg_s=40.0, sample_rate=50.0)
     recording = recorded(request, 20)
-    short = record(
-        replace(scenario(request, 20), profile=replace(scenario(request, 20).profile, rest=1.5)),
-        np.random.default_rng(1020),
-    )
+    short = record(scenario(request, 20).changed(rest=1.5), np.random.default_rng(1020))
     segmentation = found(short.time, short.accel, short.gyro)
     assert len(segmentation.rests) == 1  # the first, of 6 s
     assert len(segmentation.rejected) == len(recording.rests) - 1
@@ -421,7 +418,7 @@ def test_what_was_passed_over_is_counted() -> None:
     """Rests of 1.5 s are too short; the count says so, with the length it takes."""
     request = Setup.of(grade="mems", programme="nine", rest=6.0, rate_deg_s=40.0, sample_rate=50.0)
     made = scenario(request, 36)
-    short = record(replace(made, profile=replace(made.profile, rest=1.5)), np.random.default_rng(1036))
+    short = record(made.changed(rest=1.5), np.random.default_rng(1036))
     (said,) = found(short.time, short.accel, short.gyro).passed_over()
     assert said.startswith("8 quiet stretches of 1.")
     assert said.endswith("s are too short: rests must be 3 s")

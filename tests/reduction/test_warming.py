@@ -93,10 +93,10 @@ def test_a_turn_is_followed_while_it_warms() -> None:
     """At 8 K a minute biases change within a turn by several times its noise."""
     setup = Setup.of(grade="navigation", terms="full", rest=20.0)
     rng = np.random.default_rng(3)
-    scenario = replace(scenario_of(setup, rng), usual=usual_sizes("navigation"))
+    scenario = scenario_of(setup, rng).changed(further=usual_sizes("navigation"))
     slopes = {f"{kind}.{what}.{x}.t1": 0.0 for kind in ("accel", "gyro") for what in ("bias", "scale") for x in "xyz"}
     for name in slopes:
-        slopes[name] = scenario.usual[f"{name[:-5]}.t1"] * rng.choice([-1.0, 1.0])
+        slopes[name] = scenario.setup.further[f"{name[:-5]}.t1"] * rng.choice([-1.0, 1.0])
     kelvin = np.array([[-20.0], [60.0]]) + ZERO_CELSIUS
     climate = Climate(time=np.array([0.0, 600.0]), kelvin=kelvin, reference=float(kelvin.mean()))
     scenario = replace(scenario, truth=dict(scenario.truth) | slopes, climate=climate)

@@ -23,7 +23,7 @@ from tumble import __version__
 from tumble.cli import main
 from tumble.errors import CalibrationError
 from tumble.planning.setup import Setup
-from tumble.recording.session import AirConditions, AutopilotSensor, Circumstances, Site
+from tumble.recording.session import AirConditions, AutopilotSensor, Circumstances
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.file import json_schema
@@ -33,7 +33,7 @@ from tumble.run.observed import inspect_session
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import group_of
-from tumble.simulation.scenario import HandHeld, Profile, Scenario, Vibration, draw_parameters
+from tumble.simulation.scenario import Scenario, Vibration, draw_parameters
 from tumble.simulation.session import simulate_session, write_simulation
 from tumble.units import DEGREE
 
@@ -228,15 +228,23 @@ def test_sensors_of_a_redundant_block_are_numbered_from_zero(tmp_path: Path) -> 
     corner = np.ones(3) / np.sqrt(3.0)
     accel = Block(kind="accel", axes=np.vstack([np.eye(3), corner]))
     gyro = Block(kind="gyro", axes=np.eye(3))
-    profile = Profile(first_rest=6.0, rest=5.0, rate=120 * DEGREE, ramp=0.5, sample_rate=50.0)
     scenario = Scenario(
-        course=HandHeld(positions=16),
+        setup=Setup(
+            by_hand=16,
+            first_rest=6.0,
+            rest=5.0,
+            turn_rate=120 * DEGREE,
+            ramp=0.5,
+            sample_rate=50.0,
+            noise=GRADES["mems"].noise,
+            latitude=0.9,
+            height=0.0,
+            gravity=9.81,
+            gravity_u=1e-6,
+        ),
         accel=accel,
         gyro=gyro,
         truth=draw_parameters(GRADES["mems"], (accel, gyro), np.random.default_rng(2)),
-        noise=GRADES["mems"].noise,
-        profile=profile,
-        site=Site(latitude=0.9, height=0.0, gravity=9.81, gravity_u=1e-6),
         vibration=Vibration(),
         serial="R-4",
     )

@@ -34,7 +34,7 @@ from tumble.run.case import (
 )
 from tumble.sensors.model import Block, SensorModel
 from tumble.simulation.observations import simulate_observations
-from tumble.simulation.scenario import OnTable, Scenario, itinerary, scenario_of
+from tumble.simulation.scenario import Scenario, itinerary, scenario_of
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, Array
 
@@ -198,28 +198,26 @@ def scenario(codes_or_name: tuple[str, ...] | str, *, table: float, seed: int) -
     """A navigation unit on a table or in a cube with errors of `table` degrees, mounted askew by up to 2°."""
     listed = programme(codes_or_name) if isinstance(codes_or_name, str) else from_attitudes(codes_or_name)
     typical = scenario_of(Setup.of(), np.random.default_rng(seed), serial="S")
-    return replace(typical, course=OnTable(programme=listed, table_error=table * DEGREE, mounting_error=2.0 * DEGREE))
+    return typical.changed(programme=listed, table_error=table * DEGREE, mounting_error=2.0 * DEGREE)
 
 
 def observed(described: Scenario, seed: int) -> tuple[Observations, Array]:
     """Observations of a scenario, and the true mounting body → case."""
     seen = simulate_observations(described, np.random.default_rng(seed))
     way = itinerary(described, np.random.default_rng(seed).spawn(3)[0])
-    assert isinstance(described.course, OnTable)
     geometry = np.random.default_rng(seed).spawn(3)[0]
-    count = len(described.course.programme.positions)
-    if not described.course.programme.ordered:
+    count = len(described.setup.programme.positions)
+    if not described.setup.programme.ordered:
         geometry.permutation(count)
         geometry.uniform(-np.pi, np.pi, (count, 1))
-    mounting = rotation_matrix(described.course.mounting_error * geometry.uniform(-1.0, 1.0, 3))
-    if described.course.table_error < 1e-9:
+    mounting = rotation_matrix(described.setup.mounting_error * geometry.uniform(-1.0, 1.0, 3))
+    if described.setup.table_error < 1e-9:
         np.testing.assert_allclose((way.attitudes @ mounting.T)[:, 1, :], _nominal(described, way.positions), atol=1e-7)
     return seen, mounting
 
 
 def _nominal(described: Scenario, positions: tuple[int, ...]) -> Array:
-    assert isinstance(described.course, OnTable)
-    return np.array([described.course.programme.positions[k].vertical_b for k in positions])
+    return np.array([described.setup.programme.positions[k].vertical_b for k in positions])
 
 
 @pytest.mark.parametrize("name", [name for name in BUILT_IN if name != "cube-12"])

@@ -58,7 +58,7 @@ def device(grade: str, setup: Setup, seed: int = 1, *, hysteresis: bool = False)
         if group.variable is not None
         for name in group.names(every.block(group))
     }
-    return replace(scenario, truth=dict(scenario.truth) | more, usual=usual)
+    return replace(scenario.changed(further=usual), truth=dict(scenario.truth) | more)
 
 
 def ramp(*celsius: float, lag: float = 0.0) -> Climate:
@@ -79,7 +79,7 @@ def together(scenario: Scenario, climates: list[Climate], seed: int = 2) -> Obse
         for name in truth:
             kind, what, *rest = name.split(".")
             if what == "bias" and len(rest) == 1:
-                truth[name] += scenario.usual[f"{kind}.bias.launch"] * rng.standard_normal()
+                truth[name] += scenario.setup.further[f"{kind}.bias.launch"] * rng.standard_normal()
         observed.append(simulate_observations(replace(scenario, truth=truth, climate=climate), rng))
     names = [f"session-{i + 1}" for i in range(len(climates))]
     return joined(observed, names, [np.arange(len(each.rests)) for each in observed])

@@ -21,13 +21,12 @@ from tumble.earth import earth_rate, normal_gravity
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes, programme
-from tumble.recording.session import Site
 from tumble.recording.session_file import read_session
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import GRADES, NoiseModel
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
-from tumble.simulation.scenario import HandHeld, OnTable, Profile, Scenario, Vibration, draw_parameters, scenario_of
+from tumble.simulation.scenario import Scenario, Vibration, draw_parameters, itinerary, scenario_of
 from tumble.simulation.session import simulate_session, vibration_of, write_simulation
 from tumble.units import DEGREE, Array
 
@@ -36,31 +35,35 @@ LATITUDE = 56.84 * DEGREE
 TRIAD = np.eye(3)
 TETRAD = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1 / 3**0.5] * 3])
 QUIET, STILL = NoiseModel(), Vibration()
-ROUGH = OnTable(programme=programme("rough-table"), table_error=2 * DEGREE, mounting_error=2 * DEGREE)
-SHORT = Profile(first_rest=1.303, rest=1.007, rate=80 * DEGREE, ramp=0.5, sample_rate=100.0)
-SLOW = replace(SHORT, rate=10 * DEGREE, ramp=1.0)
+SHORT = Setup(
+    programme=programme("rough-table"),
+    table_error=2 * DEGREE,
+    mounting_error=2 * DEGREE,
+    first_rest=1.303,
+    rest=1.007,
+    turn_rate=80 * DEGREE,
+    ramp=0.5,
+    sample_rate=100.0,
+    noise=QUIET,
+    latitude=LATITUDE,
+    height=270.0,
+    gravity=normal_gravity(LATITUDE, 270.0) + 1e-3,
+    gravity_u=1e-7,
+)
+SLOW = replace(SHORT, turn_rate=10 * DEGREE, ramp=1.0)
 
 
 def scenario(
-    course: OnTable | HandHeld = ROUGH,
-    *,
-    profile: Profile = SHORT,
-    axes: Array = TRIAD,
-    perfect: bool = False,
-    noise: NoiseModel = QUIET,
-    vibration: Vibration = STILL,
+    setup: Setup = SHORT, *, axes: Array = TRIAD, perfect: bool = False, vibration: Vibration = STILL
 ) -> Scenario:
     """A noiseless MEMS unit, or a perfect one, unless something else is asked for."""
     accel, gyro = Block(kind="accel", axes=axes), Block(kind="gyro", axes=axes)
     truth = draw_parameters(GRADES["mems"], (accel, gyro), np.random.default_rng(5))
     return Scenario(
-        course=course,
+        setup=setup,
         accel=accel,
         gyro=gyro,
         truth=dict.fromkeys(truth, 0.0) if perfect else truth,
-        noise=noise,
-        profile=profile,
-        site=Site(latitude=LATITUDE, height=270.0, gravity=normal_gravity(LATITUDE, 270.0) + 1e-3, gravity_u=1e-7),
         vibration=vibration,
         serial="S-1",
     )
@@ -87,15 +90,15 @@ def inside(recording: Recording, rest: int, fs: float) -> slice:
 # -------------------- kinematics --------------------
 
 
-@pytest.mark.parametrize("course", [ROUGH, HandHeld(positions=6)], ids=["table", "hand"])
+@pytest.mark.parametrize("by_hand", [None, 6], ids=["table", "hand"])
 @pytest.mark.parametrize("axes", [TRIAD, TETRAD], ids=["triad", "tetrad"])
-def test_noiseless_rests_read_gravity_and_the_earths_rate(course: OnTable | HandHeld, axes: Array) -> None:
-    made = scenario(course, axes=axes)
+def test_noiseless_rests_read_gravity_and_the_earths_rate(by_hand: int | None, axes: Array) -> None:
+    made = scenario(replace(SHORT, by_hand=by_hand), axes=axes)
     found = run(made)
     S_a, b_a, S_g, b_g = models(made)
     assert found.accel.shape == found.gyro.shape == (len(found.time), len(axes))
     for i, L in enumerate(found.attitudes):
-        samples = inside(found, i, made.profile.sample_rate)
+        samples = inside(found, i, made.setup.sample_rate)
         accel = S_a @ (made.site.gravity * L.T @ UP) + b_a
         gyro = S_g @ (L.T @ earth_rate(LATITUDE)) + b_g
         assert samples.stop - samples.start >= 99
@@ -106,7 +109,7 @@ def test_noiseless_rests_read_gravity_and_the_earths_rate(course: OnTable | Hand
 def fine_means(made: Scenario, found: Recording, i: int, sample: int) -> tuple[Array, Array]:
     """Mean specific force and rate of a sample of the move from rest i, by Simpson's rule on a fine grid over
     each part of the sample in which the law of the rate is one formula."""
-    p, fs = made.profile, made.profile.sample_rate
+    p, fs = made.profile, made.setup.sample_rate
     total = float(np.linalg.norm(found.moves[i]))
     n = found.moves[i] / total
     # rate: a raised cosine, constant, a raised cosine; the area is the angle
@@ -147,20 +150,20 @@ def simpson(t: Array, function: object) -> float:
 
 
 @pytest.mark.parametrize(
-    ("profile", "vibration"),
+    ("setup", "vibration"),
     [
         (SHORT, STILL),
         (replace(SHORT, sample_rate=10.0), STILL),
-        (replace(SLOW, rate=500 * DEGREE), STILL),  # the ramps are the whole move
+        (replace(SLOW, turn_rate=500 * DEGREE), STILL),  # the ramps are the whole move
         (SHORT, Vibration(amplitude=0.5, frequency=23.0)),
         (SHORT, Vibration(amplitude=0.5, frequency=470.0)),  # above the sample rate
     ],
     ids=["100 Hz", "10 Hz", "short moves", "vibration", "fast vibration"],
 )
-def test_samples_are_means_over_their_intervals(profile: Profile, vibration: Vibration) -> None:
-    made = scenario(profile=profile, vibration=vibration, perfect=True)
+def test_samples_are_means_over_their_intervals(setup: Setup, vibration: Vibration) -> None:
+    made = scenario(setup, vibration=vibration, perfect=True)
     found = run(made)
-    fs = profile.sample_rate
+    fs = setup.sample_rate
     for i in (0, 3):
         first, last = math.floor(found.rests[i, 1] * fs), math.floor(found.rests[i + 1, 0] * fs)
         for sample in (first, first + 1, (first + last) // 2, last - 1, last):
@@ -200,10 +203,10 @@ def skew_long(v: npt.NDArray[np.floating[Any]]) -> Array:
 
 def closure(made: Scenario, found: Recording, i: int) -> float:
     """|log(exp(−[Ω×]T) L_i C L_jᵀ)|, rad, of the move from rest i, Eq. (9) of the dynamics method."""
-    fs = made.profile.sample_rate
+    fs = made.setup.sample_rate
     start, stop = int(found.rests[i, 1] * fs) - 5, int(found.rests[i + 1, 0] * fs) + 6
     increments = found.gyro[start - 1 : stop].astype(np.longdouble) / np.longdouble(fs)
-    earth = rotation_matrix(-(stop - start) / fs * np.array(earth_rate(made.latitude)))
+    earth = rotation_matrix(-(stop - start) / fs * np.array(earth_rate(made.setup.latitude)))
     product = earth @ found.attitudes[i] @ coning(increments) @ found.attitudes[i + 1].T
     return float(np.linalg.norm(rotation_vector(product.astype(float))))
 
@@ -212,25 +215,21 @@ def closure(made: Scenario, found: Recording, i: int) -> float:
     ("rate_deg_s", "fs", "limit"),
     [(10.0, 100.0, 5e-13), (80.0, 100.0, 3e-11), (80.0, 200.0, 4e-12), (80.0, 1000.0, 1e-13)],
 )
-@pytest.mark.parametrize("course", [ROUGH, HandHeld(positions=4)], ids=["table", "hand"])
+@pytest.mark.parametrize("by_hand", [None, 4], ids=["table", "hand"])
 def test_the_coning_algorithm_closes_every_move(
-    course: OnTable | HandHeld, rate_deg_s: float, fs: float, limit: float
+    by_hand: int | None, rate_deg_s: float, fs: float, limit: float
 ) -> None:
     """What remains is the algorithm's: about Ω ω² Δt³/10, so the third power of the interval."""
-    made = scenario(
-        course,
-        profile=replace(SHORT, rate=rate_deg_s * DEGREE, sample_rate=fs),
-        perfect=True,
-    )
+    made = scenario(replace(SHORT, by_hand=by_hand, turn_rate=rate_deg_s * DEGREE, sample_rate=fs), perfect=True)
     found = run(made)
     # moves 0 to 2 are turns by ±180° about N and U on the table
     assert max(closure(made, found, i) for i in range(1 if fs > 500 else 3)) < limit
 
 
 def test_closure_would_show_a_microradian_of_latitude() -> None:
-    made = scenario(profile=SLOW, perfect=True)
+    made = scenario(SLOW, perfect=True)
     found = run(made)
-    still = replace(made, site=replace(made.site, latitude=made.latitude + 1e-6))
+    still = made.changed(latitude=made.setup.latitude + 1e-6)
     assert closure(made, found, 0) < 1e-12
     assert closure(still, found, 0) > 1e-10
 
@@ -241,9 +240,9 @@ def test_closure_would_show_a_microradian_of_latitude() -> None:
 @pytest.mark.parametrize("seed", range(6))
 def test_gyros_see_programmed_turns_in_the_programmed_direction(seed: int) -> None:
     """Lᵀn is constant in a turn about n, so the integral of the body rate gives the signed angle."""
-    made = scenario(perfect=True, profile=replace(SHORT, sample_rate=20.0))
+    made = scenario(replace(SHORT, sample_rate=20.0), perfect=True)
     found = run(made, seed)
-    for i, move in enumerate(made.course.programme.moves if isinstance(made.course, OnTable) else ()):
+    for i, move in enumerate(made.setup.programme.moves):
         start, stop = (round(x * 20.0) for x in (found.rests[i, 1], found.rests[i + 1, 0]))
         turned = found.attitudes[i] @ found.gyro[start - 2 : stop + 2].sum(axis=0) / 20.0
         if move.axis is None or move.angle is None:
@@ -261,9 +260,9 @@ def test_turns_beyond_180_degrees_go_on_in_their_direction() -> None:
 
 
 def test_attitudes_are_the_programme_with_one_mounting_error_and_an_error_at_every_position() -> None:
-    only_table = replace(ROUGH, mounting_error=0.0)
-    only_mounting = replace(ROUGH, table_error=0.0)
-    nominal = np.array([p.matrix for p in ROUGH.programme.positions])
+    only_table = replace(SHORT, mounting_error=0.0)
+    only_mounting = replace(SHORT, table_error=0.0)
+    nominal = np.array([p.matrix for p in SHORT.programme.positions])
     table = run(scenario(only_table)).attitudes @ np.swapaxes(nominal, -1, -2)
     mounting = np.swapaxes(nominal, -1, -2) @ run(scenario(only_mounting)).attitudes
     np.testing.assert_allclose(mounting, mounting[:1].repeat(15, axis=0), atol=1e-15)
@@ -274,8 +273,8 @@ def test_attitudes_are_the_programme_with_one_mounting_error_and_an_error_at_eve
 
 
 def test_a_cube_stands_in_any_order_and_azimuth() -> None:
-    cube = OnTable(programme=programme("cube-26"), table_error=0.0, mounting_error=0.0)
-    found = run(scenario(cube, profile=replace(SHORT, sample_rate=10.0)))
+    cube = replace(SHORT, programme=programme("cube-26"), table_error=0.0, mounting_error=0.0, sample_rate=10.0)
+    found = run(scenario(cube))
     assert sorted(found.positions) == list(range(26))
     assert list(found.positions) != list(range(26))
     nominal = np.array([cube.programme.positions[i].vertical_b for i in found.positions])
@@ -285,7 +284,7 @@ def test_a_cube_stands_in_any_order_and_azimuth() -> None:
 
 
 def test_hand_held_positions_have_any_orientation() -> None:
-    found = run(scenario(HandHeld(positions=400), profile=replace(SHORT, sample_rate=5.0)))
+    found = run(scenario(replace(SHORT, by_hand=400, sample_rate=5.0)))
     for axis in range(3):  # each component of a random direction is uniform on −1…1: mean 0, variance 1/3
         u = found.attitudes[:, 1, axis]
         assert abs(u.mean()) < 5 * math.sqrt(1 / 3 / 400)
@@ -306,15 +305,15 @@ def test_rotation_vectors_are_accurate_near_half_a_turn(off: float) -> None:
 
 
 def test_rests_last_as_long_as_asked_and_moves_as_their_angles_need() -> None:
-    found = run(scenario(profile=SLOW))
+    found = run(scenario(SLOW))
     durations = found.rests[:, 1] - found.rests[:, 0]
     np.testing.assert_allclose(durations, [1.303] + [1.007] * 14, atol=1e-12)
     angles = np.linalg.norm(found.moves, axis=1)
-    np.testing.assert_allclose(found.rests[1:, 0] - found.rests[:-1, 1], angles / SLOW.rate + 1.0, atol=1e-12)
+    np.testing.assert_allclose(found.rests[1:, 0] - found.rests[:-1, 1], angles / SLOW.turn_rate + 1.0, atol=1e-12)
     np.testing.assert_allclose(np.diff(found.time), 0.01, atol=1e-12)
     assert found.time[0] == 0.01
     assert found.rests[-1, 1] - 0.01 < found.time[-1] <= found.rests[-1, 1] + 1e-9
-    speed = np.linalg.norm(run(scenario(profile=SLOW, perfect=True)).gyro, axis=1)
+    speed = np.linalg.norm(run(scenario(SLOW, perfect=True)).gyro, axis=1)
     assert speed.max() == pytest.approx(10 * DEGREE, rel=1e-3)
 
 
@@ -323,11 +322,9 @@ def test_rests_last_as_long_as_asked_and_moves_as_their_angles_need() -> None:
 
 def test_white_noise_has_its_density() -> None:
     noise = NoiseModel(accel_white=2e-3, gyro_white=3e-4)
-    profile = replace(SHORT, first_rest=500.0, sample_rate=64.0)
-    course = replace(ROUGH, programme=from_attitudes(["NUE"]))
-    made = scenario(course, profile=profile, noise=noise)
-    accel = run(made).accel - run(replace(made, noise=QUIET)).accel
-    gyro = run(made).gyro - run(replace(made, noise=QUIET)).gyro
+    made = scenario(replace(SHORT, programme=from_attitudes(["NUE"]), first_rest=500.0, sample_rate=64.0, noise=noise))
+    accel = run(made).accel - run(made.changed(noise=QUIET)).accel
+    gyro = run(made).gyro - run(made.changed(noise=QUIET)).gyro
     n = len(accel)
     assert n == 32000
     for found, density in ((accel, 2e-3), (gyro, 3e-4)):
@@ -341,8 +338,8 @@ def test_white_noise_has_its_density() -> None:
 
 def test_instability_without_a_correlation_time_is_a_bias_for_a_rest_and_the_move_after_it() -> None:
     noise = NoiseModel(accel_instability=2e-3, gyro_instability=3e-4, instability_time=0.0)
-    made = scenario(HandHeld(positions=300), profile=replace(SHORT, sample_rate=5.0), noise=noise)
-    found, quiet = run(made), run(replace(made, noise=QUIET))
+    made = scenario(replace(SHORT, by_hand=300, sample_rate=5.0, noise=noise))
+    found, quiet = run(made), run(made.changed(noise=QUIET))
     first = np.array([inside(found, i, 5.0).start for i in range(300)])
     for noisy, clean, sigma in ((found.accel, quiet.accel, 2e-3), (found.gyro, quiet.gyro, 3e-4)):
         drawn = (noisy - clean)[first]
@@ -355,8 +352,8 @@ def test_instability_without_a_correlation_time_is_a_bias_for_a_rest_and_the_mov
 
 def test_in_run_biases_stay_for_a_rest_and_go_straight_to_the_next() -> None:
     noise = NoiseModel(accel_instability=2e-3, gyro_instability=3e-4, instability_time=5.0)
-    made = scenario(HandHeld(positions=6), profile=replace(SHORT, sample_rate=20.0), noise=noise)
-    found, quiet = run(made), run(replace(made, noise=QUIET))
+    made = scenario(replace(SHORT, by_hand=6, sample_rate=20.0, noise=noise))
+    found, quiet = run(made), run(made.changed(noise=QUIET))
     for noisy, clean in ((found.accel, quiet.accel), (found.gyro, quiet.gyro)):
         bias = noisy - clean
         for i in range(6):
@@ -371,13 +368,15 @@ def test_in_run_biases_stay_for_a_rest_and_go_straight_to_the_next() -> None:
 
 def test_sessions_without_in_run_bias_do_not_depend_on_its_correlation_time() -> None:
     white = replace(GRADES["mems"].noise, accel_instability=0.0, gyro_instability=0.0)
-    first, second = (run(scenario(noise=replace(white, instability_time=time))) for time in (0.0, 300.0))
+    first, second = (
+        run(scenario(replace(SHORT, noise=replace(white, instability_time=time)))) for time in (0.0, 300.0)
+    )
     np.testing.assert_array_equal(first.accel, second.accel)
     np.testing.assert_array_equal(first.gyro, second.gyro)
 
 
 def test_noise_leaves_attitudes_and_times_as_they_are() -> None:
-    noisy = run(scenario(noise=GRADES["mems"].noise))
+    noisy = run(scenario(replace(SHORT, noise=GRADES["mems"].noise)))
     quiet = run(scenario())
     np.testing.assert_array_equal(noisy.attitudes, quiet.attitudes)
     np.testing.assert_array_equal(noisy.rests, quiet.rests)
@@ -479,8 +478,8 @@ def test_hand_held_sessions_name_no_programme(tmp_path: Path) -> None:
 
 
 def test_redundant_blocks_and_listed_positions_are_written_as_the_session_needs_them(tmp_path: Path) -> None:
-    course = OnTable(programme=from_attitudes(["NUE", "NUE N+45"]), table_error=0.0, mounting_error=0.0)
-    made = scenario(course, axes=TETRAD)
+    listed = from_attitudes(["NUE", "NUE N+45"])
+    made = scenario(replace(SHORT, programme=listed, table_error=0.0, mounting_error=0.0), axes=TETRAD)
     folder = write_simulation(tmp_path / "launch", made, np.random.default_rng(0), log_format="csv")
     said = content(folder)
     assert said["programme"] == {"position": [{"attitude": "NUE"}, {"attitude": "NUE N+45"}]}
@@ -514,13 +513,14 @@ def test_a_request_is_met_in_its_own_units() -> None:
         latitude_deg=-30,
     )
     made = scenario_of(request, np.random.default_rng(0), serial="S")
-    assert (made.profile.first_rest, made.profile.rest, made.profile.sample_rate) == (7.0, 7.0, 50.0)
+    rests = itinerary(made, np.random.default_rng(0)).rests
+    np.testing.assert_allclose(rests[:, 1] - rests[:, 0], 7.0, rtol=1e-12)
+    assert made.setup.sample_rate == 50.0
     assert made.profile.rate == pytest.approx(math.pi / 6)
-    assert isinstance(made.course, OnTable)
-    assert made.course.table_error == pytest.approx(math.pi / 360)
-    assert made.course.mounting_error == pytest.approx(math.pi / 720)
+    assert made.setup.table_error == pytest.approx(math.pi / 360)
+    assert made.setup.mounting_error == pytest.approx(math.pi / 720)
     assert made.site.latitude == pytest.approx(-math.pi / 6)
-    assert made.noise == GRADES["navigation"].noise
+    assert made.setup.noise == GRADES["navigation"].noise
 
 
 # -------------------- bad input --------------------

@@ -17,7 +17,7 @@ from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.model import Block, SensorModel
 from tumble.simulation.observations import SAMPLES, _mean_verticals, simulate_observations
-from tumble.simulation.scenario import HandHeld, OnTable, Scenario, Vibration, itinerary, scenario_of
+from tumble.simulation.scenario import Scenario, Vibration, itinerary, scenario_of
 from tumble.simulation.sensors import SimulatedBlock
 from tumble.units import DEGREE, Array
 
@@ -43,7 +43,7 @@ def gyro_of(scenario: Scenario) -> SensorModel:
 def test_noiseless_observations_are_those_of_the_truth(hand: bool) -> None:
     """Readings at rest to rounding; turns about the true gyros lead from one true attitude to the next, the Earth's
     rotation included, to 1e-12 rad."""
-    scenario = replace(quiet(), course=HandHeld(positions=20)) if hand else quiet()
+    scenario = quiet().changed(by_hand=20) if hand else quiet()
     found, L = simulate_observations(scenario, np.random.default_rng(5)), attitudes_of(scenario, 5)
     accel = scenario.accel.model(np.array([scenario.truth[name] for name in scenario.accel.names]))
     earth = np.array(earth_rate(SETUP.latitude))
@@ -57,8 +57,7 @@ def test_noiseless_observations_are_those_of_the_truth(hand: bool) -> None:
 
 def test_turns_go_the_programmed_way() -> None:
     """∫ C ω dt of a half turn is along its axis: +180° about north, up, −180° about north."""
-    level = OnTable(programme=programme("rough-table"), table_error=1e-6, mounting_error=0.0)
-    scenario = replace(quiet(), course=level)
+    scenario = quiet().changed(programme=programme("rough-table"), table_error=1e-6, mounting_error=0.0)
     found, L = simulate_observations(scenario, np.random.default_rng(6)), attitudes_of(scenario, 6)
     turns = found.turns_about(gyro_of(scenario))
     way = np.einsum("kij,kjpp->ki", L[turns.first], turns.M[:, :, :, :])
@@ -120,7 +119,7 @@ def test_instability_is_a_bias_of_each_rest() -> None:
     spread = []
     for seed in range(40):
         noisy = simulate_observations(scenario, np.random.default_rng(seed)).rests.accel
-        calm = replace(scenario, noise=NoiseModel())
+        calm = scenario.changed(noise=NoiseModel())
         spread.append(noisy - simulate_observations(calm, np.random.default_rng(seed)).rests.accel)
     assert np.std(spread) == pytest.approx(1e-3, rel=5.0 / np.sqrt(2.0 * np.size(spread)))
 
@@ -144,7 +143,7 @@ def test_the_turns_have_the_mean_of_the_biases_of_their_rests() -> None:
     noise = NoiseModel(accel_instability=1e-3, gyro_instability=1e-4)
     scenario = scenario_of(replace(SETUP, noise=noise), np.random.default_rng(1))
     noisy = simulate_observations(scenario, np.random.default_rng(3))
-    calm = simulate_observations(replace(scenario, noise=NoiseModel()), np.random.default_rng(3))
+    calm = simulate_observations(scenario.changed(noise=NoiseModel()), np.random.default_rng(3))
     assert noisy.turn_samples is not None
     assert calm.turn_samples is not None
     assert noisy.turns is not None
@@ -207,7 +206,7 @@ def test_the_forces_of_a_turn_are_the_means_of_gravity_in_the_turning_body() -> 
     made = quiet(71)
     found = _mean_verticals(made, start, vector, T)
     nodes, weights = np.polynomial.legendre.leggauss(20)
-    earth = np.array(earth_rate(made.latitude))
+    earth = np.array(earth_rate(made.setup.latitude))
     for k in range(4):
         for j in (0, 1, 17, 64):
             t = (j - AHEAD + 0.5 + 0.5 * nodes[:, None]) * T[k] / SAMPLES

@@ -32,7 +32,7 @@ PERMUTED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 def observed(scenario: Scenario, recording: Recording) -> Observations:
     """The observations of a recording, as the pipeline makes them."""
-    rate = scenario.profile.sample_rate
+    rate = scenario.setup.sample_rate
     reducer = Reducer(rate=rate, accel=scenario.accel, gyro=scenario.gyro)
     dt = np.full(len(recording.time), 1.0 / rate)
     reducer.feed(
@@ -84,7 +84,7 @@ def test_errors_are_as_large_as_their_uncertainties_say() -> None:
     parameters. It may be below 1, as a scatter is estimated half of the time where there is none."""
     scenario = drawn(TABLE)
     white = GRADES["mems"].noise
-    scenario = replace(scenario, noise=NoiseModel(accel_white=white.accel_white, gyro_white=white.gyro_white))
+    scenario = scenario.changed(noise=NoiseModel(accel_white=white.accel_white, gyro_white=white.gyro_white))
     z = []
     for seed in range(50):
         estimate = staged(observed(scenario, record(scenario, np.random.default_rng(seed))))
@@ -102,9 +102,9 @@ def off(scenario: Scenario, loud: Setup) -> dict[str, float]:
     """Errors of the joint estimate of a log without noise, through the whole reduction, in u of what noise would leave,
     by parameter. Wide priors let the log alone decide; drifts are left out."""
     still = {name: 0.0 if ".drift" in name else value for name, value in scenario.truth.items()}
-    scenario = replace(scenario, truth=still, noise=NoiseModel())
+    scenario = replace(scenario.changed(noise=NoiseModel()), truth=still)
     observations = observed(scenario, record(scenario, np.random.default_rng(9)))
-    expected = simulate_observations(replace(scenario, noise=loud.noise), np.random.default_rng(9))
+    expected = simulate_observations(scenario.changed(noise=loud.noise), np.random.default_rng(9))
     assert observations.turns is not None
     assert expected.turns is not None
     rests = {name: getattr(expected.rests, name) for name in ("accel_covariance", "gyro_covariance")}
@@ -112,7 +112,7 @@ def off(scenario: Scenario, loud: Setup) -> dict[str, float]:
     if (readings := observations.turn_readings) is not None:
         assert expected.turn_readings is not None
         readings = replace(readings, covariance=expected.turn_readings.covariance)
-    wide = {name: 1e3 * value for name, value in scenario.usual.items() if ".drift" not in name}
+    wide = {name: 1e3 * value for name, value in scenario.setup.further.items() if ".drift" not in name}
     estimate = joint(
         replace(
             observations,

@@ -36,7 +36,7 @@ from tumble.run.calibrate import calibrate
 from tumble.run.type_spread import KnownLaunches
 from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.simulation.observations import simulate_observations
-from tumble.simulation.scenario import HandHeld, Scenario, scenario_of
+from tumble.simulation.scenario import Scenario, scenario_of
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, ZERO_CELSIUS
 from tumble.use.check import FieldCheck, check_calibration, known_before
@@ -86,7 +86,7 @@ def seen(rests: int, changed: Mapping[str, float] = NOTHING, *, turns: bool = Tr
     truth = dict(scenario.truth)
     for name, change in changed.items():
         truth[name] += change
-    again = replace(scenario, truth=truth, course=HandHeld(positions=rests))
+    again = replace(scenario.changed(by_hand=rests), truth=truth)
     return simulate_observations(again, np.random.default_rng(1), only_programmed=not turns)
 
 

@@ -36,7 +36,7 @@ from tumble.run.calibrate import ITERATED_METHODS, METHODS, Method, calibrate
 from tumble.sensors.model import triad_model
 from tumble.sensors.parameters import limits_of
 from tumble.simulation.observations import simulate_observations
-from tumble.simulation.scenario import HandHeld, Scenario, itinerary, scenario_of
+from tumble.simulation.scenario import Scenario, itinerary, scenario_of
 from tumble.simulation.session import session_in_memory
 from tumble.units import Array
 
@@ -127,9 +127,11 @@ def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> d
     instrument, truth = scenario.instrument, scenario.values
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
     about = TurnsAbout.of(observations, instrument, truth)
-    point = Point(values=truth, gravity=scenario.site.gravity, attitudes=attitudes)
+    point = Point(values=truth, gravity=scenario.setup.gravity, attitudes=attitudes)
     rows = linearise(problem, point, about)
-    least = View(problem=problem, rows=rows, components=components_of(scenario.noise)).bound(scenario.profile.rate)
+    least = View(problem=problem, rows=rows, components=components_of(scenario.setup.noise)).bound(
+        scenario.setup.turn_rate
+    )
     return {name: float(u) for name, u in zip(least.names, least.u, strict=True) if np.isfinite(u)}
 
 
@@ -142,10 +144,10 @@ def statics_rows(seed: int, number: int, cell: Cell) -> list[Row]:
     of the variances by the Cramér–Rao bound, and the part `covered.p` of the errors within 1.96 u."""
     rng = stream(seed, number)
     scenario = scenario_of(cell.setup, rng)
-    gravity, noise, spread = scenario.site.gravity, scenario.noise, cell.setup.accel
-    sigma = float(np.hypot(noise.accel_white / np.sqrt(scenario.profile.rest), noise.accel_instability))  # of a mean
+    gravity, noise, spread = cell.setup.gravity, cell.setup.noise, cell.setup.accel
+    sigma = float(np.hypot(noise.accel_white / np.sqrt(cell.setup.rest), noise.accel_instability))  # of a mean
     truth = np.repeat([spread.bias, spread.scale, spread.axis], 3) * rng.standard_normal((BLOCK, PARAMETERS))
-    force = gravity * _verticals(scenario, rng)
+    force = gravity * _verticals(cell.setup, rng)
     model = triad_model(truth[:, :3], truth[:, 3:6], truth[:, 6:])
     readings = force @ np.ascontiguousarray(np.swapaxes(model.matrix, 1, 2)) + model.bias[:, None]
     readings += sigma * rng.standard_normal(readings.shape)
@@ -169,15 +171,14 @@ def statics_rows(seed: int, number: int, cell: Cell) -> list[Row]:
     return [row]
 
 
-def _verticals(scenario: Scenario, rng: np.random.Generator) -> Array:
+def _verticals(setup: Setup, rng: np.random.Generator) -> Array:
     """Directions (BLOCK, N, 3) of the vertical in the body: Mᵀ Lᵀ Rᵀ e_U with the errors R of the table at every
     position and M of the mounting."""
-    course = scenario.course
-    if isinstance(course, HandHeld):
-        return unit_vector(rng.standard_normal((BLOCK, course.positions, 3)))
-    nominal = np.array([position.matrix for position in course.programme.positions])
-    table = course.table_error * rng.uniform(-1.0, 1.0, (BLOCK, len(nominal), 3))
-    mounting = rotation_matrix(course.mounting_error * rng.uniform(-1.0, 1.0, (BLOCK, 3)))
+    if setup.by_hand is not None:
+        return unit_vector(rng.standard_normal((BLOCK, setup.by_hand, 3)))
+    nominal = np.array([position.matrix for position in setup.programme.positions])
+    table = setup.table_error * rng.uniform(-1.0, 1.0, (BLOCK, len(nominal), 3))
+    mounting = rotation_matrix(setup.mounting_error * rng.uniform(-1.0, 1.0, (BLOCK, 3)))
     up = _up_after(table)
     for i, matrix in enumerate(nominal):
         up[:, i] = up[:, i] @ matrix

@@ -44,7 +44,7 @@ from tumble.reduction.turns.turns import (
     TurnSamples,
 )
 from tumble.rotation import onto_body, rotation_matrix, skew
-from tumble.simulation.scenario import OnTable, Scenario, itinerary
+from tumble.simulation.scenario import Scenario, itinerary
 from tumble.simulation.sensors import InRunBias, SimulatedBlock
 from tumble.units import Array
 
@@ -73,7 +73,7 @@ def simulate_observations(
         for block in (accel, gyro)
     )
     rests = _rests(scenario, way, (accel, gyro), biases, noise)
-    listed = scenario.course.programme if isinstance(scenario.course, OnTable) else None
+    listed = scenario.programme
     if only_programmed:
         programmed = [move.axis is not None for move in listed.moves] if listed is not None else False
         way = replace(way, turned=way.turned & programmed)
@@ -89,7 +89,7 @@ def simulate_observations(
         programme=listed,
         position=None if listed is None else np.array(way.positions),
         turn_readings=integrals if scenario.gyro.size > 3 else None,
-        usual=scenario.usual,
+        usual=scenario.setup.further,
         thermometers=None if scenario.climate is None else scenario.climate.record,
     )
     return replace(observations, turns=observations.turns_about(scenario.gyro.nominal()))
@@ -105,8 +105,8 @@ def _rests(
     """The mean readings at rest, with what the biases of accelerometers and gyros change by."""
     start, stop = way.rests.T
     seconds, files, climate = stop - start, np.zeros(len(start), dtype=np.int64), scenario.climate
-    force = scenario.site.gravity * way.attitudes[:, 1]
-    rate = np.array(earth_rate(scenario.latitude)) @ way.attitudes
+    force = scenario.setup.gravity * way.attitudes[:, 1]
+    rate = np.array(earth_rate(scenario.setup.latitude)) @ way.attitudes
     means = []
     for block, bias in zip(sensors, biases, strict=True):
         noise = block.white / np.sqrt(seconds)[:, None] * rng.standard_normal(bias.values.shape)
@@ -134,17 +134,17 @@ def _turns(
     (accel, gyro), first, T = sensors, way.first, way.seconds
     K, n, S, before = len(first), gyro.block.size, SAMPLES + AHEAD, way.attitudes[first]
     to_body, to_force = onto_body(gyro.block.axes), np.linalg.pinv(accel.block.axes)
-    vector = inertial_turns(before, way.attitudes[first + 1], way.moves[first], T, scenario.latitude)
+    vector = inertial_turns(before, way.attitudes[first + 1], way.moves[first], T, scenario.setup.latitude)
     dt = T / SAMPLES
     when = way.rests[first, 1][:, None] + (np.arange(S) - AHEAD + 0.5) * dt[:, None]
     rate = np.repeat((vector / T[:, None])[:, None], S, axis=1)
-    force = scenario.site.gravity * _mean_verticals(scenario, before, vector, T)
+    force = scenario.setup.gravity * _mean_verticals(scenario, before, vector, T)
     sampled = _sampled(gyro, force, rate, when) + biases[1].at(when)
     sampled[:, AHEAD:] += gyro.white / np.sqrt(dt)[:, None, None] * rng.standard_normal((K, SAMPLES, n))
     if np.any(late := scenario.instrument.delays(scenario.values)):
         times, which = np.unique(late, return_inverse=True)
         each = [_mean_verticals(scenario, before, vector, T, behind) for behind in times.tolist()]
-        force = scenario.site.gravity * np.stack(each, axis=2)[:, :, which]
+        force = scenario.setup.gravity * np.stack(each, axis=2)[:, :, which]
     felt = _sampled(accel, _with_levers(scenario, way, force, vector, T), rate, when)
     felt += biases[0].at(when) + accel.white / np.sqrt(dt)[:, None, None] * rng.spawn(1)[0].standard_normal(felt.shape)
     stored = MotionSamples()
@@ -156,7 +156,7 @@ def _turns(
     start = AHEAD + S * np.arange(K)
     spread = np.trace(to_force @ to_force.T) / 3.0
     step = np.linalg.norm(vector, axis=1) / SAMPLES
-    floor = VELOCITY_FLOOR + VELOCITY_STEP * scenario.site.gravity * T * step**3
+    floor = VELOCITY_FLOOR + VELOCITY_STEP * scenario.setup.gravity * T * step**3
     covariance = gyro.white**2 * T[:, None, None] * _carried(vector, to_body @ to_body.T) + TURN_FLOOR**2 * np.eye(3)
     turns = white_turns(first, T, covariance, accel.white**2 * T * spread + floor**2)
     variance = gyro.white**2 * T + TURN_FLOOR**2
@@ -184,7 +184,7 @@ def _with_levers(scenario: Scenario, way: Itinerary, force: Array, vector: Array
         return force
     arms, late = instrument.levers(scenario.values), instrument.delays(scenario.values)
     rate, dt = vector / T[:, None], T / SAMPLES
-    earth = np.array(earth_rate(scenario.latitude))
+    earth = np.array(earth_rate(scenario.setup.latitude))
     out = np.repeat(force[:, :, None], len(arms), axis=2) if force.ndim == 3 else force.copy()
     centripetal = skew(rate) @ skew(rate) @ arms.T
     out[:, AHEAD:] += centripetal.swapaxes(1, 2)[:, None]
@@ -205,7 +205,7 @@ def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array, l
         exp(−[n×] ωt) L₀ᵀ exp([m×] Ωt) e_U,   exp([n×] θ) = Σ_p P_p(n) e^{ipθ},   p = −1, 0, 1
 
     is a sum of products whose mean over an interval is that of e^{iλt}: its value in the middle times sinc."""
-    earth = np.array(earth_rate(scenario.latitude))
+    earth = np.array(earth_rate(scenario.setup.latitude))
     angle, earth_norm = np.linalg.norm(vector, axis=1), float(np.linalg.norm(earth))
     P = _spectral(vector / np.where(angle > 0.0, angle, 1.0)[:, None])
     Q = [start.swapaxes(1, 2) @ part[0, :, 1] for part in _spectral(earth[None] / earth_norm)]

@@ -59,7 +59,7 @@ def record(scenario: Scenario, rng: np.random.Generator) -> Recording:
 
     Raises InputError, one line, if the scenario is impossible or too long."""
     geometry, noise = rng.spawn(2)
-    way, fs = itinerary(scenario, geometry), scenario.profile.sample_rate
+    way, fs = itinerary(scenario, geometry), scenario.setup.sample_rate
     samples = float(way.rests[-1, 1]) * float(fs)
     if not samples <= _MAX_SAMPLES:
         raise InputError(f"session: expected at most {_MAX_SAMPLES:g} samples, found {samples:.3g}")
@@ -79,7 +79,7 @@ def _block_readings(block: Block, scenario: Scenario, way: Itinerary, rng: np.ra
     """Readings (n, N) of a block that is `late`, s, piece by piece: rest, move, rest, …
 
     A sample belongs to a rest if all of its interval does."""
-    fs, rests = scenario.profile.sample_rate, way.rests
+    fs, rests = scenario.setup.sample_rate, way.rests
     sensors = SimulatedBlock.of(block, scenario, way.middle)
     out = np.empty((block.size, math.floor(rests[-1, 1] * fs + 1e-6)))
     sampled = _SampledBlock(sensors=sensors, scenario=scenario, late=late, rng=rng, readings=out)
@@ -121,7 +121,7 @@ class _SampledBlock:
         out = self.readings[:, first:last]
         out[:] = means.T
         if self.sensors.white > 0.0:
-            sigma = math.sqrt(self.scenario.profile.sample_rate) * self.sensors.white
+            sigma = math.sqrt(self.scenario.setup.sample_rate) * self.sensors.white
             out += sigma * self.rng.standard_normal(out.shape)
 
     def read(self, force: Array, rate: Array, change: Array, when: Array) -> Array:
@@ -135,14 +135,14 @@ class _SampledBlock:
     def at_rest(self, L: Array, first: int, last: int) -> Array:
         """Mean readings of samples [first, last) at rest: (1, n), or with vibration or drift those of every sample."""
         scenario = self.scenario
-        site, vibration, fs = scenario.site, scenario.vibration, scenario.profile.sample_rate
-        rate = np.array(earth_rate(scenario.latitude)) @ L
+        setup, vibration, fs = scenario.setup, scenario.vibration, scenario.setup.sample_rate
+        rate = np.array(earth_rate(scenario.setup.latitude)) @ L
         still = vibration.amplitude == 0.0 and not self.sensors.changes
         middle = np.asarray((np.arange(first, first + 1 if still else last) + 0.5) / fs - self.late, dtype=float)
-        force = np.full(len(middle), site.gravity)
+        force = np.full(len(middle), setup.gravity)
         if vibration.amplitude > 0.0:
             mean = vibration.amplitude * np.sinc(vibration.frequency / fs)
-            force = site.gravity + mean * np.sin(2.0 * np.pi * vibration.frequency * middle)
+            force = setup.gravity + mean * np.sin(2.0 * np.pi * vibration.frequency * middle)
         rates = np.broadcast_to(rate, (len(force), 3))
         return self.read(force[:, None] * L[1], rates, np.zeros_like(rates), middle)
 
@@ -150,8 +150,8 @@ class _SampledBlock:
         """Mean readings (last − first, n) of samples of a move from attitude L that starts at time `start`. The
         formulas are those at the head of the module."""
         scenario, profile = self.scenario, self.scenario.profile
-        fs, total = profile.sample_rate, float(np.linalg.norm(move))
-        n, earth = move / total if total > 0.0 else UP, np.array(earth_rate(scenario.latitude))
+        fs, total = scenario.setup.sample_rate, float(np.linalg.norm(move))
+        n, earth = move / total if total > 0.0 else UP, np.array(earth_rate(scenario.setup.latitude))
         whole = math.floor(start * fs)  # time within the move, in samples, so that nothing is lost late in a log
         passed = (first - whole) - (start * fs - whole)
         samples = np.arange(last - first + 1.0)
@@ -159,7 +159,7 @@ class _SampledBlock:
         nodes = panels[:-1, None] + np.diff(panels)[:, None] * _NODES
         theta = profile.angle((nodes + passed) / fs, total)
         waves = np.stack([np.ones_like(theta), np.cos(theta), np.sin(theta)])
-        vertical, vibration = np.full(1, scenario.site.gravity), scenario.vibration
+        vertical, vibration = np.full(1, scenario.setup.gravity), scenario.vibration
         if vibration.amplitude > 0.0:
             seconds = (first + nodes - self.late * fs) / fs
             vertical = vertical + vibration.amplitude * np.sin(2.0 * np.pi * vibration.frequency * seconds)
@@ -200,8 +200,8 @@ def _panels(scenario: Scenario, total: float, passed: float, samples: int) -> Ar
     profile, vibration = scenario.profile, scenario.vibration
     each = 1
     if vibration.amplitude > 0.0:
-        each += math.ceil(_PANELS_PER_CYCLE * vibration.frequency / profile.sample_rate)
+        each += math.ceil(_PANELS_PER_CYCLE * vibration.frequency / scenario.setup.sample_rate)
     T = profile.duration(total)
-    kinks = np.array([0.0, profile.ramp, T - profile.ramp, T]) * profile.sample_rate - passed
+    kinks = np.array([0.0, profile.ramp, T - profile.ramp, T]) * scenario.setup.sample_rate - passed
     inside = kinks[(kinks > 0.0) & (kinks < samples)]
     return np.unique(np.concatenate([np.arange(samples * each + 1) / each, inside]))

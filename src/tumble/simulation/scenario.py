@@ -1,5 +1,5 @@
-"""Scenarios: an IMU with given errors goes through a programme, or through a hand. `scenario_of` draws one from a
-set-up.
+"""Scenarios: an IMU with given errors goes through the programme of a set-up, or through a hand. `scenario_of` draws
+the errors.
 
 Every move is a rotation about an axis fixed in the geographic frame, with the smooth angle θ(t) of `Profile`;
 between moves the table stands still.
@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from decimal import Decimal
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from tumble.planning.setup import ACCEL, GYRO, Setup
 from tumble.programme.positions import ANY_MOVE, Move, Programme
 from tumble.recording.session import Site
 from tumble.rotation import UP, rotation_matrix, rotation_vector, rotation_vector_near
-from tumble.sensors.grades import Grade, NoiseModel, spread_of
+from tumble.sensors.grades import Grade, spread_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import Variable, group_name
@@ -32,14 +33,11 @@ _MAX_CYCLES_PER_SAMPLE = 10.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Profile:
-    """Duration of the first and of the other rests, s; rate of the moves, rad/s, reached and left in `ramp` s
-    along a raised cosine (a short move keeps the ramps and is slower); sample rate, Hz."""
+    """How moves go: at a rate, rad/s, reached and left in `ramp` s along a raised cosine (a short move keeps the ramps
+    and is slower)."""
 
-    first_rest: float
-    rest: float
     rate: float
     ramp: float
-    sample_rate: float
 
     def duration(self, angle: float) -> float:
         """How long a move through this angle (rad) takes, s."""
@@ -78,47 +76,40 @@ NO_VIBRATION = Vibration()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class OnTable:
-    """A programme on a rough table. Errors are rotations, rad, uniform within ± about each axis: one of the
-    mounting for the launch (body axes), and one of the table for every position (geographic axes)."""
-
-    programme: Programme
-    table_error: float
-    mounting_error: float
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class HandHeld:
-    """So many random positions, each with any orientation."""
-
-    positions: int
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class Scenario:
-    """Everything a simulated session is made of, apart from chance. `truth`: values by parameter name of both
-    blocks, and of the groups beyond the linear model that the instrument has; it goes into truth.json. `usual` are the
-    standard deviations of such groups over instruments like this one. The site has a latitude. With a `climate` a
-    recording has temperatures, and parameters that change with them do."""
+    """Everything a simulated session is made of, apart from chance: the set-up, whose spreads do not count, for the
+    sensors of `accel` and `gyro` have the `truth`, values by parameter name of both blocks and of the groups beyond the
+    linear model that the instrument has; it goes into truth.json. Errors of table and mounting are rotations uniform
+    within ± about each axis: of the mounting for the launch (body axes), of the table for every position (geographic
+    axes). With a `climate` a recording has temperatures, and parameters that change with them do."""
 
-    course: OnTable | HandHeld
+    setup: Setup
     accel: Block
     gyro: Block
     truth: Mapping[str, float]
-    noise: NoiseModel
-    profile: Profile
-    site: Site
     vibration: Vibration
     serial: str
-    usual: Mapping[str, float] = field(default_factory=dict, hash=False)
     climate: Climate | None = None
 
+    def changed(self, **setup: Any) -> Scenario:
+        """The same with other values of its set-up."""
+        return replace(self, setup=replace(self.setup, **setup))
+
     @property
-    def latitude(self) -> float:
-        """Latitude of the site, rad."""
-        if self.site.latitude is None:
-            raise InputError("site: expected a latitude, found none")
-        return self.site.latitude
+    def programme(self) -> Programme | None:
+        """What it goes through on the table; None by hand."""
+        return self.setup.programme if self.setup.by_hand is None else None
+
+    @property
+    def site(self) -> Site:
+        """Where it is recorded."""
+        s = self.setup
+        return Site(latitude=s.latitude, height=s.height, gravity=s.gravity, gravity_u=s.gravity_u)
+
+    @property
+    def profile(self) -> Profile:
+        """How it moves."""
+        return Profile(rate=self.setup.turn_rate, ramp=self.setup.ramp)
 
     @property
     def instrument(self) -> Instrument:
@@ -143,33 +134,9 @@ def scenario_of(
     setup: Setup, rng: np.random.Generator, *, serial: str = "simulated", vibration: Vibration = NO_VIBRATION
 ) -> Scenario:
     """A scenario of a set-up: a triad of each kind along the body axes, with errors drawn from its spreads."""
-    course: OnTable | HandHeld = OnTable(
-        programme=setup.programme, table_error=setup.table_error, mounting_error=setup.mounting_error
-    )
     linear = draw_parameters(setup, (ACCEL, GYRO), rng)
-    return Scenario(
-        course=course if setup.by_hand is None else HandHeld(positions=setup.by_hand),
-        accel=ACCEL,
-        gyro=GYRO,
-        truth=linear | draw_further(setup.further, ACCEL, GYRO, rng),
-        noise=setup.noise,
-        profile=profile_of(setup),
-        site=Site(latitude=setup.latitude, height=setup.height, gravity=setup.gravity, gravity_u=setup.gravity_u),
-        vibration=vibration,
-        serial=serial,
-        usual=setup.further,
-    )
-
-
-def profile_of(setup: Setup) -> Profile:
-    """The times of a set-up."""
-    return Profile(
-        first_rest=max(setup.rest, setup.first_rest),
-        rest=setup.rest,
-        rate=setup.turn_rate,
-        ramp=setup.ramp,
-        sample_rate=setup.sample_rate,
-    )
+    truth = linear | draw_further(setup.further, ACCEL, GYRO, rng)
+    return Scenario(setup=setup, accel=ACCEL, gyro=GYRO, truth=truth, vibration=vibration, serial=serial)
 
 
 def draw_parameters(instrument: Setup | Grade, blocks: Sequence[Block], rng: np.random.Generator) -> dict[str, float]:
@@ -192,8 +159,8 @@ def itinerary(scenario: Scenario, rng: np.random.Generator) -> Itinerary:
     """Attitudes, moves and times of a scenario; of the two ways round, a move goes the one nearer to the nominal move,
     or the shorter one if any movement will do. Raises InputError, one line, if the scenario is impossible."""
     _check(scenario)
-    profile = scenario.profile
-    positions, attitudes, nominal = _attitudes(scenario.course, rng)
+    setup, profile = scenario.setup, scenario.profile
+    positions, attitudes, nominal = _attitudes(setup, rng)
     moves = np.empty((len(nominal), 3))
     for i, move in enumerate(nominal):
         turned = attitudes[i + 1] @ attitudes[i].T
@@ -201,8 +168,8 @@ def itinerary(scenario: Scenario, rng: np.random.Generator) -> Itinerary:
             moves[i] = rotation_vector(turned)
         else:
             moves[i] = rotation_vector_near(turned, move.angle * move.axis)
-    rests = np.full(len(moves) + 1, profile.rest)
-    rests[0] = profile.first_rest
+    rests = np.full(len(moves) + 1, setup.rest)
+    rests[0] = max(setup.rest, setup.first_rest)
     durations = [profile.duration(float(np.linalg.norm(move))) for move in moves]
     with np.errstate(over="ignore"):  # too long a session is refused after
         stops = np.cumsum(rests + np.concatenate([[0.0], durations]))
@@ -216,23 +183,22 @@ def itinerary(scenario: Scenario, rng: np.random.Generator) -> Itinerary:
     )
 
 
-def _attitudes(course: OnTable | HandHeld, rng: np.random.Generator) -> tuple[tuple[int, ...], Array, tuple[Move, ...]]:
+def _attitudes(setup: Setup, rng: np.random.Generator) -> tuple[tuple[int, ...], Array, tuple[Move, ...]]:
     """Which position comes when, the true attitudes (R, 3, 3), and the nominal moves between them. By hand they are
     uniform over all orientations: of quaternions of Gaussian components."""
-    if isinstance(course, HandHeld):
+    if (n := setup.by_hand) is not None:
         from scipy.spatial.transform import Rotation
 
-        n = course.positions
         drawn = Rotation.from_quat(rng.standard_normal((n, 4)), scalar_first=True).as_matrix()
         return tuple(range(n)), np.asarray(drawn), (ANY_MOVE,) * (n - 1)
-    n = len(course.programme.positions)
-    order = np.arange(n) if course.programme.ordered else rng.permutation(n)
-    nominal = np.array([course.programme.positions[i].matrix for i in order])
-    if not course.programme.ordered:
+    programme, n = setup.programme, len(setup.programme.positions)
+    order = np.arange(n) if programme.ordered else rng.permutation(n)
+    nominal = np.array([programme.positions[i].matrix for i in order])
+    if not programme.ordered:
         nominal = rotation_matrix(rng.uniform(-np.pi, np.pi, (n, 1)) * UP) @ nominal
-    mounting = rotation_matrix(course.mounting_error * rng.uniform(-1.0, 1.0, 3))
-    table = rotation_matrix(course.table_error * rng.uniform(-1.0, 1.0, (n, 3)))
-    return tuple(order.tolist()), table @ nominal @ mounting, course.programme.moves
+    mounting = rotation_matrix(setup.mounting_error * rng.uniform(-1.0, 1.0, 3))
+    table = rotation_matrix(setup.table_error * rng.uniform(-1.0, 1.0, (n, 3)))
+    return tuple(order.tolist()), table @ nominal @ mounting, programme.moves
 
 
 # -------------------- checks --------------------
@@ -243,28 +209,27 @@ MOST_POSITIONS = 100_000
 
 def _check(scenario: Scenario) -> None:
     """Raise InputError if a scenario is one nothing can be recorded of."""
-    profile, vibration = scenario.profile, scenario.vibration
-    sizes = [("sample rate", profile.sample_rate, "Hz"), ("rate", profile.rate / DEGREE, "deg/s")]
-    for what, value, unit in (*sizes, ("ramp", profile.ramp, "s")):
+    setup, vibration = scenario.setup, scenario.vibration
+    sizes = [("sample rate", setup.sample_rate, "Hz"), ("rate", setup.turn_rate / DEGREE, "deg/s")]
+    for what, value, unit in (*sizes, ("ramp", setup.ramp, "s")):
         if not 0.0 < value < math.inf:
             raise InputError(f"{what}: expected more than 0, in {unit}, found {value:g}")
-    shortest = 2.0 / profile.sample_rate
-    for what, rest in (("first rest", profile.first_rest), ("rest", profile.rest)):
+    shortest = 2.0 / setup.sample_rate
+    for what, rest in (("first rest", max(setup.rest, setup.first_rest)), ("rest", setup.rest)):
         if not shortest <= rest < math.inf:
             raise InputError(f"{what}: expected at least two samples, {shortest:g} s, found {rest:g} s")
-    highest = _MAX_CYCLES_PER_SAMPLE * profile.sample_rate
+    highest = _MAX_CYCLES_PER_SAMPLE * setup.sample_rate
     if vibration.amplitude > 0.0 and not 0.0 < vibration.frequency <= highest:
         raise InputError(
             f"vibration: expected more than 0 and at most {highest:g} Hz (ten cycles a sample), "
             f"found {vibration.frequency:g} Hz"
         )
-    course = scenario.course
-    if isinstance(course, HandHeld):
-        if not 1 <= course.positions <= MOST_POSITIONS:
-            least = "least 1" if course.positions < 1 else f"most {MOST_POSITIONS}"
-            raise InputError(f"positions: expected at {least}, found {Decimal(course.positions):.6g}")
+    if (positions := setup.by_hand) is not None:
+        if not 1 <= positions <= MOST_POSITIONS:
+            least = "least 1" if positions < 1 else f"most {MOST_POSITIONS}"
+            raise InputError(f"positions: expected at {least}, found {Decimal(positions):.6g}")
     else:
-        for what, error in (("table error", course.table_error), ("mounting error", course.mounting_error)):
+        for what, error in (("table error", setup.table_error), ("mounting error", setup.mounting_error)):
             if not 0.0 <= error < math.inf:
                 raise InputError(f"{what}: expected 0 or more, in deg, found {error / DEGREE:g}")
     missing = sorted(set(scenario.names) ^ set(scenario.truth))

@@ -60,7 +60,7 @@ class SimulatedBlock:
     @staticmethod
     def of(block: Block, scenario: Scenario, middle: float) -> SimulatedBlock:
         """A block of a scenario."""
-        noise, instrument, values = scenario.noise, scenario.instrument, scenario.values
+        noise, instrument, values = scenario.setup.noise, scenario.instrument, scenario.values
         accel = block.kind == "accel"
         changes = {variable: instrument.change(block, values, variable) for _, _, variable in instrument.changes}
         return SimulatedBlock(

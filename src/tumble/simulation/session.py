@@ -19,7 +19,7 @@ from tumble.recording.session import Session
 from tumble.recording.session_file import SESSION_FILE, session_of, write_session
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
-from tumble.simulation.scenario import NO_VIBRATION, OnTable, Scenario, Vibration, itinerary, scenario_of
+from tumble.simulation.scenario import NO_VIBRATION, Scenario, Vibration, itinerary, scenario_of
 from tumble.simulation.temperature_profile import (
     LAG_NAME,
     REFERENCE_NAME,
@@ -148,22 +148,22 @@ def _columns_of(scenario: Scenario, recording: Recording) -> dict[str, Array]:
     accel = dict(zip(_columns(scenario.accel), recording.accel.T, strict=True))
     columns = {"t": recording.time} | accel | dict(zip(_columns(scenario.gyro), recording.gyro.T, strict=True))
     if scenario.climate is not None:
-        middle = recording.time - 0.5 / scenario.profile.sample_rate
+        middle = recording.time - 0.5 / scenario.setup.sample_rate
         columns |= thermometer_columns(scenario.climate, middle)
     return columns
 
 
 def _content(scenario: Scenario, log_format: LogFormat) -> dict[str, Any]:
     """What session.toml says."""
-    site = scenario.site
+    setup = scenario.setup
     content: dict[str, Any] = {
         "format": 1,
         "device": {"serial": scenario.serial},
         "site": {
-            "latitude_deg": round(scenario.latitude / DEGREE, 12),
-            "height_m": site.height,
-            "gravity": site.gravity,
-            "gravity_u": site.gravity_u,
+            "latitude_deg": round(setup.latitude / DEGREE, 12),
+            "height_m": setup.height,
+            "gravity": setup.gravity,
+            "gravity_u": setup.gravity_u,
         },
         "log": {
             "file": f"log.{log_format}",
@@ -176,8 +176,7 @@ def _content(scenario: Scenario, log_format: LogFormat) -> dict[str, Any]:
     if scenario.climate is not None:
         names = list(thermometer_columns(scenario.climate, np.zeros(1)))
         content["log"]["temperature"] = {"columns": names, "unit": "degC"}
-    if isinstance(scenario.course, OnTable):
-        listed = scenario.course.programme
+    if (listed := scenario.programme) is not None:
         attitudes = [{"attitude": position.attitude} for position in listed.positions]
         content["programme"] = {"name": listed.name} if listed.name in BUILT_IN else {"position": attitudes}
     return content
