@@ -144,7 +144,7 @@ def candidates_of(session: LinearisedSession) -> Iterator[Candidate]:
     yield Candidate(
         name="hysteresis",
         concerns="accel",
-        columns=session.biased("accel", *_followed_along(session, session.accel, _played, 1.0)),
+        columns=session.biased("accel", *_followed_along(session, session.accel, _played, np.ones(()))),
         unit=UNITS["accel"],
         sentences=(
             "hysteresis of the accelerometers of {size}, by the sign of the last change of the own force: come to each "
@@ -152,13 +152,14 @@ def candidates_of(session: LinearisedSession) -> Iterator[Candidate]:
         ),
     )
     for kind, block in session.kinds:
-        for memory in MEMORIES:
-            at_rest, in_turn = _followed_along(session, block, followed, memory)
+        for memory, *columns in zip(
+            MEMORIES, *_followed_along(session, block, followed, np.array(MEMORIES)), strict=True
+        ):
             size, unit = UNITS[kind]
             yield Candidate(
                 name="memory",
                 concerns=kind,
-                columns=session.biased(kind, at_rest, in_turn),
+                columns=session.biased(kind, *columns),
                 unit=(size / G_STANDARD, f"{unit}/g"),
                 sentences=(
                     f"{WORDS[kind]} that remember the previous attitude by {{size}} for about {memory:.0f} s: longer "
@@ -243,41 +244,42 @@ def _falls(step: Step, sensors: slice) -> Array:
 
 
 def _followed_along(
-    session: LinearisedSession, block: Block, follow: Callable[[Array, Array, float], tuple[Array, Array]], unit: float
+    session: LinearisedSession, block: Block, follow: Callable[[Array, Array, Array], tuple[Array, Array]], units: Array
 ) -> tuple[Array, Array]:
-    """What a state of every sensor of a block, carried from rest to rest, does to its readings: at rest (N, n) and in
-    the steps of the turns (K, steps, n). `follow(state, own forces (steps, n), time of a step)`, times being in a
-    `unit`, s, has that and the state after the steps; the first rest of a session begins at its own force."""
+    """What states of every sensor of a block, carried from rest to rest, do to its readings: at rest (..., N, n) and in
+    the steps of the turns (..., K, steps, n). `follow(states (..., n), own forces (steps, n), times of a step (...))`,
+    times being in `units` (...), s, has that and the states after the steps; the first rest of a session begins at its
+    own force."""
     rests, turns, link = session.observations.rests, session.observations.turns, session.problem.link
     own, paths = session.force @ block.axes.T, session.paths @ block.axes.T
-    at_rest, in_turn = np.zeros_like(own), np.zeros_like(paths)
-    state = own[0]
+    at_rest, in_turn = np.zeros((*units.shape, *own.shape)), np.zeros((*units.shape, *paths.shape))
+    state = np.zeros((*units.shape, block.size))
     for i, here in enumerate(own):
-        state = here if i in session.begins else state
-        (at_rest[i],), state = follow(state, here[None], float(rests.stop[i] - rests.start[i]) / unit)
+        if i == 0 or i in session.begins:
+            state = np.broadcast_to(here, state.shape)
+        at_rest[..., i : i + 1, :], state = follow(state, here[None], (rests.stop[i] - rests.start[i]) / units)
         if (k := link[i]) >= 0 and turns is not None:
-            in_turn[k], state = follow(state, paths[k], float(turns.duration[k]) / PATH_STEPS / unit)
+            in_turn[..., k, :, :], state = follow(state, paths[k], turns.duration[k] / PATH_STEPS / units)
     return at_rest, in_turn
 
 
-def _played(middle: Array, targets: Array, _: float) -> tuple[Array, Array]:
+def _played(middle: Array, targets: Array, _: Array) -> tuple[Array, Array]:
     """Where in their play, −1 … 1, the own forces (steps, n) are, and the middle of the play after them."""
-    place = np.empty_like(targets)
-    for j, target in enumerate(targets):
-        middle = np.clip(middle, target - PLAY, target + PLAY)
-        place[j] = (target - middle) / PLAY
-    return place, middle
+    middles = np.empty_like(targets)
+    for j, (low, high) in enumerate(zip(targets - PLAY, targets + PLAY, strict=True)):
+        middles[j] = middle = np.minimum(np.maximum(middle, low), high)
+    return (targets - middles) / PLAY, middle
 
 
-def followed(slow: Array, targets: Array, passed: float) -> tuple[Array, Array]:
-    """The means of slow − target over steps of a time, in time constants, with a target (n,) each, and slow after them:
-    slow_j+1 = target_j + (slow_j − target_j) e^(−t)."""
-    steps = len(targets)
+def followed(slow: Array, targets: Array, passed: Array) -> tuple[Array, Array]:
+    """The means (..., steps, n) of slow − target over steps of a time, in time constants (...), with a target (n,)
+    each, and slow (..., n) after them: slow_j+1 = target_j + (slow_j − target_j) e^(−t)."""
+    steps, t = len(targets), passed[..., None, None]
     lag = np.arange(steps + 1)[:, None] - np.arange(steps)  # from the end of each step
-    weight = np.where(lag > 0, np.exp(-passed * np.maximum(lag - 1, 0)), 0.0)
-    before = np.exp(-passed * np.arange(steps + 1))[:, None] * slow - np.expm1(-passed) * (weight @ targets)
-    mean = -np.expm1(-passed) / passed if passed > 0.0 else 1.0  # of e^(−t) over a step
-    return (before[:-1] - targets) * mean, before[-1]
+    weight = np.where(lag > 0, np.exp(-t * np.maximum(lag - 1, 0)), 0.0)
+    before = np.exp(-t * np.arange(steps + 1)[:, None]) * slow[..., None, :] - np.expm1(-t) * (weight @ targets)
+    mean = np.where(t > 0.0, -np.expm1(-t) / np.where(t > 0.0, t, 1.0), 1.0)  # of e^(−t) over a step
+    return (before[..., :-1, :] - targets) * mean, before[..., -1, :]
 
 
 # ---- readings that are not linear in force and rate, and the place
