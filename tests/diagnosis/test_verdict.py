@@ -17,12 +17,18 @@ import pytest
 
 from tests.support import study
 from tumble.diagnosis.causes import followed
-from tumble.diagnosis.chances import FALSE_ALARMS, SumOfSquares, standing_out
 from tumble.diagnosis.misfit import misfit
-from tumble.diagnosis.projection import Projection, Remaining, by_north, projections
-from tumble.diagnosis.site_gravity import gravity_doubted, gravity_said
+from tumble.diagnosis.projection import (
+    FALSE_ALARMS,
+    Projection,
+    Remaining,
+    SumOfSquares,
+    by_north,
+    projections,
+    standing_out,
+)
 from tumble.diagnosis.undetermined import listed
-from tumble.diagnosis.verdict import verdict
+from tumble.diagnosis.verdict import gravity_doubted, gravity_said, verdict
 from tumble.earth import NORMAL_GRAVITY_U
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.hyperparameters import Components

@@ -16,13 +16,13 @@ from tests.methods.test_ellipsoid import cube, placed
 from tumble.cli import main
 from tumble.errors import InputError, SessionError
 from tumble.methods.ellipsoid_fit import TRIAD
-from tumble.methods.magnetometer import NAMES
 from tumble.recording.log import open_log
 from tumble.recording.session_file import read_session, write_session
 from tumble.reduction.blocks.reducer import reduce_log
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.run.calibrate import Method, calibrate
 from tumble.run.launches import Run, mean_of_launches
+from tumble.run.magnetometer import NAMES
 from tumble.units import Array
 from tumble.use.apply import apply_to_session
 

@@ -18,9 +18,8 @@ from __future__ import annotations
 import numpy as np
 
 from tumble.diagnosis.causes import Candidate, Cause, tested
-from tumble.diagnosis.chances import SumOfSquares, standing_out
 from tumble.diagnosis.linearised_session import SHORTEST_TURN, LinearisedSession
-from tumble.diagnosis.projection import UNSEEN, Remaining
+from tumble.diagnosis.projection import UNSEEN, Remaining, SumOfSquares, standing_out
 from tumble.inference.hyperparameters import SCATTER, Components
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import Linearised, Point, Problem, instruments_of, noise_of

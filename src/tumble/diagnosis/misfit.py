@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tumble.diagnosis.causes import Cause, candidates_of, quantisation, tested
-from tumble.diagnosis.chances import SumOfSquares, standing_out
 from tumble.diagnosis.linearised_session import UNITS, WORDS, Kind, LinearisedSession, sized
 from tumble.diagnosis.lost_samples import (
     OF_TURNS,
@@ -26,7 +25,7 @@ from tumble.diagnosis.lost_samples import (
     stamps_remedy,
     turns_to_blame,
 )
-from tumble.diagnosis.projection import Remaining
+from tumble.diagnosis.projection import Remaining, SumOfSquares, standing_out
 from tumble.inference.estimate import Estimate, HyperparameterEstimate
 from tumble.inference.hyperparameters import REST_MODES, SCATTER, Components
 from tumble.inference.likelihood import Linearised, SessionSpan

@@ -15,11 +15,15 @@ prior.
 A heading that the gyros hardly see may be far from where the rows were linearised. The horizontal Earth's rate is
 linear in its cosine and sine, so the part along north is another unknown of each chain of rests that has such a
 heading.
+
+The sum of the squares of residuals along whitened directions S, what the unknowns leave of them being P, is Σ λ χ²₁
+with the eigenvalues λ of Sᵀ P S. With X = S Sᵀ, blocks of single rests and turns, Σ λ = tr P X, and Σ λ² ≤ tr P X²: as
+large where the directions are of one length, else the test is the more cautious. So the blocks of P do.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,6 +40,8 @@ SEEN_HEADING = 0.05
 """rad: a heading that the gyros at rest know better is where the rows were linearised."""
 UNSEEN = 1e-4
 """A combination of columns of which the unknowns leave less than this part of the length is not seen."""
+FALSE_ALARMS = 5e-3
+"""Of sessions in which there is nothing, those of which something is said: by all tests together."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -120,6 +126,7 @@ def projections(linearised: Linearised, components: Components, rest: Array, tur
         first = int(triangle[0, 0] == 0.0)  # gravity is taken as exact
         inverse = inverse_of(triangle[first:p, first:p])
         hidden = np.count_nonzero(told.factor[part.rests].diagonal(0, 1, 2)[:, :3] == 0.0)
+        kept = (noise.kept[0][part.rests] ** 2).sum() + (noise.kept[1][part.turns] ** 2).sum()  # rows not left out
         yield Projection(
             triangle=triangle[p : p + c, p : p + c],
             along=triangle[p : p + c, -1],
@@ -127,7 +134,7 @@ def projections(linearised: Linearised, components: Components, rest: Array, tur
             length=length,
             u=np.sqrt((inverse**2).sum(axis=1))[1 - first : 1 - first + m],
             chi_square=float((triangle[p:, -1] ** 2).sum()),
-            degrees=_rows(noise, part.rests, part.turns) - 3 * len(part.link) + hidden + others,
+            degrees=float(kept) - 3 * len(part.link) + hidden + others,
             scatters=components.wanders or bool(np.any(components.variances > 0.0)),
         )
 
@@ -161,11 +168,6 @@ def _as_large_as_they_are(linearised: Linearised) -> Problem:
             some = slice(members.start - problem.own.linear_count, members.stop - problem.own.linear_count)
             own[some] *= max(1.0, float(np.sqrt(np.mean((point.own[:, some] / own[some]) ** 2))))
     return replace(problem, measured=(problem.measured[0], known), own_known=own)
-
-
-def _rows(noise: Noise, rests: slice, turns: slice) -> float:
-    """How many rows of rests and turns there are but for those that were left out."""
-    return float((noise.kept[0][rests] ** 2).sum() + (noise.kept[1][turns] ** 2).sum())
 
 
 def _with_norths(linearised: Linearised, rows: Rows) -> tuple[Rows, Noise]:
@@ -204,3 +206,61 @@ def by_north(linearised: Linearised) -> tuple[Array, Array]:
         if problem.instrument.in_velocities:
             turn[:, 3:6] = 0.5 * T**2 * north * linearised.point.gravity * start[:, 2]
     return rest, turn
+
+
+# -------------------- how likely by chance --------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SumOfSquares:
+    """A sum of squares, its mean where chance alone is at work, and half its variance."""
+
+    square: float
+    mean: float
+    half_variance: float
+
+    @staticmethod
+    def along(directions: Array, residual: Array, covariance: Array) -> SumOfSquares:
+        """Of residuals (M, r) with these covariances (M, r, r) along whitened directions (M, r, q)."""
+        outer = directions @ np.swapaxes(directions, 1, 2)
+        once = covariance @ outer
+        return SumOfSquares(
+            square=float((np.einsum("kr,krq->kq", residual, directions) ** 2).sum()),
+            mean=float(np.trace(once, axis1=1, axis2=2).sum()),
+            half_variance=float((once * np.swapaxes(outer, 1, 2)).sum()),
+        )
+
+    @property
+    def degrees(self) -> float:
+        """Of the chi-square with the same mean and variance, in its own unit."""
+        return self.mean**2 / self.half_variance if self.half_variance > 0.0 else 0.0
+
+    @property
+    def chance(self) -> float:
+        """Probability that chance alone makes it as large."""
+        if self.degrees <= 0.0:
+            return 1.0
+        return float(special.chdtrc(self.degrees, self.degrees * self.square / self.mean))
+
+    @property
+    def excess(self) -> float:
+        """The variance along the directions that is there beside what is expected, by the score."""
+        return max(0.0, self.square - self.mean) / self.half_variance if self.half_variance > 0.0 else 0.0
+
+    def chance_beside(self, other: SumOfSquares) -> float:
+        """Probability that chance alone makes it as large as it is beside another, whatever the scale of both."""
+        if min(self.degrees, other.degrees, other.square) <= 0.0:
+            return 1.0
+        ratio = self.square / self.mean / (other.square / other.mean)
+        return float(special.fdtrc(self.degrees, other.degrees, ratio))
+
+
+def standing_out(probabilities: Sequence[float]) -> float:
+    """The largest of the probabilities of many tests that stands out, by Holm's rule: the i-th smallest of m does where
+    it and all before it are below FALSE_ALARMS/(m − i + 1). 0 where none does."""
+    limit, m = 0.0, len(probabilities)
+    for i, probability in enumerate(sorted(probabilities)):
+        if probability * (m - i) > FALSE_ALARMS:
+            break
+        limit = probability
+    return limit

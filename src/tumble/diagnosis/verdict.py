@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from tumble.diagnosis.misfit import Misfit, Said, misfit
-from tumble.diagnosis.site_gravity import gravity_refused
 from tumble.diagnosis.undetermined import (
     as_six_faces_give,
     faces_alone,
@@ -13,17 +14,24 @@ from tumble.diagnosis.undetermined import (
     linear_names,
     undetermined,
 )
+from tumble.earth import normal_gravity
 from tumble.inference.estimate import FIT_SIGMAS, Estimate, Outcome
 from tumble.inference.integral import rough
+from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.segmentation import Segmentation
 from tumble.sensors.parameters import sensor_kind
-from tumble.units import DEGREE, G_STANDARD
+from tumble.units import DEGREE, G_STANDARD, two_digits
 
 SCATTER_LIMIT, TURN_SCATTER_LIMIT = 1e-3 * G_STANDARD, 1.0 * DEGREE
 """Of readings at rest by the methods that have one scatter and leave nothing out, and of turns by all."""
 MOST_LEFT_OUT = 1.0 / 3.0
 """Of the rests or turns: where more do not fit, it is not they that are wrong."""
+MILLIGAL = 1e-5  # m/s²
+GRAVITY_DOUBTED = 300.0 * MILLIGAL
+GRAVITY_REFUSED = 1100.0 * MILLIGAL
+"""Anomalies of gravity on Earth reach 300 mGal on land in a few places; nowhere 1,000. The limit lets the value through
+that imu_tk takes for its recording, 1,091 mGal more than normal gravity, which published results rest on."""
 
 
 def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed: bool = False) -> Outcome:
@@ -143,3 +151,51 @@ def no_rests(segmentation: Segmentation) -> Outcome:
         longest = max(segmentation.rejected, key=lambda r: r.stop - r.start)
         reason += f"; the longest quiet stretch, {longest.start:.1f}–{longest.stop:.1f} s, is none: {longest.reason}"
     return Outcome(reasons=(f"{reason}; `tumble inspect` shows what was rejected",))
+
+
+# -------------------- gravity of the site against normal gravity of its latitude and height --------------------
+
+
+def gravity_difference(site: Site) -> float | None:
+    """Gravity of a site less normal gravity, m/s²; None where the latitude is not known."""
+    return None if site.latitude is None else site.gravity - normal_gravity(site.latitude, site.height)
+
+
+def against_normal(site: Site) -> str | None:
+    """How far gravity is from normal gravity; where it is that to the last digit and no better known than a milligal,
+    which any measurement is, none was measured: then the uncertainty it has. None where the latitude is not known."""
+    difference = gravity_difference(site)
+    if difference is None:
+        return None
+    if difference == 0.0 and site.gravity_u > MILLIGAL:
+        return f"normal gravity assumed, u {two_digits(1e6 * site.gravity_u / site.gravity)} ppm"
+    return f"{difference / MILLIGAL:+z.0f} mGal from normal gravity"
+
+
+def gravity_said(site: Site) -> str:
+    """Gravity, and where the latitude is known what it is against normal gravity."""
+    against = against_normal(site)
+    return f"gravity {site.gravity:.6f} m/s^2" + ("" if against is None else f", {against}")
+
+
+def gravity_doubted(site: Site) -> tuple[str, ...]:
+    """Gravity that few places have, as a note."""
+    difference = gravity_difference(site)
+    if difference is None or abs(difference) <= GRAVITY_DOUBTED:
+        return ()
+    return (
+        f"{gravity_said(site)}, more than {GRAVITY_DOUBTED / MILLIGAL:.0f}: look at gravity, latitude_deg and height_m "
+        f"in [site]; if that is wrong, the scale factors of the accelerometers are off by "
+        f"{difference / site.gravity * 1e6:+.0f} ppm",
+    )
+
+
+def gravity_refused(site: Site) -> Iterator[str]:
+    """Gravity that no place of this latitude has."""
+    difference = gravity_difference(site)
+    if difference is not None and abs(difference) > GRAVITY_REFUSED:
+        yield (
+            f"{gravity_said(site)}, more than {GRAVITY_REFUSED / MILLIGAL:.0f}: every scale factor of the "
+            "accelerometers would be wrong with it; correct gravity, latitude_deg or height_m in [site], or write "
+            "gravity_confirmed = true"
+        )

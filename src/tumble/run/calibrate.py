@@ -153,7 +153,8 @@ def calibrate(
     estimator: Estimator = known[method] if iterations is None else partial(known[method], iterations=iterations)
     if device_type is not None and (method != "joint" or terms != "full"):
         raise InputError("device_type: expected the method joint with all terms, whose prior a type is, found another")
-    Convention(frame=frame, block=given.accel_block)
+    if frame != "accelerometer":
+        Convention(frame=frame, block=given.accel_block)
     terms = terms if method in WITH_ALL_TERMS else "linear"
     made = _calibrated(given, method, estimator, frame, terms, progress, device_type)
     if not given.excluded:

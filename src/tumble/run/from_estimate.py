@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tumble.diagnosis.site_gravity import gravity_doubted
 from tumble.diagnosis.undetermined import faces_alone
-from tumble.diagnosis.verdict import verdict
+from tumble.diagnosis.verdict import gravity_doubted, verdict
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.variables import at_two_temperatures, both_ways, over_a_range

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tumble.diagnosis.site_gravity import gravity_said
+from tumble.diagnosis.verdict import gravity_said
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import without_expanded
 from tumble.result.further import (

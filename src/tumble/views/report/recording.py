@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.diagnosis.site_gravity import against_normal
+from tumble.diagnosis.verdict import against_normal
 from tumble.errors import ProgrammeError
 from tumble.inference.estimate import Fit
 from tumble.programme.positions import Position, from_attitudes
