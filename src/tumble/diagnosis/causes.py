@@ -275,9 +275,10 @@ def followed(slow: Array, targets: Array, passed: Array) -> tuple[Array, Array]:
     """The means (..., steps, n) of slow − target over steps of a time, in time constants (...), with a target (n,)
     each, and slow (..., n) after them: slow_j+1 = target_j + (slow_j − target_j) e^(−t)."""
     steps, t = len(targets), passed[..., None, None]
+    left = np.exp(-passed[..., None] * np.arange(steps + 1))  # after so many steps
     lag = np.arange(steps + 1)[:, None] - np.arange(steps)  # from the end of each step
-    weight = np.where(lag > 0, np.exp(-t * np.maximum(lag - 1, 0)), 0.0)
-    before = np.exp(-t * np.arange(steps + 1)[:, None]) * slow[..., None, :] - np.expm1(-t) * (weight @ targets)
+    weight = np.where(lag > 0, left[..., np.maximum(lag - 1, 0)], 0.0)
+    before = left[..., None] * slow[..., None, :] - np.expm1(-t) * (weight @ targets)
     mean = np.where(t > 0.0, -np.expm1(-t) / np.where(t > 0.0, t, 1.0), 1.0)  # of e^(−t) over a step
     return (before[..., :-1, :] - targets) * mean, before[..., -1, :]
 

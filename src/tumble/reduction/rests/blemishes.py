@@ -165,7 +165,8 @@ def _bad_in(values: Array, dt: Array, beside: int, least: Array, tuning: Tuning)
 
 def _largest_about(values: Array, width: int) -> Array:
     """The largest of `width` values ≥ 0 about each (m, n), by windows of 1, 2, 4, … of them."""
-    largest, wide = np.pad(values, ((width // 2, (width - 1) // 2), (0, 0))), 1
+    largest, wide = np.zeros((len(values) + width - 1, values.shape[1])), 1
+    largest[width // 2 : width // 2 + len(values)] = values
     while wide < width:
         step = min(wide, width - wide)
         largest, wide = np.maximum(largest[:-step], largest[step:]), wide + step
