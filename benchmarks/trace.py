@@ -58,6 +58,8 @@ def watch(frame: FrameType, event: str, _: Any) -> None:
 def main() -> None:
     arguments = [argument for argument in sys.argv[1:] if not argument.startswith("-")]
     session = arguments[0] if arguments else str(DATA / "xsens-mti")
+    if not Path(session).exists():
+        raise SystemExit(f"{session}: no recording to trace; state a session, or TUMBLE_DATA")
     from tumble.cli import main as command  # after the counters, as the command itself imports it
 
     nowhere = io.StringIO()
