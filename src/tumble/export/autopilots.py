@@ -45,7 +45,7 @@ AP_InertialSensor and AP_Compass (AP_Compass_Backend::correct_field, CompassCali
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -207,7 +207,9 @@ def parameter_lines(pilot: Autopilot, parameters: Iterable[ExportedParameter]) -
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Held:
     """What an autopilot can hold of a calibration, in single precision: which of its `sensors` it is of, the kinds that
-    are `known`, their offsets (3,), and factors (3,), which gyros have none of: 1."""
+    are `known`, their offsets (3,), and factors (3,), which gyros have none of: 1. Over temperature, the references of
+    the calibration being temperatures of the target, also how the biases of a kind change, (3, 2), per K and per K²,
+    within the range that was `measured`."""
 
     pilot: Autopilot
     calibration: Calibration
@@ -217,25 +219,118 @@ class Held:
     offset: Mapping[SensorKind, Array]
     factor: Mapping[SensorKind, Array]
     losses: tuple[str, ...]
+    slopes: Mapping[SensorKind, Array]
+    measured: Range
+
+    @staticmethod
+    def of(pilot: Autopilot, target: str, calibration: Calibration, imu: int | None, *, thermal: bool = False) -> Held:
+        """Offsets and factors of a calibration: with a factor 1/Mᵢᵢ for each axis what comes out is (1 + E) true. They
+        are of the sensors that were recorded, else of the first of each kind, or of the number `imu`, from 1.
+
+        Raises InputError unless every channel senses its own axis of the frame, X, Y, Z, positive, where other sensors
+        than those of the number were recorded, and over temperature where nothing changes with it."""
+        known, losses = triads(calibration, target, needed=()), []
+        for kind, model in known.items():
+            if (np.argmax(model.matrix, axis=1) != np.arange(3)).any() or (np.diag(model.matrix) <= 0.5).any():
+                raise InputError(
+                    f"export to {target}: expected {kind} channels along X, Y, Z in this order, found others; {target} "
+                    "has no place for another order or sign: name the columns of the session in that order"
+                )
+            error = model.matrix / np.diag(model.matrix)[:, None] - np.eye(3)
+            misalignment = (
+                f"misalignment of the accelerometers: up to {1e3 * np.abs(error).max():.3g} mrad, in 1 g an error of "
+                f"up to {G_STANDARD * worst(error):.3g} m/s^2"
+            )
+            losses.append(misalignment if kind == "accel" else gyro_matrix_lost(model))
+        most = pilot.most_thermal if thermal else pilot.most
+        if imu is not None and not 1 <= imu <= most:
+            raise InputError(f"--imu: expected a number from 1 to {most} for {target}, found {imu}")
+        for recorded, sensor in calibration.imu.items():
+            if imu not in (None, sensor.number):
+                device = "" if sensor.id is None else f" with the device id {sensor.id}"
+                raise InputError(
+                    f"export to {target}: expected the sensors that were recorded, {recorded} {sensor.number}{device}, "
+                    f"found --imu {imu}; calibrate a recording of IMU {imu}, or leave --imu out"
+                )
+        factors = {
+            kind: 1.0 / np.diag(model.matrix) if kind == "accel" else np.ones(3) for kind, model in known.items()
+        }
+        lost = losses_of(calibration, *losses, held=_TOLD_APART if thermal else (), precision=SINGLE_PRECISION)
+        slopes, measured = dict[SensorKind, Array](), Range(low=math.nan, high=math.nan)
+        if thermal:
+            measured = range_of(calibration, target)
+            slopes = {kind: coefficients(calibration, kind, "bias") for kind in known}
+            own: dict[str, Array] = {kind: references(calibration, kind) for kind in known}
+            seen: dict[str, tuple[float, ...]] = {}
+            for kinds in ([kind for kind in kinds if kind in own] for kinds in pilot.thermometers):
+                seen |= {kind: len(own[kind]) * (float(np.mean(own[kinds[0]])),) for kind in kinds}  # that of the first
+            calibration = replace(calibration, temperature=replace(calibration.temperature, references=seen))
+        return Held(
+            pilot=pilot,
+            calibration=calibration,
+            imu=imu,
+            sensors={kind: calibration.imu.get(kind, AutopilotSensor(number=imu or 1, id=None)) for kind in _LETTERS},
+            known=known,
+            offset={kind: single(model.bias) for kind, model in known.items()},
+            factor={kind: single(factor) for kind, factor in factors.items()},
+            losses=lost,
+            slopes=slopes,
+            measured=measured,
+        )
 
     def name(self, what: str, kind: SensorKind) -> str:
         """The name of a parameter of a kind of sensors."""
         return self.pilot.stem(self.pilot.words[kind], self.sensors[kind].number) + what
 
-    def example(self, kind: SensorKind, model: SensorModel, offset: Array, where: str = "") -> str:
-        """A reading, what the autopilot makes of it with this offset (3,) and what it is."""
+    def reference(self, kind: SensorKind) -> float:
+        """The temperature of the target, °C, at which sensors of a kind have their values."""
+        return float(references(self.calibration, kind)[0])
+
+    def ends(self, kind: SensorKind) -> Array:
+        """The reference of a kind of sensors and the ends of the measured range, °C, in single precision."""
+        return single(np.array([self.reference(kind), self.measured.low, self.measured.high]))
+
+    def coefficients(self, kind: SensorKind) -> Array:
+        """Coefficients (3, 3) of the first to the third power of the temperature, by axis: θ₁ (t − d) + θ₂ (t − d)²
+        with d = T₀ − `about`, without what does not depend on t."""
+        linear, square = self.slopes[kind].T
+        d = 0.0 if self.pilot.about is None else self.reference(kind) - self.pilot.about
+        return np.stack([linear - 2.0 * square * d, square, np.zeros(3)], axis=1) / self.pilot.worth
+
+    def offsets(self, kind: SensorKind, temperature: Array) -> Array:
+        """The offsets (N, 3), SI, that it takes off at temperatures (N,), °C: P(T) − P(T₀) + offset."""
+        (reference, low, high), pilot = self.ends(kind), self.pilot
+        C, about = single(self.coefficients(kind)), reference if pilot.about is None else pilot.about
+
+        def P(at: Array) -> Array:
+            t = (np.clip(at, low, high) - about)[:, None]
+            return np.asarray((C[:, 0] * t + C[:, 1] * t**2 + C[:, 2] * t**3) * pilot.worth)
+
+        return P(temperature) - P(np.array([reference])) + self.offset[kind]
+
+    def steepest(self, kind: SensorKind) -> float:
+        """The largest change of a bias per K within the range, m/s²/K or rad/s/K."""
+        linear, square = self.slopes[kind].T
+        ends = np.array([[self.measured.low], [self.measured.high]]) - references(self.calibration, kind)
+        return float(np.abs(linear + 2.0 * square * ends).max())
+
+    def example(self, kind: SensorKind) -> str:
+        """A reading, what the autopilot makes of it and what it is; over temperature at the warmer end."""
+        model, offset, where = self.known[kind], self.offset[kind], ""
+        if self.slopes:
+            at = warm_end(self.measured)
+            model, where = model_at(self.calibration, kind, at), f" at {at:g} degC"
+            offset = self.offsets(kind, np.array([at]))[0]
         worked = example(kind, model)
-        target = (worked.reading - offset) * self.factor[kind]
-        return (
-            f"example {kind}{where}: reading {shown(worked.reading)} becomes {shown(target.round(6))}; it is "
-            f"{shown(worked.true.round(6))}"
-        )
+        target = ((worked.reading - offset) * self.factor[kind]).round(6)
+        it_is = shown(worked.true.round(6))
+        return f"example {kind}{where}: reading {shown(worked.reading)} becomes {shown(target)}; it is {it_is}"
 
     def written(
         self,
         told: Iterable[str],
         rows: Iterable[ExportedParameter],
-        losses: Iterable[str] = (),
+        more: Iterable[str] = (),
         last: Iterable[str] = (),
     ) -> Exported:
         """The file: what is told and lost as comments, offsets and factors, then those of the magnetometer and the
@@ -259,55 +354,60 @@ class Held:
         compass, told_of_it, lost = _compass(self.pilot, self.calibration)
         whose = "the calibration does not say which IMU it is of: these are parameters of the first, --imu N of another"
         supposed = [whose] if self.imu is None and not self.calibration.imu else []
-        every_loss = (*losses, *self.losses, *lost, *caveats, *last, *supposed)
-        every = (*parameters, *compass, *rows)
-        comments = [*origin(self.calibration, magnetometer=True), *told, *told_of_it, *every_loss]
+        thermal = self.over_temperature() if self.slopes else []
+        every_loss = (*thermal, *more, *self.losses, *lost, *caveats, *last, *supposed)
+        every, examples = (*parameters, *compass, *rows), map(self.example, self.known)
+        comments = [*origin(self.calibration, magnetometer=True), *told, *examples, *told_of_it, *every_loss]
         file = commented([*comments, *self.pilot.heading[:1]], parameter_lines(self.pilot, every), every_loss)
         return replace(file, parameters=every, magnetometer=True)
 
-
-def held_by(
-    pilot: Autopilot, target: str, calibration: Calibration, imu: int | None, most: int, apart: Container[str] = ()
-) -> Held:
-    """Offsets and factors of a calibration, and what is lost, but for the groups of parameters that are told of
-    `apart`: with a factor 1/Mᵢᵢ for each axis what comes out is (1 + E) true. They are of the sensors that were
-    recorded, else of the first of each kind, or of the number `imu`, from 1 to `most`.
-
-    Raises InputError unless every channel senses its own axis of the frame, X, Y, Z, positive, and where other sensors
-    than those of the number were recorded."""
-    known, losses = triads(calibration, target, needed=()), []
-    for kind, model in known.items():
-        if (np.argmax(model.matrix, axis=1) != np.arange(3)).any() or (np.diag(model.matrix) <= 0.5).any():
-            raise InputError(
-                f"export to {target}: expected {kind} channels along X, Y, Z in this order, found others; {target} has "
-                "no place for another order or sign: name the columns of the session in that order"
+    def over_temperature(self) -> list[str]:
+        """What is lost over temperature, and how much of it within the measured range."""
+        T, rate, known = self.measured.temperatures(), session_rate(self.calibration), self.known
+        span = f"{self.measured.low:.1f} to {self.measured.high:.1f} degC"
+        curves, scales, hysteresis = {}, {}, {}
+        for kind, model in known.items():
+            warmer = (T - self.reference(kind))[:, None]
+            linear, square = self.slopes[kind].T
+            biases = model.bias + linear * warmer + square * warmer**2
+            curves[kind] = float(np.abs(self.offsets(kind, T) - biases).max())
+            linear, square = coefficients(self.calibration, kind, "scale").T  # which the target has none for
+            unit = model.matrix / np.linalg.norm(model.matrix, axis=1)[:, None]
+            applied, felt = (np.diag(model.matrix)[:, None], G_STANDARD) if kind == "accel" else (1.0, rate)
+            longer = linear * warmer + square * warmer**2
+            scales[kind] = felt * max(worst(each[:, None] * unit / applied) for each in longer)
+            of_kind = (p for p in self.calibration.parameters if group_name(p.name) == f"{kind}.bias.hysteresis")
+            hysteresis[kind] = max((abs(p.value) for p in of_kind), default=0.0)
+        where = " ".join(["in 1 g"] * ("accel" in known) + [f"at {rate / DEGREE:.3g} deg/s"] * ("gyro" in known))
+        losses = [
+            f"offsets over temperature: from {span} the cubic is within {said(curves)} of the calibration's curve",
+            f"scale factors over temperature: no place in this file, from {span} an error of up to {said(scales)} "
+            f"{where}",
+        ]
+        if any(hysteresis.values()):
+            losses.append(f"hysteresis of the biases: no place in this file, up to {said(hysteresis)}")
+        # sensors that have one temperature in the target: by what they differ at rests other than in the mean, which
+        # their references contain
+        thermometers = self.calibration.temperature.thermometers
+        for kinds in ([kind for kind in kinds if kind in known] for kinds in self.pilot.thermometers):
+            names = dict.fromkeys(chain(*(thermometers.get(kind, ()) for kind in kinds)))
+            if len(names) < 2:
+                continue
+            apart = 0.0
+            for rest in warm_rests(self.calibration):
+                at = {kind: getattr(rest, kind) for kind in kinds}
+                off = [
+                    np.array(sensors.temperature) - references(self.calibration, kind)
+                    for kind, sensors in at.items()
+                    if sensors is not None and sensors.temperature
+                ]
+                apart = max(apart, float(np.ptp(np.concatenate(off))) if off else 0.0)
+            losses.append(
+                f"thermometers of their own ({', '.join(names)}): the target has one for these sensors; at the rests "
+                f"they differ by up to {apart:.1f} K more or less than in the mean, an error of up to "
+                f"{said({kind: apart * self.steepest(kind) for kind in kinds})}"
             )
-        error = model.matrix / np.diag(model.matrix)[:, None] - np.eye(3)
-        misalignment = (
-            f"misalignment of the accelerometers: up to {1e3 * np.abs(error).max():.3g} mrad, in 1 g an error of up to "
-            f"{G_STANDARD * worst(error):.3g} m/s^2"
-        )
-        losses.append(misalignment if kind == "accel" else gyro_matrix_lost(model))
-    if imu is not None and not 1 <= imu <= most:
-        raise InputError(f"--imu: expected a number from 1 to {most} for {target}, found {imu}")
-    for recorded, sensor in calibration.imu.items():
-        if imu not in (None, sensor.number):
-            device = "" if sensor.id is None else f" with the device id {sensor.id}"
-            raise InputError(
-                f"export to {target}: expected the sensors that were recorded, {recorded} {sensor.number}{device}, "
-                f"found --imu {imu}; calibrate a recording of IMU {imu}, or leave --imu out"
-            )
-    factors = {kind: 1.0 / np.diag(model.matrix) if kind == "accel" else np.ones(3) for kind, model in known.items()}
-    return Held(
-        pilot=pilot,
-        calibration=calibration,
-        imu=imu,
-        sensors={kind: calibration.imu.get(kind, AutopilotSensor(number=imu or 1, id=None)) for kind in _LETTERS},
-        known=known,
-        offset={kind: single(model.bias) for kind, model in known.items()},
-        factor={kind: single(factor) for kind, factor in factors.items()},
-        losses=losses_of(calibration, *losses, held=apart, precision=SINGLE_PRECISION),
-    )
+        return [*losses, f"outside {span} nothing was measured: the target keeps the offsets of the nearer end"]
 
 
 def single(values: Array) -> Array:
@@ -342,127 +442,6 @@ def said(errors: Mapping[SensorKind, float]) -> str:
     return " and ".join(sizes)
 
 
-# -------------------- over temperature --------------------
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Thermal:
-    """What an autopilot holds of a calibration over temperature, its references being temperatures of the target: what
-    it holds at these, and by kind how the biases change, (3, 2), per K and per K², within the range that was
-    measured."""
-
-    held: Held
-    calibration: Calibration
-    measured: Range
-    slopes: dict[SensorKind, Array]
-
-    def reference(self, kind: SensorKind) -> float:
-        """The temperature of the target, °C, at which sensors of a kind have their values."""
-        return float(references(self.calibration, kind)[0])
-
-    def ends(self, kind: SensorKind) -> Array:
-        """The reference of a kind of sensors and the ends of the measured range, °C, in single precision."""
-        return single(np.array([self.reference(kind), self.measured.low, self.measured.high]))
-
-    def coefficients(self, kind: SensorKind) -> Array:
-        """Coefficients (3, 3) of the first to the third power of the temperature, by axis: θ₁ (t − d) + θ₂ (t − d)²
-        with d = T₀ − `about`, without what does not depend on t."""
-        linear, square = self.slopes[kind].T
-        pilot = self.held.pilot
-        d = 0.0 if pilot.about is None else self.reference(kind) - pilot.about
-        return np.stack([linear - 2.0 * square * d, square, np.zeros(3)], axis=1) / pilot.worth
-
-    def offsets(self, kind: SensorKind, temperature: Array) -> Array:
-        """The offsets (N, 3), SI, that it takes off at temperatures (N,), °C: P(T) − P(T₀) + offset."""
-        (reference, low, high), pilot = self.ends(kind), self.held.pilot
-        C, about = single(self.coefficients(kind)), reference if pilot.about is None else pilot.about
-
-        def P(at: Array) -> Array:
-            t = (np.clip(at, low, high) - about)[:, None]
-            return np.asarray((C[:, 0] * t + C[:, 1] * t**2 + C[:, 2] * t**3) * pilot.worth)
-
-        return P(temperature) - P(np.array([reference])) + self.held.offset[kind]
-
-    def steepest(self, kind: SensorKind) -> float:
-        """The largest change of a bias per K within the range, m/s²/K or rad/s/K."""
-        linear, square = self.slopes[kind].T
-        ends = np.array([[self.measured.low], [self.measured.high]]) - references(self.calibration, kind)
-        return float(np.abs(linear + 2.0 * square * ends).max())
-
-    def written(
-        self, told: list[str], rows: list[ExportedParameter], more: Iterable[str] = (), last: Iterable[str] = ()
-    ) -> Exported:
-        """The file of the offsets and of the curves, with readings at the warmer end, what the autopilot makes of them
-        and what they are."""
-        at = warm_end(self.measured)
-        for kind in self.held.known:
-            model, offset = model_at(self.calibration, kind, at), self.offsets(kind, np.array([at]))[0]
-            told.append(self.held.example(kind, model, offset, f" at {at:g} degC"))
-        return self.held.written(told, rows, [*self.losses(), *more], last)
-
-    def losses(self) -> list[str]:
-        """What is lost over temperature, and how much of it within the measured range."""
-        T, rate, known = self.measured.temperatures(), session_rate(self.calibration), self.held.known
-        span = f"{self.measured.low:.1f} to {self.measured.high:.1f} degC"
-        curves, scales, hysteresis = {}, {}, {}
-        for kind, model in known.items():
-            warmer = (T - self.reference(kind))[:, None]
-            linear, square = self.slopes[kind].T
-            biases = model.bias + linear * warmer + square * warmer**2
-            curves[kind] = float(np.abs(self.offsets(kind, T) - biases).max())
-            linear, square = coefficients(self.calibration, kind, "scale").T  # which the target has none for
-            unit = model.matrix / np.linalg.norm(model.matrix, axis=1)[:, None]
-            applied, felt = (np.diag(model.matrix)[:, None], G_STANDARD) if kind == "accel" else (1.0, rate)
-            longer = linear * warmer + square * warmer**2
-            scales[kind] = felt * max(worst(each[:, None] * unit / applied) for each in longer)
-            of_kind = (p for p in self.calibration.parameters if group_name(p.name) == f"{kind}.bias.hysteresis")
-            hysteresis[kind] = max((abs(p.value) for p in of_kind), default=0.0)
-        where = " ".join(["in 1 g"] * ("accel" in known) + [f"at {rate / DEGREE:.3g} deg/s"] * ("gyro" in known))
-        losses = [
-            f"offsets over temperature: from {span} the cubic is within {said(curves)} of the calibration's curve",
-            f"scale factors over temperature: no place in this file, from {span} an error of up to {said(scales)} "
-            f"{where}",
-        ]
-        if any(hysteresis.values()):
-            losses.append(f"hysteresis of the biases: no place in this file, up to {said(hysteresis)}")
-        # sensors that have one temperature in the target: by what they differ at rests other than in the mean, which
-        # their references contain
-        thermometers = self.calibration.temperature.thermometers
-        for kinds in ([kind for kind in kinds if kind in known] for kinds in self.held.pilot.thermometers):
-            names = dict.fromkeys(chain(*(thermometers.get(kind, ()) for kind in kinds)))
-            if len(names) < 2:
-                continue
-            apart = 0.0
-            for rest in warm_rests(self.calibration):
-                at = {kind: getattr(rest, kind) for kind in kinds}
-                off = [
-                    np.array(sensors.temperature) - references(self.calibration, kind)
-                    for kind, sensors in at.items()
-                    if sensors is not None and sensors.temperature
-                ]
-                apart = max(apart, float(np.ptp(np.concatenate(off))) if off else 0.0)
-            losses.append(
-                f"thermometers of their own ({', '.join(names)}): the target has one for these sensors; at the rests "
-                f"they differ by up to {apart:.1f} K more or less than in the mean, an error of up to "
-                f"{said({kind: apart * self.steepest(kind) for kind in kinds})}"
-            )
-        return [*losses, f"outside {span} nothing was measured: the target keeps the offsets of the nearer end"]
-
-
-def thermal(pilot: Autopilot, target: str, calibration: Calibration, imu: int | None) -> Thermal:
-    """What an autopilot can hold of a calibration over temperature. Raises InputError where nothing changes with
-    temperature, or where the rests were all at one, and as `held_by`."""
-    held = held_by(pilot, target, calibration, imu, pilot.most_thermal, _TOLD_APART)
-    measured = range_of(calibration, target)
-    own: dict[str, Array] = {kind: references(calibration, kind) for kind in held.known}
-    seen: dict[str, tuple[float, ...]] = {}
-    for kinds in ([kind for kind in kinds if kind in own] for kinds in pilot.thermometers):
-        seen |= {kind: len(own[kind]) * (float(np.mean(own[kinds[0]])),) for kind in kinds}  # that of the first
-    slopes = {kind: coefficients(calibration, kind, "bias") for kind in held.known}
-    at_target = replace(calibration, temperature=replace(calibration.temperature, references=seen))
-    return Thermal(held=held, calibration=at_target, measured=measured, slopes=slopes)
-
-
 def range_of(calibration: Calibration, target: str) -> Range:
     """The temperatures at which a calibration was measured. Raises InputError where there is nothing over them."""
     measured = measured_range(calibration)
@@ -488,12 +467,11 @@ def warm_end(measured: Range) -> float:
 
 def _at_reference(pilot: Autopilot, target: str, calibration: Calibration, imu: int | None = None) -> Exported:
     """The file of a calibration, of the IMU of this number, from 1, or of that which was recorded."""
-    held = held_by(pilot, target, calibration, imu, pilot.most)
+    held = Held.of(pilot, target, calibration, imu)
     ids = {held.name(pilot.id, kind): held.sensors[kind].id for kind in held.known}
     unknown = [name for name, device in ids.items() if device is None] if pilot is PX4 else []
     plural = "ids of these sensors" if len(unknown) > 1 else "id of this sensor"
     told = [f"{' and '.join(unknown)} have to be the {plural} already"] if unknown else []
-    told += [held.example(kind, model, held.offset[kind]) for kind, model in held.known.items()]
     known = {name: device for name, device in ids.items() if device is not None}
     return held.written(told, [_whole(name, _device(pilot, device), identity=True) for name, device in known.items()])
 
@@ -506,13 +484,13 @@ def px4_thermal(
 ) -> Exported:
     """The .params file of a calibration over temperature; `sensor_ids` are the device ids of accelerometer and gyro,
     and `imu` the number of the IMU, from 1, where the recording has not said them."""
-    found = thermal(PX4, "px4-thermal", calibration, imu)
-    stems = {kind: f"TC_{_LETTERS[kind]}{0 if imu is None else imu - 1}" for kind in found.slopes}
-    given: dict[SensorKind, int | None] = {kind: found.held.sensors[kind].id for kind in _LETTERS}
+    held = Held.of(PX4, "px4-thermal", calibration, imu, thermal=True)
+    stems = {kind: f"TC_{_LETTERS[kind]}{0 if imu is None else imu - 1}" for kind in held.slopes}
+    given: dict[SensorKind, int | None] = {kind: held.sensors[kind].id for kind in _LETTERS}
     given |= dict(zip(_LETTERS, sensor_ids or (), strict=False))
     ids = {} if None in given.values() else given  # both or none
-    names = " and ".join(found.held.name(PX4.id, kind) for kind in found.slopes)
-    at = dict.fromkeys(f"{found.reference(kind):g}" for kind in found.slopes)
+    names = " and ".join(held.name(PX4.id, kind) for kind in held.slopes)
+    at = dict.fromkeys(f"{held.reference(kind):g}" for kind in held.slopes)
     told = [
         f"{names} have to be the ids of these sensors already",
         f"CAL_*OFF and CAL_*SCALE are those at {' and '.join(at)} degC",
@@ -521,41 +499,41 @@ def px4_thermal(
     for kind, stem in stems.items():
         rows.append(_whole(f"TC_{_LETTERS[kind]}_ENABLE", 1))
         rows += [_whole(f"{stem}_ID", _device(PX4, ids[kind] or 0))] if ids else []
-        rows += _reals([f"{stem}_TREF", f"{stem}_TMIN", f"{stem}_TMAX"], found.ends(kind))
-        for degree, column in enumerate((np.zeros(3), *found.coefficients(kind).T)):
+        rows += _reals([f"{stem}_TREF", f"{stem}_TMIN", f"{stem}_TMAX"], held.ends(kind))
+        for degree, column in enumerate((np.zeros(3), *held.coefficients(kind).T)):
             rows += _reals([f"{stem}_X{degree}_{axis}" for axis in range(3)], column)
     jumps = (
         "PX4 takes up new offsets when the temperature has changed by more than 1 degC: until then an error of up to "
-        f"{said({kind: found.steepest(kind) for kind in found.slopes})}"
+        f"{said({kind: held.steepest(kind) for kind in held.slopes})}"
     )
     no_ids = (
         f"{' and '.join(f'{stem}_ID' for stem in stems.values())} are not in this file: set them to {names}, or give "
         "--sensor-ids; without them PX4 compensates nothing"
     )
-    return found.written(told, rows, [jumps], [] if ids else [no_ids])
+    return held.written(told, rows, [jumps], [] if ids else [no_ids])
 
 
 def ardupilot_thermal(calibration: Calibration, imu: int | None = None) -> Exported:
     """The .param file of a calibration over temperature; `imu` is the number of the IMU, from 1, where the recording
     has not said it."""
-    found = thermal(ARDUPILOT, "ardupilot-thermal", calibration, imu)
-    numbers = {kind: found.held.sensors[kind].number for kind in found.slopes}
+    held = Held.of(ARDUPILOT, "ardupilot-thermal", calibration, imu, thermal=True)
+    numbers = {kind: held.sensors[kind].number for kind in held.slopes}
     if max(numbers.values()) > NUMBER_INSIDE:
         raise InputError(
             f"export to ardupilot-thermal: expected one of the first {NUMBER_INSIDE} IMUs, found a recording of IMU "
             f"{max(numbers.values())}"
         )
     names = {kind: f"INS_{ARDUPILOT.words[kind]}{number}_CALTEMP" for kind, number in numbers.items()}
-    each, ends = sorted(set(numbers.values())), np.array([found.measured.low, found.measured.high])
+    each, ends = sorted(set(numbers.values())), np.array([held.measured.low, held.measured.high])
     rows = [_whole(f"INS_TCAL{number}_ENABLE", 1) for number in each]
     for number in each:
         rows += _reals([f"INS_TCAL{number}_TMIN", f"INS_TCAL{number}_TMAX"], ends)
-    rows += _reals(list(names.values()), np.array([found.reference(kind) for kind in names]))
+    rows += _reals(list(names.values()), np.array([held.reference(kind) for kind in names]))
     for kind, number in numbers.items():
-        for degree, column in enumerate(found.coefficients(kind).T, 1):
+        for degree, column in enumerate(held.coefficients(kind).T, 1):
             rows += _reals([f"INS_TCAL{number}_{ARDUPILOT.words[kind]}{degree}_{axis}" for axis in "XYZ"], column)
     first = next(iter(names))
-    return found.written([f"offsets and scales are those at {found.reference(first):g} degC, {names[first]}"], rows)
+    return held.written([f"offsets and scales are those at {held.reference(first):g} degC, {names[first]}"], rows)
 
 
 def _compass(pilot: Autopilot, calibration: Calibration) -> tuple[list[ExportedParameter], list[str], list[str]]:
