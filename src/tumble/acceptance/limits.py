@@ -1,4 +1,4 @@
-"""Acceptance limits of a device type, from their file (TOML).
+"""Acceptance limits of a device type, and when its devices are to be calibrated again, from their file (TOML).
 
 [incoming] and [periodic] give them by parameter ("accel.bias.x") or by kind ("accel.bias"); the longer name goes
 before. A limit is "5 mg", which is ±5 mg about zero, or a table: min, max, or deviation, which is about the type's
@@ -8,18 +8,25 @@ temperature between these.
 
 from __future__ import annotations
 
+import calendar
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import date
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, Self, get_args
 
-from tumble.acceptance.schedule import OCCASIONS, Occasion, Schedule, content_of, schedule_of
-from tumble.documents import text_of_document
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from tumble.documents import text_of_document, toml_of, validated
 from tumble.errors import InputError, did_you_mean
-from tumble.sensors.frames import FRAMES
+from tumble.sensors.frames import FRAMES, Frame
 from tumble.sensors.parameters import group_of, groups, meant_by, quantity_of
+
+Occasion = Literal["incoming", "periodic"]
+OCCASIONS: tuple[Occasion, ...] = get_args(Occasion)
+"""The checks that there may be limits for."""
 
 _FORMS = 'a text such as "5 mg", or a table with min and max, or one with deviation'
 
@@ -35,14 +42,15 @@ class Limit:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Limits:
-    """Acceptance limits of a device type by check and by parameter or kind; its systematic values (SI); when its
-    devices are due; the `temperatures`, °C, between which the limits hold, where they are not those at the
-    reference."""
+    """Acceptance limits of a device type by check and by parameter or kind; its systematic values (SI); months between
+    the calibrations of a type, and of the devices, by serial number, that have their own; the `temperatures`, °C,
+    between which the limits hold, where they are not those at the reference."""
 
     frame: str
     checks: Mapping[Occasion, Mapping[str, Limit]]
     systematic: Mapping[str, float]
-    schedule: Schedule
+    months: int | None
+    device_months: Mapping[str, int]
     temperatures: tuple[float, float] | None = None
 
     def of(self, name: str, occasion: Occasion) -> tuple[float, float] | None:
@@ -55,6 +63,85 @@ class Limits:
         about = self.systematic.get(name, math.nan) if limit.relative else 0.0
         return about + limit.low, about + limit.high
 
+    def interval(self, serial: str) -> int | None:
+        """Months between calibrations of a device."""
+        return self.device_months.get(serial, self.months)
+
+    def due(self, serial: str, performed: date) -> date | None:
+        """The day the next calibration of a device is due; None without an interval."""
+        months = self.interval(serial)
+        return None if months is None else months_later(performed, months)
+
+
+def months_later(day: date, months: int) -> date:
+    """The same day so many months later, or the last one of a month that is too short."""
+    year, month = divmod(day.year * 12 + day.month - 1 + months, 12)
+    return date(year, month + 1, min(day.day, calendar.monthrange(year, month + 1)[1]))
+
+
+_Months = Annotated[int, Field(ge=1, le=1200)]
+_MONTHS, _ENDS = "a whole number of months from 1 to 1200", "the lowest and the highest, as [-20, 60]"
+
+
+class _LimitsFile(BaseModel):
+    """The tables and keys of a file of limits."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+    format: Literal[1] = Field(description="1")
+    frame: Frame = Field(default="accelerometer", description=f"one of {', '.join(FRAMES)}")
+    systematic: str | None = Field(default=None, min_length=1, description="the name of a calibration file")
+    interval_months: _Months | None = Field(default=None, description=_MONTHS)
+    device_interval_months: dict[str, _Months] = Field(
+        default={}, description=f"a table of serial numbers, each with {_MONTHS}"
+    )
+    temperature_degC: tuple[float, float] | None = Field(default=None, strict=False, description=_ENDS)  # noqa: N815
+    incoming: dict[str, Any] = Field(default={}, description="a table of limits")
+    periodic: dict[str, Any] = Field(default={}, description="a table of limits")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        low, high = self.temperature_degC or (0.0, 1.0)
+        if not -273.15 <= low < high <= 1000.0:
+            raise ValueError(f"temperature_degC: expected {_ENDS}, found [{low:g}, {high:g}]")
+        if not any(self.checks.values()):
+            raise ValueError("expected limits in [incoming] or [periodic], found none")
+        return self
+
+    @property
+    def checks(self) -> dict[Occasion, dict[str, Limit]]:
+        """The limits of each check, by the name of a parameter or a kind. Raises ValueError."""
+        return {
+            occasion: {key: _limit(key, value, f"{occasion}: {key}") for key, value in getattr(self, occasion).items()}
+            for occasion in OCCASIONS
+            if occasion in self.model_fields_set
+        }
+
+
+def _limit(key: str, value: Any, where: str) -> Limit:
+    """A limit as it is typed, under the name of a parameter or a kind. Raises ValueError."""
+    try:
+        kind = group_of(key)
+    except KeyError:
+        said = 'expected a quoted name such as "accel.bias" or "gyro.axis.xy", found'
+        raise ValueError(f"{where}: {said} {key!r}{did_you_mean(key, (group.name for group in groups()))}") from None
+    typed = value if isinstance(value, dict) else {"deviation": value}
+    known = set(typed) == {"deviation"} or (typed and set(typed) <= {"min", "max"})
+    if not known or not all(isinstance(text, str) for text in typed.values()):
+        raise ValueError(f"{where}: expected {_FORMS}, found {value!r}")
+    try:
+        sizes = {name: quantity_of(kind, text) for name, text in typed.items()}
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+    if (size := sizes.get("deviation")) is not None:
+        if size <= 0.0:
+            raise ValueError(f"{where}: expected more than 0, found {typed['deviation']!r}")
+        return Limit(low=-size, high=size, relative=isinstance(value, dict))
+    low, high = sizes.get("min", -math.inf), sizes.get("max", math.inf)
+    if low >= high:
+        raise ValueError(f"{where}: expected a min below max, found {typed['min']!r} and {typed['max']!r}")
+    return Limit(low=low, high=high)
+
 
 def limits_of(path: Path) -> Limits:
     """The limits of a file. Raises InputError, one line."""
@@ -66,9 +153,7 @@ def read_limits(path: Path) -> tuple[str, str | None]:
 
     Raises InputError, one line."""
     text = _text(path)
-    named = content_of(text, str(path)).get("systematic")
-    if named is not None and (not isinstance(named, str) or not named):
-        raise InputError(f"{path}: systematic: expected the name of a calibration file, found {named!r}")
+    named = _file_of(text, str(path)).systematic
     systematic = None if named is None else _text(path.parent / named)
     parse_limits(text, systematic, str(path))
     return text, systematic
@@ -83,80 +168,36 @@ def _text(path: Path) -> str:
         raise InputError(f"{path}: expected UTF-8 text, found {error}") from error
 
 
+def _file_of(text: str, name: str) -> _LimitsFile:
+    return validated(_LimitsFile, toml_of(text, name), name)
+
+
 @lru_cache(maxsize=64)
 def parse_limits(text: str, systematic: str | None, name: str) -> Limits:
     """The limits of the text of a file and of the calibration it names. Raises InputError, one line."""
-    content = content_of(text, name)
-    frame = content.get("frame", "accelerometer")
-    if frame not in FRAMES:
-        raise InputError(f"{name}: frame: expected one of {', '.join(FRAMES)}, found {frame!r}")
-    tables = {occasion: content[occasion] for occasion in OCCASIONS if occasion in content}
-    for occasion, table in tables.items():
-        if not isinstance(table, dict):
-            raise InputError(f"{name}: {occasion}: expected a table of limits, found {table!r}")
-    checks = {
-        occasion: {key: _limit(key, value, f"{name}: {occasion}: {key}") for key, value in table.items()}
-        for occasion, table in tables.items()
-    }
-    if not any(checks.values()):
-        raise InputError(f"{name}: expected limits in [incoming] or [periodic], found none")
-    values: Mapping[str, float] = {}
+    file, values = _file_of(text, name), dict[str, float]()
     if systematic is not None:
         from tumble.result.calibration import calibration_of
 
         calibration = calibration_of(systematic, f"{name}: systematic")
-        if calibration.frame != frame:
+        if calibration.frame != file.frame:
             raise InputError(
-                f"{name}: systematic: expected a calibration in the frame {frame!r} of the limits, found "
+                f"{name}: systematic: expected a calibration in the frame {file.frame!r} of the limits, found "
                 f"{calibration.frame!r}"
             )
         values = {p.name: p.value for p in calibration.parameters}
-    for occasion, by_key in checks.items():
+    for occasion, by_key in file.checks.items():
         for key, limit in by_key.items():
             if limit.relative and not any(meant_by(key, parameter) for parameter in values):
                 raise InputError(
                     f"{name}: {occasion}: {key}: expected a systematic value to deviate from, found none; name a "
                     "calibration file that has it: systematic = FILE"
                 )
-    given, temperatures = content.get("temperature_degC"), None
-    if given is not None:
-        numbers = isinstance(given, list) and all(isinstance(n, int | float) and not isinstance(n, bool) for n in given)
-        if not numbers or len(given) != 2 or not -273.15 <= given[0] < given[1] <= 1000.0:
-            raise InputError(
-                f"{name}: temperature_degC: expected the lowest and the highest, as [-20, 60], found {given!r}"
-            )
-        temperatures = float(given[0]), float(given[1])
-    schedule = schedule_of(content, name)
-    return Limits(frame=frame, checks=checks, systematic=values, schedule=schedule, temperatures=temperatures)
-
-
-def _limit(key: str, value: Any, where: str) -> Limit:
-    """A limit as it is typed, under the name of a parameter or a kind."""
-    try:
-        kind = group_of(key)
-    except KeyError:
-        said = 'expected a quoted name such as "accel.bias" or "gyro.axis.xy", found'
-        raise InputError(f"{where}: {said} {key!r}{did_you_mean(key, (group.name for group in groups()))}") from None
-
-    def number(typed: Any) -> float:
-        if not isinstance(typed, str):
-            raise InputError(f"{where}: expected {_FORMS}, found {typed!r}")
-        try:
-            return quantity_of(kind, typed)
-        except ValueError as error:
-            raise InputError(f"{where}: {error}") from None
-
-    relative = isinstance(value, dict) and set(value) == {"deviation"}
-    if relative or isinstance(value, str):
-        typed = value["deviation"] if relative else value
-        size = number(typed)
-        if size <= 0.0:
-            raise InputError(f"{where}: expected more than 0, found {typed!r}")
-        return Limit(low=-size, high=size, relative=relative)
-    if not isinstance(value, dict) or not value or not set(value) <= {"min", "max"}:
-        raise InputError(f"{where}: expected {_FORMS}, found {value!r}")
-    low = number(value["min"]) if "min" in value else -math.inf
-    high = number(value["max"]) if "max" in value else math.inf
-    if low >= high:
-        raise InputError(f"{where}: expected a min below max, found {value['min']!r} and {value['max']!r}")
-    return Limit(low=low, high=high)
+    return Limits(
+        frame=file.frame,
+        checks=file.checks,
+        systematic=values,
+        months=file.interval_months,
+        device_months=file.device_interval_months,
+        temperatures=file.temperature_degC,
+    )

@@ -14,8 +14,7 @@ from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
 
 from tumble.acceptance.conformity import verdict_at
-from tumble.acceptance.limits import parse_limits
-from tumble.acceptance.schedule import Occasion
+from tumble.acceptance.limits import Occasion, parse_limits
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.recording.session.table import LONGEST_NAME

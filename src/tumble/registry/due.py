@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from datetime import date
 from itertools import islice
 
-from tumble.acceptance.schedule import content_of, schedule_of
+from tumble.acceptance.limits import parse_limits
 from tumble.errors import InputError
 from tumble.registry.store import rows
 from tumble.registry.store.connect import Registry
@@ -83,23 +83,22 @@ def due(registry: Registry) -> list[Due]:
     """
     with registry.reading() as connection:
         latest, in_force = rows.latest_records(connection), rows.limits_in_force(connection)
-    contents = {model: content_of(limits.file, limits.name) for model, limits in in_force.items()}
-    schedules = {model: schedule_of(content, in_force[model].name) for model, content in contents.items()}
+    known = {model: parse_limits(given.file, given.systematic, given.name) for model, given in in_force.items()}
     items = []
     for each in latest:
         record = each.record
         if record.model is None or record.model not in in_force:
             items.append(Due(record=record, calibrations=each.count))
             continue
-        forecast = each.forecast
-        if not each.is_kept and contents[record.model].get("periodic"):
+        forecast, limits = each.forecast, known[record.model]
+        if not each.is_kept and limits.checks.get("periodic"):
             forecast = _forecast(registry, record.serial, in_force[record.model])
         items.append(
             Due(
                 record=record,
                 calibrations=each.count,
-                months=schedules[record.model].interval(record.serial),
-                by_calendar=schedules[record.model].due(record.serial, record.performed.date()),
+                months=limits.interval(record.serial),
+                by_calendar=limits.due(record.serial, record.performed.date()),
                 by_drift=forecast,
             )
         )

@@ -15,8 +15,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from tumble.acceptance.limits import parse_limits
-from tumble.acceptance.schedule import OCCASIONS
+from tumble.acceptance.limits import OCCASIONS, parse_limits
 from tumble.documents import check_regular, json_of, shown
 from tumble.errors import InputError
 from tumble.files import FilePath

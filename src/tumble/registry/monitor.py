@@ -97,7 +97,7 @@ def monitored(registry: Registry, serial: str, parameter: str | None) -> Monitor
     if not chosen:
         known = ", ".join(each.name for each in series)
         raise InputError(f"device {serial!r}: expected one of {known}, found {parameter!r}")
-    by_calendar = None if limits is None else limits.schedule.due(serial, past[-1][0].performed.date())
+    by_calendar = None if limits is None else limits.due(serial, past[-1][0].performed.date())
     return _of_past(past, chosen, limits, comparison=latest_comparison(past), by_calendar=by_calendar)
 
 
