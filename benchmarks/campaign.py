@@ -28,11 +28,12 @@ import numpy as np
 import polars as pl
 import psutil
 
-from tumble.campaigns.campaign import campaign_of
+from tumble.campaigns.campaign import Campaign
 from tumble.campaigns.cluster import executor_for
 from tumble.campaigns.engine import Chunks, Executor, Job, Row, run, serially
 from tumble.campaigns.triads import fit_statics
 from tumble.campaigns.trial import BLOCK
+from tumble.documents import validated
 
 SHORT = "--short" in sys.argv
 PAIRS = 3 if SHORT else 5
@@ -75,8 +76,8 @@ class OneByOne(Chunks):
 def two_against_one() -> tuple[list[float], float, float]:
     """Ratios of the wall times of one process and of two, pair by pair; trials a second with two; and the processor
     time of one process over the longest of two, which other work on the machine does not change."""
-    job = campaign_of({"trials": 600 if SHORT else 2000, "grid": {"method": "joint"}}).job()
-    warm = campaign_of({"trials": 50, "grid": {"method": "joint"}}).job()
+    job = validated(Campaign, {"trials": 600 if SHORT else 2000, "grid": {"method": "joint"}}).job()
+    warm = validated(Campaign, {"trials": 50, "grid": {"method": "joint"}}).job()
     with executor_for(workers=1) as one, executor_for(workers=2) as two:
         for executor in (one, two):
             wall(warm, executor)
@@ -119,9 +120,9 @@ def statics_rates() -> dict[str, float]:
     with ThreadPoolExecutor(2) as threads:
         alone = min(seconds(lambda: fit_statics(halves[0], 9.81)) for _ in range(PAIRS))
         both = min(seconds(lambda: list(threads.map(lambda y: fit_statics(y, 9.81), halves))) for _ in range(PAIRS))
-    job = campaign_of({"kind": "statics", "trials": 40 if SHORT else 200, "grid": {"positions": 24}}).job()
+    job = validated(Campaign, {"kind": "statics", "trials": 40 if SHORT else 200, "grid": {"positions": 24}}).job()
     with executor_for(workers=2) as executor:
-        wall(campaign_of({"kind": "statics", "trials": 4, "grid": {"positions": 24}}).job(), executor)
+        wall(validated(Campaign, {"kind": "statics", "trials": 4, "grid": {"positions": 24}}).job(), executor)
         whole = min(wall(job, executor) for _ in range(2 if SHORT else 3))
     return {
         "fits, one thread": len(halves[0]) / alone,

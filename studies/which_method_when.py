@@ -24,9 +24,11 @@ from typing import Any
 
 import numpy as np
 
-from tumble.campaigns.campaign import campaign_of, run_campaign
+from tumble.campaigns.campaign import Campaign
+from tumble.campaigns.engine import run
 from tumble.campaigns.summary import SummaryLine, summary
 from tumble.campaigns.trial import stream
+from tumble.documents import validated
 from tumble.planning.budget import GROUPS, UNITS
 from tumble.planning.setup import Setup
 from tumble.run.calibrate import ITERATED_METHODS, METHODS
@@ -75,7 +77,9 @@ def lines_on_table(degrees: float, sessions: int) -> Sequence[SummaryLine]:
 def lines_of(grid: Mapping[str, Any], sessions: int) -> Sequence[SummaryLine]:
     """The summary of a campaign of one point."""
     with tempfile.TemporaryDirectory() as folder:
-        return summary(run_campaign(campaign_of({"seed": 19, "trials": sessions, "grid": grid}), Path(folder) / "out"))
+        return summary(
+            run(validated(Campaign, {"seed": 19, "trials": sessions, "grid": grid}).job(), Path(folder) / "out")
+        )
 
 
 def _kept(line: SummaryLine) -> Result:

@@ -50,16 +50,22 @@ def check_regular(path: Path) -> None:
         raise InputError(f"{path}: expected a file, found a device or a pipe; copy what it gives into a file")
 
 
-def text_of_document(path: Path) -> str:
-    """The text of a document. Raises OSError, UnicodeDecodeError, and InputError for one that is too large."""
+def text_of_document(path: Path, error: type[InputError] = InputError) -> str:
+    """The text of a document. Raises an error of the class, one line, for one that cannot be read or is too large."""
     if "\0" in str(path):
-        raise InputError(f"{path}: expected the name of a file, found a null byte in it")
+        raise error(f"{path}: expected the name of a file, found a null byte in it")
     check_regular(path)
-    with path.open("rb") as file:
-        content = file.read(min(path.stat().st_size, LARGEST_DOCUMENT) + 1)
+    try:
+        with path.open("rb") as file:
+            content = file.read(min(path.stat().st_size, LARGEST_DOCUMENT) + 1)
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as fault:
+        raise error(f"{path}: expected UTF-8 text, found {fault.reason}; save it as UTF-8") from None
+    except OSError as fault:
+        raise error(f"{path}: cannot be read: {fault.strerror}") from None
     if len(content) > LARGEST_DOCUMENT:
-        raise InputError(f"{path}: expected at most {LARGEST_DOCUMENT >> 20} MB, found more")
-    return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+        raise error(f"{path}: expected at most {LARGEST_DOCUMENT >> 20} MB, found more")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def toml_of(text: str, where: str, error: type[InputError] = InputError) -> dict[str, Any]:

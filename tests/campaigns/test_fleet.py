@@ -10,8 +10,8 @@ import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 
-from tumble.campaigns.engine import Executor
-from tumble.campaigns.fleet import run_fleet, sessions_of, tally
+from tumble.campaigns.engine import Executor, run
+from tumble.campaigns.fleet import job_of, sessions_of, tally
 from tumble.cli import main
 from tumble.errors import InputError, MissingExtraError
 from tumble.planning.setup import Setup
@@ -42,7 +42,7 @@ def fleet(*arguments: str | Path) -> Result:
 def serial(yard: Path, tmp_path_factory: pytest.TempPathFactory) -> pl.DataFrame:
     """The rows of all sessions."""
     out = tmp_path_factory.mktemp("fleet") / "out"
-    return pl.read_parquet(run_fleet(sessions_of(f"{yard}/*"), out, method="staged"))
+    return pl.read_parquet(run(job_of(sessions_of(f"{yard}/*"), "staged"), out))
 
 
 def test_every_session_has_a_row_and_a_bad_one_stops_none(yard: Path, serial: pl.DataFrame) -> None:
@@ -69,7 +69,7 @@ def test_a_row_holds_what_the_calibration_holds(yard: Path, serial: pl.DataFrame
 
 
 def test_processes_give_the_same_rows(yard: Path, serial: pl.DataFrame, processes: Executor, tmp_path: Path) -> None:
-    rows = run_fleet(sessions_of(f"{yard}/*"), tmp_path / "out", method="staged", executor=processes)
+    rows = run(job_of(sessions_of(f"{yard}/*"), "staged"), tmp_path / "out", executor=processes)
     assert pl.read_parquet(rows).equals(serial)
 
 
@@ -85,9 +85,9 @@ def test_an_interrupted_fleet_is_resumed_without_calibrating_a_session_again(
 
     sessions = sessions_of(f"{copy}/*")
     with pytest.raises(KeyboardInterrupt):
-        run_fleet(sessions, tmp_path / "out", method="staged", progress=interrupt)
+        run(job_of(sessions, "staged"), tmp_path / "out", progress=interrupt)
     shutil.rmtree(copy / "a")  # it is done: nothing reads it again
-    found = pl.read_parquet(run_fleet(sessions, tmp_path / "out", method="staged"))
+    found = pl.read_parquet(run(job_of(sessions, "staged"), tmp_path / "out"))
     assert found.drop("session", "error").equals(serial.drop("session", "error"))
 
 
@@ -124,7 +124,7 @@ def test_sessions_at_urls_give_the_rows_of_the_folders(yard: Path, serial: pl.Da
     memory.put(str(yard), "/fleet-of-the-test", recursive=True)
     sessions = sessions_of("memory://fleet-of-the-test/*")
     assert sessions == [f"memory:///fleet-of-the-test/{name}" for name in "abcde"]
-    found = pl.read_parquet(run_fleet(sessions, tmp_path / "out", method="staged"))
+    found = pl.read_parquet(run(job_of(sessions, "staged"), tmp_path / "out"))
     assert found.drop("session", "error").equals(serial.drop("session", "error"))
     assert found["error"].to_list()[1].startswith("memory:///fleet-of-the-test/b/session.toml: log.file")
     memory.pipe_file("/fleet-of-the-test/bad.txt", b"file:///etc\n")
@@ -138,7 +138,7 @@ def test_sessions_at_urls_give_the_rows_of_the_folders(yard: Path, serial: pl.Da
     ("pattern", "said"),
     [
         ("nowhere/*", "expected a glob that matches folders with a session.toml, found none"),
-        ("nowhere.txt", "expected a readable manifest, found: No such file"),
+        ("nowhere.txt", "cannot be read: No such file"),
         ("empty.txt", "expected a session in each line, found none"),
         ("other.csv", "expected a column 'session', found serial, folder"),
         ("twice.txt", "expected every session once, found .*a twice"),

@@ -231,12 +231,7 @@ def read_certificate(path: Path) -> Certificate:
 
 
 def _parsed(path: Path) -> dict[str, Any]:
-    try:
-        return toml_of(text_of_document(path), str(path))
-    except OSError as error:
-        raise InputError(f"{path}: expected a TOML file with the data of the certificate: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: expected UTF-8 text, found {error.reason}; save it as UTF-8") from None
+    return toml_of(text_of_document(path), str(path))
 
 
 def _with_paths(table: Any, key: str, folder: Path) -> Any:

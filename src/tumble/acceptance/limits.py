@@ -152,20 +152,11 @@ def read_limits(path: Path) -> tuple[str, str | None]:
     """The text of a file of limits, and that of the calibration file it names, both checked.
 
     Raises InputError, one line."""
-    text = _text(path)
+    text = text_of_document(path)
     named = _file_of(text, str(path)).systematic
-    systematic = None if named is None else _text(path.parent / named)
+    systematic = None if named is None else text_of_document(path.parent / named)
     parse_limits(text, systematic, str(path))
     return text, systematic
-
-
-def _text(path: Path) -> str:
-    try:
-        return text_of_document(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise InputError(f"{path}: expected UTF-8 text, found {error}") from error
 
 
 def _file_of(text: str, name: str) -> _LimitsFile:

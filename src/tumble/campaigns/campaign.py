@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property, partial
 from itertools import product
 from pathlib import Path
@@ -26,10 +26,9 @@ from typing import Annotated, Any, Literal, Self, cast
 import polars as pl
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from tumble.campaigns.engine import Executor, Job, Progress, Row, run
+from tumble.campaigns.engine import Job, Row
 from tumble.campaigns.trial import Cell, Source, session_rows, statics_rows
 from tumble.documents import text_of_document, toml_of, validated
-from tumble.errors import InputError
 from tumble.planning.bounds import instrument_of
 from tumble.planning.setup import NAMES
 from tumble.programme.positions import BUILT_IN
@@ -148,13 +147,6 @@ class Campaign(_CampaignTable):
         return Job(definition={"campaign": self.model_dump()}, items=items, task=rows, label=label, schema=schema)
 
 
-def run_campaign(
-    campaign: Campaign, folder: Path, *, executor: Executor | None = None, progress: Progress = lambda _done, _all: None
-) -> Path:
-    """Run a campaign in a folder, or what is missing of it, and return the path of its rows: see `engine.run`."""
-    return run(campaign.job(), folder, executor=executor, progress=progress)
-
-
 def label(cell: Cell) -> Row:
     """The columns that tell a cell from others."""
     return {**cell.point} | ({} if cell.setup.by_hand is None else {"programme": None})
@@ -162,18 +154,4 @@ def label(cell: Cell) -> Row:
 
 def read_campaign(path: Path) -> Campaign:
     """The campaign of a file. Raises InputError, one line, with up to three faults."""
-    try:
-        content = toml_of(text_of_document(path), str(path))
-    except OSError as error:
-        raise InputError(f"{path}: expected a readable campaign file, found: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: expected UTF-8 text, found {error.reason}; save it as UTF-8") from None
-    try:
-        return campaign_of(content)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-
-
-def campaign_of(content: Mapping[str, Any]) -> Campaign:
-    """The campaign of a file's content. Raises InputError with up to three faults."""
-    return validated(Campaign, content)
+    return validated(Campaign, toml_of(text_of_document(path), str(path)), str(path))

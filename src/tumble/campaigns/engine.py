@@ -194,7 +194,7 @@ def _begun(job: Job, folder: Path) -> bool:
         try:
             content = json_of(text_of_document(manifest))
             same = content["sha256"] == job.sha256
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (InputError, ValueError, KeyError, TypeError) as error:
             raise InputError(f"{manifest}: expected the manifest of a job of tumble, found another file") from error
         if not same:
             where, there, here = _difference("", content, job.identity)

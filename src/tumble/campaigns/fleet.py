@@ -22,7 +22,7 @@ import polars as pl
 
 from tumble.brief import Brief
 from tumble.campaigns.cluster import executor_for
-from tumble.campaigns.engine import Executor, Job, Progress, Row, run
+from tumble.campaigns.engine import Job, Progress, Row, run
 from tumble.documents import text_of_document
 from tumble.errors import InputError, needs_extra
 from tumble.files import FilePath
@@ -52,24 +52,15 @@ SCHEMA = {
 that order, row after row."""
 
 
-def run_fleet(
-    sessions: Sequence[str],
-    folder: Path,
-    *,
-    method: Method,
-    executor: Executor | None = None,
-    progress: Progress = lambda _done, _all: None,
-) -> Path:
-    """Calibrate sessions in a folder for the results, or those that are missing of it, and return the path of the
-    rows, one a session: see `engine.run` and `SCHEMA`."""
-    job = Job(
+def job_of(sessions: Sequence[str], method: Method) -> Job:
+    """The sessions to be calibrated, a row each: see `SCHEMA`."""
+    return Job(
         definition={"fleet": {"method": method}, "sessions": list(sessions)},
         items=list(sessions),
         task=partial(calibrated, method),
         label=label,
         schema=SCHEMA,
     )
-    return run(job, folder, executor=executor, progress=progress)
 
 
 def label(session: str) -> Row:
@@ -87,7 +78,7 @@ class Tally:
 
 
 def tally(rows: Path) -> Tally:
-    """The tally of a fleet's rows (the path of `run_fleet`)."""
+    """The tally of a fleet's rows (the path of `engine.run`)."""
     frame = pl.read_parquet(rows, columns=[COLUMN, "accepted", "reasons", "error"])
     refused = frame.filter(pl.col("accepted").not_())
     failed = frame.filter(pl.col("error").is_not_null())
@@ -129,7 +120,7 @@ def fleet(
     """
     found = sessions_of(str(sessions))
     with executor_for(serial=serial, cluster=cluster, workers=workers) as executor:
-        rows = run_fleet(found, Path(out), method=method, executor=executor, progress=progress)
+        rows = run(job_of(found, method), Path(out), executor=executor, progress=progress)
     return FleetResult(rows=rows, sessions=tuple(found), tally=tally(rows))
 
 
@@ -152,16 +143,14 @@ def sessions_of(pattern: str) -> list[str]:
 
 def _listed(manifest: str) -> list[str]:
     """What the lines of a manifest name, or the column of its table."""
-    try:
-        if _is_url(manifest):
-            system, path = _file_system(manifest)
+    if _is_url(manifest):
+        system, path = _file_system(manifest)
+        try:
             text = str(system.cat_file(path).decode("utf-8-sig"))
-        else:
-            text = text_of_document(Path(manifest))
-    except UnicodeDecodeError as error:
-        raise InputError(f"{manifest}: expected UTF-8 text, found {error.reason}; save it as UTF-8") from None
-    except OSError as error:
-        raise InputError(f"{manifest}: expected a readable manifest, found: {error.strerror or error}") from None
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"{manifest}: cannot be read: {error}") from None
+    else:
+        text = text_of_document(Path(manifest))
     lines = [line for line in text.splitlines() if not line.lstrip().startswith("#")]
     if manifest.lower().endswith(".csv"):
         table = csv.DictReader(io.StringIO(text))

@@ -22,9 +22,9 @@ import numpy as np
 import polars as pl
 
 from tumble.brief import Brief
-from tumble.campaigns.campaign import AXES, Campaign, read_campaign, run_campaign
+from tumble.campaigns.campaign import AXES, Campaign, read_campaign
 from tumble.campaigns.cluster import executor_for
-from tumble.campaigns.engine import Progress
+from tumble.campaigns.engine import Progress, run
 from tumble.files import FilePath, whole_file
 from tumble.planning.setup import NAMES
 from tumble.sensors.parameters import group_of, positions_by_group
@@ -57,7 +57,7 @@ class SummaryLine:
 
 
 def summary(rows: Path) -> tuple[SummaryLine, ...]:
-    """The lines of a campaign's rows (the path of `run_campaign`)."""
+    """The lines of a campaign's rows (the path of `engine.run`)."""
     frame = pl.read_parquet(rows)
     axes = list(AXES)
     out = []
@@ -217,7 +217,7 @@ def campaign(
     """
     known, folder = planned if isinstance(planned, Campaign) else read_campaign(Path(planned)), Path(out)
     with executor_for(serial=serial, cluster=cluster, workers=workers) as executor:
-        rows = run_campaign(known, folder, executor=executor, progress=progress)
+        rows = run(known.job(), folder, executor=executor, progress=progress)
     lines = summary(rows)
     write_summary(lines, folder / SUMMARY_FILE)
     return CampaignResult(rows=rows, lines=lines, summary=folder / SUMMARY_FILE)

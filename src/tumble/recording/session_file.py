@@ -45,15 +45,10 @@ def read_session(folder: FilePath) -> Session:
             f"{path}: expected a session folder or its {SESSION_FILE}, found another file; of a log `tumble new` makes "
             "a session, and so does `tumble calibrate` with --latitude"
         )
-    try:
-        content = toml_of(text_of_document(path), str(path), SessionError)
-    except FileNotFoundError:
+    if "\0" not in str(path) and not path.exists():
         found = "none" if path.parent.is_dir() else "no such folder"
-        raise SessionError(f"{path}: expected a session folder with a {SESSION_FILE}, found {found}") from None
-    except UnicodeDecodeError as error:
-        raise SessionError(f"{path}: expected UTF-8 text, found {error.reason}; save it as UTF-8") from None
-    except OSError as error:
-        raise SessionError(f"{path}: expected a readable file, found: {error.strerror}") from None
+        raise SessionError(f"{path}: expected a session folder with a {SESSION_FILE}, found {found}")
+    content = toml_of(text_of_document(path, SessionError), str(path), SessionError)
     return _complete(validated(SessionDocument, content, str(path), SessionError).si(path.parent), str(path))
 
 

@@ -148,7 +148,7 @@ def _check_replaceable(new: Calibration, path: Path, force: bool) -> None:
         old = json_of(text_of_document(path))
         same = old["method"] == new.method and old["provenance"]["log_sha256"] == new.provenance["log_sha256"]
         of_use = any(not old["outcome"][kind]["reasons"] and old[kind] is not None for kind in ("accel", "gyro"))
-    except (OSError, ValueError, KeyError, TypeError, InputError) as error:
+    except (ValueError, KeyError, TypeError, InputError) as error:
         raise CalibrationError(
             f"{path}: expected a calibration to replace, found another file; remove it, or choose another --out"
         ) from error
@@ -164,12 +164,7 @@ def _check_replaceable(new: Calibration, path: Path, force: bool) -> None:
 
 def text_of(path: Path) -> str:
     """The text of a calibration file, not yet looked at."""
-    try:
-        return text_of_document(path)
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:  # not UTF-8
-        raise _no_calibration(str(path), error) from error
+    return text_of_document(path, CalibrationError)
 
 
 def parsed(record: type[Calibration], text: str, name: str, check: Callable[[Calibration], None]) -> Calibration:

@@ -127,8 +127,6 @@ def read_truth(path: Path) -> dict[str, float]:
     """True values by parameter name from a truth.json. Raises InputError for a file that is none."""
     try:
         content = json_of(text_of_document(path))
-    except OSError as error:
-        raise InputError(f"{path}: expected a truth.json as `tumble simulate` writes it: {error.strerror}") from error
     except ValueError as error:
         raise InputError(f"{path}: expected a truth.json as `tumble simulate` writes it: {error}") from error
     numbers: list[Any] = list(content.values()) if isinstance(content, dict) else [None]
