@@ -68,7 +68,9 @@ def summary(rows: Path) -> tuple[SummaryLine, ...]:
 
 
 def _lines(point: Mapping[str, Any], method: str, part: pl.DataFrame) -> Iterator[SummaryLine]:
-    statics, why = "triads" in part.columns, _first_reason(part)
+    statics = "triads" in part.columns
+    refused = part.filter(pl.col("accepted").not_())["reasons"].to_list() if "reasons" in part.columns else []
+    why = next(iter(refused + part["error"].drop_nulls().to_list()), "")
     if statics:
         trials, failed = int(part["triads"].sum()), int(part["failed"].sum() or 0)
         accepted = trials - failed
@@ -92,12 +94,6 @@ def _lines(point: Mapping[str, Any], method: str, part: pl.DataFrame) -> Iterato
                 why=why,
                 **_of_group(members),
             )
-
-
-def _first_reason(part: pl.DataFrame) -> str:
-    """Why the first trial that was not accepted was not, or the first that failed did."""
-    refused = part.filter(pl.col("accepted").not_())["reasons"].to_list() if "reasons" in part.columns else []
-    return next(iter(refused + part["error"].drop_nulls().to_list()), "")
 
 
 def _names(part: pl.DataFrame) -> tuple[str, ...]:

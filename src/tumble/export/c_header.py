@@ -33,7 +33,7 @@ from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import changing, coefficients, measured_range, own_thermometers, references
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
 from tumble.sensors.instrument import is_linear
-from tumble.sensors.model import Block, SensorKind, SensorModel
+from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import FORCE, OWN_CUBE, OWN_SIZE, PRODUCTS
 from tumble.units import Array
 
@@ -212,18 +212,11 @@ def _worked(compensator: Compensator, known: dict[SensorKind, SensorModel]) -> l
     ]
 
 
-def coefficients_of(compensator: Compensator, kind: SensorKind) -> tuple[Block, Array]:
-    """The sensors of a kind and their coefficients (n, 15)."""
-    if kind == "accel" or compensator.gyro is None:
-        return compensator.accel, compensator.accel_coefficients
-    return compensator.gyro, compensator.gyro_coefficients
-
-
 def beyond_linear(compensator: Compensator, kind: SensorKind) -> dict[str, Array]:
     """The constants of the terms beyond the linear model of the sensors of a kind, by name; none of a linear one, and
     "by_force" of gyros that feel the specific force."""
-    block, K = coefficients_of(compensator, kind)
-    if is_linear(block, K):
+    block, K = compensator.sensors(kind)
+    if block is None or is_linear(block, K):
         return {}
     tables = {"axis": block.axes, "asymmetry": K[:, OWN_SIZE], "cubic": K[:, OWN_CUBE]}
     if kind == "accel":

@@ -61,7 +61,7 @@ from tumble.units import DEGREE
 
 NAMES: Mapping[SensorKind, str] = {"accel": "accelerometer", "gyro": "gyroscope"}
 UNKNOWN = SensorModel(matrix=np.eye(3), bias=np.zeros(3))
-"""What DepthAI keeps where nothing is known."""
+"""What DepthAI and RealSense have where nothing is known."""
 
 
 def imucal(calibration: Calibration) -> Exported:

@@ -245,7 +245,8 @@ class _Link:
                 if message is None or message.get_type() != "PARAM_VALUE" or message.param_id != name:
                     continue
                 self._types[name] = message.param_type
-                said = self._decoded(message.param_value, message.param_type)
+                as_bits = message.param_type in INTEGERS and AUTOPILOTS[self.kind] == "px4"
+                said = _bits("f", "i", message.param_value) if as_bits else float(np.float32(message.param_value))
                 if answers(said):
                     return said
         return said
@@ -260,7 +261,7 @@ class _Link:
         if self.armed and not even_if_armed:
             raise InputError(f"{self.name}: expected it to stay disarmed, found it armed before {name}")
         send, to, kind = self._link.mav.param_set_send, self._link, self._types[name]
-        sent = self._encoded(value, kind)
+        sent = _bits("i", "f", int(value)) if kind in INTEGERS and AUTOPILOTS[self.kind] == "px4" else value
         found = self._asked(
             name,
             lambda: send(to.target_system, to.target_component, name.encode(), sent, kind),
@@ -270,12 +271,7 @@ class _Link:
             said = "no answer" if found is None else f"{found:.9g}"
             raise InputError(f"{self.name}: expected {name} to become {value:.9g}, found {said}")
 
-    def _decoded(self, value: float, kind: int) -> float:
-        if kind in INTEGERS and AUTOPILOTS[self.kind] == "px4":
-            return float(struct.unpack("<i", struct.pack("<f", value))[0])
-        return float(np.float32(value))
 
-    def _encoded(self, value: float, kind: int) -> float:
-        if kind in INTEGERS and AUTOPILOTS[self.kind] == "px4":
-            return float(struct.unpack("<f", struct.pack("<i", int(value)))[0])
-        return value
+def _bits(of: str, to: str, value: float) -> float:
+    """The number of another type of 32 bits that has the same bits, "f" a real and "i" a whole one."""
+    return float(struct.unpack(f"<{to}", struct.pack(f"<{of}", value))[0])

@@ -150,8 +150,9 @@ class Compensator:
     @property
     def linear(self) -> bool:
         """Whether matrix and bias of each kind are all there is, whatever the temperature."""
-        kinds = ((self.accel, self.accel_coefficients), (self.gyro, self.gyro_coefficients))
-        return not self.warm and all(block is None or is_linear(block, K) for block, K in kinds)
+        return not self.warm and all(
+            block is None or is_linear(block, K) for block, K in map(self.sensors, ("accel", "gyro"))
+        )
 
     @property
     def warm(self) -> bool:
@@ -164,9 +165,13 @@ class Compensator:
         blocks = (self.accel, self.gyro)
         return len({int(t) for block in blocks if block is not None for t in block.thermometer}) > 1
 
+    def sensors(self, kind: str) -> tuple[Block | None, Array]:
+        """The sensors of a kind, None where there are none, and their coefficients (n, 15)."""
+        return (self.accel, self.accel_coefficients) if kind == "accel" else (self.gyro, self.gyro_coefficients)
+
     def model(self, kind: str) -> SensorModel:
         """Matrix and bias of a kind of sensors, without what is beyond them."""
-        block, K = (self.accel, self.accel_coefficients) if kind == "accel" else (self.gyro, self.gyro_coefficients)
+        block, K = self.sensors(kind)
         assert block is not None
         return SensorModel(matrix=K[:, measured_by(block)], bias=K[:, CONSTANT])
 

@@ -239,8 +239,8 @@ def known_before(
     names, linear = instrument.names, instrument.names[: instrument.linear_count]
 
     # Σ with the uncertainty of gravity before it: by the calibration, and of the usual size what it does not have
-    places = {p.name: i for i, p in enumerate(calibration.parameters) if variable_of(p.name) != "time"}
-    missing = [name for name in linear if name not in places]
+    given = {p.name: p.value for p in calibration.parameters if variable_of(p.name) != "time"}
+    missing = [name for name in linear if name not in given]
     if missing or calibration.covariance is None:
         raise InputError(
             f"calibration of {calibration.serial!r}: expected the parameters of the session's sensors, found none of "
@@ -251,10 +251,9 @@ def known_before(
     whole[0, 0] = gravity**2
     for group, members in instrument.members.items():
         covariance[members, members] = usual[group] ** 2 * np.eye(members.stop - members.start)
-    at = [i for i, name in enumerate(names) if name in places]
-    chosen = [places[names[i]] for i in at]
-    values[at] = [calibration.parameters[i].value for i in chosen]
-    covariance[np.ix_(at, at)] = calibration.covariance[np.ix_(chosen, chosen)]
+    at = [i for i, name in enumerate(names) if name in given]
+    values[at] = [given[names[i]] for i in at]
+    covariance[np.ix_(at, at)] = calibration.covariance_of([names[i] for i in at])
     if shared_gravity(calibration.site, observations.site):
         change = by_gravity(calibration.parameters, calibration.covariance, calibration.site)
         by_name = {p.name: c for p, c in zip(calibration.parameters, change.tolist(), strict=True)}

@@ -68,12 +68,8 @@ def noise_of(given: Calibration, name: str | None) -> tuple[str, list[SensorNois
 def calibrated(given: Calibration, names: tuple[str, ...], usual: Array) -> tuple[Array, Array]:
     """Covariance (m, m) of the parameters after calibration: its own, with biases as the means of their processes, and
     of those that it does not have the usual one; and that of what another power-on changes."""
-    assert given.covariance is not None
-    of_file = {name: i for i, name in enumerate(given)}
-    here = [i for i, name in enumerate(names) if name in of_file]
-    there = [of_file[names[i]] for i in here]
-    after, turned_on = usual.copy(), np.zeros_like(usual)
-    after[np.ix_(here, here)] = given.covariance[np.ix_(there, there)]
+    here, after, turned_on = [i for i, name in enumerate(names) if name in given], usual.copy(), np.zeros_like(usual)
+    after[np.ix_(here, here)] = given.covariance_of([names[i] for i in here])
     for bias in given.process_bias:
         i = names.index(bias.name)
         after[i, i] = max(after[i, i], bias.u**2)
