@@ -168,7 +168,7 @@ def candidates_of(session: LinearisedSession) -> Iterator[Candidate]:
             )
     yield from products(session)
     modelled = "gyro.cubic" in session.problem.instrument.members
-    if session.turned and about is not None and gyro is not None and not modelled:
+    if any(session.turned) and about is not None and gyro is not None and not modelled:
         yield gyro_nonlinearity(session, about, gyro)
     if gyro is not None and session.observations.site.latitude is not None:
         yield latitude_error(session, session.observations.site.latitude)

@@ -45,6 +45,13 @@ class LinearisedSession:
         self.rate = self.problem.earth @ L
         self.accel: Block = self.observations.accel_block
         self.begins = {part.rests.start for part in self.problem.parts}  # the first rest of each session
+        gyro, about = self.observations.gyro_block, linearised.about
+        self.kinds: list[tuple[Kind, Block]] = [("accel", self.accel)]
+        if gyro is not None:
+            self.kinds.append(("gyro", gyro))
+        # of each session whether anything is turned: the parts of a rest are joined by turns of no duration
+        moved = np.zeros(0, dtype=bool) if about is None else about.moments.T >= SHORTEST_TURN
+        self.turned = [bool(moved[part.turns].any()) for part in self.problem.parts]
 
     @cached_property
     def observed(self) -> list[Observations]:
@@ -52,22 +59,6 @@ class LinearisedSession:
         if self.observations.together is None:
             return [self.observations]
         return [apart(self.observations, part.rests, part.turns) for part in self.problem.parts]
-
-    @property
-    def kinds(self) -> list[tuple[Kind, Block]]:
-        """The sensors by kind."""
-        gyro = self.observations.gyro_block
-        return [("accel", self.accel)] if gyro is None else [("accel", self.accel), ("gyro", gyro)]
-
-    @property
-    def turned(self) -> bool:
-        """Whether anything is turned in any session."""
-        return any(self.turned_in(s) for s in range(len(self.problem.parts)))
-
-    def turned_in(self, s: int) -> bool:
-        """Whether anything is turned in a session: the parts of a rest are joined by turns of no duration."""
-        about = self.linearised.about
-        return about is not None and bool(np.any(about.moments.T[self.problem.parts[s].turns] >= SHORTEST_TURN))
 
     @cached_property
     def steps(self) -> Array:

@@ -66,7 +66,7 @@ def jittering(observations: Observations) -> str:
 def of_turns(session: LinearisedSession, whole: Remaining) -> list[Candidate]:
     """A loss in the turn of each session that lacks samples most likely, by what is left of residuals with the
     components of variance of the estimate; none where time stamps would show it."""
-    if not (session.turned and session.observations.unstamped):
+    if not (any(session.turned) and session.observations.unstamped):
         return []
     turn = _columns(session)
     W, (residual, covariance) = whole.step.told.weights.turn, whole.left.turn

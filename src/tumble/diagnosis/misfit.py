@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -165,17 +166,18 @@ def misfit(estimate: Estimate) -> Misfit | None:
 def _causes(session: LinearisedSession, alone: Remaining, whole: Remaining) -> list[list[Cause]]:
     """Of each session all causes, the most significant first, one of a name and kind of sensor, by what is left of the
     residuals with the noise alone and with the components of variance of the estimate."""
+    by_probability = attrgetter("probability")
     by_session = tested(session.linearised, [*candidates_of(session), *of_turns(session, whole)])
-    blamed = turns_to_blame(session.linearised, alone) if session.turned else whole
+    blamed = turns_to_blame(session.linearised, alone) if any(session.turned) else whole
     for s, causes in enumerate(by_session):
         causes += quantisation(session, s)
         lost = [cause for cause in causes if cause.name == "lost samples"]
         held = samples_held(session.observed[s])
-        if held is None and session.turned_in(s):
+        if held is None and session.turned[s]:
             lost.append(lost_in_all_turns(session, s, blamed))
-        likely = held or min(lost, key=lambda cause: cause.probability, default=None)
+        likely = held or min(lost, key=by_probability, default=None)
         causes[:] = [cause for cause in causes if cause not in lost] + ([likely] if likely is not None else [])
-        causes.sort(key=lambda cause: cause.probability)
+        causes.sort(key=by_probability)
     return by_session
 
 

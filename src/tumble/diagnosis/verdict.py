@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from tumble.diagnosis.misfit import Misfit, Said, misfit
@@ -44,8 +42,14 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
     if (faces or not missing) and not estimate.converged:
         said = "the estimate did not converge: the data contradict the model; look at the rests with `tumble inspect`"
         reasons.append(((), said))
-    if not gravity_confirmed:
-        reasons += ((("accel.scale",), said) for said in gravity_refused(observations.site))
+    difference = gravity_difference(observations.site)
+    if not gravity_confirmed and difference is not None and abs(difference) > GRAVITY_REFUSED:
+        said = (
+            f"{gravity_said(observations.site)}, more than {GRAVITY_REFUSED / MILLIGAL:.0f}: every scale factor of the "
+            "accelerometers would be wrong with it; correct gravity, latitude_deg or height_m in [site], or write "
+            "gravity_confirmed = true"
+        )
+        reasons.append((("accel.scale",), said))
     rests, turns = estimate.fits.get("accelerometers"), estimate.fits.get("gyro turns")
     if rests is not None and rests.scatter > SCATTER_LIMIT and estimate.left_out is None:
         said = (
@@ -188,14 +192,3 @@ def gravity_doubted(site: Site) -> tuple[str, ...]:
         f"in [site]; if that is wrong, the scale factors of the accelerometers are off by "
         f"{difference / site.gravity * 1e6:+.0f} ppm",
     )
-
-
-def gravity_refused(site: Site) -> Iterator[str]:
-    """Gravity that no place of this latitude has."""
-    difference = gravity_difference(site)
-    if difference is not None and abs(difference) > GRAVITY_REFUSED:
-        yield (
-            f"{gravity_said(site)}, more than {GRAVITY_REFUSED / MILLIGAL:.0f}: every scale factor of the "
-            "accelerometers would be wrong with it; correct gravity, latitude_deg or height_m in [site], or write "
-            "gravity_confirmed = true"
-        )
