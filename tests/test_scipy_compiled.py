@@ -1,9 +1,16 @@
 """SciPy's compiled functions without its packages: the same functions, and packages that load as ever afterwards."""
 
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+import scipy.linalg
+import scipy.special
+
+import tumble
+from tumble.scipy_compiled import blas, lapack, special
 
 ALONE = """
 import sys
@@ -35,3 +42,15 @@ from tumble.scipy_compiled import blas, lapack, special
 @pytest.mark.parametrize("first", [ALONE, WHOLE, ELSEWHERE], ids=["alone", "after the packages", "kept elsewhere"])
 def test_functions_are_those_of_the_packages(first: str) -> None:
     subprocess.run([sys.executable, "-W", "error", "-c", first + THE_SAME], check=True)
+
+
+def test_every_function_that_is_used_is_the_public_one() -> None:
+    sources = "\n".join(file.read_text() for file in Path(tumble.__file__).parent.rglob("*.py"))
+    for compiled, name, public in (
+        (special, "special", scipy.special),
+        (lapack, "lapack", scipy.linalg.lapack),
+        (blas, "blas", scipy.linalg.blas),
+    ):
+        used = set(re.findall(rf"\b{name}\.([a-z]\w+)\(", sources))
+        assert used
+        assert [function for function in used if getattr(compiled, function) is not getattr(public, function)] == []
