@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,6 @@ from hypothesis import settings
 
 from tests.support import ROOT
 from tests.support.slow import function_of, slow_functions
-from tumble.campaigns.engine import Executor
 
 settings.register_profile("tumble", deadline=None)  # timings decide no test
 settings.load_profile("tumble")
@@ -36,12 +34,3 @@ def data() -> Path:
             pytest.fail(said)
         pytest.skip(said)
     return folder
-
-
-@pytest.fixture(scope="session")
-def processes() -> Iterator[Executor]:
-    """Two processes of a local cluster: they take seconds to start, so all tests share them."""
-    from tumble.campaigns.cluster import executor_for
-
-    with executor_for(workers=2) as executor:
-        yield executor

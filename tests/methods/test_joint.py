@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -147,16 +147,15 @@ def test_without_gyros_the_accelerometer_parameters_are_those_of_the_first_stage
     assert second.gyro is None
     assert set(second.fits) == {"accelerometers", TOTAL}
     assert second.fits[TOTAL].degrees == pytest.approx(6.0)
-    u = np.sqrt(np.diag(unscattered(alone)))
+    u = np.sqrt(np.diag(unscattered(alone, second)))
     assert first.fits["accelerometers"].scatter == 0.0
     assert np.all(second.u > 0.99 * first.u)
     np.testing.assert_allclose((first.values - second.values) / u, 0.0, atol=1.0)
 
 
-def unscattered(session: Observations) -> Array:
+def unscattered(session: Observations, found: Estimate) -> Array:
     """Covariance of the parameters at the estimate with the noise within rests alone."""
     problem = Problem.of(session)
-    found = joint(session)
     at, _ = start_of(problem)
     turned = found.gyro is not None and session.turns is not None
     about = TurnsAbout.of(session, problem.instrument, found.values) if turned else None
@@ -167,19 +166,41 @@ def unscattered(session: Observations) -> Array:
 # -------------------- with noise --------------------
 
 
-def test_errors_are_at_the_bound_and_chi_square_is_that_of_its_degrees() -> None:
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """A session of §8 with its truth, and its estimate."""
+
+    chosen: Scenario
+    session: Observations
+    found: Estimate
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[Run]:
+    """60 of them."""
+    out = []
+    for seed in range(100, 160):
+        chosen = scenario(SETUP, seed)
+        session = observed(chosen, seed)
+        out.append(Run(chosen=chosen, session=session, found=joint(session)))
+    return out
+
+
+def test_errors_are_at_the_bound_and_chi_square_is_that_of_its_degrees(runs: list[Run]) -> None:
     """60 runs of §8: normalised by the bound of the same observations, each of the 21 errors is of unit variance
     (1,260 of them; correlated, so that the limits are those of 250), chi-square 66 on the mean."""
-    z, chi_square = [], []
-    for seed in range(60):
-        chosen = scenario(SETUP, 100 + seed)
-        session = observed(chosen, 100 + seed)
-        found = joint(session)
-        z.append(error_of(found, chosen) / np.sqrt(np.diag(unscattered(session))))
-        chi_square.append(found.fits[TOTAL].chi_square)
-        assert found.fits[TOTAL].degrees == pytest.approx(66.0, abs=1e-6)
+    z = [error_of(run.found, run.chosen) / np.sqrt(np.diag(unscattered(run.session, run.found))) for run in runs]
+    totals = [run.found.fits[TOTAL] for run in runs]
+    assert [total.degrees for total in totals] == pytest.approx([66.0] * 60, abs=1e-6)
     assert np.mean(np.square(z)) == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / 250))
-    assert np.mean(chi_square) == pytest.approx(66.0, abs=5.0 * np.sqrt(2.0 * 66.0 / 60))
+    assert np.mean([total.chi_square for total in totals]) == pytest.approx(66.0, abs=5.0 * np.sqrt(2.0 * 66.0 / 60))
+
+
+def test_residuals_are_judged_in_sigmas(runs: list[Run]) -> None:
+    """Over 60 sessions: a rest or turn beyond 4.5 sigmas is none of 1,740; their mean square is about 1."""
+    rests, turns = [run.found.rest_sigmas for run in runs], [run.found.turn_sigmas for run in runs]
+    assert max(np.max(rests), np.max(turns)) < 4.5
+    assert 0.4 < np.mean(np.square(turns)) < 1.3  # scatter, which is never nothing, takes some
 
 
 def test_nine_turns_leave_51_degrees_of_freedom() -> None:
@@ -192,7 +213,7 @@ def test_uncertainties_are_not_larger_than_the_staged_ones() -> None:
     """The staged estimate leaves something: it uses the verticals of the turns alone, and the horizontal Earth's rate
     as if it were new at every rest."""
     session = observed(scenario(SETUP, 4), 4)
-    bound = np.sqrt(np.diag(unscattered(session)))
+    bound = np.sqrt(np.diag(unscattered(session, joint(session))))
     assert np.all(bound <= 1.001 * staged(session).u)
     assert np.mean(bound / staged(session).u) < 0.9
 
@@ -346,17 +367,6 @@ def test_a_turn_that_does_not_fit_is_left_out_and_named(turn: int) -> None:
     assert said.accepted
     assert any(f"turn from rest {turn + 1} to rest {turn + 2}" in remark for remark in said.remarks)
     assert np.abs((found.values - undisturbed.values) / undisturbed.u).max() < 1.0
-
-
-def test_residuals_are_judged_in_sigmas() -> None:
-    """Over 40 sessions: a rest or turn beyond 4.5 sigmas is none of 1,160; their mean square is about 1."""
-    rests, turns = [], []
-    for seed in range(40):
-        found = joint(observed(scenario(SETUP, 300 + seed), 300 + seed))
-        rests.append(found.rest_sigmas)
-        turns.append(found.turn_sigmas)
-    assert max(np.max(rests), np.max(turns)) < 4.5
-    assert 0.4 < np.mean(np.square(turns)) < 1.3  # scatter, which is never nothing, takes some
 
 
 # -------------------- what is not seen --------------------

@@ -43,6 +43,7 @@ _GO_ON = "what was computed is kept: give the same command again to go on"
 _SETTINGS = {
     "distributed.worker.multiprocessing-method": "spawn",
     "distributed.scheduler.allowed-failures": ALLOWED_DEATHS,
+    "distributed.worker.profile.enabled": False,  # it would look at every process a hundred times a second, idle or not
     "distributed.scheduler.http.routes": [],  # the servers cannot be left out, but serve nothing
     "distributed.worker.http.routes": [],
     # Ctrl-C goes to all processes of a terminal: this one ends the others

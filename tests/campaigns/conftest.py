@@ -1,0 +1,17 @@
+"""Two processes of a local cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from tumble.campaigns.cluster import executor_for
+from tumble.campaigns.engine import Executor
+
+
+@pytest.fixture(scope="package")
+def processes() -> Iterator[Executor]:
+    """They take seconds to start and are busy even when idle: the tests of this folder share them, and no other."""
+    with executor_for(workers=2) as executor:
+        yield executor
