@@ -145,21 +145,25 @@ def _turned(attitude: Array, turn: Array, rate: float) -> Array:
     return np.asarray(seen.reshape(samples, PANELS, 6).mean(axis=1))
 
 
-def followed(sent: Path, rests: Array, folder: Path) -> Followed:
-    """Have a bench follow a recording as it grows, and calibrate it."""
+def followed(sent: Path, rests: Array, folder: Path, between: float) -> Followed:
+    """Have a bench follow a recording as it grows, and calibrate it. It looks every so many seconds from a minute after
+    the beginning of a rest to ten seconds before its end."""
     folder.mkdir()
     (folder / "session.toml").write_bytes((sent / "session.toml").read_bytes())
     header, *rows = (sent / "log.csv").read_bytes().splitlines(keepends=True)
     station, looks, wrong, seconds = Station(folder, None), 0, 0, 0.0
-    portion = round(STEP_SECONDS * SAMPLE_RATE)
+    written = 0
     with (folder / "log.csv").open("ab", buffering=0) as log:
         log.write(header)
-        for start in range(0, len(rows), portion):
-            log.write(b"".join(rows[start : start + portion]))
+        while written < len(rows):
+            at = written / SAMPLE_RATE
+            middle = np.any((rests[:, 0] + 60.0 < at) & (at < rests[:, 1] - 10.0 - between))
+            start, written = written, written + round((between if middle else STEP_SECONDS) * SAMPLE_RATE)
+            log.write(b"".join(rows[start:written]))
             began = time.thread_time()
             station.step()
             seconds += time.thread_time() - began
-            at = min(start + portion, len(rows)) / SAMPLE_RATE
+            at = min(written, len(rows)) / SAMPLE_RATE
             resting = np.flatnonzero((rests[:, 0] + LATE_SECONDS <= at) & (at <= rests[:, 1]))
             if len(resting):
                 looks += 1
@@ -196,7 +200,7 @@ def _without_date(path: Path) -> dict[str, Any]:
 
 def main() -> int:
     parser = argparse.ArgumentParser()
-    parser.add_argument("--short", action="store_true", help="one warm-up of ten minutes and one session by hand")
+    parser.add_argument("--short", action="store_true", help="one warm-up, of ten minutes, and one session by hand")
     given = parser.parse_args()
     minutes, rest, sessions = ([10.0], 15.0, 1) if given.short else ([10.0, 20.0, 60.0], 56.0, 20)
     courses = [(f"first rest {m:g} min", after_warming_up(m, rest)) for m in minutes]
@@ -206,7 +210,7 @@ def main() -> int:
         with tempfile.TemporaryDirectory() as made:
             sent = Path(made) / "sent"
             rests = recorded(sent, course, np.random.default_rng([2, k]))
-            page = followed(sent, rests, Path(made) / "received")
+            page = followed(sent, rests, Path(made) / "received", 2.0 if given.short else STEP_SECONDS)
         fine += page.fine
         print(
             f"{name}: {len(rests)} rests in {rests[-1, 1]:.0f} s, {page.wrong} of {page.looks} looks wrong; rests "

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass, replace
+from functools import cache
 from math import inf, sqrt
 
 import numpy as np
@@ -88,16 +89,7 @@ class Launched:
 
 def run(case: Case, trials: int, *, seed: int = 0) -> Outcome:
     """The outcome of a case over so many devices."""
-    setup = Setup.of(grade="mems", positions=case.rests, gravity_u=GRAVITY_U)
-    noise = replace(
-        setup.noise,
-        accel_instability=case.scatter * setup.noise.accel_instability,
-        gyro_instability=case.scatter * setup.noise.gyro_instability,
-    )
-    setup = replace(setup, noise=noise)
-    devices = [
-        _launched(setup, case, np.random.default_rng([seed, case.launches, case.rests, t])) for t in range(trials)
-    ]
+    devices = _devices(case.launches, case.rests, case.scatter, trials, seed)
     covered, passed = [], []
     for trial, device in enumerate(devices):
         others = [(trial + 1 + i) % trials for i in range(min(case.alike, trials - 1))]
@@ -110,11 +102,24 @@ def run(case: Case, trials: int, *, seed: int = 0) -> Outcome:
     return Outcome(covered=float(np.mean(covered)), passed=float(np.mean(passed)), values=len(covered))
 
 
-def _launched(setup: Setup, case: Case, rng: np.random.Generator) -> Launched:
+@cache  # cases differ by nothing but whether other devices count
+def _devices(launches: int, rests: int, scatter: float, trials: int, seed: int) -> list[Launched]:
+    """So many devices."""
+    setup = Setup.of(grade="mems", positions=rests, gravity_u=GRAVITY_U)
+    noise = replace(
+        setup.noise,
+        accel_instability=scatter * setup.noise.accel_instability,
+        gyro_instability=scatter * setup.noise.gyro_instability,
+    )
+    setup = replace(setup, noise=noise)
+    return [_launched(setup, launches, np.random.default_rng([seed, launches, rests, t])) for t in range(trials)]
+
+
+def _launched(setup: Setup, launches: int, rng: np.random.Generator) -> Launched:
     """A device and its launches."""
     scenario = scenario_of(setup, rng)
     off = scenario.site.gravity_u * rng.standard_normal()
-    runs = [_session(scenario, off, case.launches, rng) for _ in range(case.launches)]
+    runs = [_session(scenario, off, launches, rng) for _ in range(launches)]
     return Launched(truth=dict(scenario.truth), runs=runs)
 
 
