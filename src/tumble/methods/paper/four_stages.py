@@ -30,7 +30,6 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from scipy import linalg
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError, ProgrammeError, SessionError
@@ -381,16 +380,21 @@ class _SessionData:
     def covariance(self, scatter: Mapping[str, float]) -> Array:
         """Covariance (d, d) of the data: noise within rests and turns, scatter between them, and gravity."""
         rests, (accel, *gyro) = self.observations.rests, self.blocks
-        parts = list(
+        blocks = [
             accel.axes.T @ rests.accel_covariance @ accel.axes + scatter.get("accelerometers", 0.0) ** 2 * np.eye(3)
-        )
+        ]
         if gyro and self.observations.turns is not None:
             turns, of_rest = self.observations.turns, scatter.get("gyro rests", 0.0)
-            parts += list(gyro[0].axes.T @ rests.gyro_covariance @ gyro[0].axes + of_rest**2 * np.eye(3))
+            blocks.append(gyro[0].axes.T @ rests.gyro_covariance @ gyro[0].axes + of_rest**2 * np.eye(3))
             drift = (of_rest * turns.duration) ** 2 + scatter.get("gyro turns", 0.0) ** 2
-            parts += list(turns.covariance + drift[:, None, None] * np.eye(3))
-        parts.append(np.array([[self.observations.site.gravity_u**2]]))
-        return np.asarray(linalg.block_diag(*parts), dtype=float)
+            blocks.append(turns.covariance + drift[:, None, None] * np.eye(3))
+        every = np.concatenate(blocks)
+        count, of_data = len(every), np.zeros((len(self.data), len(self.data)))
+        apart = np.zeros((count, 3, count, 3))
+        apart[np.arange(count), :, np.arange(count)] = every
+        of_data[:-1, :-1] = apart.reshape(3 * count, 3 * count)
+        of_data[-1, -1] = self.observations.site.gravity_u**2
+        return of_data
 
 
 # Uncertainty, and how well it fits
@@ -413,7 +417,7 @@ def _estimate(launch: _SessionData, values: Array, derivative: Array, increments
 
     def residuals_of(name: str, scatter: Mapping[str, float]) -> Residuals:
         noise, own = launch.covariance(scatter), rows[name]
-        variance = np.einsum("rd,de,re->r", direct[own], noise, direct[own])
+        variance = np.sum(direct[own] @ noise * direct[own], axis=1)
         return Residuals(residual=residual[own], variance=variance, left=total[own] @ noise @ total[own].T)
 
     scatter = dict[str, float]()
