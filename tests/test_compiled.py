@@ -55,12 +55,10 @@ def chain(module: ModuleType) -> list[Array]:
     """All that elimination gives for a chain."""
     given, factor, triangle = rows(9, 3, 7, 1)
     module.eliminate(*given, factor, triangle)
-    rng, unknowns, covariance = np.random.default_rng(2), np.zeros((9, 3)), np.eye(7) + 0.1
-    parameters = rng.standard_normal(7)
-    own, shared = module.put_back(factor, parameters, covariance, unknowns)
+    rng, solved = np.random.default_rng(2), module.put_back(factor)
     Z, component = rng.standard_normal((4, 5, 6)), np.array([0, 0, 1, 2, 2, 4])
     whitening = module.whitening(np.tile(np.eye(5), (4, 1, 1)), Z, component, np.array([0.1, 0.0, 0.3, 0.0, 0.2]))
-    return [factor, triangle, unknowns, own, shared, whitening]
+    return [factor, triangle, *solved, module.given_parameters(*solved[:2]), whitening]
 
 
 def test_elimination_is_that_of_python_to_the_bit() -> None:

@@ -14,7 +14,6 @@ from tests.support.wandering_biases import middles
 from tumble.diagnosis.verdict import verdict
 from tumble.inference import elimination, integral
 from tumble.inference import joint as of_joint
-from tumble.inference.elimination import given_others
 from tumble.inference.hyperparameters import Components, Hyperparameters
 from tumble.inference.in_run import InRun, mean_along
 from tumble.inference.integral import posterior, smoothed
@@ -234,7 +233,7 @@ def test_states_of_biases_are_those_of_everything_at_once(cut: bool) -> None:
     np.testing.assert_allclose(
         (step.unknowns[:, 3:] * sigma).ravel() / u[states], values[states] / u[states], atol=1e-4, rtol=1e-5
     )
-    own = np.diagonal(step.shared[0][0][:, 3:, 3:], axis1=1, axis2=2)
+    own = np.diagonal(step.covariances(slice(3, None))[0], axis1=1, axis2=2)
     np.testing.assert_allclose(np.sqrt(own).ravel() * np.tile(sigma, N), u[states], rtol=1e-5)
     changed = solve(problem, at.rows, weights(problem, at.rows, replace(IN_RUN, gyro_time=100.0, turn=5e-5)))
     assert changed.deviance - step.deviance == pytest.approx(other - deviance, abs=1e-3)
@@ -243,12 +242,12 @@ def test_states_of_biases_are_those_of_everything_at_once(cut: bool) -> None:
     mean[np.arange(n), 3 * N + 1 + problem.biases] = 1.0
     for s in range(n):
         mean[s, 3 * N + p + s + n * np.arange(N)] = 1.0 / N
-    alone, by, noise = mean_along(step.told, given_others(step.told.factor))
-    more, apart = alone + by @ step.parameters, np.einsum("ibd,icd->bc", noise, noise)
+    by, noise = mean_along(step.told)
+    more, apart = by @ np.append(step.parameters, -1.0), np.einsum("ibd,icd->bc", noise, noise)
     to_session = np.eye(n, p, 1)
     to_session[:] = 0.0
     to_session[np.arange(n), 1 + problem.biases] = 1.0
-    to_session += by
+    to_session += by[:, :-1]
     expected = mean @ covariance @ mean.T
     scale = np.sqrt(np.diag(expected))
     found = step.parameters[1 + problem.biases] + more
@@ -275,7 +274,8 @@ def test_the_elimination_of_many_states_is_that_of_few(monkeypatch: pytest.Monke
     np.testing.assert_allclose(many.parameters / u, few.parameters / u, atol=1e-6)
     np.testing.assert_allclose(many.covariance / np.outer(u, u), few.covariance / np.outer(u, u), atol=1e-7)
     np.testing.assert_allclose(many.unknowns[:, 3:], few.unknowns[:, 3:], atol=1e-6)
-    np.testing.assert_allclose(many.shared[0][:, :, 3:, 3:], few.shared[0][:, :, 3:, 3:], atol=1e-7)
+    states = slice(3, None)
+    np.testing.assert_allclose(many.covariances(states), few.covariances(states), atol=1e-7)
     assert many.deviance == pytest.approx(few.deviance, abs=1e-6)
     assert not np.array_equal(many.told.factor, few.told.factor)  # it did go another way
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from tests.inference.test_inference import by_hand, fitted_of, observed, two_sessions, without_gyros
-from tumble.inference.elimination import given_others
 from tumble.inference.estimate import Estimate
 from tumble.inference.hyperparameters import SCATTER, Weights, components_of, sized
 from tumble.inference.in_run import InRun, mean_along
@@ -81,9 +80,9 @@ def test_the_sources_are_the_covariance(name: str) -> None:
     expected = step.covariance.copy()
     if step.told.process is not None and len(problem.parts) == 1:
         q, biases = len(problem.own_known), 1 + problem.biases
-        _, along, noise = mean_along(step.told, given_others(step.told.factor))
+        along, noise = mean_along(step.told)
         to_session = np.eye(len(expected))
-        to_session[biases] += along[:, q:]
+        to_session[biases] += along[:, q:-1]
         expected = to_session @ expected @ to_session.T
         expected[np.ix_(biases, biases)] += np.einsum("ibd,icd->bc", noise, noise)
     found = conditional(fitted.best).covariances(noise_roots(fitted.free, fitted.at))
@@ -223,8 +222,7 @@ class OneSource:
         step = solve(self.problem, replace(self.rows, **(nothing | rows)), self.weight)
         out = step.parameters.copy()
         if step.told.process is not None:
-            values, along, _ = mean_along(step.told, given_others(step.told.factor))
-            out[1 + self.problem.biases] += values + along @ step.parameters
+            out[1 + self.problem.biases] += mean_along(step.told)[0] @ np.append(step.parameters, -1.0)
         return out
 
 

@@ -227,7 +227,7 @@ def _falls(step: Step, sensors: slice) -> Array:
     process = step.told.process
     assert process is not None
     n = len(process.sigma)
-    states = step.shared[0][:, :, -n:, -n:][:, :, sensors, sensors]
+    states = step.covariances(slice(-n, None))[:, :, sensors, sensors]
     values, rho = step.unknowns[:, -n:][:, sensors], process.rho[:, sensors]
     here, following, across = states[0, :-1], states[0, 1:], states[1, :-1] * rho[:-1, :, None]
     deviation = process.deviation[:-1, sensors]

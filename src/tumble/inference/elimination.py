@@ -230,68 +230,74 @@ def _reflect(work: Array, product: Array, top: int, column: int, rows: int, leas
     return True
 
 
-def given_others(factor: Array) -> tuple[Array, Array, Array, Array]:
-    """The rows of all rests solved for their unknowns: what these are known to given the others, R⁻¹ (N, d, d), how
-    they go with those of the next rest (N, d, d) and with the parameters (N, d, p), and their values (N, d) where these
-    are zero."""
+def put_back(factor: Array) -> tuple[Array, Array, Array]:
+    """The rows of all rests solved for their unknowns: what these are known to given all others, R⁻¹ (N, d, d), how
+    they go with those of the next rest, A (N, d, d), and along the chain with the parameters, [∂δ/∂x | −δ at x = 0]
+    (N, d, p + 1). An unknown that nothing shows is zero, and without variance."""
     N, d = factor.shape[:2]
-    inverse, by_next = np.empty((2, N, d, d))
-    by, unknowns = np.empty((N, d, factor.shape[2] - 2 * d - 1)), np.empty((N, d))
-    _solve_all(factor, inverse, by_next, by, unknowns)
-    return inverse, by_next, by, unknowns
+    inverse = np.empty((N, d, d))
+    _inverses(factor, inverse)
+    by_next, by = -(inverse @ factor[:, :, d : 2 * d]), -(inverse @ factor[:, :, 2 * d :])
+    along_chain(by_next, by)
+    return inverse, by_next, by
 
 
+def given_parameters(inverse: Array, by_next: Array) -> Array:
+    """Covariances of the unknowns of the rests for given parameters, with themselves and with those of the next rest
+    (2, N, d, d)."""
+    covariance = np.zeros((2, *inverse.shape))
+    np.matmul(inverse, np.swapaxes(inverse, 1, 2), out=covariance[0])
+    _carry_back(by_next, covariance)
+    return covariance
+
+
+# C: cdef void _inverses(const double[:, :, ::1] factor, double[:, :, ::1] inverse)
+def _inverses(factor: Array, inverse: Array) -> None:
+    """Inverses of the triangles in the first columns; rows and columns of unknowns that nothing shows are zero."""
+    d = factor.shape[1]
+    with cython.nogil:
+        for i in range(factor.shape[0]):
+            for a in range(d - 1, -1, -1):
+                for c in range(d):
+                    inverse[i, a, c] = 0.0
+                if factor[i, a, a] != 0.0:
+                    inverse[i, a, a] = 1.0 / factor[i, a, a]
+                    for b in range(a + 1, d):
+                        for c in range(b, d):
+                            inverse[i, a, c] -= factor[i, a, b] * inverse[i, b, c]
+                    for c in range(a + 1, d):
+                        inverse[i, a, c] /= factor[i, a, a]
+
+
+# C: cpdef void along_chain(const double[:, :, ::1] by_next, double[:, :, ::1] values)
 def along_chain(by_next: Array, values: Array) -> None:
     """Add to the values (N, d, k) of every rest, from the last to the first, what `by_next` (N, d, d) makes of those of
     the next one."""
-    _follow(by_next, np.zeros(values.shape[:2]), values)
+    for i in range(by_next.shape[0] - 2, -1, -1):
+        for a in range(by_next.shape[1]):
+            for b in range(by_next.shape[1]):
+                for q in range(values.shape[2]):
+                    values[i, a, q] += by_next[i, a, b] * values[i + 1, b, q]
 
 
-def put_back(factor: Array, parameters: Array, covariance: Array, unknowns: Array) -> tuple[Array, Array]:
-    """The unknowns (N, d) of the rests for parameters (p,), written to `unknowns`, and their covariances from the
-    covariance (p, p) of the parameters: with themselves and those of the next rest (2, N, d, d), and with the
-    parameters (N, d, p). An unknown that nothing shows is zero, and without variance."""
-    inverse, by_next, by, unknowns[:] = given_others(factor)
-    N, d, p = by.shape
-    own, shared = np.zeros((2, N, d, d)), np.reshape(by.reshape(N * d, p) @ covariance, by.shape)
-    unknowns += by @ parameters
-    _follow(by_next, unknowns, shared)
-    np.matmul(inverse, np.swapaxes(inverse, 1, 2), out=own[0])
-    own[0] += shared @ np.swapaxes(by, 1, 2)
-    np.matmul(by[:-1], np.swapaxes(shared[1:], 1, 2), out=own[1, :-1])
-    _carry_back(by_next, own)
-    return own, shared
-
-
-# C: cdef void _solve_all(const double[:, :, ::1] factor, double[:, :, ::1] inverse, double[:, :, ::1] by_next,
-# C:     double[:, :, ::1] by, double[:, :] unknowns)
-def _solve_all(factor: Array, inverse: Array, by_next: Array, by: Array, unknowns: Array) -> None:
-    """The rows of all rests, solved for their unknowns."""
-    with cython.nogil:
-        for i in range(factor.shape[0]):
-            _inverse(factor[i], inverse[i])
-            _solve_for(inverse[i], factor[i], by_next[i], by[i], unknowns[i])
-
-
-# C: cdef void _follow(const double[:, :, ::1] by_next, double[:, :] unknowns, double[:, :, ::1] shared)
-def _follow(by_next: Array, unknowns: Array, shared: Array) -> None:
-    """Add to the unknowns of every rest, and to their covariances with the parameters, the part of the next one's."""
+# C: @cython.locals(total=double)
+# C: cdef void _carry_back(const double[:, :, ::1] by_next, double[:, :, :, ::1] covariance)
+def _carry_back(by_next: Array, covariance: Array) -> None:
+    """The same of the covariances, with themselves (0) and those of the next rest (1)."""
+    d = by_next.shape[1]
     with cython.nogil:
         for i in range(by_next.shape[0] - 2, -1, -1):
-            for a in range(by_next.shape[1]):
-                for b in range(by_next.shape[1]):
-                    unknowns[i, a] += by_next[i, a, b] * unknowns[i + 1, b]
-                    for q in range(shared.shape[2]):
-                        shared[i, a, q] += by_next[i, a, b] * shared[i + 1, b, q]
-
-
-# C: cdef void _carry_back(const double[:, :, ::1] by_next, double[:, :, :, ::1] own)
-def _carry_back(by_next: Array, own: Array) -> None:
-    """The same of the covariances of the unknowns with the next one's and with themselves."""
-    with cython.nogil:
-        for i in range(by_next.shape[0] - 2, -1, -1):
-            _add_product(by_next[i], own[0, i + 1], own[1, i])
-            _add_product(own[1, i], by_next[i], own[0, i])
+            for a in range(d):
+                for b in range(d):
+                    for c in range(d):
+                        covariance[1, i, a, c] += by_next[i, a, b] * covariance[0, i + 1, b, c]
+            for a in range(d):
+                for b in range(a + 1):
+                    total = covariance[0, i, a, b]
+                    for c in range(d):
+                        total += covariance[1, i, a, c] * by_next[i, b, c]
+                    covariance[0, i, a, b] = total
+                    covariance[0, i, b, a] = total
 
 
 def whitening(noise: Array, directions: Array, component: IntArray, variance: Array) -> Array:
@@ -342,49 +348,3 @@ def _whiten(noise: Array, directions: Array, component: IntArray, variance: Arra
                         factors[k, a, b] -= part * factors[k, c, b]
                 factors[k, a, a] = scale
     return True
-
-
-# C: cdef void _solve_for(double[:, ::1] inverse, const double[:, ::1] factor, double[:, ::1] by_next,
-# C:     double[:, ::1] by, double[:] value ) noexcept nogil
-def _solve_for(inverse: Array, factor: Array, by_next: Array, by: Array, value: Array) -> None:
-    """What the rows of a rest, solved for its unknowns, say of them: by how much they change with those of the next
-    rest (d, d) and with the parameters (d, p), and their value (d,) where these are zero."""
-    d, p = by.shape[0], by.shape[1]
-    for a in range(d):
-        by_next[a, :], by[a, :], value[a] = 0.0, 0.0, 0.0
-        for b in range(a, d):
-            for column in range(d):
-                by_next[a, column] -= inverse[a, b] * factor[b, d + column]
-            for column in range(p):
-                by[a, column] -= inverse[a, b] * factor[b, 2 * d + column]
-            value[a] += inverse[a, b] * factor[b, 2 * d + p]
-
-
-# C: @cython.locals(total=double)
-# C: cdef void _add_product(const double[:, ::1] a, const double[:, ::1] b, double[:, ::1] out) noexcept nogil
-def _add_product(a: Array, b: Array, out: Array) -> None:
-    """Add a bᵀ; a covariance stands for its own transpose."""
-    for i in range(a.shape[0]):
-        for j in range(b.shape[0]):
-            total = 0.0
-            for c in range(a.shape[1]):
-                total += a[i, c] * b[j, c]
-            out[i, j] += total
-
-
-# C: @cython.locals(total=double)
-# C: cdef void _inverse(const double[:, ::1] factor, double[:, ::1] inverse) noexcept nogil
-def _inverse(factor: Array, inverse: Array) -> None:
-    """Inverse of the triangle in the first columns of a rest's factor; rows and columns of unknowns that nothing shows
-    are zero."""
-    d = factor.shape[0]
-    inverse[:, :] = 0.0
-    for a in range(d - 1, -1, -1):
-        if factor[a, a] == 0.0:
-            continue
-        inverse[a, a] = 1.0 / factor[a, a]
-        for b in range(a + 1, d):
-            total = 0.0
-            for c in range(a + 1, b + 1):
-                total -= factor[a, c] * inverse[c, b]
-            inverse[a, b] = total / factor[a, a]

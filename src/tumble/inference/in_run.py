@@ -79,10 +79,10 @@ class InRun:
     def scores(self, step: Step) -> tuple[Array, Array, Array]:
         """∂ℓ/∂ ln σ and ∂ℓ/∂ ln τ of every sensor (n,), each for itself, and how many independent values the data say
         of its states."""
-        n = len(self.sigma)
-        b, own = step.unknowns[:, -n:], step.shared[0]
-        variance = np.diagonal(own[0, :, -n:, -n:], axis1=1, axis2=2)
-        with_next = np.diagonal(own[1, :, -n:, -n:], axis1=1, axis2=2)
+        states = slice(-len(self.sigma), None)
+        b, root, own = step.unknowns[:, states], step.along(states), np.diagonal(step.given, axis1=2, axis2=3)
+        variance, with_next = own[0, :, states] + (root**2).sum(axis=2), own[1, :, states].copy()
+        with_next[:-1] += (root[:-1] * root[1:]).sum(axis=2)
         here = np.flatnonzero(self.follows)
         first = np.ones(len(b), dtype=bool)
         first[here + 1] = False
@@ -99,18 +99,16 @@ class InRun:
         return by_size, by_time, told
 
 
-def mean_along(told: Told, given: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array]:
-    """The mean over the rests of a session of its in-run biases (n,), along the chain of its states u_i = A_i u_{i+1} +
-    B_i x + a_i + R_i⁻¹ e_i from the first, `given` others (`tumble.inference.elimination.given_others`): its value
-    where x is zero, what it changes with x, what the session has of its own, gravity and the common parameters
-    (n, q + 1 + m), and with the noise e of every rest (N, n, d)."""
-    (inverse, by_next, by, alone), process = given, told.process
+def mean_along(told: Told) -> tuple[Array, Array]:
+    """The mean over the rests of a session of its in-run biases: what it changes with x, what the session has of its
+    own, gravity and the common parameters, and its value where x is zero, turned round (n, q + 1 + m + 1); and what it
+    changes with the noise e of every rest (N, n, d), followed along the chain of unknowns u_i = A_i u_{i+1} + B_i x +
+    a_i + R_i⁻¹ e_i from the first."""
+    (inverse, by_next, by), process = told.solved, told.process
     assert process is not None
-    (N, d, p), n = by.shape, len(process.sigma)
+    (N, d, _), n = inverse.shape, len(process.sigma)
     carried, back = np.zeros((N, d, n)), np.zeros((N, d, d))  # transposed, from the last rest to the first
     carried[:, d - n :] = np.diag(process.sigma) / N
     back[:-1] = np.swapaxes(by_next[-2::-1], 1, 2)
     along_chain(back, carried)
-    carried = carried[::-1]
-    flat = carried.reshape(N * d, n).T
-    return flat @ alone.ravel(), flat @ by.reshape(N * d, p), np.swapaxes(carried, 1, 2) @ inverse
+    return process.sigma[:, None] * by[:, d - n :].mean(axis=0), np.swapaxes(carried[::-1], 1, 2) @ inverse

@@ -29,7 +29,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.inference.elimination import given_others
 from tumble.inference.in_run import mean_along
 from tumble.inference.maximum import Evaluated, Maximum
 from tumble.inference.uncertainty_budget import Roots, Sources, add_contributions, noise_roots
@@ -206,7 +205,7 @@ class Conditional:
     the biases of the processes."""
 
     here: Evaluated
-    mean: tuple[Array, Array, Array] | None
+    mean: tuple[Array, Array] | None
     step: Array
     covariance: Array
     process_step: Array
@@ -230,12 +229,12 @@ def conditional(here: Evaluated) -> Conditional:
     step, root = known.parameters.copy(), known.roots[0][len(here.problem.own_known) :].copy()
     process = root[biases]
     if here.told.process is not None and len(here.problem.parts) == 1:
-        mean = mean_along(here.told, given_others(here.told.factor))
-        step[biases] += mean[0] + mean[1] @ np.concatenate([known.own[0], known.parameters])
-        root[biases] += mean[1] @ known.roots[0]
+        mean = mean_along(here.told)
+        step[biases] += mean[0] @ np.concatenate([known.own[0], known.parameters, [-1.0]])
+        root[biases] += mean[0][:, :-1] @ known.roots[0]
     covariance = root @ root.T
     if mean is not None:
-        along = np.swapaxes(mean[2], 0, 1).reshape(len(biases), -1)
+        along = np.swapaxes(mean[1], 0, 1).reshape(len(biases), -1)
         covariance[np.ix_(biases, biases)] += along @ along.T
     return Conditional(
         here=here,

@@ -405,9 +405,10 @@ def _with_gravity_kept(problem: Problem, step: Step) -> tuple[Array, Array, Arra
         return step.parameters, step.angles, step.own
     q = len(problem.own_known)
     by_gravity = step.parameters[0] / step.covariance[0, 0]
-    angles = step.angles - by_gravity * step.shared[1][:, :3, q]
+    with_gravity = zip(step.rests, step.own_covariance[:, :, q], strict=True)
+    angles = [step.angles[own] - by_gravity * step.told.solved[2][own, :3, :-1] @ along for own, along in with_gravity]
     own = step.own - by_gravity * step.own_covariance[:, :q, q]
-    return step.parameters - by_gravity * step.covariance[:, 0], angles, own
+    return step.parameters - by_gravity * step.covariance[:, 0], np.concatenate(angles), own
 
 
 def heading_information(problem: Problem, step: Step) -> Array:

@@ -17,10 +17,11 @@ group c, it is Σ (E c²/λ²s² − 1), which is Fisher's identity.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from tumble.inference.elimination import eliminate, fold, put_back
+from tumble.inference.elimination import eliminate, fold, given_parameters, put_back
 from tumble.inference.hyperparameters import SCATTER, Noise, Weights
 from tumble.inference.in_run import InRun
 from tumble.inference.likelihood import Problem, Rows, SessionSpan
@@ -42,7 +43,7 @@ class Known:
     deviance: float
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Told:
     """What rows say without any prior: their weights, the process of the biases, the whitened rows of rests and turns,
     those that give the unknowns of the rests (N, d, ·), and of each session, these eliminated, a triangle
@@ -54,24 +55,50 @@ class Told:
     factor: Array
     sessions: Array
 
+    @cached_property
+    def solved(self) -> tuple[Array, Array, Array]:
+        """The unknowns of the rests given others (`tumble.inference.elimination.put_back`)."""
+        return put_back(self.factor)
+
+    def given_unknowns(self, rows: Array, first: IntArray | slice) -> Array:
+        """Whitened rows (K, t, ·) with the unknowns of the rests, the `first` of each and the one after it where rows
+        have those too, as they follow from all others: [what these do | residual where they are zero] (K, t, p + 1)."""
+        d, by = self.factor.shape[1], self.solved[2]
+        width = by.shape[2]
+        out = rows[:, :, -width:] + rows[:, :, :d] @ by[first]
+        return out if rows.shape[2] == d + width else out + rows[:, :, d : 2 * d] @ by[1:][first]
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Step(Known):
     """The least-squares step, with the `unknowns` (N, d) of the rests, angles and then states of in-run biases; the
     covariance of gravity and the parameters, and that of each session, of what it has of its own, gravity and the
-    parameters; what the rows told; and `shared`, covariances of the unknowns of the rests with themselves and those of
-    the next (2, N, d, d) and with the others (N, d, p)."""
+    parameters; what the rows told, and `given` others the covariances of the unknowns of the rests with themselves and
+    with those of the next (2, N, d, d); and the `rests` of each session."""
 
     covariance: Array
     own_covariance: Array
     unknowns: Array
     told: Told
-    shared: tuple[Array, Array]
+    given: Array
+    rests: tuple[slice, ...]
 
     @property
     def angles(self) -> Array:
         """The step of the angles (N, 3) of the attitudes."""
         return self.unknowns[:, :3]
+
+    def along(self, unknowns: slice) -> Array:
+        """How unknowns of the rests (N, k, p) go with what the others are uncertain by, a root of their covariance."""
+        every = zip(self.rests, self.roots, strict=True)
+        return np.concatenate([self.told.solved[2][rests, unknowns, :-1] @ root for rests, root in every])
+
+    def covariances(self, unknowns: slice) -> Array:
+        """Covariances of unknowns of the rests with themselves and those of the next (2, N, k, k)."""
+        root, out = self.along(unknowns), self.given[:, :, unknowns, unknowns].copy()
+        out[0] += root @ np.swapaxes(root, 1, 2)
+        out[1, :-1] += root[:-1] @ np.swapaxes(root[1:], 1, 2)
+        return out
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -91,11 +118,10 @@ def solve(problem: Problem, rows: Rows, weight: Weights) -> Step:
 
 def completed(problem: Problem, told: Told, known: Known) -> Step:
     """The least-squares step of what is known once the attitudes are eliminated, with these put back."""
-    q, unknowns, shared = len(problem.own_known), np.empty(told.factor.shape[:2]), []
+    q, rests = len(problem.own_known), tuple(part.rests for part in problem.parts)
     own_covariance = known.roots @ np.swapaxes(known.roots, 1, 2)
-    for part, own, covariance in zip(problem.parts, known.own, own_covariance, strict=True):
-        both = np.concatenate([own, known.parameters])
-        shared.append(put_back(told.factor[part.rests], both, covariance, unknowns[part.rests]))
+    inverse, by_next, by = told.solved
+    others = (np.concatenate([own, known.parameters, [-1.0]]) for own in known.own)
     return Step(
         parameters=known.parameters,
         own=known.own,
@@ -104,9 +130,10 @@ def completed(problem: Problem, told: Told, known: Known) -> Step:
         deviance=known.deviance,
         covariance=own_covariance[0, q:, q:],
         own_covariance=own_covariance,
-        unknowns=unknowns,
+        unknowns=np.concatenate([by[own] @ x for own, x in zip(rests, others, strict=True)]),
         told=told,
-        shared=(np.concatenate([each[0] for each in shared], axis=1), np.concatenate([each[1] for each in shared])),
+        given=given_parameters(inverse, by_next),
+        rests=rests,
     )
 
 
@@ -226,29 +253,28 @@ def inverse_of(triangle: Array) -> Array:
 
 
 def left(problem: Problem, step: Step) -> Left:
-    """What a step leaves of the residuals. With A the columns of the unknowns of a rest, or of two, of covariance S, B
-    those of all others, of covariance C = U Uᵀ, and T that of the former with the latter, the covariance is
+    """What a step leaves of the residuals. With A the columns of the unknowns of a rest, or of two, of covariance S for
+    given others, and E what the others, of covariance U Uᵀ, do to a row directly and by these, the covariance is
 
-        1 − G Aᵀ − A Gᵀ − (B U)(B U)ᵀ,   G = ½ A S + B Tᵀ"""
-    (rest, turn), (S, T) = step.told.whitened, step.shared
+        1 − A S Aᵀ − (E U)(E U)ᵀ"""
+    told, S = step.told, step.given
+    rest, turn = told.whitened
     out = [(np.empty(rows.shape[:2]), np.empty((*rows.shape[:2], rows.shape[1]))) for rows in (rest, turn)]
     for s, part in enumerate(problem.parts):
-        others, i = np.concatenate([step.own[s], step.parameters]), part.rests.start + part.first
+        i, others = part.rests.start + part.first, np.concatenate([step.own[s], step.parameters, [-1.0]])
         both = np.concatenate([
             np.concatenate([S[0, i], S[1, i]], axis=2),
             np.concatenate([np.swapaxes(S[1, i], 1, 2), S[0, i + 1]], axis=2),
         ], axis=1)  # fmt: skip
-        ends = np.concatenate([step.unknowns[i], step.unknowns[i + 1]], axis=1), both, np.hstack([T[i], T[i + 1]])
-        each = step.unknowns[part.rests], S[0, part.rests], T[part.rests]
-        for rows, (unknowns, own, shared), (residual, covariance), where in (
-            (rest[part.rests], each, out[0], part.rests),
-            (turn[part.turns], ends, out[1], part.turns),
+        for rows, first, own, (residual, covariance), where in (
+            (rest[part.rests], part.rests, S[0, part.rests], out[0], part.rests),
+            (turn[part.turns], i, both, out[1], part.turns),
         ):
-            A, B = np.split(rows[:, :, :-1], [own.shape[1]], axis=2)
-            residual[where] = rows[:, :, -1] - (A @ unknowns[:, :, None])[:, :, 0] - B @ others
-            G = 0.5 * A @ own + B @ np.swapaxes(shared, 1, 2)
-            BU, GA = (B.reshape(-1, len(others)) @ step.roots[s]).reshape(B.shape), G @ np.swapaxes(A, 1, 2)
-            covariance[where] = np.eye(rows.shape[1]) - GA - np.swapaxes(GA, 1, 2) - BU @ np.swapaxes(BU, 1, 2)
+            A, E = rows[:, :, : own.shape[1]], told.given_unknowns(rows, first)
+            flat = E.reshape(-1, len(others))
+            residual[where] = -(flat @ others).reshape(E.shape[:2])
+            EU = (flat[:, :-1] @ step.roots[s]).reshape(*E.shape[:2], len(others) - 1)
+            covariance[where] = np.eye(A.shape[1]) - A @ own @ np.swapaxes(A, 1, 2) - EU @ np.swapaxes(EU, 1, 2)
     return Left(rest=out[0], turn=out[1])
 
 

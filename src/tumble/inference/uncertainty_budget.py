@@ -17,12 +17,13 @@ their own, and so are priors, of which a row of gravity is 1/u(g), one of a para
 weight below 1 counts as one of so much more noise, from every source alike.
 
 Z needs no large matrix. The unknowns of the rests are a chain, δ_i = A_i δ_{i+1} + B_i x + a_i + R_i⁻¹ e_i, with x what
-the session has of its own, gravity and the common parameters. y = Y x + Σ_i c_i R_i⁻¹ e_i, where the mean of the biases
-over a session is followed along the chain from its first rest (`tumble.inference.in_run.mean_along`); then
+the session has of its own, gravity and the common parameters, and so δ_i = M_i x + …, M_i = A_i M_{i+1} + B_i.
+y = Y x + Σ_i c_i R_i⁻¹ e_i, where the mean of the biases over a session is followed along the chain from its first rest
+(`tumble.inference.in_run.mean_along`); then
 
-    Z_x = Cov(x) Yᵀ,   Z_i = A_i Z_{i+1} + B_i Z_x + R_i⁻¹ (c_i R_i⁻¹)ᵀ                                            (39)
+    Z_x = Cov(x) Yᵀ,   Z_i = M_i Z_x + N_i,   N_i = A_i N_{i+1} + R_i⁻¹ (c_i R_i⁻¹)ᵀ                               (39)
 
-from the last rest to the first. Integrated over the hyperparameters, C is the mean of (38) over the points, and what
+Integrated over the hyperparameters, C is the mean of (38) over the points, and what
 the estimate moves by from point to point is the source that the hyperparameters are.
 
 Source: JCGM 100:2008 (GUM), 5.1; EA-4/02 M:2022, section 4.
@@ -34,7 +35,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tumble.inference.elimination import along_chain, given_others
+from tumble.inference.elimination import along_chain
 from tumble.inference.hyperparameters import SCATTER
 from tumble.inference.likelihood import Problem, unseen_rate
 from tumble.inference.linearisation import root_of_inverse
@@ -42,6 +43,9 @@ from tumble.inference.maximum import At, Evaluated
 from tumble.rotation import skew
 from tumble.scipy_compiled import blas
 from tumble.units import Array, IntArray
+
+MANY_ROWS = 256
+"""Rows of a source that are added at once."""
 
 Roots = tuple[dict[str, slice], Array]
 """Names of sources, and where each stands among the roots F (N, r, Q) of their covariances of rows, S = F Fᵀ over the
@@ -93,21 +97,32 @@ def noise_roots(problem: Problem, at: At) -> tuple[Roots, Roots]:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Sources:
-    """The covariance of gravity and the parameters (1 + m, 1 + m) by source, as triangles to which rows are added."""
+    """The covariance of gravity and the parameters (1 + m, 1 + m) by source: rows that are yet to be added, and the
+    triangles of all others."""
 
+    rows: dict[str, list[Array]] = field(default_factory=dict)
     triangles: dict[str, Array] = field(default_factory=dict)
 
     def add(self, name: str, K: Array) -> None:
         """Σ Kᵀ K over rows (..., y)."""
-        flat = K.reshape(-1, K.shape[-1])
-        if len(flat):
-            before = self.triangles.get(name)
-            before = np.zeros((K.shape[-1],) * 2, order="F") if before is None else before
-            self.triangles[name] = blas.dsyrk(1.0, flat.T, 1.0, before, overwrite_c=1)
+        rows = self.rows.setdefault(name, [])
+        rows.append(K.reshape(-1, K.shape[-1]))
+        if sum(map(len, rows)) >= MANY_ROWS:
+            self._fold(name)
+
+    def _fold(self, name: str) -> None:
+        rows = np.concatenate(self.rows[name])
+        before = self.triangles.get(name)
+        before = np.zeros((rows.shape[1],) * 2, order="F") if before is None else before
+        self.triangles[name] = blas.dsyrk(1.0, rows.T, 1.0, before, overwrite_c=1) if len(rows) else before
+        self.rows[name].clear()
 
     def covariances(self) -> dict[str, Array]:
         """Of those that there are."""
-        return {name: np.triu(each) + np.triu(each, 1).T for name, each in self.triangles.items() if each.any()}
+        for name in [name for name, rows in self.rows.items() if rows]:
+            self._fold(name)
+        every = ((name, self.triangles[name]) for name in self.rows)
+        return {name: np.triu(each) + np.triu(each, 1).T for name, each in every if each.any()}
 
 
 def add_contributions(
@@ -115,56 +130,62 @@ def add_contributions(
     weight: float,
     at: At,
     here: Evaluated,
-    mean: tuple[Array, Array, Array] | None,
+    mean: tuple[Array, Array] | None,
     roots: tuple[Roots, Roots],
 ) -> None:
     """Add the covariance by source at the hyperparameters of `here`, with a weight; the biases are those of the session
     where their `mean` is given (`mean_along`)."""
     problem, told, known = here.problem, here.told, here.known
-    d, q, size = told.factor.shape[1], len(problem.own_known), len(known.parameters)
-    components, whitened, kept, process = told.weights.components, told.whitened, at.noise.kept, told.process
+    d, q, size, biases = told.factor.shape[1], len(problem.own_known), len(known.parameters), 1 + problem.biases
+    components, (rest, turn), process = told.weights.components, told.whitened, told.process
+    inverse, by_next, by = told.solved
     sigma = {f"{name}.scatter": getattr(components, name) for name in SCATTER}
     rooted = list[Array]()
-    for (where, F), W, weights in zip(roots, (told.weights.rest, told.weights.turn), kept, strict=True):
+    for (where, F), W, weights in zip(roots, (told.weights.rest, told.weights.turn), at.noise.kept, strict=True):
         longer = np.ones(F.shape[2])
         for name in where.keys() & sigma.keys():
             longer[where[name]] = sigma[name]
         if F is roots[0][1] and len(components.unlike):
             longer[-problem.sensors :] *= components.unlike
         rooted.append((W / weights[:, None]) @ (F * longer))
-    inverse, by_next, by, _ = given_others(told.factor)
 
     for s, part in enumerate(problem.parts):
-        # Z (39), along the chain from its last rest to the first
-        Y, Z = np.sqrt(weight) * np.eye(q + size)[q:], np.zeros((part.rests.stop - part.rests.start + 1, d, size))
+        # Z (39): of the unknowns of the rests what is beside that by the others, N, concerns the biases alone
+        Y, N = np.sqrt(weight) * np.eye(q + size)[q:], np.zeros((0, d, len(biases)))
         if mean is not None:
-            biases = 1 + problem.biases
-            Y[biases] += np.sqrt(weight) * mean[1]
-            Z[:-1, :, biases] = inverse @ np.swapaxes(np.sqrt(weight) * mean[2], 1, 2)
+            Y[biases] += np.sqrt(weight) * mean[0][:, :-1]
+            N = np.sqrt(weight) * inverse @ np.swapaxes(mean[1], 1, 2)
+            along_chain(by_next, N)
         Z_x = known.roots[s] @ (known.roots[s].T @ Y.T)
-        Z[:-1] += by[part.rests] @ Z_x
-        along_chain(by_next[part.rests], Z[:-1])
 
         # covariances by source (38)
-        rest, turn, first = whitened[0][part.rests], whitened[1][part.turns], part.first
-        ends = np.concatenate([Z[first], Z[first + 1]], axis=1)
-        for (where, _), F, own, rows, Z_i in (
-            (roots[0], rooted[0], part.rests, rest, Z[:-1]),
-            (roots[1], rooted[1], part.turns, turn, ends),
+        own = part.rests
+        for (where, _), F, rows, first in (
+            (roots[0], rooted[0][own], rest[own], own),
+            (roots[1], rooted[1][part.turns], turn[part.turns], part.rests.start + part.first),
         ):
-            e, flat = Z_i.shape[1], rows.reshape(-1, rows.shape[2])
-            K = rows[:, :, :e] @ Z_i + (flat[:, e:-1] @ Z_x).reshape(*rows.shape[:2], size)
-            H = np.swapaxes(F[own], 1, 2) @ K
+            E = told.given_unknowns(rows, first)
+            K = (E.reshape(-1, E.shape[2])[:, :-1] @ Z_x).reshape(*rows.shape[:2], size)
+            if mean is not None:
+                K[:, :, biases] += rows[:, :, :d] @ N[first]
+                if first is not own:
+                    K[:, :, biases] += rows[:, :, d : 2 * d] @ N[1:][first]
+            H = np.empty((F.shape[2], len(K), size))
+            np.matmul(np.swapaxes(F, 1, 2), K, out=np.swapaxes(H, 0, 1))
             for name, columns in where.items():
                 if sigma.get(name, 1.0) > 0.0:
-                    out.add(name, H[:, columns])
+                    out.add(name, H[columns])
         if process is not None:
-            states, follows = Z[:, d - len(process.sigma) :], process.follows[part.rests]
-            steps = states[1:] - process.rho[part.rests][:, :, None] * states[:-1]
-            K = np.concatenate([states[:1], (steps / process.deviation[part.rests][:, :, None])[follows]])
-            accelerometers = problem.instrument.accel.size
-            out.add("accel.in_run", K[:, :accelerometers])
-            out.add("gyro.in_run", K[:, accelerometers:])
+            n = len(process.sigma)
+            M, follows = by[own, d - n :, :-1], process.follows[own]
+            states = (M.reshape(-1, M.shape[2]) @ Z_x).reshape(*M.shape[:2], size)
+            if mean is not None:
+                states[:, :, biases] += N[own, d - n :]
+            steps = states[1:] - process.rho[own][:-1, :, None] * states[:-1]
+            steps = (steps / process.deviation[own][:-1, :, None])[follows[:-1]]
+            K = np.swapaxes(np.concatenate([states[:1], steps]), 0, 1)
+            out.add("accel.in_run", K[: problem.instrument.accel.size])
+            out.add("gyro.in_run", K[problem.instrument.accel.size :])
         for name, members in problem.own_members.items():
             out.add(f"prior.{name}", Z_x[members] / problem.own_known[members, None])
 

@@ -35,7 +35,7 @@ import numpy as np
 from tumble.brief import Brief
 from tumble.earth import earth_rate
 from tumble.errors import InputError
-from tumble.inference.elimination import fold, given_others
+from tumble.inference.elimination import fold
 from tumble.inference.estimate import GroupFinding
 from tumble.inference.hyperparameters import Components
 from tumble.inference.in_run import InRun, mean_along
@@ -204,9 +204,9 @@ class View:
         clock = by_time_base(instrument.names, clocked(clock_u, {"accel": False, "gyro": False}))
         more = np.zeros((len(root), 0))
         if told.process is not None and len(problem.parts) == 1:
-            _, by, noise = mean_along(told, given_others(told.factor))
+            by, noise = mean_along(told)
             biases, more = 1 + problem.biases, np.zeros((len(root), len(by)))
-            root[biases] += by @ root
+            root[biases] += by[:, :-1] @ root
             value, vectors = np.linalg.eigh(np.einsum("ibd,icd->bc", noise, noise))
             more[biases] = vectors * np.sqrt(np.maximum(value, 0.0))
         root = np.column_stack([root[1:], more[1:], clock])
