@@ -58,7 +58,7 @@ def shown(fitted: Maximum) -> list[int]:
         phi = best.phi.copy()
         phi[i] += best.information[i, i] ** -0.5
         at_bound = h.bounded and best.phi[i] <= 0.0
-        if not at_bound or evaluated(fitted, phi).slope(i)[1] - h.within**-2 > SHOWN:
+        if not at_bound or evaluated(fitted, phi).information[i, i] - h.within**-2 > SHOWN:
             out.append(i)
     return out
 

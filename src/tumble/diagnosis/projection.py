@@ -109,7 +109,7 @@ def projections(linearised: Linearised, components: Components, rest: Array, tur
     q, c, p, m = len(problem.own_known), rest.shape[2], len(rows.prior) - 1, len(problem.instrument.names)
     rows = rows.beside(rest, turn)
     told = tell(problem, rows, noise.weights(components))
-    triangles = [with_own(problem, *each)[q:, q:] for each in zip(told.sessions, rows.own, strict=True)]
+    triangles = [with_own(problem.own_known, *each)[q:, q:] for each in zip(told.sessions, rows.own, strict=True)]
     common = np.append(np.arange(p), p + c)
     for s, part in enumerate(problem.parts):
         places = (told.whitened[0][part.rests], told.whitened[1][part.turns])

@@ -36,9 +36,14 @@ except ImportError:
 
 # C: from libc.math cimport sqrt
 # C: from libc.stdint cimport int64_t
+# C: cdef enum:
+# C:     LANES = 32
 
 if not cython.compiled:
     from numpy import sqrt
+
+    LANES = 32
+    sums = [0.0] * LANES
 
 ROUNDING = 1e-10
 """A column that an elimination leaves with less than this part of its length has nothing left in it."""
@@ -62,9 +67,9 @@ def eliminate(
         _eliminate_large(rest, turn, link, factor, triangle, begins)
         return
     (N, r, _), t, d, columns = rest.shape, turn.shape[1], factor.shape[1], factor.shape[2]
-    work, kept = np.zeros((d + r + t, columns)), np.empty((N * (d + r + t), len(triangle)), order="F")
-    length, product = np.zeros(2 * d), np.zeros(columns)
-    count = _eliminate(rest, turn, link, factor, ROUNDING * ROUNDING, work, begins.copy(), kept, length, product)
+    work = np.zeros((d + r + t, columns + -columns % LANES))  # whole lanes
+    kept, length, parts = np.empty((N * (d + r + t), len(triangle)), order="F"), np.zeros(2 * d), np.zeros(len(work))
+    count = _eliminate(rest, turn, link, factor, ROUNDING * ROUNDING, work, begins.copy(), kept, length, parts)
     fold(kept[:count], triangle)
 
 
@@ -128,7 +133,7 @@ def fold(rows: Array, triangle: Array, triangular: bool = False) -> None:
 
 # C: cdef Py_ssize_t _eliminate(const double[:, :, :] rest, const double[:, :, :] turn, const int64_t[:] link,
 # C:     double[:, :, :] factor, double rounding, double[:, ::1] work, double[:, ::1] carried, double[::1, :] kept,
-# C:     double[::1] length, double[::1] product)
+# C:     double[::1] length, double[::1] parts)
 def _eliminate(
     rest: Array,
     turn: Array,
@@ -139,11 +144,11 @@ def _eliminate(
     carried: Array,
     kept: Array,
     length: Array,
-    product: Array,
+    parts: Array,
 ) -> int:
     """One rest after the other; how many rows on the parameters are left, in `kept`. `length`: squares of the columns
     before anything was taken off them."""
-    d, columns, count = factor.shape[1], work.shape[1], 0
+    d, columns, count = factor.shape[1], factor.shape[2], 0
     with cython.nogil:
         for i in range(rest.shape[0]):
             rows = _gather(work, carried, rest, i, turn, link[i])
@@ -153,13 +158,13 @@ def _eliminate(
                     length[c] += work[row, c] * work[row, c]
             top = 0
             for c in range(d):
-                seen = _reflect(work, product, top, c, rows, rounding * length[c])
+                seen = _reflect(work, parts, top, c, rows, rounding * length[c])
                 for column in range(columns):
                     factor[i, c, column] = work[top, column] if seen else 0.0
                 top += seen
             carried[:, :] = 0.0
             for c in range(d, 2 * d):
-                if _reflect(work, product, top, c, rows, rounding * length[c]):
+                if _reflect(work, parts, top, c, rows, rounding * length[c]):
                     for column in range(d, columns):
                         carried[c - d, column - d if column < 2 * d else column] = work[top, column]
                     top += 1
@@ -193,62 +198,94 @@ def _gather(work: Array, carried: Array, rest: Array, i: int, turn: Array, k: in
     return rows  # type: ignore[no-any-return]
 
 
-# C: @cython.locals(square=double)
-# C: cdef bint _reflect(double[:, ::1] work, double[::1] product, Py_ssize_t top, Py_ssize_t column, Py_ssize_t rows,
+# C: @cython.locals(square=double, part=double, sums=double[LANES], lane=Py_ssize_t, block=Py_ssize_t)
+# C: cdef bint _reflect(double[:, ::1] work, double[::1] parts, Py_ssize_t top, Py_ssize_t column, Py_ssize_t rows,
 # C:     double least ) noexcept nogil
-def _reflect(work: Array, product: Array, top: int, column: int, rows: int, least: float) -> bool:
-    """Reflect rows top … rows − 1 so that below row `top` the column is zero. False, and the column cleared, where it
-    has nothing in it."""
-    columns, square = work.shape[1], 0.0
+def _reflect(work: Array, parts: Array, top: int, column: int, rows: int, least: float) -> bool:
+    """Reflect rows top … rows − 1 so that below row `top` the column is zero, LANES columns after the other, those
+    before `column` being zero already. False, and the column cleared, where it has nothing in it."""
+    square = 0.0
     for row in range(top, rows):
-        square += work[row, column] * work[row, column]
-    if square <= least:
-        for row in range(top, rows):
-            work[row, column] = 0.0
-        return False
-    head = work[top, column]
-    diagonal = -sqrt(square) if head > 0.0 else sqrt(square)
-    work[top, column] = head - diagonal
-    scale = 1.0 / (diagonal * (diagonal - head))
-    for other in range(column + 1, columns):
-        product[other] = 0.0
-    for row in range(top, rows):
-        part = work[row, column]
-        if part != 0.0:
-            for other in range(column + 1, columns):
-                product[other] += part * work[row, other]
-    for other in range(column + 1, columns):
-        product[other] *= scale
-    for row in range(top, rows):
-        part = work[row, column]
-        if part != 0.0:
-            for other in range(column + 1, columns):
-                work[row, other] -= product[other] * part
-    work[top, column] = diagonal
-    for row in range(top + 1, rows):
+        parts[row] = work[row, column]
+        square += parts[row] * parts[row]
         work[row, column] = 0.0
+    if square <= least:
+        return False
+    head = parts[top]
+    diagonal = -sqrt(square) if head > 0.0 else sqrt(square)
+    parts[top] = head - diagonal
+    scale = 1.0 / (diagonal * (diagonal - head))
+    for group in range(column // LANES, work.shape[1] // LANES):
+        block = group * LANES
+        for lane in range(LANES):
+            sums[lane] = 0.0
+        for row in range(top, rows):
+            part = parts[row]
+            if part != 0.0:
+                for lane in range(LANES):
+                    sums[lane] += part * work[row, block + lane]
+        for lane in range(LANES):
+            sums[lane] *= scale
+        for row in range(top, rows):
+            part = parts[row]
+            if part != 0.0:
+                for lane in range(LANES):
+                    work[row, block + lane] -= sums[lane] * part
+    work[top, column] = diagonal
     return True
+
+
+def given_unknowns(rows: Array, by: Array, first: IntArray) -> Array:
+    """Rows (…, K, t, ·) with the unknowns of the rests, the `first` (K,) of each or that and the one after it, as they
+    follow `by` all others (…, N, d, p + 1): [what these do | residual where they are zero] (…, K, t, p + 1)."""
+    (*stack, N, d, width), t = by.shape, rows.shape[-2]
+    out = np.ascontiguousarray(rows[..., -width:])
+    every = (first + N * np.arange(np.prod(stack, dtype=np.int64))[:, None]).ravel()
+    _add_given(rows.reshape(-1, t, rows.shape[-1]), by.reshape(-1, d, width), every, out.reshape(-1, t, width))
+    return out
+
+
+# C: @cython.locals(part=double)
+# C: cdef void _add_given(const double[:, :, :] rows, const double[:, :, ::1] by, const int64_t[:] first,
+# C:     double[:, :, ::1] out)
+def _add_given(rows: Array, by: Array, first: IntArray, out: Array) -> None:
+    """Row by row."""
+    d, width = by.shape[1], by.shape[2]
+    with cython.nogil:
+        for k in range(rows.shape[0]):
+            for a in range(rows.shape[1]):
+                for b in range(rows.shape[2] - width):
+                    part = rows[k, a, b]
+                    if part != 0.0:
+                        i = first[k] + b // d
+                        for column in range(width):
+                            out[k, a, column] += part * by[i, b % d, column]
 
 
 def put_back(factor: Array) -> tuple[Array, Array, Array]:
     """The rows of all rests solved for their unknowns: what these are known to given all others, R⁻¹ (N, d, d), how
     they go with those of the next rest, A (N, d, d), and along the chain with the parameters, [∂δ/∂x | −δ at x = 0]
     (N, d, p + 1). An unknown that nothing shows is zero, and without variance."""
-    N, d = factor.shape[:2]
-    inverse = np.empty((N, d, d))
-    _inverses(factor, inverse)
-    by_next, by = -(inverse @ factor[:, :, d : 2 * d]), -(inverse @ factor[:, :, 2 * d :])
-    along_chain(by_next, by)
+    d, inverse = factor.shape[-2], np.empty((*factor.shape[:-1], factor.shape[-2]))
+    _inverses(factor.reshape(-1, *factor.shape[-2:]), inverse.reshape(-1, d, d))
+    by_next, by = -(inverse @ factor[..., d : 2 * d]), -(inverse @ factor[..., 2 * d :])
+    along_chains(by_next, by)
     return inverse, by_next, by
+
+
+def along_chains(by_next: Array, values: Array) -> None:
+    """Add to the values (…, N, d, k) of every rest, from the last to the first, what `by_next` (…, N, d, d), zero at
+    the last of a chain, makes of those of the next one."""
+    _follow(by_next.reshape(-1, *by_next.shape[-2:]), values.reshape(-1, *values.shape[-2:]))
 
 
 def given_parameters(inverse: Array, by_next: Array) -> Array:
     """Covariances of the unknowns of the rests for given parameters, with themselves and with those of the next rest
     (2, N, d, d)."""
-    covariance = np.zeros((2, *inverse.shape))
-    np.matmul(inverse, np.swapaxes(inverse, 1, 2), out=covariance[0])
-    _carry_back(by_next, covariance)
-    return covariance
+    d, own = inverse.shape[-1], inverse @ np.swapaxes(inverse, -1, -2)
+    with_next = np.zeros_like(own)
+    _carry_back(by_next.reshape(-1, d, d), own.reshape(-1, d, d), with_next.reshape(-1, d, d))
+    return np.stack([own, with_next], axis=-4)
 
 
 # C: cdef void _inverses(const double[:, :, ::1] factor, double[:, :, ::1] inverse)
@@ -269,40 +306,43 @@ def _inverses(factor: Array, inverse: Array) -> None:
                         inverse[i, a, c] /= factor[i, a, a]
 
 
-# C: cpdef void along_chain(const double[:, :, ::1] by_next, double[:, :, ::1] values)
-def along_chain(by_next: Array, values: Array) -> None:
-    """Add to the values (N, d, k) of every rest, from the last to the first, what `by_next` (N, d, d) makes of those of
-    the next one."""
-    for i in range(by_next.shape[0] - 2, -1, -1):
-        for a in range(by_next.shape[1]):
-            for b in range(by_next.shape[1]):
-                for q in range(values.shape[2]):
-                    values[i, a, q] += by_next[i, a, b] * values[i + 1, b, q]
+# C: cdef void _follow(const double[:, :, ::1] by_next, double[:, :, ::1] values)
+def _follow(by_next: Array, values: Array) -> None:
+    """All chains, one behind the other."""
+    with cython.nogil:
+        for i in range(by_next.shape[0] - 2, -1, -1):
+            for a in range(by_next.shape[1]):
+                for b in range(by_next.shape[1]):
+                    for q in range(values.shape[2]):
+                        values[i, a, q] += by_next[i, a, b] * values[i + 1, b, q]
 
 
 # C: @cython.locals(total=double)
-# C: cdef void _carry_back(const double[:, :, ::1] by_next, double[:, :, :, ::1] covariance)
-def _carry_back(by_next: Array, covariance: Array) -> None:
-    """The same of the covariances, with themselves (0) and those of the next rest (1)."""
+# C: cdef void _carry_back(const double[:, :, ::1] by_next, double[:, :, ::1] own, double[:, :, ::1] with_next)
+def _carry_back(by_next: Array, own: Array, with_next: Array) -> None:
+    """The same of the covariances of the unknowns with themselves and with the next one's."""
     d = by_next.shape[1]
     with cython.nogil:
         for i in range(by_next.shape[0] - 2, -1, -1):
             for a in range(d):
                 for b in range(d):
                     for c in range(d):
-                        covariance[1, i, a, c] += by_next[i, a, b] * covariance[0, i + 1, b, c]
+                        with_next[i, a, c] += by_next[i, a, b] * own[i + 1, b, c]
             for a in range(d):
                 for b in range(a + 1):
-                    total = covariance[0, i, a, b]
+                    total = own[i, a, b]
                     for c in range(d):
-                        total += covariance[1, i, a, c] * by_next[i, b, c]
-                    covariance[0, i, a, b] = total
-                    covariance[0, i, b, a] = total
+                        total += with_next[i, a, c] * by_next[i, b, c]
+                    own[i, a, b] = own[i, b, a] = total
 
 
 def whitening(noise: Array, directions: Array, component: IntArray, variance: Array) -> Array:
     """Inverse Cholesky factors (N, n, n) of N + Σ v Z Zᵀ, `directions` Z (N, n, q) being each of the component whose
-    `variance` it has. Raises LinAlgError where a covariance is none."""
+    `variance` it has; of a stack of variances and, perhaps, of directions a stack. Raises LinAlgError where a
+    covariance is none."""
+    if variance.ndim > 1:
+        every = zip(np.broadcast_to(directions, (len(variance), *directions.shape[-3:])), variance, strict=True)
+        return np.array([whitening(noise, own, component, v) for own, v in every])
     factors = np.zeros(noise.shape)
     if not _whiten(noise, directions, component, variance, np.zeros(noise.shape[1:]), factors):
         raise np.linalg.LinAlgError("Matrix is not positive definite")

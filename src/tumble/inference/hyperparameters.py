@@ -71,7 +71,7 @@ class Components:
     parts of what `aliased` samples would make it, and that of what gyros say beyond it in the same parts. Then the
     in-run bias of each kind, a stationary Gauss–Markov process: its standard deviation and correlation time (s). By how
     many times the scatter at rest and the in-run bias of a sensor are larger than those of its kind is `unlike` (n,),
-    accelerometers before gyros; 1 where empty."""
+    accelerometers before gyros; 1 where empty. Of a stack of components each number is an array."""
 
     accel: float = 0.0
     gyro: float = 0.0
@@ -90,7 +90,7 @@ class Components:
     @property
     def variances(self) -> Array:
         """The squares of those of SCATTER."""
-        return np.array([getattr(self, name) for name in SCATTER]) ** 2
+        return _stacked([getattr(self, name) for name in SCATTER]) ** 2
 
     @property
     def of_turns(self) -> float:
@@ -100,16 +100,25 @@ class Components:
     @property
     def wanders(self) -> bool:
         """Whether biases are a process in time."""
-        return self.accel_in_run > 0.0 or self.gyro_in_run > 0.0
+        return bool(np.any(self.accel_in_run) or np.any(self.gyro_in_run))
 
     def in_run(self, accelerometers: int, gyros: int) -> tuple[Array, Array]:
         """Standard deviations and correlation times (n,) of the in-run biases of sensors, accelerometers first."""
-        counts = [accelerometers, gyros]
-        sigma = np.repeat([self.accel_in_run, self.gyro_in_run], counts)
-        return sigma * self.unlike if len(self.unlike) else sigma, np.repeat([self.accel_time, self.gyro_time], counts)
+        of = np.repeat([0, 1], [accelerometers, gyros])
+        sigma = _stacked([self.accel_in_run, self.gyro_in_run])[..., of]
+        tau = _stacked([self.accel_time, self.gyro_time])[..., of]
+        return sigma * self.unlike if self.unlike.size else sigma, tau
 
 
 NO_COMPONENTS = Components()
+
+
+def _stacked(numbers: list[Any]) -> Array:
+    """Numbers, some of which may be arrays (...), as one array (..., n)."""
+    out = np.empty((*max((np.shape(each) for each in numbers), key=len), len(numbers)))
+    for i, each in enumerate(numbers):
+        out[..., i] = each
+    return out
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -128,7 +137,7 @@ class Noise:
     def at_rest(self, components: Components) -> tuple[Array, IntArray]:
         """The directions of the scatter at rest, those of sensors unlike others longer, and what they are of."""
         Z, of = self.rest_directions
-        return (Z * components.unlike if len(components.unlike) else Z), of
+        return (Z * components.unlike[..., None, None, :] if components.unlike.size else Z), of
 
     def weights(self, components: Components) -> Weights:
         """The weights of the rows with components of variance."""
@@ -236,7 +245,7 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
             (z - x, 1.0 - x, x),
             (z - 2.0 * np.log1p(x), (1.0 - x) / (1.0 + x), 2.0 * x / (1.0 + x) ** 2),
         )
-        normal = -0.5 * z * z, -z / within, within**-2
+        normal = -0.5 * z * z, -z / within, np.broadcast_to(within**-2, z.shape)
         return np.where(of_turns, power, np.where(scatter, exponential, normal))
 
     def sizes(self, phi: Array, by: Array) -> Array:
@@ -310,19 +319,19 @@ def table(problem: Problem, noise: Noise, seen: BoolArray) -> Hyperparameters:
 
 
 def components_of(entries: Hyperparameters, phi: Array) -> Components:
-    """The components of variance at φ."""
-    values = np.exp(phi).tolist()
-    known: dict[str, Any] = {
-        h.name: values[i] for i, h in enumerate(entries) if h.place in ("scatter", "in-run", "time")
-    }
+    """The components of variance at φ, or at a stack of them."""
+    values = np.exp(phi)
+    known: dict[str, Any] = dict.fromkeys(SCATTER, np.zeros(phi.shape[:-1])[()])
+    known |= {h.name: values[..., i] for i, h in enumerate(entries) if h.place in ("scatter", "in-run", "time")}
     return Components(**known, unlike=entries.sizes(phi, entries.by_unlike))
 
 
 def sized(problem: Problem, entries: Hyperparameters, phi: Array) -> Problem:
-    """The problem with the priors of its groups as large as φ says."""
-    expected, known, own = problem.measured[0], problem.usual[1].copy(), problem.own_usual.copy()
+    """The problem with the priors of its groups as large as φ says, or a stack of them."""
+    expected, usual = problem.measured[0], problem.usual[1].copy()
     if problem.lag_known and problem.lag is not None:
-        known[1 + problem.lag] = problem.measured[1][1 + problem.lag]
-    known[1:] *= entries.sizes(phi, entries.by_group)
-    own *= entries.sizes(phi, entries.by_own_group)
+        usual[1 + problem.lag] = problem.measured[1][1 + problem.lag]
+    known = np.broadcast_to(usual, (*phi.shape[:-1], len(usual))).copy()
+    known[..., 1:] *= entries.sizes(phi, entries.by_group)
+    own = problem.own_usual * entries.sizes(phi, entries.by_own_group)
     return replace(problem, measured=(expected, known), own_known=own)

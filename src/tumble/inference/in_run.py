@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tumble.inference.elimination import along_chain
+from tumble.inference.elimination import along_chains
 from tumble.inference.hyperparameters import Components
 from tumble.units import Array, BoolArray
 
@@ -53,9 +53,8 @@ class InRun:
         middle, N = 0.5 * (rests.start + rests.stop), len(rests)
         follows = np.zeros(N, dtype=bool)
         follows[:-1] = problem.of_session[0][1:] == problem.of_session[0][:-1]
-        passed = np.full((N, len(sigma)), np.inf)
         apart = np.where(rests.file[1:] == rests.file[:-1], np.abs(np.diff(middle)), np.inf)
-        passed[:-1] = apart[:, None] / tau
+        passed = np.append(apart, np.inf)[:, None] / tau[..., None, :]
         return InRun(sigma=sigma, rho=np.exp(-passed), passed=passed, follows=follows)
 
     @property
@@ -66,37 +65,38 @@ class InRun:
     def write_steps(self, rows: Array, d: int) -> None:
         """The steps, written to rows (N, n, ·) of zeros: unknowns of a rest (d of them, the last n the states), of the
         next, and others."""
-        n, deviation = len(self.sigma), self.deviation[self.follows]
+        n, deviation = self.sigma.shape[-1], self.deviation[..., self.follows, :]
         c, here = np.arange(n), np.flatnonzero(self.follows)[:, None]
-        rows[here, c, d - n + c] = -self.rho[self.follows] / deviation
-        rows[here, c, 2 * d - n + c] = 1.0 / deviation
+        rows[..., here, c, d - n + c] = -self.rho[..., self.follows, :] / deviation
+        rows[..., here, c, 2 * d - n + c] = 1.0 / deviation
 
     @property
-    def log_determinant(self) -> float:
+    def log_determinant(self) -> Array:
         """ln |covariance| of all steps."""
-        return float(2.0 * np.log(self.deviation[self.follows]).sum())
+        return np.asarray(2.0 * np.log(self.deviation[..., self.follows, :]).sum(axis=(-2, -1)))
 
     def scores(self, step: Step) -> tuple[Array, Array, Array]:
         """∂ℓ/∂ ln σ and ∂ℓ/∂ ln τ of every sensor (n,), each for itself, and how many independent values the data say
         of its states."""
-        states = slice(-len(self.sigma), None)
-        b, root, own = step.unknowns[:, states], step.along(states), np.diagonal(step.given, axis1=2, axis2=3)
-        variance, with_next = own[0, :, states] + (root**2).sum(axis=2), own[1, :, states].copy()
-        with_next[:-1] += (root[:-1] * root[1:]).sum(axis=2)
-        here = np.flatnonzero(self.follows)
-        first = np.ones(len(b), dtype=bool)
-        first[here + 1] = False
-        rho, square = self.rho[here], self.deviation[here] ** 2
-        before, after = b[here] ** 2 + variance[here], b[here + 1] ** 2 + variance[here + 1]
-        across = b[here] * b[here + 1] + with_next[here]
+        states, follows = slice(-self.sigma.shape[-1], None), self.follows
+        first = np.append(True, ~follows[:-1])
+        here, following = np.flatnonzero(follows), np.flatnonzero(follows) + 1
+        b, root = step.unknowns[..., states], step.along(states)
+        own, with_next = np.moveaxis(np.diagonal(step.given, axis1=-2, axis2=-1)[..., states], -3, 0)
+        variance = own + (root**2).sum(axis=-1)
+        with_next = with_next[..., here, :] + (root[..., here, :, :] * root[..., following, :, :]).sum(axis=-1)
+        rho, square = self.rho[..., here, :], self.deviation[..., here, :] ** 2
+        moment = b**2 + variance
+        before, after, begins = moment[..., here, :], moment[..., following, :], moment[..., first, :]
+        across = b[..., here, :] * b[..., following, :] + with_next
         e2 = (after - 2.0 * rho * across + rho**2 * before) / square
-        begins = b[first] ** 2 + variance[first]
-        by_size = (e2 - 1.0).sum(axis=0) + (begins - 1.0).sum(axis=0)
-        growth = np.where(np.isfinite(self.passed[here]), self.passed[here], 0.0) * rho
-        by_time = (growth * ((across - rho * before) + rho * (1.0 - e2)) / square).sum(axis=0)
-        unknown = (variance[here + 1] - 2.0 * rho * with_next[here] + rho**2 * variance[here]) / square
-        told = (1.0 - np.clip(unknown, 0.0, 1.0)).sum(axis=0) + (1.0 - np.clip(variance[first], 0.0, 1.0)).sum(axis=0)
-        return by_size, by_time, told
+        by_size = (e2 - 1.0).sum(axis=-2) + (begins - 1.0).sum(axis=-2)
+        passed = self.passed[..., here, :]
+        growth = np.where(np.isfinite(passed), passed, 0.0) * rho
+        by_time = (growth * ((across - rho * before) + rho * (1.0 - e2)) / square).sum(axis=-2)
+        unknown = (variance[..., following, :] - 2.0 * rho * with_next + rho**2 * variance[..., here, :]) / square
+        told = sum((1.0 - np.clip(each, 0.0, 1.0)).sum(axis=-2) for each in (unknown, variance[..., first, :]))
+        return by_size, by_time, np.asarray(told)
 
 
 def mean_along(told: Told) -> tuple[Array, Array]:
@@ -106,9 +106,10 @@ def mean_along(told: Told) -> tuple[Array, Array]:
     a_i + R_i⁻¹ e_i from the first."""
     (inverse, by_next, by), process = told.solved, told.process
     assert process is not None
-    (N, d, _), n = inverse.shape, len(process.sigma)
-    carried, back = np.zeros((N, d, n)), np.zeros((N, d, d))  # transposed, from the last rest to the first
-    carried[:, d - n :] = np.diag(process.sigma) / N
-    back[:-1] = np.swapaxes(by_next[-2::-1], 1, 2)
-    along_chain(back, carried)
-    return process.sigma[:, None] * by[:, d - n :].mean(axis=0), np.swapaxes(carried[::-1], 1, 2) @ inverse
+    (*stack, N, d, _), n = inverse.shape, process.sigma.shape[-1]
+    carried, back = np.zeros((*stack, N, d, n)), np.zeros((*stack, N, d, d))  # transposed, from the last rest on
+    carried[..., d - n :, :] = process.sigma[..., None, None, :] * np.eye(n) / N
+    back[..., :-1, :, :] = np.swapaxes(by_next[..., -2::-1, :, :], -1, -2)
+    along_chains(back, carried)
+    of_rests = np.swapaxes(carried[..., ::-1, :, :], -1, -2) @ inverse
+    return process.sigma[..., None] * by[..., d - n :, :].mean(axis=-3), of_rests

@@ -24,13 +24,14 @@ distribution say how good the proposal was.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from tumble.inference.in_run import mean_along
 from tumble.inference.maximum import Evaluated, Maximum
+from tumble.inference.step import Told
 from tumble.inference.uncertainty_budget import Roots, Sources, add_contributions, noise_roots
 from tumble.scipy_compiled import special
 from tumble.units import Array
@@ -45,6 +46,12 @@ KNOTS, FURTHER = (-1.0, 1.0), (-5.0, -2.5, 2.0)
 """Where ℓ is looked at along an element of φ, in standard deviations by its curvature, and where else"""
 BENT = 0.05
 """where it is so far or more from the parabola of its curvature at the first."""
+RESTS_AT_ONCE = 512
+"""ℓ is taken at so many points at once that they have together so many rests: what it takes fits into a processor's
+cache."""
+KEPT_MEMORY = 30_000_000
+"""Bytes: a block of this size, taken and returned, makes the allocator of Linux keep what is returned later, up to
+twice as much; by default every array of a stack is of new pages, which cost more to clear than to compute with."""
 FINE = 241
 """Points of the densities along the elements."""
 TAIL = 4.0
@@ -85,6 +92,7 @@ class Posterior:
 def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
     """The posterior about a maximum; with a single point that at the maximum itself."""
     best = fitted.best
+    np.empty(KEPT_MEMORY, dtype=np.uint8)
     points = 1 if len(best.step.parameters) > MOST_PARAMETERS else points
     axes, correlation = _axes(fitted) if points > 1 else ([], np.zeros((0, 0)))
     points = max(points, POINTS_EACH * len(axes)) if axes else 1
@@ -98,18 +106,21 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
             x = np.interp(special.ndtr(own), axis.cumulative, axis.phi)
             phi[:, axis.element] = x
             log_q += np.interp(x, axis.phi, axis.log_density) + 0.5 * own**2
-    every = [conditional(Evaluated.of(fitted.free, fitted.entries, fitted.at, own)) for own in phi]
-    weight, pareto = smoothed(np.array([each.value for each in every]) - log_q)
+    every = [(some, conditional(here)) for some, here in _at_once(fitted, phi)]
+
+    def of_points(name: str) -> Array:
+        return np.concatenate([getattr(each, name) for _, each in every])
+
+    weight, pareto = smoothed(of_points("value") - log_q)
     effective = float(1.0 / (weight**2).sum())
     if rough(pareto, effective) and 1 < points < MOST_POINTS:
         return posterior(fitted, 4 * points)
-    steps, within = np.array([each.step for each in every]), np.array([each.covariance for each in every])
-    process, own = (np.array([getattr(each, f"process_{name}") for each in every]) for name in ("step", "covariance"))
-    deviations = np.sqrt(np.diagonal(within, axis1=1, axis2=2))
+    steps, process = of_points("step"), of_points("process_step")
+    deviations = np.sqrt(np.diagonal(of_points("covariance"), axis1=1, axis2=2))
     mean, process_mean = weight @ steps, weight @ process
     together, roots = Sources(), noise_roots(fitted.free, fitted.at)
-    for each, w in zip(every, weight.tolist(), strict=True):
-        add_contributions(together, w, fitted.at, each.here, each.mean, roots)
+    for some, each in every:
+        add_contributions(together, weight[some], fitted.at, each.here, each.mean, roots)
     sources = together.covariances()
     sources["hyperparameters"] = ((steps - mean).T * weight) @ (steps - mean)
     covariance = np.sum(list(sources.values()), axis=0)
@@ -121,7 +132,7 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
         sources={name: each * np.outer(shorter, shorter) for name, each in sources.items()},
         degrees=_degrees(factor[1:]),
         process_step=process_mean,
-        process_covariance=np.tensordot(weight, own, axes=1)
+        process_covariance=np.tensordot(weight, of_points("process_covariance"), axes=1)
         + ((process - process_mean).T * weight) @ (process - process_mean),
         points=points,
         effective=effective,
@@ -141,34 +152,51 @@ class _Axis:
     cumulative: Array
 
 
+def _at_once(fitted: Maximum, phi: Array, told: Told | None = None) -> Iterator[tuple[slice, Evaluated]]:
+    """ℓ at points (P, D), by stacks, and which these are."""
+    many = max(1, RESTS_AT_ONCE // len(fitted.free.link))
+    for some in (slice(first, first + many) for first in range(0, len(phi), many)):
+        yield some, Evaluated.of(fitted.free, fitted.entries, fitted.at, phi[some], told)
+
+
 def _axes(fitted: Maximum) -> tuple[list[_Axis], Array]:
     """ℓ along the elements of φ of which the session shows something, and their correlations (k, k) by its
     curvature."""
-    best, bounded = fitted.best, fitted.entries.bounded
+    best, entries = fitted.best, fitted.entries
+    at_bound, within = entries.bounded & (best.phi <= 0.0), np.array([h.within for h in entries])
+    bend = np.where(at_bound, best.information.diagonal(), fitted.curvature.diagonal())
+    size = 1.0 / np.sqrt(np.maximum(bend, best.prior[2]))
+    of_group = np.array([h.place in ("group", "own group") for h in entries], dtype=bool)
+    usual = at_bound & of_group  # the rows tell the same of them
+    there = [{0.0: (0.0, best.gradient, 0.0)} for _ in entries]
+
+    def look(elements: Iterable[int], knots: tuple[float, ...]) -> None:
+        for told in (best.told, None):
+            of = [i for i in elements if usual[i] == (told is not None)]
+            pairs = [(i, away) for i in of for away in knots if away > 0.0 or not at_bound[i]]
+            phi = np.tile(best.phi, (len(pairs), 1))
+            for own, (i, away) in zip(phi, pairs, strict=True):
+                own[i] += away * size[i]
+            for some, here in _at_once(fitted, phi, told):
+                gradient, learned = here.of_groups if told else (here.gradient, np.diagonal(here.information, 0, 1, 2))
+                values = zip(pairs[some], here.value - best.value, gradient, learned, strict=True)
+                for (i, away), value, slopes, shown in values:
+                    there[i][away] = value, slopes, shown[i]
+
+    every = range(len(entries))
+    look(every, KNOTS)
+    shown = [i for i in every if not at_bound[i] or there[i][1.0][2] - within[i] ** -2 > SHOWN]
+    bent = [i for i in shown if at_bound[i] or any(abs(there[i][a][0] + 0.5 * a**2) >= BENT for a in KNOTS)]
+    look(bent, FURTHER)
     axes, bends = list[_Axis](), list[Array]()
-    for i, h in enumerate(fitted.entries):
-        at_bound = bool(bounded[i] and best.phi[i] <= 0.0)
-        bend = best.information[i, i] if at_bound else fitted.curvature[i, i]
-        size = 1.0 / np.sqrt(max(bend, best.prior[2, i]))
-        told = best.told if h.place in ("group", "own group") else None  # what the rows tell does not know of sizes
-        there, shown, parabola = {0.0: best}, True, not at_bound
-        for knots in (KNOTS, FURTHER):
-            for away in (away for away in knots if away > 0.0 or not at_bound):
-                phi = best.phi.copy()
-                phi[i] += away * size
-                here = there[away] = Evaluated.of(fitted.free, fitted.entries, fitted.at, phi, told)
-                parabola = parabola and abs(here.value - best.value + 0.5 * away**2) < BENT
-            shown = not at_bound or there[1.0].slope(i)[1] - h.within**-2 > SHOWN
-            if parabola or not shown:
-                break
-        if shown:
-            along = [(away * size, each.value - best.value, each.slope(i)[0]) for away, each in sorted(there.items())]
-            axes.append(_axis(i, best.phi[i], along, size, h.within if at_bound else 0.0))
-            bends.append(0.0 * best.phi if at_bound else (there[-1.0].gradient - there[1.0].gradient) / (2.0 * size))
+    for i in shown:
+        along = [(away * size[i], value, slopes[i]) for away, (value, slopes, _) in sorted(there[i].items())]
+        axes.append(_axis(i, best.phi[i], along, size[i], within[i] if at_bound[i] else 0.0))
+        bends.append(0.0 * best.phi if at_bound[i] else (there[i][-1.0][1] - there[i][1.0][1]) / (2.0 * size[i]))
     elements = [axis.element for axis in axes]
     curvature = np.array(bends).reshape(len(axes), len(best.phi))[:, elements]
     curvature = 0.5 * (curvature + curvature.T)
-    alone = np.array([bool(bounded[i] and best.phi[i] <= 0.0) for i in elements], dtype=bool)
+    alone = at_bound[elements]
     curvature[alone], curvature[:, alone] = 0.0, 0.0
     diagonal = np.sqrt(np.maximum(curvature.diagonal(), 1e-12))
     scaled = curvature / np.outer(diagonal, diagonal)
@@ -212,37 +240,38 @@ class Conditional:
     process_covariance: Array
 
     @property
-    def value(self) -> float:
+    def value(self) -> Array:
         """ℓ."""
         return self.here.value
 
     def covariances(self, roots: tuple[Roots, Roots]) -> dict[str, Array]:
         """The covariance of the step by source, with the roots of the noise of the rows."""
         out = Sources()
-        add_contributions(out, 1.0, self.here.at, self.here, self.mean, roots)
+        add_contributions(out, np.ones(self.value.shape), self.here.at, self.here, self.mean, roots)
         return out.covariances()
 
 
 def conditional(here: Evaluated) -> Conditional:
-    """The posterior at φ."""
+    """The posterior at φ, or at a stack of them."""
     known, biases, mean = here.known, 1 + here.problem.biases, None
-    step, root = known.parameters.copy(), known.roots[0][len(here.problem.own_known) :].copy()
-    process = root[biases]
+    step, roots = known.parameters.copy(), known.roots[..., 0, :, :]
+    root = roots[..., len(here.problem.own_usual) :, :].copy()
+    process = root[..., biases, :]
     if here.told.process is not None and len(here.problem.parts) == 1:
         mean = mean_along(here.told)
-        step[biases] += mean[0] @ np.concatenate([known.own[0], known.parameters, [-1.0]])
-        root[biases] += mean[0][:, :-1] @ known.roots[0]
-    covariance = root @ root.T
+        step[..., biases] += (mean[0] @ known.others[..., 0, :, None])[..., 0]
+        root[..., biases, :] += mean[0][..., :-1] @ roots
+    covariance = root @ np.swapaxes(root, -1, -2)
     if mean is not None:
-        along = np.swapaxes(mean[1], 0, 1).reshape(len(biases), -1)
-        covariance[np.ix_(biases, biases)] += along @ along.T
+        along = np.swapaxes(mean[1], -3, -2).reshape(*step.shape[:-1], len(biases), -1)
+        covariance[..., biases[:, None], biases] += along @ np.swapaxes(along, -1, -2)
     return Conditional(
         here=here,
         mean=mean,
         step=step,
         covariance=covariance,
-        process_step=known.parameters[biases],
-        process_covariance=process @ process.T,
+        process_step=known.parameters[..., biases],
+        process_covariance=process @ np.swapaxes(process, -1, -2),
     )
 
 
@@ -295,15 +324,21 @@ def _pareto(above: Array) -> tuple[float, float]:
 
 
 def _coverage_factors(means: Array, deviations: Array, weight: Array, u: Array) -> Array:
-    """The half widths at COVERAGE of the mixtures of Gaussians (points, m) over their u (m,); 0 where u is."""
-    low, high = np.zeros(len(u)), np.full(len(u), 20.0)
+    """The half widths at COVERAGE of the mixtures of Gaussians (points, m) over their u (m,); 0 where u is. By Newton's
+    method, and by halves where that leaves the bounds."""
+    low, high, k = np.zeros(len(u)), np.full(len(u), 20.0), np.full(len(u), 2.0)
     safe = np.where(deviations > 0.0, deviations, 1.0)
-    for _ in range(40):
-        k = 0.5 * (low + high)
-        inside = special.ndtr((k * u - means) / safe) - special.ndtr((-k * u - means) / safe)
-        small = weight @ inside < COVERAGE
-        low, high = np.where(small, k, low), np.where(small, high, k)
-    return np.where(u > 0.0, 0.5 * (low + high), 0.0)
+    for _ in range(60):
+        above, below = (k * u - means) / safe, (-k * u - means) / safe
+        missing = COVERAGE - weight @ (special.ndtr(above) - special.ndtr(below))
+        density = weight @ ((np.exp(-0.5 * above**2) + np.exp(-0.5 * below**2)) / safe) * u / np.sqrt(2.0 * np.pi)
+        low, high = np.where(missing > 0.0, k, low), np.where(missing > 0.0, high, k)
+        new = k + missing / np.maximum(density, 1e-300)
+        new, before = np.where((new >= low) & (new <= high), new, 0.5 * (low + high)), k
+        k = new
+        if np.all(np.abs(k - before) <= 1e-12 * k):
+            break
+    return np.where(u > 0.0, k, 0.0)
 
 
 def _degrees(factor: Array) -> Array:

@@ -32,7 +32,7 @@ def linearise(problem: Problem, point: Point, about: TurnsAbout | None) -> Rows:
         prior=priors(problem, point, about),
         bias=bias,
         gained=_gained(problem, point),
-        own=-point.own / problem.own_known,
+        own=-point.own / problem.own_known[..., None, :],
     )
 
 
@@ -46,7 +46,7 @@ def _gained(problem: Problem, point: Point) -> Array:
 
 def with_priors(rows: Rows, problem: Problem, point: Point, about: TurnsAbout | None = None) -> Rows:
     """The same rows with the priors of a problem."""
-    return replace(rows, prior=priors(problem, point, about), own=-point.own / problem.own_known)
+    return replace(rows, prior=priors(problem, point, about), own=-point.own / problem.own_known[..., None, :])
 
 
 def _rest_rows(problem: Problem, point: Point, model: tuple[Array, Array]) -> Array:
@@ -210,15 +210,17 @@ def priors(problem: Problem, point: Point, about: TurnsAbout | None = None) -> A
     """Measured gravity and the prior of the parameters, whitened: a triangle, of a diagonal and a right-hand side; with
     what arrays say of themselves in motion."""
     expected, u = problem.measured
-    known = u > 0.0
-    rows = np.zeros((len(u) + 1, len(u) + 1), order="F")
+    rows = np.swapaxes(np.zeros((*u.shape[:-1], u.shape[-1] + 1, u.shape[-1] + 1)), -1, -2)
     if problem.prior.covariance is None:
-        rows[np.arange(len(u)), np.arange(len(u))] = np.where(known, 1.0 / np.where(known, u, 1.0), 0.0)
+        i = np.arange(u.shape[-1])
+        rows[..., i, i] = np.where(u > 0.0, 1.0 / np.where(u > 0.0, u, 1.0), 0.0)
     else:
-        rows[:-1, :-1] = root_of_inverse(problem.prior.covariance)
-    rows[:-1, -1] = rows[:-1, :-1] @ (expected - np.append(point.gravity, point.values))
+        rows[..., :-1, :-1] = root_of_inverse(problem.prior.covariance)
+    rows[..., :-1, -1] = rows[..., :-1, :-1] @ (expected - np.append(point.gravity, point.values))
     for array in () if about is None else about.arrays:
-        fold(np.insert(array.rows(problem.instrument, point.values), 0, 0.0, axis=1), rows)
+        own = np.insert(array.rows(problem.instrument, point.values), 0, 0.0, axis=1)
+        for at in np.ndindex(u.shape[:-1]):
+            fold(own.copy(), rows[at])
     return rows
 
 

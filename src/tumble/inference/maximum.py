@@ -125,13 +125,14 @@ class At:
 class Evaluated:
     """ℓ at φ and one linearisation: the `prior` of φ with its derivatives, the `value` of ℓ, the problem with priors of
     that size, what the rows tell and what is known by them and the priors; when they are asked for, the step, what it
-    leaves, and the score."""
+    leaves, and the score. Of a stack of φ all of these have an axis more, the first one, that of derivatives the
+    second."""
 
     entries: Hyperparameters
     at: At
     phi: Array
     prior: Array
-    value: float
+    value: Array
     problem: Problem
     told: Told
     known: Known
@@ -143,7 +144,7 @@ class Evaluated:
         rows = with_priors(at.rows, sizes, at.point, at.about)
         told = told or tell(sizes, rows, at.noise.weights(components_of(entries, phi)))
         known, prior = joined(sizes, rows, told), entries.prior(phi)
-        value = float(prior[0].sum() - 0.5 * known.deviance)
+        value = prior[0].sum(axis=-1) - 0.5 * known.deviance
         return Evaluated(
             entries=entries, at=at, phi=phi, prior=prior, value=value, problem=sizes, told=told, known=known
         )
@@ -170,25 +171,20 @@ class Evaluated:
 
     @cached_property
     def of_groups(self) -> tuple[Array, Array]:
-        """∂ℓ/∂ ln λ of sizes of groups (D,), in common and of each session (26), and how much is learned of them."""
+        """∂ℓ/∂ ln λ of sizes of groups (D,), in common and of each session (26), and how much is learned of them, with
+        those of the priors."""
         problem, point, known, entries = self.problem, self.at.point, self.known, self.entries
-        expected, s = (each[1:] for each in problem.measured)
-        q, variance, by, learned = len(problem.own_known), (known.roots**2).sum(axis=2), 0.0, 0.0
+        expected, s = (each[..., 1:] for each in problem.measured)
+        q, variance, (_, by, learned) = len(problem.own_usual), (known.roots**2).sum(axis=-1), self.prior
         for enters, c, v, size in (
-            (entries.by_group, (point.values + known.parameters[1:] - expected)[None], variance[:1, q + 1 :], s),
-            (entries.by_own_group, point.own + known.own, variance[:, :q], problem.own_known),
+            (entries.by_group, (point.values + known.parameters[..., 1:] - expected), variance[..., :1, q + 1 :], s),
+            (entries.by_own_group, point.own + known.own, variance[..., :q], problem.own_known),
         ):
-            size = np.where(size > 0.0, size, np.inf)
-            by = by + enters @ ((c**2 + v) / size**2 - 1.0).sum(axis=0)
-            learned = learned + 2.0 * enters @ np.clip(1.0 - v / size**2, 0.0, 1.0).sum(axis=0)
-        return np.asarray(by), np.asarray(learned)
-
-    def slope(self, i: int) -> tuple[float, float]:
-        """The gradient and the information by one element of φ alone; of a group's size nothing is put back for it."""
-        if self.entries[i].place in ("group", "own group"):
-            by, learned = self.of_groups
-            return float(by[i] + self.prior[1, i]), float(learned[i] + self.prior[2, i])
-        return float(self.gradient[i]), float(self.information[i, i])
+            square = np.where(size > 0.0, size, np.inf)[..., None, :] ** 2
+            c = c[..., None, :] if c.ndim < v.ndim else c
+            by = by + ((c**2 + v) / square - 1.0).sum(axis=-2) @ enters.T
+            learned = learned + 2.0 * np.clip(1.0 - v / square, 0.0, 1.0).sum(axis=-2) @ enters.T
+        return by, learned
 
     @cached_property
     def score(self) -> tuple[Array, Array]:
@@ -198,12 +194,14 @@ class Evaluated:
         twice, process = 2.0 * self.told.weights.components.variances, self.told.process
         by_size, by_time, states = np.zeros((3, problem.sensors)) if process is None else process.scores(step)
         kinds = np.repeat([0, 1], [problem.instrument.accel.size, problem.sensors - problem.instrument.accel.size])
-        gradient = gradient + self.prior[1] + entries.by_scatter @ (twice * by_variance) + entries.by_time @ by_time
-        gradient += entries.by_in_run @ by_size + entries.by_unlike @ (by_size + twice[kinds] * by_sensor)
-        learned = learned + self.prior[2] + entries.by_in_run @ (2.0 * states) + entries.by_time @ (0.5 * states)
-        learned += entries.by_unlike @ (2.0 * states + len(problem.link) * SENSED)
-        scatter = entries.by_scatter * twice
-        return gradient, np.diag(learned) + scatter @ of_variance @ scatter.T
+        gradient = gradient + (twice * by_variance) @ entries.by_scatter.T + by_time @ entries.by_time.T
+        gradient = gradient + by_size @ entries.by_in_run.T
+        gradient = gradient + (by_size + twice[..., kinds] * by_sensor) @ entries.by_unlike.T
+        learned = learned + 2.0 * states @ entries.by_in_run.T + 0.5 * states @ entries.by_time.T
+        learned = learned + (2.0 * states + len(problem.link) * SENSED) @ entries.by_unlike.T
+        scatter = entries.by_scatter * twice[..., None, :]
+        information = scatter @ of_variance @ np.swapaxes(scatter, -1, -2)
+        return gradient, information + learned[..., None] * np.eye(len(entries))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

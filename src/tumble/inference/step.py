@@ -12,6 +12,9 @@ With V the covariance of all rows and R the triangular factor of the elimination
 every determinant a sum of logarithms of diagonals that are there. With D = ∂V/∂v and P the projector onto residuals is
 the score by the variance v of a component of scatter ½ (rᵀPDPr − tr PD); by the logarithm of a prior's size λ, of a
 group c, it is Σ (E c²/λ²s² − 1), which is Fisher's identity.
+
+Components of variance and sizes of priors may be a stack of several, for which all is done at once: then every array
+that depends on them has further axes before those that are stated.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tumble.inference.elimination import eliminate, fold, given_parameters, put_back
+from tumble.inference.elimination import eliminate, fold, given_parameters, given_unknowns, put_back
 from tumble.inference.hyperparameters import SCATTER, Noise, Weights
 from tumble.inference.in_run import InRun
 from tumble.inference.likelihood import Problem, Rows, SessionSpan
@@ -39,8 +42,14 @@ class Known:
     parameters: Array
     own: Array
     roots: Array
-    square: float
-    deviance: float
+    square: Array
+    deviance: Array
+
+    @property
+    def others(self) -> Array:
+        """Of each session what it has of its own, gravity and the parameters, and −1 (S, q + 1 + m + 1)."""
+        common = np.broadcast_to(self.parameters[..., None, :], (*self.own.shape[:-1], self.parameters.shape[-1]))
+        return np.concatenate([self.own, common, np.full((*self.own.shape[:-1], 1), -1.0)], axis=-1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,14 +69,6 @@ class Told:
         """The unknowns of the rests given others (`tumble.inference.elimination.put_back`)."""
         return put_back(self.factor)
 
-    def given_unknowns(self, rows: Array, first: IntArray | slice) -> Array:
-        """Whitened rows (K, t, ·) with the unknowns of the rests, the `first` of each and the one after it where rows
-        have those too, as they follow from all others: [what these do | residual where they are zero] (K, t, p + 1)."""
-        d, by = self.factor.shape[1], self.solved[2]
-        width = by.shape[2]
-        out = rows[:, :, -width:] + rows[:, :, :d] @ by[first]
-        return out if rows.shape[2] == d + width else out + rows[:, :, d : 2 * d] @ by[1:][first]
-
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Step(Known):
@@ -86,12 +87,14 @@ class Step(Known):
     @property
     def angles(self) -> Array:
         """The step of the angles (N, 3) of the attitudes."""
-        return self.unknowns[:, :3]
+        return self.unknowns[..., :3]
 
     def along(self, unknowns: slice) -> Array:
         """How unknowns of the rests (N, k, p) go with what the others are uncertain by, a root of their covariance."""
-        every = zip(self.rests, self.roots, strict=True)
-        return np.concatenate([self.told.solved[2][rests, unknowns, :-1] @ root for rests, root in every])
+        by = self.told.solved[2][..., unknowns, :-1]
+        return np.concatenate(
+            [times(by[..., own, :, :], self.roots[..., s, :, :]) for s, own in enumerate(self.rests)], axis=-3
+        )
 
     def covariances(self, unknowns: slice) -> Array:
         """Covariances of unknowns of the rests with themselves and those of the next (2, N, k, k)."""
@@ -118,19 +121,20 @@ def solve(problem: Problem, rows: Rows, weight: Weights) -> Step:
 
 def completed(problem: Problem, told: Told, known: Known) -> Step:
     """The least-squares step of what is known once the attitudes are eliminated, with these put back."""
-    q, rests = len(problem.own_known), tuple(part.rests for part in problem.parts)
-    own_covariance = known.roots @ np.swapaxes(known.roots, 1, 2)
+    q, rests = len(problem.own_usual), tuple(part.rests for part in problem.parts)
+    own_covariance = known.roots @ np.swapaxes(known.roots, -1, -2)
     inverse, by_next, by = told.solved
-    others = (np.concatenate([own, known.parameters, [-1.0]]) for own in known.own)
+    others = np.moveaxis(known.others, -2, 0)[..., None, :, None]
+    unknowns = [(by[..., own, :, :] @ x)[..., 0] for own, x in zip(rests, others, strict=True)]
     return Step(
         parameters=known.parameters,
         own=known.own,
         roots=known.roots,
         square=known.square,
         deviance=known.deviance,
-        covariance=own_covariance[0, q:, q:],
+        covariance=own_covariance[..., 0, q:, q:],
         own_covariance=own_covariance,
-        unknowns=np.concatenate([by[own] @ x for own, x in zip(rests, others, strict=True)]),
+        unknowns=np.concatenate(unknowns, axis=-2),
         told=told,
         given=given_parameters(inverse, by_next),
         rests=rests,
@@ -141,19 +145,20 @@ def tell(problem: Problem, rows: Rows, weight: Weights) -> Told:
     """What the rows of every session say by themselves."""
     process = InRun.of(problem, weight.components) if weight.components.wanders else None
     rest, turn = whitened_rows(problem, rows, weight, process)
-    size = len(problem.own_known) + len(rows.prior)
-    d = 3 if process is None else 3 + len(process.sigma)
-    factor, sessions, joints = np.empty((len(rest), d, 2 * d + size)), np.zeros((len(problem.parts), size, size)), turn
-    sessions = np.swapaxes(sessions, 1, 2)
+    (*stack, N, _, width), (*_, t, _) = rest.shape, turn.shape
+    d = 3 if process is None else 3 + problem.sensors
+    factor, joints, size = np.empty((*stack, N, d, d + width)), turn, width - d
+    sessions = np.swapaxes(np.zeros((*stack, len(problem.parts), size, size)), -1, -2)
     if process is not None:
-        joints = np.zeros((len(rest), turn.shape[1] + d - 3, 2 * d + size))
-        joints[problem.before_turn, : turn.shape[1]] = turn
-        process.write_steps(joints[:, turn.shape[1] :], d)
-    begins = np.zeros((d, 2 * d + size))  # a chain of states begins as its process is
+        joints = np.zeros((*stack, N, t + d - 3, d + width))
+        joints[..., problem.before_turn, :t, :] = turn
+        process.write_steps(joints[..., t:, :], d)
+    begins = np.zeros((d, d + width))  # a chain of states begins as its process is
     begins[3:, 3:d] = np.eye(d - 3)
-    for part, triangle in zip(problem.parts, sessions, strict=True):
-        between = joints[part.turns if process is None else part.rests]
-        eliminate(rest[part.rests], between, _links(part, process), factor[part.rests], triangle, begins)
+    for at in np.ndindex(*stack):
+        for part, triangle in zip(problem.parts, sessions[at], strict=True):
+            between = joints[at][part.turns if process is None else part.rests]
+            eliminate(rest[at][part.rests], between, _links(part, process), factor[at][part.rests], triangle, begins)
     return Told(weights=weight, process=process, whitened=(rest, turn), factor=factor, sessions=sessions)
 
 
@@ -165,40 +170,51 @@ def _links(part: SessionSpan, process: InRun | None) -> IntArray:
 
 def joined(problem: Problem, rows: Rows, told: Told) -> Known:
     """What all sessions together say, with the priors of the rows."""
-    q, triangle, heads = len(problem.own_known), rows.prior, []
-    for session, residual in zip(told.sessions, rows.own, strict=True):
-        wide = with_own(problem, session, residual)
-        heads.append(wide[:q])
-        fold(triangle, wide[q:, q:], triangular=True)
-        triangle = wide[q:, q:]
-    exact = int(triangle[0, 0] == 0.0)  # gravity, of which the step is zero then
-    p = len(triangle) - 1
-    parameters, root = np.zeros(p), np.zeros((p, p))
-    root[exact:, exact:] = inverse_of(triangle[exact:p, exact:p])
-    parameters[exact:] = root[exact:, exact:] @ triangle[exact:p, p]
-    own, roots = zip(*(_put_back_own(head, parameters, root) for head in heads), strict=True)
-
-    whitened = np.concatenate([each.diagonal(0, 1, 2).ravel() for each in (told.weights.rest, told.weights.turn)])
-    pivots = np.concatenate([told.factor.diagonal(0, 1, 2).ravel(), *(h.diagonal() for h in (*heads, triangle[:-1]))])
-    sizes = [problem.measured[1][1 + problem.instrument.linear_count :], np.tile(problem.own_known, len(heads))]
-    logarithms = (np.log(each[each > 0.0]).sum() for each in (np.abs(pivots), np.concatenate(sizes)))
-    steps = 0.0 if told.process is None else told.process.log_determinant
-    square = float(triangle[-1, -1] ** 2)
-    return Known(
-        parameters=parameters,
-        own=np.array(own),
-        roots=np.array(roots),
-        square=square,
-        deviance=float(2.0 * (sum(logarithms) - np.log(whitened).sum()) + steps + square),
+    q, S, p, u = len(problem.own_usual), len(problem.parts), rows.prior.shape[-1] - 1, problem.measured[1]
+    stack = np.broadcast_shapes(rows.prior.shape[:-2], told.sessions.shape[:-3])
+    sessions = np.broadcast_to(told.sessions, (*stack, S, q + p + 1, q + p + 1))
+    prior = np.broadcast_to(rows.prior, (*stack, p + 1, p + 1))
+    own_known, residuals = (
+        np.broadcast_to(x, (*stack, *x.shape[-n:])) for x, n in ((problem.own_known, 1), (rows.own, 2))
     )
+    parameters, own = np.zeros((*stack, p)), np.zeros((*stack, S, q))
+    roots, pivots, square = np.zeros((*stack, S, q + p, q + p)), np.empty((*stack, S * q + p)), np.empty(stack)
+    for at in np.ndindex(*stack):
+        triangle, heads = prior[at], []
+        for session, residual in zip(sessions[at], residuals[at], strict=True):
+            wide = with_own(own_known[at], session, residual)
+            heads.append(wide[:q])
+            fold(triangle, wide[q:, q:], triangular=True)
+            triangle = wide[q:, q:]
+        exact = int(triangle[0, 0] == 0.0)  # gravity, of which the step is zero then
+        root = np.zeros((p, p))
+        root[exact:, exact:] = inverse_of(triangle[exact:p, exact:p])
+        parameters[at][exact:] = root[exact:, exact:] @ triangle[exact:p, p]
+        for s, head in enumerate(heads):
+            own[at][s], roots[at][s] = _put_back_own(head, parameters[at], root)
+        pivots[at], square[at] = np.concatenate([h.diagonal() for h in (*heads, triangle[:p])]), triangle[p, p] ** 2
+
+    whitened = sum(np.log(W.diagonal(0, -2, -1)).sum(axis=(-2, -1)) for W in (told.weights.rest, told.weights.turn))
+    of_rests = _logarithms(told.factor.diagonal(0, -2, -1)).sum(axis=-1)
+    sizes = _logarithms(u[..., 1 + problem.instrument.linear_count :]) + S * _logarithms(problem.own_known)
+    steps = 0.0 if told.process is None else told.process.log_determinant
+    deviance = 2.0 * (of_rests + _logarithms(pivots) + sizes - whitened) + steps + square
+    return Known(parameters=parameters, own=own, roots=roots, square=square, deviance=deviance)
 
 
-def with_own(problem: Problem, session: Array, residual: Array) -> Array:
-    """What a session says, a triangle, with the prior of what it has of its own, of whitened residual (q,)."""
+def _logarithms(values: Array) -> Array:
+    """The sum of the logarithms (…) of values (…, n) that are not zero."""
+    size = np.abs(values)
+    return np.asarray(np.log(np.where(size > 0.0, size, 1.0)).sum(axis=-1))
+
+
+def with_own(known: Array, session: Array, residual: Array) -> Array:
+    """What a session says, a triangle, with the prior of what it has of its own, of standard deviations `known` and
+    whitened residual (q,)."""
     wide, q = session.copy(order="F"), len(residual)
     if q:
         prior = np.zeros((q, len(wide)))
-        prior[:, :q], prior[:, -1] = np.diag(1.0 / problem.own_known), residual
+        prior[:, :q], prior[:, -1] = np.diag(1.0 / known), residual
         fold(prior, wide, triangular=True)
     return wide
 
@@ -206,30 +222,21 @@ def with_own(problem: Problem, session: Array, residual: Array) -> Array:
 def whitened_rows(problem: Problem, rows: Rows, weight: Weights, process: InRun | None) -> tuple[Array, Array]:
     """The whitened rows of the rests and of the turns, as the elimination has them: after the unknowns of the rests
     what a session has of its own, then gravity and the common parameters."""
-    rest = _own_first(problem, weight.rest @ rows.rest, 3)
-    turn = _own_first(problem, weight.turn @ rows.turn, 6)
-    if process is None:
-        return rest, turn
-    n, (N, r, c), (K, t, k) = len(process.sigma), rest.shape, turn.shape
-    wide, wide_turn = np.empty((N, r, c + n)), np.empty((K, t, k + 2 * n))
-    wide[:, :, :3], wide[:, :, 3 + n :] = rest[:, :, :3], rest[:, :, 3:]
-    wide[:, :, 3 : 3 + n] = weight.rest[:, :, :n] * process.sigma
-    wide_turn[:, :, :3], wide_turn[:, :, 3 + n : 6 + n] = turn[:, :, :3], turn[:, :, 3:6]
-    wide_turn[:, :, 6 + 2 * n :] = turn[:, :, 6:]
-    by_state = weight.turn @ rows.bias * process.sigma
-    wide_turn[:, :, 3 : 3 + n] = (1.0 - problem.bias_after) * by_state
-    wide_turn[:, :, 6 + n : 6 + 2 * n] = problem.bias_after * by_state
-    return wide, wide_turn
+    n, q = 0 if process is None else problem.sensors, len(problem.own_usual)
 
+    def whitened(W: Array, *columns: Array) -> Array:
+        last = columns[-1].shape[2] - 1 - q
+        others = columns[-1][:, :, last:-1], columns[-1][:, :, :last], columns[-1][:, :, -1:]
+        return np.asarray(W @ np.concatenate([*columns[:-1], *others], axis=2))
 
-def _own_first(problem: Problem, rows: Array, angles: int) -> Array:
-    """Rows in which what a session has of its own stands before gravity and the common parameters."""
-    q = len(problem.own_known)
-    if q == 0:
-        return rows
-    last = rows.shape[2] - 1
-    order = [*range(angles), *range(last - q, last), *range(angles, last - q), last]
-    return np.take(rows, order, axis=2)
+    states = np.broadcast_to(np.eye(rows.rest.shape[1], n), (*rows.rest.shape[:2], n))
+    here, after = (share * rows.bias[:, :, :n] for share in (1.0 - problem.bias_after, problem.bias_after))
+    rest = whitened(weight.rest, rows.rest[:, :, :3], states, rows.rest[:, :, 3:])
+    turn = whitened(weight.turn, rows.turn[:, :, :3], here, rows.turn[:, :, 3:6], after, rows.turn[:, :, 6:])
+    if process is not None:
+        for of_states in (rest[..., 3 : 3 + n], turn[..., 3 : 3 + n], turn[..., 6 + n : 6 + 2 * n]):
+            of_states *= process.sigma[..., None, None, :]
+    return rest, turn
 
 
 def _put_back_own(head: Array, parameters: Array, root: Array) -> tuple[Array, Array]:
@@ -257,25 +264,36 @@ def left(problem: Problem, step: Step) -> Left:
     given others, and E what the others, of covariance U Uᵀ, do to a row directly and by these, the covariance is
 
         1 − A S Aᵀ − (E U)(E U)ᵀ"""
-    told, S = step.told, step.given
-    rest, turn = told.whitened
-    out = [(np.empty(rows.shape[:2]), np.empty((*rows.shape[:2], rows.shape[1]))) for rows in (rest, turn)]
-    for s, part in enumerate(problem.parts):
-        i, others = part.rests.start + part.first, np.concatenate([step.own[s], step.parameters, [-1.0]])
-        both = np.concatenate([
-            np.concatenate([S[0, i], S[1, i]], axis=2),
-            np.concatenate([np.swapaxes(S[1, i], 1, 2), S[0, i + 1]], axis=2),
-        ], axis=1)  # fmt: skip
-        for rows, first, own, (residual, covariance), where in (
-            (rest[part.rests], part.rests, S[0, part.rests], out[0], part.rests),
-            (turn[part.turns], i, both, out[1], part.turns),
-        ):
-            A, E = rows[:, :, : own.shape[1]], told.given_unknowns(rows, first)
-            flat = E.reshape(-1, len(others))
-            residual[where] = -(flat @ others).reshape(E.shape[:2])
-            EU = (flat[:, :-1] @ step.roots[s]).reshape(*E.shape[:2], len(others) - 1)
-            covariance[where] = np.eye(A.shape[1]) - A @ own @ np.swapaxes(A, 1, 2) - EU @ np.swapaxes(EU, 1, 2)
+    (own, with_next), i = np.moveaxis(step.given, -4, 0), problem.before_turn
+    across, out = with_next[..., i, :, :], list[tuple[Array, Array]]()
+    upper = np.concatenate([own[..., i, :, :], across], axis=-1)
+    lower = np.concatenate([np.swapaxes(across, -1, -2), own[..., i + 1, :, :]], axis=-1)
+    both, places = (
+        np.concatenate([upper, lower], axis=-2),
+        ([p.rests for p in problem.parts], [p.turns for p in problem.parts]),
+    )
+    for rows, S, E, parts in zip(step.told.whitened, (own, both), by_others(problem, step.told), places, strict=True):
+        A = rows[..., : S.shape[-1]]
+        residual, EU = np.empty(E.shape[:-1]), np.empty((*E.shape[:-1], E.shape[-1] - 1))
+        for s, part in enumerate(parts):
+            residual[..., part, :] = -times(E[..., part, :, :], step.others[..., s, :, None])[..., 0]
+            EU[..., part, :, :] = times(E[..., part, :, :-1], step.roots[..., s, :, :])
+        fitted = A @ S @ np.swapaxes(A, -1, -2) + EU @ np.swapaxes(EU, -1, -2)
+        out.append((residual, np.eye(fitted.shape[-1]) - fitted))
     return Left(rest=out[0], turn=out[1])
+
+
+def by_others(problem: Problem, told: Told) -> tuple[Array, Array]:
+    """The whitened rows of rests and of turns with the unknowns of the rests as they follow from all others: [what
+    these do | residual where they are zero] (N, r, p + 1) and (K, t, p + 1)."""
+    (rest, turn), by = told.whitened, told.solved[2]
+    return given_unknowns(rest, by, np.arange(len(problem.link))), given_unknowns(turn, by, problem.before_turn)
+
+
+def times(rows: Array, matrix: Array) -> Array:
+    """Rows (…, K, t, p) times a matrix (…, p, y), in one product."""
+    flat = rows.reshape(*rows.shape[:-3], -1, rows.shape[-1])
+    return np.asarray(flat @ matrix).reshape(*rows.shape[:-1], matrix.shape[-1])
 
 
 def scatter_score(noise: Noise, step: Step, after: Left) -> tuple[Array, Array, Array]:
@@ -287,17 +305,18 @@ def scatter_score(noise: Noise, step: Step, after: Left) -> tuple[Array, Array, 
     with r and C what is left of whitened residuals and Z whitened directions, and the score by the variance of the
     scatter of every sensor at rest (n,), in parts of that of its kind. Raises LinAlgError where residuals are beyond
     all measure."""
-    weights, slope, by_sensor = step.told.weights, np.zeros(len(SCATTER)), np.zeros(0)
-    information = np.zeros((len(SCATTER),) * 2)
+    weights, kinds = step.told.weights, np.eye(len(SCATTER))
+    slope, information, by_sensor = np.zeros(len(SCATTER)), np.zeros((len(SCATTER),) * 2), np.zeros(0)
     for W, (r, C), (Z, of) in (
         (weights.turn, after.turn, noise.turn_directions),
         (weights.rest, after.rest, noise.at_rest(weights.components)),
     ):
-        WZ, kind = W @ Z, np.eye(len(SCATTER))[of]
-        seen = np.swapaxes(WZ, 1, 2) @ C @ WZ
-        by_sensor = 0.5 * ((r[:, None] @ WZ)[:, 0] ** 2 - np.diagonal(seen, axis1=1, axis2=2)).sum(axis=0)
-        slope += by_sensor @ kind
-        information += 0.5 * kind.T @ (seen**2).sum(axis=0) @ kind
+        WZ, kind = W @ Z, kinds[of]
+        seen = np.swapaxes(WZ, -1, -2) @ C @ WZ
+        square = (r[..., None, :] @ WZ)[..., 0, :] ** 2
+        by_sensor = 0.5 * (square - np.diagonal(seen, axis1=-2, axis2=-1)).sum(axis=-2)
+        slope = slope + by_sensor @ kind
+        information = information + 0.5 * kind.T @ (seen**2).sum(axis=-3) @ kind
     if not (np.isfinite(slope).all() and np.isfinite(information).all()):
         raise np.linalg.LinAlgError("residuals are beyond all measure")
     return slope, information, by_sensor

@@ -35,11 +35,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tumble.inference.elimination import along_chain
+from tumble.inference.elimination import along_chains
 from tumble.inference.hyperparameters import SCATTER
 from tumble.inference.likelihood import Problem, unseen_rate
 from tumble.inference.linearisation import root_of_inverse
 from tumble.inference.maximum import At, Evaluated
+from tumble.inference.step import by_others, times
 from tumble.rotation import skew
 from tumble.scipy_compiled import blas
 from tumble.units import Array, IntArray
@@ -127,76 +128,73 @@ class Sources:
 
 def add_contributions(
     out: Sources,
-    weight: float,
+    weight: Array,
     at: At,
     here: Evaluated,
     mean: tuple[Array, Array] | None,
     roots: tuple[Roots, Roots],
 ) -> None:
-    """Add the covariance by source at the hyperparameters of `here`, with a weight; the biases are those of the session
-    where their `mean` is given (`mean_along`)."""
+    """Add the covariance by source at the hyperparameters of `here`, or at a stack of them, with a weight each; the
+    biases are those of the session where their `mean` is given (`mean_along`)."""
     problem, told, known = here.problem, here.told, here.known
-    d, q, size, biases = told.factor.shape[1], len(problem.own_known), len(known.parameters), 1 + problem.biases
-    components, (rest, turn), process = told.weights.components, told.whitened, told.process
-    inverse, by_next, by = told.solved
-    sigma = {f"{name}.scatter": getattr(components, name) for name in SCATTER}
+    d, q, size, biases = told.factor.shape[-2], len(problem.own_usual), known.parameters.shape[-1], 1 + problem.biases
+    components, process, (inverse, by_next, by) = told.weights.components, told.process, told.solved
+    share, own_known = np.sqrt(weight)[..., None, None], problem.own_known[..., None]
+    reduced = by_others(problem, told)
+    sigma = {f"{name}.scatter": np.asarray(getattr(components, name)) for name in SCATTER}
     rooted = list[Array]()
     for (where, F), W, weights in zip(roots, (told.weights.rest, told.weights.turn), at.noise.kept, strict=True):
-        longer = np.ones(F.shape[2])
+        longer = np.ones((*weight.shape, F.shape[2]))
         for name in where.keys() & sigma.keys():
-            longer[where[name]] = sigma[name]
-        if F is roots[0][1] and len(components.unlike):
-            longer[-problem.sensors :] *= components.unlike
-        rooted.append((W / weights[:, None]) @ (F * longer))
+            longer[..., where[name]] = sigma[name][..., None]
+        if F is roots[0][1] and components.unlike.size:
+            longer[..., -problem.sensors :] *= components.unlike
+        rooted.append((W / weights[:, None]) @ (F * longer[..., None, None, :]))
 
     for s, part in enumerate(problem.parts):
         # Z (39): of the unknowns of the rests what is beside that by the others, N, concerns the biases alone
-        Y, N = np.sqrt(weight) * np.eye(q + size)[q:], np.zeros((0, d, len(biases)))
+        Y, own, first = share * np.eye(q + size)[q:], part.rests, part.rests.start + part.first
+        places = ((own, (own,)), (part.turns, (first, first + 1)))
         if mean is not None:
-            Y[biases] += np.sqrt(weight) * mean[0][:, :-1]
-            N = np.sqrt(weight) * inverse @ np.swapaxes(mean[1], 1, 2)
-            along_chain(by_next, N)
-        Z_x = known.roots[s] @ (known.roots[s].T @ Y.T)
+            Y[..., biases, :] += share * mean[0][..., :-1]
+            N = inverse @ (share[..., None] * np.swapaxes(mean[1], -1, -2))
+            along_chains(by_next, N)
+        Z_x = known.roots[..., s, :, :] @ (np.swapaxes(known.roots[..., s, :, :], -1, -2) @ np.swapaxes(Y, -1, -2))
 
         # covariances by source (38)
-        own = part.rests
-        for (where, _), F, rows, first in (
-            (roots[0], rooted[0][own], rest[own], own),
-            (roots[1], rooted[1][part.turns], turn[part.turns], part.rests.start + part.first),
-        ):
-            E = told.given_unknowns(rows, first)
-            K = (E.reshape(-1, E.shape[2])[:, :-1] @ Z_x).reshape(*rows.shape[:2], size)
+        kinds = zip(roots, rooted, reduced, told.whitened, places, strict=True)
+        for (where, _), F, E, rows, (some, ends) in kinds:
+            K = times(E[..., some, :, :-1], Z_x)
             if mean is not None:
-                K[:, :, biases] += rows[:, :, :d] @ N[first]
-                if first is not own:
-                    K[:, :, biases] += rows[:, :, d : 2 * d] @ N[1:][first]
-            H = np.empty((F.shape[2], len(K), size))
-            np.matmul(np.swapaxes(F, 1, 2), K, out=np.swapaxes(H, 0, 1))
+                for e, after in enumerate(ends):
+                    K[..., biases] += rows[..., some, :, e * d : (e + 1) * d] @ N[..., after, :, :]
+            F = F[..., some, :, :]
+            H = np.empty((F.shape[-1], *K.shape[:-2], size))
+            np.matmul(np.swapaxes(F, -1, -2), K, out=np.moveaxis(H, 0, -2))
             for name, columns in where.items():
-                if sigma.get(name, 1.0) > 0.0:
+                if np.any(sigma.get(name, 1.0)):
                     out.add(name, H[columns])
         if process is not None:
-            n = len(process.sigma)
-            M, follows = by[own, d - n :, :-1], process.follows[own]
-            states = (M.reshape(-1, M.shape[2]) @ Z_x).reshape(*M.shape[:2], size)
+            states, accelerometers = times(by[..., own, 3:, :-1], Z_x), problem.instrument.accel.size
             if mean is not None:
-                states[:, :, biases] += N[own, d - n :]
-            steps = states[1:] - process.rho[own][:-1, :, None] * states[:-1]
-            steps = (steps / process.deviation[own][:-1, :, None])[follows[:-1]]
-            K = np.swapaxes(np.concatenate([states[:1], steps]), 0, 1)
-            out.add("accel.in_run", K[: problem.instrument.accel.size])
-            out.add("gyro.in_run", K[problem.instrument.accel.size :])
+                states[..., biases] += N[..., own, 3:, :]
+            rho, deviation = (each[..., own, :][..., :-1, :, None] for each in (process.rho, process.deviation))
+            steps = states[..., 1:, :, :] * (1.0 / deviation)
+            steps -= states[..., :-1, :, :] * (rho / deviation)
+            for K in (states[..., :1, :, :], steps):
+                out.add("accel.in_run", K[..., :accelerometers, :])
+                out.add("gyro.in_run", K[..., accelerometers:, :])
         for name, members in problem.own_members.items():
-            out.add(f"prior.{name}", Z_x[members] / problem.own_known[members, None])
+            out.add(f"prior.{name}", Z_x[..., members, :] / own_known[..., members, :])
 
-    common, u, instrument = Z_x[q:], problem.measured[1], problem.instrument
+    common, u, instrument = Z_x[..., q:, :], problem.measured[1], problem.instrument
     if problem.prior.covariance is not None:
         out.add("prior", root_of_inverse(problem.prior.covariance) @ common)
     else:
-        K = common / np.where(u > 0.0, u, np.inf)[:, None]
-        out.add("gravity", K[:1])
-        out.add("prior.linear", K[1 : 1 + instrument.linear_count])
+        K = common / np.where(u > 0.0, u, np.inf)[..., None]
+        out.add("gravity", K[..., :1, :])
+        out.add("prior.linear", K[..., 1 : 1 + instrument.linear_count, :])
         for group in instrument.further:
-            out.add(f"prior.{group.name}", K[1:][instrument.members[group.name]])
+            out.add(f"prior.{group.name}", K[..., 1:, :][..., instrument.members[group.name], :])
     for array in () if at.about is None else at.about.arrays:
-        out.add("arrays", array.rows(instrument, at.point.values)[:, :-1] @ common[1:])
+        out.add("arrays", array.rows(instrument, at.point.values)[:, :-1] @ common[..., 1:, :])
