@@ -186,7 +186,7 @@ class View:
             size[1:][by_type.any(axis=0)] = 0.0
         triangle = np.diag(np.append(np.divide(1.0, size, out=np.zeros(1 + m), where=size > 0.0), 0.0))
         for session, residual in zip(told.sessions, self.rows.own, strict=True):
-            fold(with_own(problem, session, residual)[q:, q:], triangle, triangular=True)
+            fold(with_own(problem.own_known, session, residual)[q:, q:], triangle, triangular=True)
         if by_type is not None:
             fold(np.pad(by_type, ((0, 0), (1, 1))), triangle)
         triangle = triangle[:-1, :-1]
