@@ -36,7 +36,7 @@ except ImportError:
 
 # C: from libc.math cimport sqrt
 # C: from libc.stdint cimport int64_t
-# C: cdef enum:
+# C: cpdef enum:
 # C:     LANES = 32
 
 if not cython.compiled:
