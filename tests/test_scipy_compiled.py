@@ -54,3 +54,9 @@ def test_every_function_that_is_used_is_the_public_one() -> None:
         used = set(re.findall(rf"\b{name}\.([a-z]\w+)\(", sources))
         assert used
         assert [function for function in used if getattr(compiled, function) is not getattr(public, function)] == []
+
+
+def test_a_calibration_starts_without_the_packages() -> None:
+    start = "import sys, tumble.commands.calibrate, tumble.run.calibrate, tumble.views.calibration\n"
+    absent = "assert not {'scipy.special', 'scipy.linalg', 'scipy.optimize', 'numpy.f2py'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", start + absent], check=True)
