@@ -59,8 +59,10 @@ def mended(log: FoundLog, folder: OutputFolder, rate: float | None) -> FoundLog:
     time, in_seconds, of_time = _time(log, rate)
     unsigned = [kind for kind in (ACCEL, GYRO) if kind in triads and _wrapped(log.read(triads[kind].columns))]
     parts, told = None, ""
-    if not mends and not of_time and rate is None:
-        parts, told = _recordings(log)
+    stamps = log.stamps() if not mends and not of_time and rate is None and len(log.files) == 1 else None
+    if stamps is not None and not stamps.clock and len(stamps.values) < LONGEST:
+        parts = recordings_of(stamps.values[np.isfinite(stamps.values)])
+        told = f"time: the clock starts anew, so that there are {len(parts or ())} recordings: a file each"
     if parts is None:
         parts, told = _positions_apart(log, unsigned=ACCEL in unsigned)
     if unsigned:
@@ -167,7 +169,18 @@ def _time(log: FoundLog, rate: float | None) -> tuple[list[str], bool, list[Mend
         said = f"time: columns {column!r} and {nanoseconds!r}, seconds and nanoseconds, added"
         return [column, nanoseconds], True, [(said, _seconds(column, 1.0, nanoseconds))]
     mends: list[Mend] = []
-    tick = _tick(log, column)
+    # the unit, s, of times in none that a session names
+    tick = None
+    if log.columns.time_unit is None and log.clock is None:
+        stamps = log.read([column], rows=10_000)[:, 0]
+        if np.isfinite(np.diff(stamps)).any():
+            step, middle = float(np.nanmedian(np.diff(stamps))), float(np.nanmedian(stamps))
+            if "sampletimefine" in re.sub(r"\W|_", "", column.lower()):
+                tick = _TICK if step < 2000.0 else None  # microseconds where steps are thousands
+            elif any(first < middle < last for first, last in _TENTHS_OF_MICROSECONDS):
+                tick = 1e-7
+            elif any(first < middle < last for first, last in _DAYS) and _SHORTEST < step * _DAY < _LONGEST:
+                tick = _DAY if step < _SHORTEST else None
     overflow = None if log.clock is not None else overflow_of(log.read([column])[:, 0])
     if overflow is not None:
         said = f"time: column {column!r} starts anew at {overflow:.10g}: that much is added where it does"
@@ -206,23 +219,6 @@ def nanoseconds_of(log: FoundLog) -> str | None:
     return next((n for n in log.names if _NANO.search(n) and _NANO.sub("", n) == log.columns.time), None)
 
 
-def _tick(log: FoundLog, column: str) -> float | None:
-    """The unit, s, of times in none that a session names: of an Xsens SampleTimeFine, microseconds where steps are
-    thousands; of dates in days; and of those in tenths of microseconds since the year 1 or 1601."""
-    if log.columns.time_unit is not None or log.clock is not None:
-        return None
-    stamps = log.read([column], rows=10_000)[:, 0]
-    if not np.isfinite(np.diff(stamps)).any():
-        return None
-    step, middle = float(np.nanmedian(np.diff(stamps))), float(np.nanmedian(stamps))
-    if "sampletimefine" in re.sub(r"\W|_", "", column.lower()):
-        return _TICK if step < 2000.0 else None
-    if any(first < middle < last for first, last in _TENTHS_OF_MICROSECONDS):
-        return 1e-7
-    in_days = any(first < middle < last for first, last in _DAYS)
-    return _DAY if in_days and _SHORTEST < step * _DAY < _LONGEST and step < _SHORTEST else None
-
-
 def _wrapped(columns: Array) -> bool:
     """Whether integers (m, n) are numbers of 16 bits with a sign that were read without it: from 0 to 65535, and hardly
     any in the middle, while they are on both sides."""
@@ -243,16 +239,6 @@ def _unwrapped(columns: Array) -> Array:
 # -------------------- positions without turns between them --------------------
 
 
-def _recordings(log: FoundLog) -> tuple[Edges | None, str]:
-    """The recordings in a file of which each has a clock that was started anew, and what is said."""
-    stamps = log.stamps()
-    if len(log.files) > 1 or stamps is None or stamps.clock or len(stamps.values) >= LONGEST:
-        return None, ""
-    recordings = recordings_of(stamps.values[np.isfinite(stamps.values)])
-    said = f"time: the clock starts anew, so that there are {len(recordings or ())} recordings: a file each"
-    return recordings, said
-
-
 def _positions_apart(log: FoundLog, *, unsigned: bool) -> tuple[Edges | None, str]:
     """The positions that follow each other in a file without a turn: by a column that names them, or where gravity
     jumps from one row to the next while nothing moves before and after; None where there are none. With `unsigned`, 16
@@ -264,11 +250,19 @@ def _positions_apart(log: FoundLog, *, unsigned: bool) -> tuple[Edges | None, st
     if np.isnan(accel).all(axis=0).any() or not 2 * _FEWEST_ROWS <= len(accel) < LONGEST:
         return None, ""
     label = next((n for n in log.cells if _LABEL.fullmatch(n.strip()) and n != log.columns.time), None)
-    if label is None:
-        starts = _jumps(accel)
-    else:
+    if label is not None:
         labels = pl.concat([table[label].cast(pl.String) for table in next(log.sources()).whole(())])
         starts = np.flatnonzero((labels != labels.shift(1)).fill_null(False).to_numpy()).tolist()
+    else:  # the specific force is another than in the row before, while ten rows before and behind are steady
+        size = float(np.nanmedian(np.linalg.norm(accel - np.nanmedian(accel, axis=0), axis=1)))
+        starts = (np.flatnonzero(np.linalg.norm(np.diff(accel, axis=0), axis=1) > _JUMP * size) + 1).tolist()
+        starts = starts if len(starts) <= len(accel) // _FEWEST_ROWS + 1 else []
+        for row in starts:
+            before, behind = accel[max(row - 10, 0) : row], accel[row : row + 10]
+            scatter = max(np.ptp(before, axis=0).max(), np.ptp(behind, axis=0).max())
+            jump = float(np.linalg.norm(behind.mean(axis=0) - before.mean(axis=0)))
+            if not (scatter < 0.5 * jump and scatter < _JUMP * size):
+                return None, ""
     if len(starts) < 3:
         return None, ""
     edges = list(pairwise([0, *starts, len(accel)]))
@@ -279,21 +273,3 @@ def _positions_apart(log: FoundLog, *, unsigned: bool) -> tuple[Edges | None, st
             "each position and give the table to `tumble ellipsoid`"
         )
     return edges, f"{len(edges)} positions one below the other without turns: a file each"
-
-
-def _jumps(accel: Array) -> list[int]:
-    """Rows at which the specific force is another than in the row before, while ten rows before and behind are steady;
-    none where it is not steady at one."""
-    about = accel - np.nanmedian(accel, axis=0)
-    size = float(np.nanmedian(np.linalg.norm(about, axis=1)))
-    steps = np.linalg.norm(np.diff(accel, axis=0), axis=1)
-    jumps = (np.flatnonzero(steps > _JUMP * size) + 1).tolist()
-    if not 3 <= len(jumps) <= len(accel) // _FEWEST_ROWS + 1:
-        return []
-    for row in jumps:
-        before, behind = accel[max(row - 10, 0) : row], accel[row : row + 10]
-        scatter = max(np.ptp(before, axis=0).max(), np.ptp(behind, axis=0).max())
-        jump = float(np.linalg.norm(behind.mean(axis=0) - before.mean(axis=0)))
-        if not (scatter < 0.5 * jump and scatter < _JUMP * size):
-            return []
-    return jumps

@@ -17,7 +17,7 @@ from tumble.programme.positions import Programme
 from tumble.recording.session import Session
 from tumble.reduction.blocks.reducer import Reduction
 from tumble.reduction.noise.coloured_noise import fit_coloured_noise
-from tumble.reduction.rests.matching import POSITION_LIMIT, SAME_ATTITUDE
+from tumble.reduction.rests.matching import POSITION_LIMIT, SAME_ATTITUDE, freed_verticals
 from tumble.reduction.rests.segmentation import RestSpan
 from tumble.rotation import onto_body, rotation_matrix, rotation_vector, unit_vector
 from tumble.units import Array
@@ -25,7 +25,6 @@ from tumble.units import Array
 CALM_BLOCKS = 5
 """Half a second without movement is a rest that begins."""
 _LOOKED_AT = 256
-BIAS_LIMIT = 0.15
 SHORTEST_REST = 4.0
 KNOWN_SECONDS = 300.0
 """For how long gyros of 0.01 °/s carry an attitude to 3°, which is about what a picture shows."""
@@ -226,11 +225,9 @@ def grouped(blocks: Blocks, rests: list[Rest]) -> list[list[Rest]]:
 
 
 def verticals(rests: list[Rest], programme: Programme, gravity: float) -> Array:
-    """Verticals (N, 3) in the body, freed from bias by the median difference from the nearest positions."""
-    forces = np.array([rest.force for rest in rests]).reshape(-1, 3)
+    """Verticals (N, 3) in the body, freed from bias by the positions of a programme."""
     expected = np.array([position.vertical_b for position in programme.positions])
-    bias = np.median(forces - gravity * expected[np.argmax(unit_vector(forces) @ expected.T, axis=1)], axis=0)
-    return unit_vector(forces - bias if len(rests) > 2 and np.linalg.norm(bias) < BIAS_LIMIT * gravity else forces)
+    return freed_verticals(np.array([rest.force for rest in rests]).reshape(-1, 3), expected, gravity)
 
 
 def nearest_positions(programme: Programme, units: Array) -> list[int | None]:

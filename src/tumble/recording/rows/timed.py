@@ -259,7 +259,10 @@ def rounded_grid(source: LogSource, spec: LogSpec, interval: float) -> Grid | No
         stamps = time / spec.time_factor
         largest = max(largest, float(np.abs(stamps).max(initial=0.0)))
         single &= bool((stamps.astype(np.float32) == stamps).all())
-        while decimals <= _FINEST and not _on_decimals(stamps, decimals):
+        while decimals <= _FINEST:
+            scaled = stamps * 10.0**decimals
+            if (np.abs(scaled - np.rint(scaled)) <= _ROUNDING * np.abs(scaled) + 1e-9).all():
+                break
             decimals += 1
         step = 10.0**-decimals if decimals <= _FINEST else float(np.spacing(np.float32(largest))) if single else 0.0
         step *= spec.time_factor
@@ -306,9 +309,3 @@ def _stamps(source: LogSource, spec: LogSpec) -> Iterator[Array]:
         keep[[u.row - first for u in unread if u.kind in (Kind.NO_ROW, Kind.CUT)]] = False
         first += table.height
         yield table[spec.time].to_numpy()[keep] * spec.time_factor
-
-
-def _on_decimals(values: Array, decimals: int) -> bool:
-    """Whether numbers have no more decimals."""
-    scaled = values * 10.0**decimals
-    return bool((np.abs(scaled - np.rint(scaled)) <= _ROUNDING * np.abs(scaled) + 1e-9).all())

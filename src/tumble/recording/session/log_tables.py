@@ -271,18 +271,7 @@ class LogTable(SessionTable):
             raise ValueError(f"reference_clock: expected a time column of numbers to compare with it, found {found}")
         if self.reference_clock is not None and self.clock_ppm_u is not None:
             raise ValueError("clock_ppm_u: expected none beside log.reference_clock, which says it, found one")
-        self._check_columns()
-        for kind, table in (("accel", self.accel), ("gyro", self.gyro)):
-            ranged = table is not None and table.range is not None and table.worth.kind == "increment"
-            if ranged and self.rate_hz is None:
-                raise ValueError(
-                    f"{kind}.range: expected log.rate_hz with the full scale of an increment per sample, "
-                    "found log.time; leave range out"
-                )
-        return self
-
-    def _check_columns(self) -> None:
-        """Every column is one thing; a thermometer may be that of several sensors where each has one."""
+        # every column is one thing; a thermometer may be that of several sensors where each has one
         keys = {"time": [self.time] if self.time is not None else []}
         keys["reference_clock.column"] = [] if self.reference_clock is None else [self.reference_clock.column]
         for kind, table in (("accel", self.accel), ("gyro", self.gyro), ("magnetometer", self.magnetometer)):
@@ -296,6 +285,14 @@ class LogTable(SessionTable):
                 using = [key for key, columns in keys.items() for c in columns if c == column]
                 also = "twice" if using[0] == using[1] else f"in log.{using[0]} too"
                 raise ValueError(f'{using[1]}: expected every column once, found "{column}" {also}')
+        for kind, table in (("accel", self.accel), ("gyro", self.gyro)):
+            ranged = table is not None and table.range is not None and table.worth.kind == "increment"
+            if ranged and self.rate_hz is None:
+                raise ValueError(
+                    f"{kind}.range: expected log.rate_hz with the full scale of an increment per sample, "
+                    "found log.time; leave range out"
+                )
+        return self
 
     def si(self, folder: Path) -> LogSpec:
         dialect = self.model_dump(include={*DIALECT_KEYS}, exclude_none=True)

@@ -10,6 +10,7 @@ import gzip
 import io
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from mmap import mmap
 from pathlib import Path
 from typing import Any
@@ -39,8 +40,21 @@ def opened(path: Path, encoding: str = "utf-8") -> io.BufferedIOBase:
     """A file to read from as UTF-8, decompressed by its ending.
 
     Raises LogError for an archive that holds more than one of its size can of a log, here or while it is read."""
-    packed = path.suffix.lower() in (".gz", ".zst")
-    stream = _unpacked(path) if packed else path.open("rb")
+    ending, stream = path.suffix.lower(), path.open("rb")
+    if ending in (".gz", ".zst"):
+        size, limit, stated = path.stat().st_size, largest_unpacked(path), 0
+        with stream as file:
+            if ending == ".gz":  # the last member says how many bytes it holds, to 4 GB, where it is whole
+                file.seek(max(size - 4, 0))
+                last = int.from_bytes(file.read(4), "little")
+                stated = last if last <= _DEFLATE_RATIO * size else 0
+            else:
+                with suppress(zstd.ZstdError):  # the first frame may say so
+                    stated = zstd.get_frame_info(file.read(_HEADER_BYTES)).decompressed_size or 0
+        if stated > limit:
+            raise _too_large(path, limit, f"{_megabytes(stated)} stated")
+        packed = gzip.GzipFile(path) if ending == ".gz" else zstd.ZstdFile(path)
+        stream = io.BufferedReader(_Limited(packed, path, limit))
     return stream if encoding == "utf-8" else _Recoded(stream, encoding)
 
 
@@ -97,25 +111,6 @@ def whole_lines(stream: io.BufferedIOBase, path: Path) -> Iterator[bytes]:
 def largest_unpacked(path: Path) -> int:
     """How many bytes may come out of an archive of this size."""
     return max(LARGEST_RATIO * path.stat().st_size, SMALL_BYTES)
-
-
-def _unpacked(path: Path) -> io.BufferedIOBase:
-    """The content of a file that ends in .gz or .zst, as far as an archive of its size can hold a log. The last member
-    of a gzip says how many bytes it holds, to 4 GB, where it is whole; the first frame of Zstandard may say so."""
-    gzipped, size, limit = path.suffix.lower() == ".gz", path.stat().st_size, largest_unpacked(path)
-    with path.open("rb") as file:
-        if gzipped:
-            file.seek(max(size - 4, 0))
-            stated = int.from_bytes(file.read(4), "little")
-            stated = stated if stated <= _DEFLATE_RATIO * size else 0
-        else:
-            try:
-                stated = zstd.get_frame_info(file.read(_HEADER_BYTES)).decompressed_size or 0
-            except zstd.ZstdError:
-                stated = 0
-    if stated > limit:
-        raise _too_large(path, limit, f"{_megabytes(stated)} stated")
-    return io.BufferedReader(_Limited(gzip.GzipFile(path) if gzipped else zstd.ZstdFile(path), path, limit))
 
 
 class _Limited(io.RawIOBase):

@@ -48,21 +48,18 @@ class MotionSamples:
             self._chunks.append((rates, forces, dt[:, None]) if spare is None else (rates, forces, dt[:, None], spare))
             self._starts.append(self.count)
             self.count += len(dt)
-            if 8 * self._columns * (self.count - self._parts[-1]) > IN_MEMORY_BYTES:
-                self._spill()
-
-    def _spill(self) -> None:
-        """Move what is in memory to the file, as a part of it."""
-        if self._file is None:
-            self._file = tempfile.TemporaryFile()  # noqa: SIM115
-            weakref.finalize(self, self._file.close)
-        self._file.seek(0, os.SEEK_END)
-        columns = ([column for values in chunk for column in values.T] for chunk in self._chunks)
-        for column in zip(*columns, strict=True):
-            for values in column:
-                self._file.write(np.ascontiguousarray(values).data)
-        self._chunks, self._starts = [], []
-        self._parts.append(self.count)
+            if 8 * self._columns * (self.count - self._parts[-1]) <= IN_MEMORY_BYTES:
+                return
+            if self._file is None:  # to which what is in memory is moved, as a part of it
+                self._file = tempfile.TemporaryFile()  # noqa: SIM115
+                weakref.finalize(self, self._file.close)
+            self._file.seek(0, os.SEEK_END)
+            columns = ([column for values in chunk for column in values.T] for chunk in self._chunks)
+            for column in zip(*columns, strict=True):
+                for values in column:
+                    self._file.write(np.ascontiguousarray(values).data)
+            self._chunks, self._starts = [], []
+            self._parts.append(self.count)
 
     def read(self, start: int, stop: int) -> tuple[Array, Array, Array]:
         """Rates (m, 3), forces (m, 3) and intervals (m,) of samples start … stop − 1."""

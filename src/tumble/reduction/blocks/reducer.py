@@ -265,7 +265,14 @@ class Reducer:
     def feed(self, chunk: Chunk) -> None:
         """Add the next samples of the log."""
         if chunk.file != self._file:
-            self._begin_file(chunk)
+            if self._file >= 0:
+                self._files.append(self._blocks())
+            for channels in self._channels.values():
+                channels.begin_file()
+            self._file, self._first, self._count = chunk.file, self._first + self._count, 0
+            self._edges, self._last, self._unrecorded = _Growing(1), (), {}
+            self._temperature = _Growing(1 if chunk.temperature is None else chunk.temperature.shape[1])
+            self._edges.add(np.array([[chunk.time[0] - chunk.dt[0]]]))
         # blocks in which time passed between two samples that no sample covers, and how much, s
         left = chunk.time - chunk.dt
         left[0] -= self._stop if self._count else float(chunk.time[0] - chunk.dt[0])
@@ -287,7 +294,15 @@ class Reducer:
             self._stored.append(rates, forces, chunk.dt, spare)
         if chunk.temperature is not None:
             self._temperature.add(chunk.temperature[ends])
-        self._count_repeated(chunk)
+        # rows that are equal to the ones before; the first of a file has none before it
+        readings = (chunk.accel,) if chunk.gyro is None else (chunk.accel, chunk.gyro)
+        if self._last:
+            self._repeated += all(np.array_equal(v[0], last) for v, last in zip(readings, self._last, strict=True))
+        rows = np.flatnonzero(chunk.accel[1:, 0] == chunk.accel[:-1, 0])
+        for values in readings:
+            rows = rows[(values[rows + 1] == values[rows]).all(axis=1)]
+        self._repeated += len(rows)
+        self._last = tuple(values[-1].copy() for values in readings)
         late = chunk.dt[chunk.dt > 1.5 / self.rate]
         self._lost += int(np.round(late * self.rate).sum()) - len(late)
         self._count += len(chunk.time)
@@ -300,27 +315,6 @@ class Reducer:
             if first <= block < first + len(seconds):
                 seconds[block - first] -= left
         return seconds
-
-    def _count_repeated(self, chunk: Chunk) -> None:
-        """Add up the rows that are equal to the ones before; the first of a file has none before it."""
-        readings = (chunk.accel,) if chunk.gyro is None else (chunk.accel, chunk.gyro)
-        if self._last:
-            self._repeated += all(np.array_equal(v[0], last) for v, last in zip(readings, self._last, strict=True))
-        rows = np.flatnonzero(chunk.accel[1:, 0] == chunk.accel[:-1, 0])
-        for values in readings:
-            rows = rows[(values[rows + 1] == values[rows]).all(axis=1)]
-        self._repeated += len(rows)
-        self._last = tuple(values[-1].copy() for values in readings)
-
-    def _begin_file(self, chunk: Chunk) -> None:
-        if self._file >= 0:
-            self._files.append(self._blocks())
-        for channels in self._channels.values():
-            channels.begin_file()
-        self._file, self._first, self._count = chunk.file, self._first + self._count, 0
-        self._edges, self._last, self._unrecorded = _Growing(1), (), {}
-        self._temperature = _Growing(1 if chunk.temperature is None else chunk.temperature.shape[1])
-        self._edges.add(np.array([[chunk.time[0] - chunk.dt[0]]]))
 
     def _blocks(self) -> FileBlocks:
         """The blocks of the present file so far."""

@@ -45,8 +45,18 @@ def without_blemishes(reduction: Reduction) -> Reduction:
     by_file = [list(_blemishes(reduction, reduction.samples, f, side)) for f in reduction.files]
     if not any(by_file):
         return reduction
-    files = tuple(_mended(f, bad, side) if bad else f for f, bad in zip(reduction.files, by_file, strict=True))
-    return replace(reduction, files=files, blemishes=tuple(one for bad in by_file for one in bad))
+    files = []
+    for f, bad in zip(reduction.files, by_file, strict=True):
+        mended = []
+        for series in (f.accel, f.gyro):
+            means, ends, weights = series.means.copy(), series.ends.copy(), series.weights.copy()
+            for one in bad:
+                run = slice(one.first, one.last)
+                beside = [*range(one.first - side, one.first), *range(one.last, one.last + side)]
+                means[run], ends[run], weights[run] = series.means[beside].mean(axis=0), ends[one.first - 1], 0.0
+            mended.append(replace(series, means=means, ends=ends, weights=weights))
+        files.append(replace(f, accel=mended[0], gyro=mended[1]))
+    return replace(reduction, files=tuple(files), blemishes=tuple(one for bad in by_file for one in bad))
 
 
 def _blemishes(reduction: Reduction, samples: MotionSamples, f: FileBlocks, side: int) -> Iterator[Blemish]:
@@ -89,19 +99,6 @@ def _bad_samples(samples: MotionSamples, f: FileBlocks, blocks: slice, side: int
         return 0
     alike = (np.abs(sound.mean(axis=0)) <= tuning.sides_agree * scatter / np.sqrt(len(sound))).all()
     return int(bad.sum()) if alike else 0
-
-
-def _mended(f: FileBlocks, blemishes: Sequence[Blemish], side: int) -> FileBlocks:
-    """A file's blocks with those of blemishes like their neighbours, and without weight in a mean."""
-    mended = []
-    for series in (f.accel, f.gyro):
-        means, ends, weights = series.means.copy(), series.ends.copy(), series.weights.copy()
-        for one in blemishes:
-            run = slice(one.first, one.last)
-            beside = [*range(one.first - side, one.first), *range(one.last, one.last + side)]
-            means[run], ends[run], weights[run] = series.means[beside].mean(axis=0), ends[one.first - 1], 0.0
-        mended.append(replace(series, means=means, ends=ends, weights=weights))
-    return replace(f, accel=mended[0], gyro=mended[1])
 
 
 # Turns

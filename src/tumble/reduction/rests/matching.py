@@ -23,7 +23,7 @@ from tumble.programme.positions import Programme
 from tumble.recording.session import Exclusion, ProgrammeSpec, Session
 from tumble.reduction.blocks.reducer import BLOCK_SECONDS, FileBlocks, Reduction
 from tumble.reduction.rests.segmentation import LevelJump, RestSpan, Segmentation, unrecorded
-from tumble.rotation import onto_body
+from tumble.rotation import onto_body, unit_vector
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array, IntArray
 
@@ -59,7 +59,7 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
     means = np.array([by_file[s.file].accel.mean(s.first, s.last) for s in rests])
     readings = means @ onto_body(session.log.accel.axes).T
     expected = np.array([p.vertical_b for p in listed.positions])
-    verticals = _verticals(readings, expected, session.site.gravity)
+    verticals = freed_verticals(readings, expected, session.site.gravity)
     off = np.arccos(np.clip(expected @ verticals.T, -1.0, 1.0))
     why_missing = (
         f"was it skipped or shorter than {segmentation.tuning.still} s? "
@@ -138,13 +138,12 @@ def _groups_by_vertical(expected: Array, verticals: Array) -> list[list[int]]:
     return groups
 
 
-def _verticals(readings: Array, expected: Array, gravity: float) -> Array:
+def freed_verticals(readings: Array, expected: Array, gravity: float) -> Array:
     """Directions of the vertical in the body (N, 3), freed from bias by the median difference from the nearest of
-    those that are expected."""
-    unit = readings / np.linalg.norm(readings, axis=1, keepdims=True)
-    bias = np.median(readings - gravity * expected[np.argmax(unit @ expected.T, axis=1)], axis=0)
-    free = readings - bias if np.linalg.norm(bias) < BIAS_LIMIT * gravity else readings
-    return np.asarray(free / np.linalg.norm(free, axis=1, keepdims=True))
+    those that are expected; of one or two readings the difference may be all that is wrong with them, and stays."""
+    bias = np.median(readings - gravity * expected[np.argmax(unit_vector(readings) @ expected.T, axis=1)], axis=0)
+    told = len(readings) > 2 and np.linalg.norm(bias) < BIAS_LIMIT * gravity
+    return unit_vector(readings - bias if told else readings)
 
 
 def _named(listed: Programme, k: int) -> str:

@@ -82,9 +82,19 @@ class Thermometers:
         return Warmth(kelvin=mean + middle.T, variance=np.maximum(square - mean**2, 0.0), hysteresis=hysteresis)
 
     def _direction(self, file: int) -> Array:
-        """The directions (K, T) at every step of a file."""
+        """The directions (K, T), 1, −1 or 0, at every step of a file: they turn where the temperature has come back by
+        more than MOVED from its furthest."""
         if file not in self._directions:
-            self._directions[file] = np.column_stack([_came(record) for record in self.files[file][1].T])
+            self._directions[file] = out = np.zeros(self.files[file][1].shape)
+            for t, record in enumerate(self.files[file][1].T.tolist()):
+                low, high, direction = record[0], record[0], 0.0
+                for i, now in enumerate(record):
+                    low, high = min(low, now), max(high, now)
+                    if direction <= 0.0 and now > low + MOVED:
+                        direction, high = 1.0, now
+                    elif direction >= 0.0 and now < high - MOVED:
+                        direction, low = -1.0, now
+                    out[i, t] = direction
         return self._directions[file]
 
     def direction(self, file: IntArray, time: Array) -> Array:
@@ -96,22 +106,6 @@ class Thermometers:
             steps = np.clip((time[of] - start) / STEP, 0, len(kelvin) - 1).astype(np.int64)
             out[of] = self._direction(number)[steps]
         return out
-
-
-def _came(kelvin: Array) -> Array:
-    """The direction, 1, −1 or 0, at every one of temperatures (K,): it turns where the temperature has come back by
-    more than MOVED from its furthest."""
-    out = np.zeros(len(kelvin))
-    low = high = float(kelvin[0])
-    direction = 0.0
-    for i, now in enumerate(kelvin.tolist()):
-        low, high = min(low, now), max(high, now)
-        if direction <= 0.0 and now > low + MOVED:
-            direction, high = 1.0, now
-        elif direction >= 0.0 and now < high - MOVED:
-            direction, low = -1.0, now
-        out[i] = direction
-    return out
 
 
 def _integral(series: Array, at: Array) -> Array:

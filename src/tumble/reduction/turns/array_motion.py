@@ -114,31 +114,34 @@ def _quiet(whole: Array, columns: dict[str, slice]) -> Array:
 
 
 def _in_motion(samples: MotionSamples, parts: list[tuple[int, int]], array: MovedArray) -> Iterator[Array]:
-    """x (m, c) of the samples that can be used, batch by batch."""
-    for start, stop in parts:
-        for first in range(start, stop, BATCH_SAMPLES):
-            around = max(first - 1, start), min(first + BATCH_SAMPLES + 1, stop)
-            if around[1] - around[0] > 2:
-                yield _functions(samples, *around, array)
-
-
-def _functions(samples: MotionSamples, start: int, stop: int, array: MovedArray) -> Array:
-    """x (m, c) of the samples that move, can be used, and have one before and after that can."""
-    rates, forces, intervals, spare = samples.read_with_spare(start, stop)
-    readings = read_by(array.accel, forces, spare[:, : array.accel.size - 3])
-    of_gyros = read_by(array.gyro, rates, spare[:, array.accel.size - 3 :])
-    whole = _within(readings, array.accel_extremes) & _within(of_gyros, array.gyro_extremes)
-    usable = whole & _usable(rates, spare[:, array.accel.size - 3 :], intervals)
-    rates = rates - array.at_rest
-    span = (0.5 * intervals[:-2] + intervals[1:-1] + 0.5 * intervals[2:])[:, None]
-    turning, jerk = ((v[2:] - v[:-2]) / span for v in (rates, forces))
-    bent = (rates[2:] - 2.0 * rates[1:-1] + rates[:-2]) / (0.5 * span) ** 2
-    inner, force, one = rates[1:-1], forces[1:-1], np.ones((len(span), 1))
-    change = _products(inner, turning) + _products(turning, inner)
-    bend = _products(inner, bent) + 2.0 * _products(turning, turning) + _products(bent, inner)
-    parts = one, readings[1:-1], _products(inner, inner), change, bend, turning, _products(force, force), jerk
-    moves = (inner**2).sum(axis=1) + np.linalg.norm(turning, axis=1) > SLOWEST
-    return np.asarray(np.concatenate(parts, axis=1)[moves & usable[:-2] & usable[1:-1] & usable[2:]])
+    """x (m, c) of the samples that move, can be used, and have one before and after that can, batch by batch. Those at
+    the usual interval can whose gyros agree, or, of three gyros, repeat nothing."""
+    beyond = array.accel.size - 3
+    batches = [(start, first, stop) for start, stop in parts for first in range(start, stop, BATCH_SAMPLES)]
+    for start, first, stop in batches:
+        around = max(first - 1, start), min(first + BATCH_SAMPLES + 1, stop)
+        if around[1] - around[0] <= 2:
+            continue
+        rates, forces, intervals, spare = samples.read_with_spare(*around)
+        readings = read_by(array.accel, forces, spare[:, :beyond])
+        of_gyros = read_by(array.gyro, rates, spare[:, beyond:])
+        usable = _within(readings, array.accel_extremes) & _within(of_gyros, array.gyro_extremes)
+        usable &= np.abs(intervals / np.median(intervals) - 1.0) < UNEVEN
+        if spare.shape[1] > beyond:
+            usable &= np.abs(spare[:, beyond:]).max(axis=1) < DISAGREE * np.linalg.norm(rates, axis=1)
+        else:
+            repeated = np.any(np.diff(rates, axis=0, prepend=np.inf) == 0.0, axis=1)
+            usable &= ~repeated & ~np.append(repeated[1:], False)
+        rates = rates - array.at_rest
+        span = (0.5 * intervals[:-2] + intervals[1:-1] + 0.5 * intervals[2:])[:, None]
+        turning, jerk = ((v[2:] - v[:-2]) / span for v in (rates, forces))
+        bent = (rates[2:] - 2.0 * rates[1:-1] + rates[:-2]) / (0.5 * span) ** 2
+        inner, force, one = rates[1:-1], forces[1:-1], np.ones((len(span), 1))
+        change = _products(inner, turning) + _products(turning, inner)
+        bend = _products(inner, bent) + 2.0 * _products(turning, turning) + _products(bent, inner)
+        x = one, readings[1:-1], _products(inner, inner), change, bend, turning, _products(force, force), jerk
+        moves = (inner**2).sum(axis=1) + np.linalg.norm(turning, axis=1) > SLOWEST
+        yield np.concatenate(x, axis=1)[moves & usable[:-2] & usable[1:-1] & usable[2:]]
 
 
 def _products(u: Array, v: Array) -> Array:
@@ -157,12 +160,3 @@ def _within(readings: Array, extremes: Array) -> BoolArray:
     least, most = extremes
     near = NEAR_EXTREME * (most - least)
     return np.asarray(((readings > least + near) & (readings < most - near)).all(axis=1))
-
-
-def _usable(rates: Array, spare: Array, intervals: Array) -> BoolArray:
-    """Samples (m,) at the usual interval whose gyros agree; of three gyros, those that repeat nothing."""
-    even = np.abs(intervals / np.median(intervals) - 1.0) < UNEVEN
-    if spare.shape[1]:
-        return np.asarray(even & (np.abs(spare).max(axis=1) < DISAGREE * np.linalg.norm(rates, axis=1)))
-    repeated = np.any(np.diff(rates, axis=0, prepend=np.inf) == 0.0, axis=1)
-    return np.asarray(even & ~repeated & ~np.append(repeated[1:], False))
