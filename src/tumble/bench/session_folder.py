@@ -1,26 +1,27 @@
-"""The session folder of a bench: made for a source, copied for the next unit, and what the operator leaves out written
-into it."""
+"""The session folder of a bench: made for a source, copied for the next unit, and what the operator answers: the faults
+that are seen to, and what is left out of the log, which is written into it."""
 
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from collections.abc import Mapping
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
+from tumble.bench.follow.faults import Fault
 from tumble.bench.record.lines import MOTIONCAL_COLUMNS
 from tumble.bench.record.sources import is_recorded, source_of
 from tumble.bench.record.virtual_table import FULL_SCALE, GRAVITY
-from tumble.documents import text_of_document, toml_of
+from tumble.documents import text_of_document, toml_of, whole_number
 from tumble.errors import InputError, SessionError
 from tumble.files import plain_name, whole_file
 from tumble.recording.session import Exclusion, Session
 from tumble.recording.session_file import SESSION_FILE, read_session, write_session
+from tumble.recording.text.dialect import DIALECT_KEYS
 from tumble.usual_setup import LATITUDE_DEG
-
-_DIALECT = ("delimiter", "decimal", "comment", "header", "encoding")
 
 MOTIONCAL_LOG: Mapping[str, Any] = {
     "file": "log.csv",
@@ -63,7 +64,7 @@ def begin_for(folder: Path, listen: str, serial: str | None, site: Mapping[str, 
             shutil.copyfile(original / SESSION_FILE, folder / SESSION_FILE)
         else:
             content = _content(original)
-            log = {key: value for key, value in content["log"].items() if key not in _DIALECT}
+            log = {key: value for key, value in content["log"].items() if key not in DIALECT_KEYS}
             write_session(folder, {**content, "log": {**log, "file": "log.csv"}})
         return
     motioncal = kind == "serial" and rest.endswith(":motioncal")
@@ -139,3 +140,85 @@ def _content(folder: Path) -> dict[str, Any]:
 def _table(one: Exclusion) -> str:
     keys = f"start = {one.start!r}\nstop = {one.stop!r}\n" if one.rest is None else f"rest = {one.rest}\n"
     return f"\n[[exclude]]\n{keys}reason = {json.dumps(one.reason, ensure_ascii=True)}\n"
+
+
+# -------------------- what the operator has answered --------------------
+
+_HERE = ("knock", "movement")
+"""Faults of a rest that begins anew in the same place."""
+
+
+class Answers:
+    """The answers of one session, written into the session.toml of its `folder`, which left out `before` what it did.
+    `answered` are the keys of faults that are seen to; `go_on` says whether the operator wants more positions than are
+    needed."""
+
+    def __init__(self, folder: Path, before: tuple[Exclusion, ...]) -> None:
+        self.answered: set[tuple[str, int]] = set()
+        self.go_on = False
+        self._folder, self._before = folder, before
+        self._added: list[Exclusion] = []
+        self._open: Exclusion | None = None
+        """The one that lasts until the unit is moved."""
+
+    @property
+    def excluded(self) -> tuple[Exclusion, ...]:
+        """What is left out, last what has no end yet."""
+        ended = tuple(one for one in (*self._before, *self._added) if one != self._open)
+        return ended if self._open is None else (*ended, self._open.model_copy(update={"stop": math.inf}))
+
+    def moved(self, now: float) -> None:
+        """End what is left out until the unit is moved."""
+        if self._open is None:
+            return
+        ended = self._open.model_copy(update={"stop": now})
+        leave_out(self._folder, ended, instead_of=self._open)
+        self._added = [ended if one == self._open else one for one in self._added]
+        self._open = None
+
+    def again(self, fault: Fault | None, now: float) -> str:
+        if fault is None:
+            return "nothing is wrong"
+        here = fault.kind in _HERE
+        self._leave_out(fault, fault.start, now, until_moved=not here)
+        return "left out; hold still, this rest begins anew" if here else "left out; take it again"
+
+    def keep_first(self, fault: Fault | None, now: float) -> str:
+        """Leave out what is wrong and what follows it, and keep what was before."""
+        if fault is None or "keep_first" not in fault.choices:
+            return "there is no first part"
+        self._leave_out(fault, fault.stop, now, until_moved=True)
+        return "the first part is kept; go on to the next position"
+
+    def going_on(self, fault: Fault | None) -> str:
+        if fault is not None:
+            self.answered.add(fault.key)
+            return "noted; nothing is left out"
+        self.go_on = True
+        return "going on"
+
+    def leave_out_rest(self, number: str, rests: int) -> str:
+        rest = whole_number(number)
+        if rest is None or not 0 < rest <= rests:
+            return f"expected the number of a rest from 1 to {rests}"
+        self._add(Exclusion(rest=rest, reason="left out at the bench"))
+        return f"rest {rest} is left out"
+
+    def take_back(self) -> str:
+        if not self._added:
+            return "nothing was left out here"
+        one = self._added.pop()
+        leave_out(self._folder, None, instead_of=one)
+        self._open = None if self._open == one else self._open
+        return "taken back"
+
+    def _leave_out(self, fault: Fault, start: float, now: float, *, until_moved: bool) -> None:
+        self.answered.add(fault.key)
+        one = Exclusion(start=start, stop=max(now, start + 1e-3), reason=fault.said)
+        self._add(one)
+        if until_moved:
+            self._open = one
+
+    def _add(self, one: Exclusion) -> None:
+        leave_out(self._folder, one)
+        self._added.append(one)

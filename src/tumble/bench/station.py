@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 from tumble.bench import results, screens, session_folder
-from tumble.bench.answers import Answers
 from tumble.bench.follow.estimates import Estimates
 from tumble.bench.follow.faults import Fault, faults_of_rests
 from tumble.bench.follow.live import Live
@@ -86,7 +85,7 @@ class Station:
         self.folder = folder
         self.task = Task.of(session_folder.session_to_record(folder), self._wanted, self._grade)
         self._live = Live(self.task)
-        self._answers = Answers(folder, self.task.session.excluded)
+        self._answers = session_folder.Answers(folder, self.task.session.excluded)
         self._estimates = Estimates(self.task, self._worker)
         self._result: dict[str, Any] | None = None
         self._busy = self._message = ""

@@ -51,14 +51,26 @@ def log_of_recording(
     if not candidates:
         raise InputError(f"{recording}: expected a message {message!r}, found {', '.join(m.name for m in with_accel)}")
     accel = max(candidates, key=lambda m: m.gyro is not None) if message is None else candidates[0]
-    gyro = accel if accel.gyro else next((m for m in found if m.gyro and _pairs(accel, m)), None)
+
+    def pairs(gyro: Message) -> bool:
+        """Whether gyros in another message are of the same clock, and the same instance where messages are counted."""
+        counted = accel.name.rpartition(".")[2], gyro.name.rpartition(".")[2]
+        return accel.timed and gyro.timed and (not all(c.isdecimal() for c in counted) or counted[0] == counted[1])
+
+    gyro = accel if accel.gyro else next((m for m in found if m.gyro and pairs(m)), None)
     taken = [accel] if gyro is None or gyro is accel else [accel, gyro]
     # the temperatures beside the accelerometers and the gyros, else thermometers of their own
     beside = [m.temperatures for m in taken if m.temperatures]
     one_each = len(beside) == 2 and max(map(len, beside)) == 1
     temperatures = beside[0] + beside[1] if one_each else next(iter(beside), ())
     apart = [] if temperatures else [m for m in found if m.thermometer]
-    thermometers = _thermometers_of(accel, gyro, apart)
+    # that of the accelerometers and that of the gyros, where each have one, else that whose name begins, between
+    # slashes, most like that of the accelerometers
+    way = accel.name.split("/")
+    near = sorted(apart, key=lambda m: len(list(takewhile(bool, map(eq, m.name.split("/"), way)))), reverse=True)
+    first = {m.temperatures: m for m in reversed(near)}
+    both = [first[of_kind] for kind in (ACCEL, GYRO) if (of_kind := (f"{kind}_temperature",)) in first]
+    thermometers = both if gyro is not None and len(both) == 2 else near[:1]
     unused = [m.name for m in apart if m not in thermometers]
     others = [m.name for m in with_accel if m not in taken]
     log = folder.new_file("log.parquet")
@@ -80,26 +92,6 @@ def log_of_recording(
     )
     imu = {kind: sensor for m in reversed(taken) for kind, sensor in m.imu.items()}
     return FoundLog(files=(log,), keys={}, columns=columns, said=tuple(said)), imu
-
-
-def _thermometers_of(accel: Message, gyro: Message | None, apart: Sequence[Message]) -> list[Message]:
-    """Of messages with nothing but temperatures, that of the accelerometers and that of the gyros, where each have one,
-    else that whose name begins, between slashes, most like that of the accelerometers."""
-
-    def shared(message: Message) -> int:
-        return len(list(takewhile(bool, map(eq, message.name.split("/"), accel.name.split("/")))))
-
-    near = sorted(apart, key=shared, reverse=True)
-    first = {m.temperatures: m for m in reversed(near)}
-    both = [first[of_kind] for kind in (ACCEL, GYRO) if (of_kind := (f"{kind}_temperature",)) in first]
-    return both if gyro is not None and len(both) == 2 else near[:1]
-
-
-def _pairs(accel: Message, gyro: Message) -> bool:
-    """Whether gyros in another message belong to the accelerometers: of one clock, and the same instance where
-    messages are counted."""
-    counted = accel.name.rpartition(".")[2], gyro.name.rpartition(".")[2]
-    return accel.timed and gyro.timed and (not all(c.isdecimal() for c in counted) or counted[0] == counted[1])
 
 
 # -------------------- files of one kind of sensors each --------------------

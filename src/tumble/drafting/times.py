@@ -115,7 +115,14 @@ def times_of_column(stamps: Stamps) -> Times | None:
     values = values[:-1] if len(values) > 3 and values[-1] < values[-2] else values  # of a line that was cut
     if len(values) < 3 or not grows_mostly(values):
         return None
-    typical = _typical_step(values)
+    # the step from row to row: the median, or the mean where the stamps are too coarse or come in bursts, without a few
+    # steps that are far longer than all others and so pauses
+    steps = np.diff(values)
+    long = float(np.quantile(steps, 1.0 - _PAUSES))
+    usual = steps[steps <= _PAUSE * long] if long > 0.0 else steps
+    median, mean = float(np.median(steps)), float(usual.mean())
+    uneven_steps = np.mean(steps <= 0.0) > _SHARE or np.mean(steps < 0.5 * mean) > 0.3
+    typical = mean if median <= 1e-6 * mean or uneven_steps else median
     if not 0.0 < typical < math.inf:
         return None
     units, how, sure = _units(stamps, typical)
@@ -194,18 +201,6 @@ def recordings_of(values: Array) -> list[tuple[int, int]] | None:
         return None
     edges = list(pairwise([0, *rows[falls + 1].tolist(), len(values)]))
     return edges if min(stop - start for start, stop in edges) >= _SHORTEST_RECORDING else None
-
-
-def _typical_step(values: Array) -> float:
-    """The step from row to row: the median, or the mean where the stamps are too coarse or come in bursts. A few steps
-    that are far longer than all others are pauses and no part of the mean."""
-    steps = np.diff(values)
-    long = float(np.quantile(steps, 1.0 - _PAUSES))
-    usual = steps[steps <= _PAUSE * long] if long > 0.0 else steps
-    median, mean = float(np.median(steps)), float(usual.mean())
-    again = np.mean(steps <= 0.0)
-    burst = np.mean(steps < 0.5 * mean)
-    return mean if median <= 1e-6 * mean or again > _SHARE or burst > 0.3 else median
 
 
 def _units(stamps: Stamps, step: float) -> tuple[dict[str, float], str, tuple[str, ...]]:

@@ -93,32 +93,26 @@ def attitude(code: str) -> Array:
             return attitude(every[_AZIMUTHS.index(" ".join(turns))])
         matrix = attitude(every[0])
     else:
-        matrix = _pointing(code, letters)
+        if len(letters) != 3 or not set(letters) <= set(_DIRECTIONS):
+            raise ProgrammeError(
+                f'attitude "{code}": expected three of N S E W U D, where body X, Y, Z point, found "{letters}"'
+            )
+        matrix = np.column_stack([_DIRECTIONS[letter] for letter in letters])
+        handedness = round(float(np.linalg.det(matrix)))
+        if handedness == 0:
+            raise ProgrammeError(
+                f'attitude "{code}": expected three perpendicular directions, found "{letters}"; '
+                "take one of each pair N S, U D, E W"
+            )
+        if handedness < 0:
+            mirrored = letters[:2] + _OPPOSITE[letters[2]]
+            raise ProgrammeError(
+                f'attitude "{code}": expected a right-handed triple (as N, U, E), found left-handed "{letters}"; '
+                f'with this X and Y it is "{mirrored}"'
+            )
     for turn in turns:
         axis, angle = _turn(code, turn)
         matrix = rotation_matrix(angle * axis) @ matrix
-    return matrix
-
-
-def _pointing(code: str, letters: str) -> Array:
-    """Body → geographic of three letters: column j is the direction body axis j points to."""
-    if len(letters) != 3 or not set(letters) <= set(_DIRECTIONS):
-        raise ProgrammeError(
-            f'attitude "{code}": expected three of N S E W U D, where body X, Y, Z point, found "{letters}"'
-        )
-    matrix = np.column_stack([_DIRECTIONS[letter] for letter in letters])
-    handedness = round(float(np.linalg.det(matrix)))
-    if handedness == 0:
-        raise ProgrammeError(
-            f'attitude "{code}": expected three perpendicular directions, found "{letters}"; '
-            "take one of each pair N S, U D, E W"
-        )
-    if handedness < 0:
-        mirrored = letters[:2] + _OPPOSITE[letters[2]]
-        raise ProgrammeError(
-            f'attitude "{code}": expected a right-handed triple (as N, U, E), found left-handed "{letters}"; '
-            f'with this X and Y it is "{mirrored}"'
-        )
     return matrix
 
 

@@ -54,13 +54,6 @@ def _line(start: Array, stop: Array, **attributes: object) -> str:
     return element("line", x1=x1, y1=y1, x2=x2, y2=y2, **attributes)
 
 
-def _label(at: Array, text: str, colour: str) -> str:
-    """A bold letter centred at a point."""
-    x, y = _xy(at)
-    centred = {"text_anchor": "middle", "dy": "0.36em", "font_weight": "bold"}
-    return text_element("text", text, x=x, y=y, fill=colour, font_size=17, **centred)
-
-
 def svg_picture(left: float, top: float, width: float, height: float, *content: str) -> str:
     """An SVG image of this content."""
     box, font = f"{left:g} {top:g} {width:g} {height:g}", "Helvetica, Arial, sans-serif"
@@ -134,7 +127,11 @@ def scene_of(position: Position, move: Move) -> str:
         parts.append((float(axis[2]), _arrow(name, AXIS * axis, BODY_COLOURS[name], start=CUBE / AXIS)))
     parts.append((0.0, _cube(axes)))
     drawn = [markup for _, markup in sorted(parts, key=lambda part: part[0])]
-    return "".join(drawn) + _turn_label(move)
+    if move.axis is not None and move.angle is not None:
+        x, y = _xy(np.array([-1.8, 1.6]))
+        words = f"{signed_angle(move.angle)} {direction(move.axis)}"
+        drawn.append(text_element("text", words, x=x, y=y, fill=_TURN_COLOUR, font_size=14))
+    return "".join(drawn)
 
 
 def _arrow(name: str, tip: Array, colour: str, *, start: float) -> str:
@@ -157,7 +154,10 @@ def _arrow(name: str, tip: Array, colour: str, *, start: float) -> str:
     )
     order = [shaft, base_of_it, cone] if along[2] > 0.0 else [cone, base_of_it, shaft]
     flat = tip[:2] / max(float(np.hypot(*tip[:2])), 1e-9)
-    return element("g", *order, _label(tip[:2] + 0.2 * flat, name, colour), class_=f"axis-{name}")
+    x, y = _xy(tip[:2] + 0.2 * flat)
+    centred = {"text_anchor": "middle", "dy": "0.36em", "font_weight": "bold"}
+    letter = text_element("text", name, x=x, y=y, fill=colour, font_size=17, **centred)
+    return element("g", *order, letter, class_=f"axis-{name}")
 
 
 def _cube(axes: Array) -> str:
@@ -213,16 +213,6 @@ def _ring(centre: Array, axis: Array, angle: float) -> str:
         _polyline("polyline", arc, fill="none", stroke=_TURN_COLOUR, stroke_width=3),
         _polyline("polygon", head, fill=_TURN_COLOUR),
         class_="turn",
-    )
-
-
-def _turn_label(move: Move) -> str:
-    """Angle and axis of a turn in the upper left corner."""
-    if move.axis is None or move.angle is None:
-        return ""
-    x, y = _xy(np.array([-1.8, 1.6]))
-    return text_element(
-        "text", f"{signed_angle(move.angle)} {direction(move.axis)}", x=x, y=y, fill=_TURN_COLOUR, font_size=14
     )
 
 

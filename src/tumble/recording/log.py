@@ -180,7 +180,17 @@ def open_log(session: Session) -> Log:
             raise LogError(f"{source.path}: expected a log, found no rows; the file is empty")
         if len(heads[-1]) < _SHORTEST_ROWS:
             raise LogError(f"{source.path}: expected at least {_SHORTEST_ROWS} samples, found {len(heads[-1])}")
-    grids = [_grid(source, spec, head) for source, head in zip(sources, heads, strict=True)]
+    grids = list[Grid]()
+    for source, head in zip(sources, heads, strict=True):
+        if spec.rate is not None:
+            grids.append(Grid(start=1.0 / spec.rate, interval=1.0 / spec.rate))
+        elif spec.regular:
+            grids.append(regular_grid(source, spec))
+        else:  # the median over the first rows; where increments have stamps that are rounded, the mean over all
+            time = check_head(source, spec, head * spec.time_factor)
+            grid = Grid(start=float(time[0]), interval=float(np.median(np.diff(time))))
+            rounded = rounded_grid(source, spec, grid.interval) if any(spec.increments.values()) else None
+            grids.append(rounded or grid)
     intervals = [grid.interval for grid in grids]
     for source, interval in zip(sources, intervals, strict=True):
         if abs(interval / intervals[0] - 1.0) > _RATE_TOLERANCE:
@@ -196,15 +206,3 @@ def open_log(session: Session) -> Log:
         )
     rate = 1.0 / intervals[0] if spec.rate is None else spec.rate
     return Log(session=session, rate=rate, _sources=sources, _grids=tuple(grids), _first_stamp=float(heads[0][0]))
-
-
-def _grid(source: LogSource, spec: LogSpec, head: Array) -> Grid:
-    """The first time of a file and the interval of its samples, s: the median over its first rows, that of the nominal
-    rate, or, of regular rows, and where increments have stamps that are rounded, the mean over all of them."""
-    if spec.rate is not None:
-        return Grid(start=1.0 / spec.rate, interval=1.0 / spec.rate)
-    if spec.regular:
-        return regular_grid(source, spec)
-    time = check_head(source, spec, head * spec.time_factor)
-    found = Grid(start=float(time[0]), interval=float(np.median(np.diff(time))))
-    return (rounded_grid(source, spec, found.interval) or found) if any(spec.increments.values()) else found

@@ -36,7 +36,19 @@ def serve(
         from tumble.bench.web.connections import ACCEPTED_AT_ONCE, WAITING, Connection
         from tumble.bench.web.server import app_of
     with _listening(host, port) as bound, ExitStack() as running:
-        opened = _started(stations, folders)
+        with ExitStack() as new:
+            for folder in folders:
+                if not folder.exists():
+                    begun = new.enter_context(nothing_left(folder))
+                    begun.written += [folder / name for name in (SESSION_FILE, "log.csv")]
+            opened = stations()
+            try:
+                for station in opened:
+                    station.start()
+            except BaseException:  # before what is new is taken away
+                for station in opened:
+                    station.stop()
+                raise
         for station in opened:
             running.callback(station.stop)
         port = bound.getsockname()[1]
@@ -82,23 +94,6 @@ def _in_browser(link: str) -> Iterator[None]:
         way.write_text(f'<meta http-equiv="refresh" content="0; url={link}">\n', encoding="ascii")
         webbrowser.open(way.as_uri())
         yield
-
-
-def _started(stations: Callable[[], Sequence[Station]], folders: Sequence[Path]) -> Sequence[Station]:
-    with ExitStack() as new:
-        for folder in folders:
-            if not folder.exists():
-                begun = new.enter_context(nothing_left(folder))
-                begun.written += [folder / name for name in (SESSION_FILE, "log.csv")]
-        opened = stations()
-        try:
-            for station in opened:
-                station.start()
-        except BaseException:
-            for station in opened:
-                station.stop()
-            raise
-    return opened
 
 
 @contextmanager

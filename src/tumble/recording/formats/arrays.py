@@ -137,29 +137,24 @@ def _rows(columns: Mapping[str, Column], length: int, time: str | None, factor: 
 def _arrays(path: Path) -> dict[str, tuple[Shape, Read]]:
     """Arrays of numbers by their paths: shape, and how to read a part of them."""
     if path.suffix.lower() in (".npy", ".npz"):
-        return dict(_nested(_of_numpy(path)))
+        try:
+            with path.open("rb") as stream:
+                read = np.load(stream, allow_pickle=False)
+                named = dict(read) if isinstance(read, np.lib.npyio.NpzFile) else {path.stem: read}
+        except ValueError as error:
+            if "pickle" not in str(error):  # objects, which only Python reads, as it runs what is in the file
+                raise
+            raise InputError(
+                f"{path}: expected arrays of numbers, found objects of Python; save the arrays themselves, np.savez("
+                "file, t=t, acc=acc, gyro=gyro)"
+            ) from None
+        return dict(_nested(named))
     if path.suffix.lower() == ".mat" and not h5py.is_hdf5(path):
         try:
             return dict(_nested(loadmat(path, simplify_cells=True)))
         except (MatReadError, ValueError) as error:
             raise ValueError(f"not a MATLAB file: {error}") from None
     return _datasets(path)
-
-
-def _of_numpy(path: Path) -> Mapping[str, Any]:
-    """The arrays of a NumPy file by their names. Raises InputError for one of objects, which only Python reads, as it
-    runs what is in the file."""
-    try:
-        with path.open("rb") as stream:
-            read = np.load(stream, allow_pickle=False)
-            return dict(read) if isinstance(read, np.lib.npyio.NpzFile) else {path.stem: read}
-    except ValueError as error:
-        if "pickle" not in str(error):
-            raise
-        raise InputError(
-            f"{path}: expected arrays of numbers, found objects of Python; save the arrays themselves, np.savez(file, "
-            "t=t, acc=acc, gyro=gyro)"
-        ) from None
 
 
 def _nested(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, tuple[Shape, Read]]]:

@@ -213,8 +213,16 @@ class Bridge:
                 self._report(rows, place, time, start, stop)
                 kept[start:stop] = stop - start <= _BRIDGED_SAMPLES
             after_long = np.flatnonzero(np.diff(np.flatnonzero(kept)) > 1) + 1
-            values = tuple(_interpolated(v, place, time)[kept][new:] for v in rows.values)
-            time = time[kept]
+            repaired = []  # columns of all samples, linear in time between what is finite
+            for numbers in rows.values:
+                out = np.full((len(time), numbers.shape[1]), np.nan)
+                out[place] = numbers
+                for column in out.T:
+                    bad = ~is_reading(column)
+                    if bad.any():
+                        column[bad] = np.interp(time[bad], time[~bad], column[~bad])
+                repaired.append(out[kept][new:])
+            values, time = tuple(repaired), time[kept]
             steps = np.diff(time)
         dt = steps if new else np.concatenate([[self.interval], steps])
         dt[slice(None) if self.spec.unstamped else after_long - new] = self.interval
@@ -270,15 +278,3 @@ class Bridge:
                 f"{self.source.place(self.first.row)}: expected at most {allowed} gaps in {where}, "
                 f"found {self.found}, the first here ({self.first.what}); {advice}"
             )
-
-
-def _interpolated(numbers: Array, place: IntArray, time: Array) -> Array:
-    """Columns (m, n) of rows at samples `place`, as columns of all samples, linear in time between what is
-    finite."""
-    out = np.full((len(time), numbers.shape[1]), np.nan)
-    out[place] = numbers
-    for column in out.T:
-        bad = ~is_reading(column)
-        if bad.any():
-            column[bad] = np.interp(time[bad], time[~bad], column[~bad])
-    return out

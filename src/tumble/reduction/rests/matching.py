@@ -170,26 +170,13 @@ def _check_order(listed: Programme, rests: list[RestSpan], verticals: Array, off
                     f"{POSITION_LIMIT / DEGREE:.0f}° can be the same position"
                 )
         return
-    missing, surplus = _alignment(off)
-    counted = f"programme {listed.name}: expected {expected} rests, found {len(rests)}"
-    if missing:
-        raise ProgrammeError(f"{counted}; no rest for {_named(listed, missing[0])}: {why_missing}")
-    rest = rests[surplus[0]]
-    raise ProgrammeError(
-        f"{counted}; the rest at {rest.start:.1f}–{rest.stop:.1f} s with the vertical {_seen(verticals[surplus[0]])} "
-        "in the body is surplus: list the positions as they were taken under [[programme.position]]"
-    )
-
-
-def _alignment(off: Array) -> tuple[list[int], list[int]]:
-    """Positions without a rest and rests without a position, by the alignment of both lists that leaves the fewest."""
+    # positions without a rest and rests without a position, by the alignment of both lists that leaves the fewest
     i, j = off.shape
     cost = np.where(off <= POSITION_LIMIT, off, np.inf)
     total = np.add.outer(np.arange(i + 1.0), np.arange(j + 1.0))
     for k, m in np.ndindex(i, j):
         total[k + 1, m + 1] = min(total[k, m] + cost[k, m], total[k, m + 1] + 1.0, total[k + 1, m] + 1.0)
-    missing: list[int] = []
-    surplus: list[int] = []
+    missing, surplus = list[int](), list[int]()
     while i or j:
         if i and j and total[i, j] == total[i - 1, j - 1] + cost[i - 1, j - 1]:
             i, j = i - 1, j - 1
@@ -199,7 +186,14 @@ def _alignment(off: Array) -> tuple[list[int], list[int]]:
         else:
             j -= 1
             surplus.insert(0, j)
-    return missing, surplus
+    counted = f"programme {listed.name}: expected {expected} rests, found {len(rests)}"
+    if missing:
+        raise ProgrammeError(f"{counted}; no rest for {_named(listed, missing[0])}: {why_missing}")
+    rest = rests[surplus[0]]
+    raise ProgrammeError(
+        f"{counted}; the rest at {rest.start:.1f}–{rest.stop:.1f} s with the vertical {_seen(verticals[surplus[0]])} "
+        "in the body is surplus: list the positions as they were taken under [[programme.position]]"
+    )
 
 
 def _check_turns(
