@@ -303,8 +303,9 @@ def test_every_threshold_of_the_reduction_is_on_its_page() -> None:
     """With its value, what it means and what justifies it, as the record has them."""
     text = (ROOT / "docs/reference/tuning.md").read_text(encoding="utf-8")
     rows = [
-        f"| `{each.name}` | {f'{each.value:.3g} {each.unit}'.strip()} | {each.words} | {each.why} |"
-        for each in USUAL.thresholds()
+        f"| `{each.name}` | {'{value:.3g} {unit}'.format(**each.metadata).strip()} | {each.metadata['words']} "
+        f"| {each.metadata['why']} |"
+        for each in fields(USUAL)
     ]
     assert re.findall(r"^\| `.*$", text.partition("\n## ")[0], re.M) == rows
     widths = [

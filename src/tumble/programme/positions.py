@@ -146,13 +146,15 @@ def programme_of(given: str | Sequence[str]) -> Programme:
     return programme(given) if isinstance(given, str) else from_attitudes(given)
 
 
-def from_attitudes(codes: Sequence[str]) -> Programme:
-    """The programme of positions listed by their codes, in this order, with any movement between them.
+def from_attitudes(codes: Sequence[str], name: str = "listed", *, ordered: bool = True) -> Programme:
+    """The programme of positions listed by their codes, in this order unless it is not `ordered`, with any movement
+    between them.
 
     Raises ProgrammeError for an empty list or a bad code."""
     if not codes:
         raise ProgrammeError("programme: expected at least one position, found none")
-    return _listed("listed", codes)
+    moves = (ANY_MOVE,) * (len(codes) - 1)
+    return Programme(name=name, positions=tuple(map(_position, codes)), moves=moves, ordered=ordered)
 
 
 def timetable(programme: Programme, *, rest: float, rate: float, move: float) -> Array:
@@ -175,11 +177,6 @@ def timetable(programme: Programme, *, rest: float, rate: float, move: float) ->
 def duration(programme: Programme, *, rest: float, rate: float, move: float) -> float:
     """How long a programme takes, s: to the end of its last rest, see `timetable`."""
     return float(timetable(programme, rest=rest, rate=rate, move=move)[-1, 1])
-
-
-def _listed(name: str, codes: Sequence[str], *, ordered: bool = True) -> Programme:
-    moves = (ANY_MOVE,) * (len(codes) - 1)
-    return Programme(name=name, positions=tuple(map(_position, codes)), moves=moves, ordered=ordered)
 
 
 def _position(code: str) -> Position:
@@ -228,7 +225,7 @@ def _cube(name: str, *kinds: int) -> Programme:
             every, k = _standing(("", _ON_EDGE, _ON_CORNER)[kind - 1])[signs], len(codes)
             axes = "".join(f"{'+' if sign > 0 else '-'}{axis}" for sign, axis in zip(signs, "XYZ", strict=True))
             codes.append(f"{CORNER} {axes} {_AZIMUTHS[k % 3]}".rstrip() if kind == 3 else every[k % len(every)])
-    return _listed(name, codes, ordered=False)
+    return from_attitudes(codes, name, ordered=False)
 
 
 _ON_EDGE, _ON_CORNER = " N+45", f" N+45 E+{math.degrees(math.atan(math.sqrt(0.5)))}"
@@ -259,7 +256,7 @@ BUILT_IN: Mapping[str, Callable[[], Programme]] = MappingProxyType(
         "rough-table": lambda: _rough_table("rough-table", "N+180", "U+180", "N-180"),
         "rough-table-18": lambda: _rough_table("rough-table-18", "N+180", "U+180", "N-180", "N+180"),
         # every body axis up and down, then the three oblique positions
-        "nine": lambda: _listed("nine", ("UEN", "DWN", "NUE", "NDW", "ENU", "WND", *_OBLIQUE)),
+        "nine": lambda: from_attitudes(("UEN", "DWN", "NUE", "NDW", "ENU", "WND", *_OBLIQUE), "nine"),
         "cube-14": lambda: _cube("cube-14", 1, 3),
         "cube-26": lambda: _cube("cube-26", 1, 2, 3),
         "cube-12": lambda: _cube("cube-12", 2),

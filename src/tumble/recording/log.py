@@ -7,6 +7,7 @@ samples are bridged (`bridging`). Only then come intervals, units and SI.
 
 from __future__ import annotations
 
+import datetime as dt
 import hashlib
 import os
 from collections.abc import Iterator
@@ -23,7 +24,7 @@ from tumble.recording.log_source import LogSource, first_numbers, readable
 from tumble.recording.readers import TableLog, source_of
 from tumble.recording.rows.gaps import Bridge, Gap, Grid
 from tumble.recording.rows.timed import check_head, regular_grid, rounded_grid, rows_of
-from tumble.recording.session import LogSpec, Session, date_of_unix
+from tumble.recording.session import LogSpec, Session
 from tumble.units import ZERO_CELSIUS, Array
 
 HEAD_ROWS = 1000
@@ -31,6 +32,8 @@ HEAD_ROWS = 1000
 
 _READ_BY: dict[str, int] = {}
 """The number of the process that has read logs first."""
+UNIX_TIMES = (946_684_800.0, 4_102_444_800.0)
+"""Seconds since 1970 at the beginning of 2000 and of 2100, between which times of a log are taken for such."""
 _SHORTEST_ROWS = 50
 _RATE_TOLERANCE = 0.1
 _SHORTEST_INTERVAL, _LONGEST_INTERVAL = 1e-15, 1e15  # beyond, nothing can be computed
@@ -95,7 +98,10 @@ class Log(Brief):
             return None
         if spec.clock:
             return self._sources[0].first_date(spec.time)
-        return date_of_unix(self._first_stamp * spec.time_factor)
+        seconds = self._first_stamp * spec.time_factor
+        if not UNIX_TIMES[0] < seconds < UNIX_TIMES[1]:
+            return None
+        return dt.datetime.fromtimestamp(seconds, dt.UTC).isoformat(timespec="seconds")
 
     def chunks(self, rows: int = 65536) -> Iterator[Chunk]:
         """The samples in order, file by file, at most `rows` at a time; together the same to the bit for any

@@ -289,9 +289,6 @@ class Request(Exclusion):
 
 # -------------------- what a certificate needs and no log says --------------------
 
-UNIX_TIMES = (946_684_800.0, 4_102_444_800.0)
-"""Seconds since 1970 at the beginning of 2000 and of 2100, between which times of a log are taken for such."""
-
 
 def _is_date(text: str) -> str:
     try:
@@ -328,12 +325,6 @@ class Circumstances:
 
 
 UNKNOWN = Circumstances()
-
-
-def date_of_unix(seconds: float) -> str | None:
-    """The date with the time of seconds since 1970, UTC; None for what is no such time."""
-    first, last = UNIX_TIMES
-    return dt.datetime.fromtimestamp(seconds, dt.UTC).isoformat(timespec="seconds") if first < seconds < last else None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)

@@ -8,9 +8,8 @@ it (`studies/tuning.py`).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from tumble.units import DEGREE, G_STANDARD
 
@@ -22,17 +21,7 @@ _UNITS = {"°": DEGREE, "°/s": DEGREE, "°/s/g": DEGREE / G_STANDARD}
 def _of(value: float, unit: str, words: str, why: str = BY_HAND) -> Any:
     """A field with its default in a unit, in words, and with what justifies it."""
     size = value * _UNITS[unit] if unit in _UNITS else value
-    return field(default=size, metadata={"unit": unit, "words": words, "why": why})
-
-
-class Threshold(NamedTuple):
-    """A threshold as it is shown: its value in its unit ("" for a number), what it means and what justifies it."""
-
-    name: str
-    value: float
-    unit: str
-    words: str
-    why: str
+    return field(default=size, metadata={"value": value, "unit": unit, "words": words, "why": why})
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -132,13 +121,6 @@ class Tuning:
         """The same for a recording of short rests at a sample rate, Hz."""
         rest = max(self.short_rest, self.short_samples / rate)
         return replace(self, window=self.short_window, rest=rest, margin_least=self.short_margin)
-
-    def thresholds(self) -> Iterator[Threshold]:
-        """All of them as they are shown."""
-        for each in fields(self):
-            unit = each.metadata["unit"]
-            value = getattr(self, each.name) / _UNITS.get(unit, 1.0)
-            yield Threshold(each.name, round(value, 9), unit, each.metadata["words"], each.metadata["why"])
 
 
 USUAL = Tuning()
