@@ -36,7 +36,7 @@ def _moments(
     C, V = Rotation.identity(), np.zeros(3)
     Phi, Psi, W, sweep = np.zeros((3, 3, 13)), np.zeros((3, 3, 7)), np.zeros((3, 3, 6)), np.zeros((3, 3, 3))
     Phi_gyro, Psi_gyro, Phi_accel = np.zeros((3, 3, 2, n)), np.zeros((3, 3, 2, n)), np.zeros((3, 3, 2, m))
-    body, body_rates, body_gyro, body_accel = np.zeros(13), np.zeros(6), np.zeros((2, n)), np.zeros((2, m))
+    body, body_rates, body_gyro = np.zeros(13), np.zeros(6), np.zeros((2, n))
     jumps = 0.0
     for k in range(start, stop):
         before, dt = max(k - 1, 0), pieces.intervals[k]
@@ -66,7 +66,7 @@ def _moments(
         W += np.multiply.outer(middle, rates) * dt
         sweep += np.multiply.outer(middle @ np.cross(omega, np.eye(3)).T, f) * dt
         body, body_rates = body + beta * dt, body_rates + rates * dt
-        body_gyro, body_accel = body_gyro + own_gyro * dt, body_accel + own_accel * dt
+        body_gyro = body_gyro + own_gyro * dt
         jumps += dt**2 * np.sum((f - f_before) ** 2)
         C, V = C * Rotation.from_rotvec(phi), V + step
     return {
@@ -82,7 +82,6 @@ def _moments(
         "body": body,
         "body_rates": body_rates,
         "body_gyro": body_gyro,
-        "body_accel": body_accel,
         "jumps": jumps,
     }
 

@@ -123,7 +123,6 @@ def steady_moments(
         body=np.einsum("kn,knb->kb", dt, beta).reshape(K, REGRESSORS),
         body_rates=np.einsum("kn,knb->kb", dt, squares),
         body_gyro=np.einsum("kn,knb->kb", dt, own_gyro).reshape(K, 2, n),
-        body_accel=np.einsum("kn,knb->kb", dt, own_accel).reshape(K, 2, m),
         jumps=np.zeros(K),
     )
     return whole, growing

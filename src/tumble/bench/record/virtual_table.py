@@ -87,7 +87,7 @@ class VirtualTable(LineSource):
         """Turn about N, U or E."""
         self._start(degrees * DEGREE * AXES[axis], rate)
 
-    def go_to(self, position: int, *, rate: float = RATE) -> None:
+    def go_to(self, position: int) -> None:
         """Turn into a position of the programme, the way of the programme where it has one."""
         target = self._near(self.programme.positions[position].matrix)
         move = self.programme.moves[position - 1] if position else None
@@ -97,7 +97,7 @@ class VirtualTable(LineSource):
             whole = move.angle * move.axis
             rest = rotation_vector(rotation_matrix(-whole) @ target @ now.T)
             vector = whole + rest if np.linalg.norm(rest) < NEAR else vector
-        self._start(vector, rate)
+        self._start(vector, RATE)
 
     def told(self, what: str) -> None:
         """Do what is said: "N+90" or "to 3", "knock", "lose" or "stick"; nothing for anything else."""

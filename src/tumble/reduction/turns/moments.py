@@ -134,8 +134,6 @@ class Moments:
     """∫ ω_k ω_l dt (K, 6)."""
     body_gyro: Array
     """∫ |a_p·ω| dt, ∫ (a_p·ω)³ dt (K, 2, n)."""
-    body_accel: Array
-    """∫ |a_p·f| dt, ∫ (a_p·f)³ dt (K, 2, m)."""
     jumps: Array
     """Σ Δt² |f − f'|² (K,), m²/s², with f' of the sample before: docs/explanation/mathematics.md (18)."""
 
@@ -231,7 +229,6 @@ def integrate(
             body=np.hstack([body[:, one], body[:, forces_2]]),
             body_rates=body[:, rates_2],
             body_gyro=body[:, of_gyros].reshape(count, 2, n),
-            body_accel=body[:, of_accels].reshape(count, 2, m),
             jumps=jumps,
         )
 
