@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 from tumble.cli import main
 from tumble.inference.likelihood import Problem, instruments_of
 from tumble.inference.start import start_of
-from tumble.planning.bounds import View, components_of
+from tumble.planning.bounds import bound_by
 from tumble.planning.itinerary import itinerary_of
 from tumble.planning.over_temperature import (
     SETTLED,
@@ -119,9 +119,9 @@ def test_u_is_that_by_the_rows_of_logs(text: str, grade: str) -> None:
     courses = [itinerary_of(replace(setup, programme=session.programme)) for session in sessions]
     planned = view_of(with_all_groups(setup), sessions, courses, gyros=True)
     assert own.instrument.names == planned.problem.instrument.names
-    of_logs = View(problem=own.warmed(at.point), rows=at.rows, components=components_of(setup.noise))
+    of_logs = replace(planned, problem=own.warmed(at.point), rows=at.rows, noise=at.noise)
     u, expected = (
-        np.sqrt(np.diag(seen.bound(setup.turn_rate, setup.clock_u).covariance)) for seen in (of_logs, planned)
+        np.sqrt(np.diag(bound_by(seen, setup.turn_rate, setup.clock_u).covariance)) for seen in (of_logs, planned)
     )
     found = dict(zip(own.instrument.names, (u / expected).tolist(), strict=True))
     off = {name: ratio for name, ratio in found.items() if abs(ratio - 1.0) > (LEVERS if "lever" in name else 0.02)}

@@ -25,9 +25,9 @@ from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
 from tumble.inference.estimate import DETERMINED
 from tumble.inference.likelihood import Point, Problem
-from tumble.inference.linearisation import linearise
+from tumble.inference.linearisation import linearised
 from tumble.inference.turns_about import TurnsAbout
-from tumble.planning.bounds import View, components_of
+from tumble.planning.bounds import bound_by, components_of
 from tumble.planning.setup import NAMES, Setup
 from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
@@ -128,10 +128,8 @@ def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> d
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
     about = TurnsAbout.of(observations, instrument, truth)
     point = Point(values=truth, gravity=scenario.setup.gravity, attitudes=attitudes)
-    rows = linearise(problem, point, about)
-    least = View(problem=problem, rows=rows, components=components_of(scenario.setup.noise)).bound(
-        scenario.setup.turn_rate
-    )
+    seen = linearised(problem, point, about, components_of(scenario.setup.noise))
+    least = bound_by(seen, scenario.setup.turn_rate)
     return {name: float(u) for name, u in zip(least.names, least.u, strict=True) if np.isfinite(u)}
 
 

@@ -22,8 +22,8 @@ from tumble.diagnosis.linearised_session import SHORTEST_TURN, LinearisedSession
 from tumble.diagnosis.projection import UNSEEN, Remaining, SumOfSquares, standing_out
 from tumble.inference.hyperparameters import SCATTER, Components
 from tumble.inference.joint import joint
-from tumble.inference.likelihood import Linearised, Point, Problem, instruments_of, noise_of
-from tumble.inference.linearisation import linearise
+from tumble.inference.likelihood import Linearised, Point, Problem, instruments_of
+from tumble.inference.linearisation import linearised
 from tumble.inference.turns_about import TurnsAbout
 from tumble.recording.rows.gaps import REGULAR_HINT
 from tumble.reduction.observations import Observations
@@ -203,10 +203,7 @@ def lost_by_velocities(linear: Linearised, observations: Observations) -> Cause 
         own=np.zeros((len(problem.parts), len(problem.own_known))),
     )
     about = None if linear.about is None else TurnsAbout.of(observations, instrument, values)
-    rows = linearise(problem, point, about)
-    noise = noise_of(problem, rows)
-    nearby = Linearised(problem=problem, point=point, about=about, rows=rows, noise=noise, components=Components())
-    if _standing_loss(nearby) is None:
+    if _standing_loss(linearised(problem, point, about)) is None:
         return None
     whole = joint(observations).linearised
     return None if whole is None else _standing_loss(whole)

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.inference.elimination import fold
-from tumble.inference.likelihood import Point, Problem, Rows, bases
+from tumble.inference.hyperparameters import NO_COMPONENTS, Components
+from tumble.inference.likelihood import Linearised, Point, Problem, Rows, bases, noise_of
 from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.variables import GROWING
 from tumble.rotation import UP, rotation_matrix, rotation_vector, skew
@@ -34,6 +35,15 @@ def linearise(problem: Problem, point: Point, about: TurnsAbout | None) -> Rows:
         gained=_gained(problem, point),
         own=-point.own / problem.own_known[..., None, :],
     )
+
+
+def linearised(
+    problem: Problem, point: Point, about: TurnsAbout | None, components: Components = NO_COMPONENTS
+) -> Linearised:
+    """The likelihood about a point, with these components of variance."""
+    rows = linearise(problem, point, about)
+    noise = noise_of(problem, rows)
+    return Linearised(problem=problem, point=point, about=about, rows=rows, noise=noise, components=components)
 
 
 def _gained(problem: Problem, point: Point) -> Array:

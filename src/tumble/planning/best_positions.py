@@ -31,7 +31,7 @@ from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.inference.elimination import eliminate
 from tumble.inference.estimate import DETERMINED
-from tumble.planning.bounds import Bound, TypePrior, begun, bound, instrument_of, stated, view
+from tumble.planning.bounds import Bound, TypePrior, begun, bound, instrument_of, stated, view, whitened
 from tumble.planning.itinerary import itinerary_of
 from tumble.planning.reachable_attitudes import ANY, Places, TurnTable, Ways
 from tumble.planning.setup import Setup, check_setup, with_all_groups
@@ -315,9 +315,8 @@ def candidates(setup: Setup, aim: Aim, places: Places) -> tuple[float, Array, Wa
 
 def _shown(setup: Setup, aim: Aim, criterion: Criterion) -> tuple[Array, Array]:
     """What a set-up's programme shows, see `_eliminated`."""
-    seen = view(itinerary_of(setup), setup, gyros=aim.gyros)
-    rest, joint = seen.whitened()
-    rest[0] = begun(rest[0], seen.states)
+    rest, joint, states = whitened(view(itinerary_of(setup), setup, gyros=aim.gyros))
+    rest[0] = begun(rest[0], states)
     return _eliminated(rest, joint, criterion.known)
 
 

@@ -39,8 +39,8 @@ from tumble.inference.elimination import fold
 from tumble.inference.estimate import GroupFinding
 from tumble.inference.hyperparameters import Components
 from tumble.inference.in_run import InRun, mean_along
-from tumble.inference.likelihood import Point, Problem, Rows, weights
-from tumble.inference.linearisation import linearise
+from tumble.inference.likelihood import Linearised, Point, Problem
+from tumble.inference.linearisation import linearised
 from tumble.inference.sources import by_time_base, clocked
 from tumble.inference.step import tell, whitened_rows, with_own
 from tumble.inference.turns_about import TurnsAbout, own_axes, warms
@@ -118,7 +118,7 @@ def bound(setup: Setup, *, gyros: bool = True) -> Bound:
 
 def bound_of(course: Itinerary, setup: Setup, *, gyros: bool = True) -> Bound:
     """The bound of an itinerary; of the set-up, all but programme, table and mounting counts. Raises InputError."""
-    return view(course, setup, gyros=gyros).bound(setup.turn_rate)
+    return bound_by(view(course, setup, gyros=gyros), setup.turn_rate)
 
 
 class TypePrior(Protocol):
@@ -135,16 +135,17 @@ def stated(setup: Setup, *, gyros: bool = True, device_type: TypePrior | None = 
     average over instruments, or with what others of its type say. Raises InputError."""
     course = itinerary_of(setup).as_logged(setup.ramp, USUAL.margin_of(setup.rest))
     seen = view(course, setup, gyros=gyros)
-    problem, components = expected(seen.problem, seen.rows, seen.components)
-    by_type = None
+    seen, by_type = expected(seen), None
     if device_type is not None:
+        problem = seen.problem
         places, covariance = device_type.prior(problem.instrument.names)
         by_type = np.zeros((len(places), len(problem.instrument.names)))
         by_type[:, places] = np.linalg.inv(np.linalg.cholesky(covariance))
         size, usual = problem.measured[1].copy(), problem.usual[1].copy()
         size[1 + np.array(places)] = usual[1 + np.array(places)] = np.sqrt(np.diag(covariance))
         problem = replace(problem, measured=(problem.measured[0], size), usual=(problem.usual[0], usual))
-    return replace(seen, problem=problem, components=components).bound(setup.turn_rate, setup.clock_u, by_type)
+        seen = replace(seen, problem=problem)
+    return bound_by(seen, setup.turn_rate, setup.clock_u, by_type)
 
 
 def instrument_of(setup: Setup, gyros: bool) -> Instrument:
@@ -155,117 +156,103 @@ def instrument_of(setup: Setup, gyros: bool) -> Instrument:
 # What the likelihood sees of it
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class View:
-    """A session, or several, as the likelihood sees it: problem, the rows at the true parameters, and in-run
-    instability."""
+def bound_by(seen: Linearised, rate: float, clock_u: float = 0.0, by_type: Array | None = None) -> Bound:
+    """What rows at the true parameters say, of turns at a rate, rad/s, that gives biases of gyros their natural unit,
+    with a time base of this relative standard uncertainty, and with whitened rows (k, m) of what the device's type says
+    in the place of the usual sizes of those parameters.
 
-    problem: Problem
-    rows: Rows
-    components: Components
+    The covariance of the linear parameters, whatever gravity and the others are: with the columns of these first, the
+    triangle of all is R = (F X; 0 L), and L that of the linear ones. Gravity that is exact has no column."""
+    problem, instrument, q = seen.problem, seen.problem.instrument, len(seen.problem.own_known)
+    linear, m = instrument.linear_count, len(instrument.names)
+    spread, own = problem.spread[:linear], slice(1, 1 + linear)
+    told = tell(problem, seen.rows, seen.noise.weights(seen.components))
+    size = problem.measured[1].copy()
+    size[own] = 0.0
+    if by_type is not None:
+        size[1:][by_type.any(axis=0)] = 0.0
+    triangle = np.diag(np.append(np.divide(1.0, size, out=np.zeros(1 + m), where=size > 0.0), 0.0))
+    for session, residual in zip(told.sessions, seen.rows.own, strict=True):
+        fold(with_own(problem.own_known, session, residual)[q:, q:], triangle, triangular=True)
+    if by_type is not None:
+        fold(np.pad(by_type, ((0, 0), (1, 1))), triangle)
+    triangle = triangle[:-1, :-1]
+    others = np.setdiff1d(np.flatnonzero(triangle.any(axis=0)), np.arange(1, 1 + linear))
+    R, k = np.asarray(np.linalg.qr(np.hstack([triangle[:, others], triangle[:, own]]), mode="r")), len(others)
+    L = R[k : k + linear, k:]
+    solution = least_squares(L, np.zeros(len(L)), spread)
+    known = np.hstack([solution.gain, spread[:, None] * solution.null.T])
+    root = np.zeros((1 + m, known.shape[1] + k))
+    root[own, : known.shape[1]] = known
+    root[others] = np.hstack([-np.linalg.solve(R[:k, :k], R[:k, k:]) @ known, np.linalg.inv(R[:k, :k])])
 
-    @property
-    def states(self) -> int:
-        """How many in-run biases a rest has among its unknowns."""
-        return self.problem.sensors if self.components.wanders else 0
+    # with the time base, of sensors that read rates and forces, no increments; and the biases of one session the
+    # means over it
+    clock = by_time_base(instrument.names, clocked(clock_u, {"accel": False, "gyro": False}))
+    more = np.zeros((len(root), 0))
+    if told.process is not None and len(problem.parts) == 1:
+        by, noise = mean_along(told)
+        biases, more = 1 + problem.biases, np.zeros((len(root), len(by)))
+        root[biases] += by[:, :-1] @ root
+        value, vectors = np.linalg.eigh(np.einsum("ibd,icd->bc", noise, noise))
+        more[biases] = vectors * np.sqrt(np.maximum(value, 0.0))
+    root = np.column_stack([root[1:], more[1:], clock])
+    covariance = root @ root.T
 
-    def bound(self, rate: float, clock_u: float = 0.0, by_type: Array | None = None) -> Bound:
-        """What the rows say, of turns at a rate, rad/s, that gives biases of gyros their natural unit, with a time base
-        of this relative standard uncertainty, and with whitened rows (k, m) of what the device's type says in the place
-        of the usual sizes of those parameters.
+    natural_sizes = {"m/s^2": problem.observations.site.gravity, "rad/s": rate, "1": 1.0, "rad": 1.0}
+    natural = np.array([natural_sizes[unit] for unit in instrument.units[:linear]])
+    direction, length, _ = np.linalg.svd(root[:linear] / natural[:, None])
+    null = solution.null * spread / natural
+    null /= np.linalg.norm(null, axis=1, keepdims=True)
+    worst = null[0] if len(null) else direction[:, 0]
+    sizes, usual, variance = problem.measured[1][1:], problem.usual[1][1:], np.diag(covariance)
+    return Bound(
+        names=instrument.names,
+        units=instrument.units,
+        linear=linear,
+        covariance=covariance,
+        observable=np.append(solution.observable, np.ones(m - linear, dtype=bool)),
+        natural=natural,
+        null=null,
+        condition=np.inf if len(null) else float(length[0]) / max(float(length[-1]), np.finfo(float).tiny),
+        worst=worst * np.sign(worst[np.argmax(np.abs(worst))]),
+        worst_u=np.inf if len(null) else float(length[0]),
+        further=tuple(
+            GroupFinding.of(name, usual[members], sizes[members], variance[members])
+            for name, members in instrument.members.items()
+        ),
+    )
 
-        The covariance of the linear parameters, whatever gravity and the others are: with the columns of these first,
-        the triangle of all is R = (F X; 0 L), and L that of the linear ones. Gravity that is exact has no column."""
-        problem, instrument, q = self.problem, self.problem.instrument, len(self.problem.own_known)
-        linear, m = instrument.linear_count, len(instrument.names)
-        spread, own = problem.spread[:linear], slice(1, 1 + linear)
-        told = tell(problem, self.rows, weights(problem, self.rows, self.components))
-        size = problem.measured[1].copy()
-        size[own] = 0.0
-        if by_type is not None:
-            size[1:][by_type.any(axis=0)] = 0.0
-        triangle = np.diag(np.append(np.divide(1.0, size, out=np.zeros(1 + m), where=size > 0.0), 0.0))
-        for session, residual in zip(told.sessions, self.rows.own, strict=True):
-            fold(with_own(problem.own_known, session, residual)[q:, q:], triangle, triangular=True)
-        if by_type is not None:
-            fold(np.pad(by_type, ((0, 0), (1, 1))), triangle)
-        triangle = triangle[:-1, :-1]
-        others = np.setdiff1d(np.flatnonzero(triangle.any(axis=0)), np.arange(1, 1 + linear))
-        R, k = np.asarray(np.linalg.qr(np.hstack([triangle[:, others], triangle[:, own]]), mode="r")), len(others)
-        L = R[k : k + linear, k:]
-        solution = least_squares(L, np.zeros(len(L)), spread)
-        known = np.hstack([solution.gain, spread[:, None] * solution.null.T])
-        root = np.zeros((1 + m, known.shape[1] + k))
-        root[own, : known.shape[1]] = known
-        root[others] = np.hstack([-np.linalg.solve(R[:k, :k], R[:k, k:]) @ known, np.linalg.inv(R[:k, :k])])
 
-        # with the time base, of sensors that read rates and forces, no increments; and the biases of one session the
-        # means over it
-        clock = by_time_base(instrument.names, clocked(clock_u, {"accel": False, "gyro": False}))
-        more = np.zeros((len(root), 0))
-        if told.process is not None and len(problem.parts) == 1:
-            by, noise = mean_along(told)
-            biases, more = 1 + problem.biases, np.zeros((len(root), len(by)))
-            root[biases] += by[:, :-1] @ root
-            value, vectors = np.linalg.eigh(np.einsum("ibd,icd->bc", noise, noise))
-            more[biases] = vectors * np.sqrt(np.maximum(value, 0.0))
-        root = np.column_stack([root[1:], more[1:], clock])
-        covariance = root @ root.T
-
-        natural_sizes = {"m/s^2": problem.observations.site.gravity, "rad/s": rate, "1": 1.0, "rad": 1.0}
-        natural = np.array([natural_sizes[unit] for unit in instrument.units[:linear]])
-        direction, length, _ = np.linalg.svd(root[:linear] / natural[:, None])
-        null = solution.null * spread / natural
-        null /= np.linalg.norm(null, axis=1, keepdims=True)
-        worst = null[0] if len(null) else direction[:, 0]
-        sizes, usual, variance = problem.measured[1][1:], problem.usual[1][1:], np.diag(covariance)
-        return Bound(
-            names=instrument.names,
-            units=instrument.units,
-            linear=linear,
-            covariance=covariance,
-            observable=np.append(solution.observable, np.ones(m - linear, dtype=bool)),
-            natural=natural,
-            null=null,
-            condition=np.inf if len(null) else float(length[0]) / max(float(length[-1]), np.finfo(float).tiny),
-            worst=worst * np.sign(worst[np.argmax(np.abs(worst))]),
-            worst_u=np.inf if len(null) else float(length[0]),
-            further=tuple(
-                GroupFinding.of(name, usual[members], sizes[members], variance[members])
-                for name, members in instrument.members.items()
-            ),
-        )
-
-    def whitened(self) -> tuple[Array, Array]:
-        """The whitened rows of the rests (N, r + n, d + p + 1), n = d − 3 being the states of in-run biases, and those
-        that join each to the next (N − 1, t + n, 2d + p + 1), its turn and the steps of the states, see
-        `tumble.inference.elimination`. The last n of a rest are zero: they are for where a chain begins (`begun`)."""
-        process = InRun.of(self.problem, self.components) if self.components.wanders else None
-        weight = weights(self.problem, self.rows, self.components)
-        rest, turn = whitened_rows(self.problem, self.rows, weight, process)
-        n = self.states
-        joints = np.zeros((len(rest), turn.shape[1] + n, rest.shape[2] + 3 + n))
-        joints[self.problem.before_turn, : turn.shape[1]] = turn
-        if process is not None:
-            process.write_steps(joints[:, turn.shape[1] :], 3 + n)
-        return np.pad(rest, ((0, 0), (0, n), (0, 0))), joints[:-1]
+def whitened(seen: Linearised) -> tuple[Array, Array, int]:
+    """The whitened rows of the rests (N, r + n, d + p + 1), n = d − 3 being the states of in-run biases, and those
+    that join each to the next (N − 1, t + n, 2d + p + 1), its turn and the steps of the states, see
+    `tumble.inference.elimination`. The last n of a rest are zero: they are for where a chain begins (`begun`)."""
+    process = InRun.of(seen.problem, seen.components) if seen.components.wanders else None
+    rest, turn = whitened_rows(seen.problem, seen.rows, seen.noise.weights(seen.components), process)
+    n = 0 if process is None else seen.problem.sensors
+    joints = np.zeros((len(rest), turn.shape[1] + n, rest.shape[2] + 3 + n))
+    joints[seen.problem.before_turn, : turn.shape[1]] = turn
+    if process is not None:
+        process.write_steps(joints[:, turn.shape[1] :], 3 + n)
+    return np.pad(rest, ((0, 0), (0, n), (0, 0))), joints[:-1], n
 
 
 def begun(rest: Array, states: int) -> Array:
-    """The rows of rests (..., r + n, d + p + 1) of `View.whitened` where a chain begins with each: its n states are
+    """The rows of rests (..., r + n, d + p + 1) of `whitened` where a chain begins with each: its n states are
     those of a stationary process."""
     out = rest.copy()
     out[..., rest.shape[-2] - states :, 3 : 3 + states] = np.eye(states)
     return out
 
 
-def view(course: Itinerary, setup: Setup, *, gyros: bool) -> View:
+def view(course: Itinerary, setup: Setup, *, gyros: bool) -> Linearised:
     """The rows at perfect sensors and the attitudes of the course. Raises InputError."""
     instrument = instrument_of(setup, gyros)
     observations, about = observed(course, setup, instrument)
     problem = Problem.of(observations, instrument=instrument, usual=setup.further)
     point = Point(values=np.zeros(len(instrument.names)), gravity=setup.gravity, attitudes=course.attitudes)
-    return View(problem=problem, rows=linearise(problem, point, about), components=components_of(setup.noise))
+    return linearised(problem, point, about, components_of(setup.noise))
 
 
 SHORTEST_TIME = 1e-3

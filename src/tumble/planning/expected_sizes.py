@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from tumble.inference.hyperparameters import SCATTER, Components, table
+from tumble.inference.hyperparameters import SCATTER, table
 from tumble.inference.integral import SHOWN
-from tumble.inference.likelihood import Problem, Rows, noise_of
+from tumble.inference.likelihood import Linearised
 from tumble.inference.maximum import LEAST_DEGREES
 from tumble.inference.step import left, scatter_score, solve
 from tumble.units import Array
@@ -32,11 +32,11 @@ FARTHEST = 4.0
 """Standard deviations of a prior that it reaches."""
 
 
-def expected(problem: Problem, rows: Rows, components: Components) -> tuple[Problem, Components]:
-    """A problem whose groups, and components of variance whose scatter, are as large as `joint` will take them for on
-    the average, from a problem and its rows at perfect sensors with the noise that there is."""
-    noise = noise_of(problem, rows)
-    step = solve(problem, rows, noise.weights(components))
+def expected(seen: Linearised) -> Linearised:
+    """The same with groups, and components of variance with scatter, as large as `joint` will take them for on the
+    average, from the rows at perfect sensors with the noise that there is."""
+    problem, noise = seen.problem, seen.noise
+    step = solve(problem, seen.rows, noise.weights(seen.components))
     information = scatter_score(noise, step, left(problem, step))[1].diagonal()
     known, own, scatter = problem.measured[1][1:].copy(), problem.own_known.copy(), dict[str, Any]()
     variances = np.diagonal(step.own_covariance, axis1=1, axis2=2)
@@ -54,7 +54,7 @@ def expected(problem: Problem, rows: Rows, components: Components) -> tuple[Prob
                 of[h.members] *= _expected_size(usual, v, h.within)
     sizes = np.append(problem.measured[1][0], known)
     wider = replace(problem, measured=(problem.measured[0], sizes), own_known=own)
-    return wider, replace(components, **scatter)
+    return replace(seen, problem=wider, components=replace(seen.components, **scatter))
 
 
 def _expected_scatter(degrees: float) -> float:

@@ -28,13 +28,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.inference.likelihood import Point, Problem, instruments_of
-from tumble.inference.linearisation import linearise
+from tumble.inference.likelihood import Linearised, Point, Problem, instruments_of
+from tumble.inference.linearisation import linearised
 from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.variables import both_ways, over_a_range
 from tumble.planning.bounds import (
     Bound,
-    View,
+    bound_by,
     bound_of,
     components_of,
     instrument_of,
@@ -155,11 +155,10 @@ def plan_over_temperature(
         raise InputError("temperature: expected at least one recording, found none")
     setup, chamber = with_all_groups(setup), chamber or Chamber()
     courses = [itinerary_of(replace(setup, programme=session.programme)) for session in sessions]
-    seen = view_of(setup, sessions, courses, gyros=gyros)
-    problem, components = expected(seen.problem, seen.rows, seen.components)
-    bound = replace(seen, problem=problem, components=components).bound(setup.turn_rate, setup.clock_u)
+    seen = expected(view_of(setup, sessions, courses, gyros=gyros))
+    bound = bound_by(seen, setup.turn_rate, setup.clock_u)
     planned = tuple(_planned(setup, sessions, courses, chamber, gyros=gyros))
-    kelvin = problem.observations.rests.temperature
+    kelvin = seen.problem.observations.rests.temperature
     assert kelvin is not None
     return ThermalPlan(
         setup=setup,
@@ -168,7 +167,7 @@ def plan_over_temperature(
         low=float(kelvin.min()),
         high=float(kelvin.max()),
         bound=bound,
-        notes=tuple(_notes(problem, planned, bound, chamber)),
+        notes=tuple(_notes(seen.problem, planned, bound, chamber)),
     )
 
 
@@ -242,7 +241,9 @@ def rests_of(programme: Programme, count: int) -> Programme:
     )
 
 
-def view_of(setup: Setup, sessions: Sequence[ChamberSession], courses: Sequence[Itinerary], *, gyros: bool) -> View:
+def view_of(
+    setup: Setup, sessions: Sequence[ChamberSession], courses: Sequence[Itinerary], *, gyros: bool
+) -> Linearised:
     """The sessions as the likelihood sees them."""
     recorded = [_recorded(*each, setup, parts=len(sessions) > 1) for each in zip(sessions, courses, strict=True)]
     counts, bare = [len(each.attitudes) for each in recorded], replace(instrument_of(setup, gyros), further=())
@@ -277,17 +278,16 @@ def view_of(setup: Setup, sessions: Sequence[ChamberSession], courses: Sequence[
     if problem.lag is not None:
         values[problem.lag] = TYPICAL * setup.further["temperature.lag"]
     point = Point(values=values, gravity=setup.gravity, attitudes=course.attitudes, own=of_each)
-    rows, warmed = linearise(problem, point, about), problem.warmed(point)
-    seen = View(problem=problem, rows=rows, components=components_of(setup.noise))
+    seen, warmed = linearised(problem, point, about, components_of(setup.noise)), problem.warmed(point)
     if warmed.lag is None:
         return seen
-    rest, turn = rows.rest.copy(), rows.turn.copy()
+    rest, turn = seen.rows.rest.copy(), seen.rows.turn.copy()
     for by, place in ((rest[:, :, 4:-1], 0), (turn[:, :, 7:-1], 1)):
         for of, base, variable in warmed.changes:
             if variable == "temperature" and len(by):
                 warmer = warmed.goes_with(warmed.by_lag, variable, of, place)[:, None]
                 by[:, :, warmed.lag] += (warmer * by[:, :, base]) @ warmed.measured[1][1:][of]
-    return replace(seen, rows=replace(rows, rest=rest, turn=turn))
+    return replace(seen, rows=replace(seen.rows, rest=rest, turn=turn))
 
 
 def _recorded(session: ChamberSession, course: Itinerary, setup: Setup, *, parts: bool) -> Itinerary:

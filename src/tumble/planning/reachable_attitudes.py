@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.planning.bounds import begun, view
+from tumble.planning.bounds import begun, view, whitened
 from tumble.planning.itinerary import Itinerary
 from tumble.planning.setup import Setup
 from tumble.programme.positions import TRIPLES, Position, from_attitudes
@@ -57,7 +57,7 @@ SMALLEST_STEP = 5.0
 class Ways(NamedTuple):
     """Ways (q) through k places each with e legs: places (q, k), rotation vectors of the moves (q, e, 3), which are
     turns of the table (q, e), and the whitened rows (q, e, t, 2d + p + 1) that join the rests at their ends, see
-    `View.whitened`."""
+    `whitened`."""
 
     places: IntArray
     moves: Array
@@ -115,15 +115,15 @@ class Places:
                     known = np.concatenate([known, position.matrix[None]])
         attitudes = np.array([position.matrix for position in positions])
         still = Itinerary.through(attitudes, np.zeros((len(attitudes) - 1, 3)), setup)
-        seen = view(still, setup, gyros=gyros)
+        rest, _, states = whitened(view(still, setup, gyros=gyros))
         return Places(
             table=table,
             setup=setup,
             gyros=gyros,
             positions=tuple(positions),
             attitudes=attitudes,
-            rest=seen.whitened()[0],
-            states=seen.states,
+            rest=rest,
+            states=states,
         )
 
     def chain(self, places: IntArray) -> Array:
@@ -160,7 +160,7 @@ class Places:
             places=others[:, None],
             moves=moves[:, None],
             turned=np.arange(len(moves))[:, None] < len(one) + len(two),
-            rows=view(course, self.setup, gyros=self.gyros).whitened()[1][::2, None],
+            rows=whitened(view(course, self.setup, gyros=self.gyros))[1][::2, None],
         )
         return self._legs[place, sense]
 
