@@ -30,7 +30,7 @@ from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import itinerary, scenario_of
 from tumble.views.campaign import plot
 
-TABLE = Cell.of({"rest": 20.0})
+TABLE: Cell = {"rest": 20.0}
 SESSIONS = {"seed": 3, "trials": 4, "grid": {"method": ["joint", "ellipsoid"], "table_error_deg": [0.5, 5]}}
 STATICS = {"kind": "statics", "trials": 3, "grid": {"programme": "cube-26", "noise_factor": [1.0, 3.0]}}
 
@@ -88,7 +88,7 @@ def test_trials_of_a_number_differ_in_device_and_noise_from_those_of_another() -
 
 
 def test_the_bound_is_taken_where_the_observations_are() -> None:
-    noiseless = dataclasses.replace(TABLE.setup, noise=NoiseModel())
+    noiseless = dataclasses.replace(Setup.of(**TABLE), noise=NoiseModel())
     scenario = scenario_of(noiseless, trial.stream(1, 4))
     rng = trial.stream(1, 4)
     scenario_of(noiseless, rng)
@@ -108,7 +108,7 @@ def test_the_uncertainty_that_a_method_states_is_never_far_below_the_bound() -> 
 
 
 def test_a_method_that_cannot_use_the_observations_fails_and_the_others_do_not() -> None:
-    by_hand = Cell.of({"positions": 20, "grade": "mems"})
+    by_hand = {"positions": 20, "grade": "mems"}
     first, second = session_rows(1, "observations", ["sequential", "staged"], 0, by_hand)
     assert first["method"] == "sequential"
     assert "programme" in first["error"]
@@ -117,7 +117,7 @@ def test_a_method_that_cannot_use_the_observations_fails_and_the_others_do_not()
 
 
 def test_a_trial_through_a_log_sees_the_same_device() -> None:
-    cell = Cell.of({"rest": 10.0, "sample_rate": 20.0})
+    cell = {"rest": 10.0, "sample_rate": 20.0}
     (row,) = session_rows(1, "log", ["staged"], 0, cell)
     assert row["accepted"], row["reasons"]
     for name in NAMES:
@@ -127,7 +127,7 @@ def test_a_trial_through_a_log_sees_the_same_device() -> None:
 
 def test_a_factor_multiplies_all_noise() -> None:
     rng = np.random.default_rng(0)
-    usual, loud = (scenario_of(Cell.of({"noise_factor": f}).setup, rng).setup.noise for f in (1.0, 3.0))
+    usual, loud = (scenario_of(Setup.of(noise_factor=f), rng).setup.noise for f in (1.0, 3.0))
     for name in ("accel_white", "gyro_white", "accel_instability", "gyro_instability"):
         assert getattr(loud, name) == pytest.approx(3.0 * getattr(usual, name), rel=1e-15) != 0.0
 
@@ -152,7 +152,7 @@ def test_verticals_of_an_exact_table_are_those_of_the_programme() -> None:
 
 def test_verticals_spread_as_those_of_the_simulated_sessions() -> None:
     rng = np.random.default_rng(0)
-    scenario = scenario_of(Cell.of({"programme": "nine", "table_error_deg": 5.0}).setup, rng)
+    scenario = scenario_of(Setup.of(programme="nine", table_error_deg=5.0), rng)
     nominal = np.array([position.vertical_b for position in scenario.setup.programme.positions])
     ours = (trial._verticals(scenario.setup, rng) - nominal).std(axis=0)
     theirs = np.array([itinerary(scenario, rng).attitudes[:, 1] for _ in range(1500)]) - nominal
@@ -164,7 +164,7 @@ def test_verticals_spread_as_those_of_the_simulated_sessions() -> None:
 
 @pytest.mark.parametrize("point", [{"positions": 24, "grade": "mems"}, {"programme": "nine"}])
 def test_errors_from_rests_alone_reach_the_bound(point: dict[str, Any]) -> None:
-    found = [statics_rows(1, i, Cell.of(point))[0] for i in range(4)]
+    found = [statics_rows(1, i, point)[0] for i in range(4)]
     assert sum(row["failed"] for row in found) == 0
     n = 4 * BLOCK
     for name in NAMES[:9]:
@@ -177,7 +177,7 @@ def test_errors_from_rests_alone_reach_the_bound(point: dict[str, Any]) -> None:
 
 
 def test_triads_that_rests_do_not_determine_fail() -> None:
-    (row,) = statics_rows(1, 0, Cell.of({"positions": 8}))
+    (row,) = statics_rows(1, 0, {"positions": 8})
     assert row["failed"] == BLOCK
     assert "mean.accel.bias.x" not in row
 
@@ -189,9 +189,7 @@ def test_every_combination_is_a_point_of_the_grid() -> None:
     campaign = validated(
         Campaign, {"trials": 2, "grid": {"rest": [30, 60, 90], "noise_factor": [1, 2], "method": "scalar"}}
     )
-    assert {(c.point["rest"], c.point["noise_factor"]) for c in campaign.cells} == {
-        (r, f) for r in (30, 60, 90) for f in (1, 2)
-    }
+    assert {(c["rest"], c["noise_factor"]) for c in campaign.cells} == {(r, f) for r in (30, 60, 90) for f in (1, 2)}
     assert len(campaign.job().items) == 12
     assert campaign.methods == ("scalar",)
 

@@ -30,7 +30,7 @@ from tumble.campaigns.engine import Job, Row
 from tumble.campaigns.trial import Cell, Source, session_rows, statics_rows
 from tumble.documents import text_of_document, toml_of, validated
 from tumble.planning.bounds import instrument_of
-from tumble.planning.setup import NAMES
+from tumble.planning.setup import NAMES, Setup
 from tumble.programme.positions import BUILT_IN
 from tumble.run.calibrate import DEFAULT_METHOD, ITERATED_METHODS, METHODS, Method
 from tumble.sensors.grades import GRADES
@@ -126,7 +126,7 @@ class Campaign(_CampaignTable):
     def cells(self) -> tuple[Cell, ...]:
         """The points of the grid, the last axis varying first."""
         points = product(*(getattr(self.grid, axis) for axis in AXES))
-        return tuple(Cell.of(dict(zip(AXES, values, strict=True))) for values in points)
+        return tuple(dict(zip(AXES, values, strict=True)) for values in points)
 
     def job(self) -> Job:
         """The campaign as a job of trials × cells tasks."""
@@ -139,7 +139,7 @@ class Campaign(_CampaignTable):
             schema |= {"triads": pl.Int64, "failed": pl.Int64}
         else:
             rows = partial(session_rows, self.seed, self.source, self.methods)
-            instruments = [instrument_of(cell.setup, gyros=True) for cell in self.cells]
+            instruments = [instrument_of(Setup.of(**cell), gyros=True) for cell in self.cells]
             names, moments = tuple(dict.fromkeys(n for i in instruments for n in i.names)), ("error", "u", "bound")
             schema |= {"accepted": pl.Boolean, "reasons": pl.String}
         schema |= {f"{what}.{name}": pl.Float64 for what in moments for name in names}
@@ -149,7 +149,7 @@ class Campaign(_CampaignTable):
 
 def label(cell: Cell) -> Row:
     """The columns that tell a cell from others."""
-    return {**cell.point} | ({} if cell.setup.by_hand is None else {"programme": None})
+    return {**cell} | ({} if cell["positions"] is None else {"programme": None})
 
 
 def read_campaign(path: Path) -> Campaign:

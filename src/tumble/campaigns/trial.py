@@ -13,7 +13,6 @@ A trial of rests alone (`statics_rows`) is a block of BLOCK triads at once, and 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
 
@@ -49,17 +48,8 @@ NEGLIGIBLE = 1e-2
 """Of its uncertainty: a last step that means nothing."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Cell:
-    """One point of a campaign's grid, by axis in the words of `Setup.of`, and the set-up it is."""
-
-    point: Mapping[str, Any]
-    setup: Setup
-
-    @staticmethod
-    def of(point: Mapping[str, Any]) -> Cell:
-        """The cell of a point. Raises InputError for a set-up that does not exist."""
-        return Cell(point=point, setup=Setup.of(**point))
+Cell = Mapping[str, Any]
+"""A point of a campaign's grid: by axis the words of `Setup.of`, which makes the set-up of it."""
 
 
 def stream(seed: int, number: int) -> np.random.Generator:
@@ -75,7 +65,7 @@ def session_rows(seed: int, source: Source, methods: Sequence[Method], number: i
     instrument `error.p`, its value less the truth, `u.p`, its standard uncertainty, and, without a log, `bound.p`, the
     Cramér–Rao bound of the observations; nothing where there is none."""
     rng = stream(seed, number)
-    scenario = scenario_of(cell.setup, rng)
+    scenario = scenario_of(Setup.of(**cell), rng)
     bounds: dict[str, float] = {}
     if source == "log":
         calibrated = partial(_of_session, session_in_memory(scenario, rng))
@@ -140,12 +130,12 @@ def statics_rows(seed: int, number: int, cell: Cell) -> list[Row]:
     """One row for BLOCK triads of accelerometers, calibrated from rests alone: how many, how many of them `failed`,
     and over the others, for every parameter p, the means `mean.p` of the errors, `square.p` of their squares, `bound.p`
     of the variances by the Cramér–Rao bound, and the part `covered.p` of the errors within 1.96 u."""
-    rng = stream(seed, number)
-    scenario = scenario_of(cell.setup, rng)
-    gravity, noise, spread = cell.setup.gravity, cell.setup.noise, cell.setup.accel
-    sigma = float(np.hypot(noise.accel_white / np.sqrt(cell.setup.rest), noise.accel_instability))  # of a mean
+    rng, setup = stream(seed, number), Setup.of(**cell)
+    scenario = scenario_of(setup, rng)
+    gravity, noise, spread = setup.gravity, setup.noise, setup.accel
+    sigma = float(np.hypot(noise.accel_white / np.sqrt(setup.rest), noise.accel_instability))  # of a mean
     truth = np.repeat([spread.bias, spread.scale, spread.axis], 3) * rng.standard_normal((BLOCK, PARAMETERS))
-    force = gravity * _verticals(cell.setup, rng)
+    force = gravity * _verticals(setup, rng)
     model = triad_model(truth[:, :3], truth[:, 3:6], truth[:, 6:])
     readings = force @ np.ascontiguousarray(np.swapaxes(model.matrix, 1, 2)) + model.bias[:, None]
     readings += sigma * rng.standard_normal(readings.shape)
