@@ -181,4 +181,4 @@ def main(trials: int) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(6 if "--short" in sys.argv else 100))
+    sys.exit(main(4 if "--short" in sys.argv else 100))

@@ -209,8 +209,8 @@ def main(runs: int, few: int, *, kept: bool) -> int:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
-    parser.add_argument("--short", action="store_true", help="60 and 4 runs")
+    parser.add_argument("--short", action="store_true", help="40 and 4 runs")
     parser.add_argument("--runs", type=int, nargs=2, default=(5000, 1000), help="of joint, and of all methods")
     parser.add_argument("--store", action="store_true", help="keep the tables")
     given = parser.parse_args()
-    sys.exit(main(*((60, 4) if given.short else given.runs), kept=given.store and not given.short))
+    sys.exit(main(*((40, 4) if given.short else given.runs), kept=given.store and not given.short))

@@ -54,7 +54,7 @@ from tumble.simulation.temperature_profile import truth_at as true_at
 from tumble.units import DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS, Array
 
 GRADE = "navigation"
-FEW = 4
+FEW = 3
 """Devices of the short form."""
 FROM_DEVICE_TO_DEVICE = 7.0
 """%: standard deviation of the share of coefficients of a device that are covered, which all move with its lag."""
