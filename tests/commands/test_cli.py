@@ -185,7 +185,7 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["calibrate", "one", "none", "--out", "x.json"], "none/session.toml: expected a session folder"),
         (["calibrate", "few", "--truth", "none.json"], "none.json: cannot be read: No such file or directory"),
         (["calibrate", "few", "--truth", "few/session.toml"], "session.toml: expected a truth.json"),
-        (["calibrate", "few", "--truth", "few/log.parquet"], "log.parquet: expected a truth.json"),
+        (["calibrate", "few", "--truth", "few/log.parquet"], "log.parquet: expected UTF-8 text"),
         (["inspect"], "Missing argument 'SESSION'"),
         (["inspect", "none"], "none/session.toml: expected a session folder"),
         (["inspect", "one", "two"], "Got unexpected extra argument (two)"),
