@@ -39,7 +39,7 @@ from tumble.recording.session import AutopilotSensor, sensors_content
 from tumble.recording.session.log_tables import RAW
 from tumble.recording.session_file import SESSION_FILE, session_of
 from tumble.run.observed import Progress
-from tumble.units import DEGREE, TEMPERATURE_UNITS, Array
+from tumble.units import DEGREE, TEMPERATURE_UNITS
 
 _FAST = 0.99
 _SECONDS, _FEWEST_MEANS, _STEADY = 2.0, 3, 0.4
@@ -171,9 +171,20 @@ def _of_log(log: FoundLog, rate: float | None) -> Draft:
     magnetometer, told = _magnetometer(log, known.triads.get(MAGNETOMETER))
     largest = np.abs(read[GYRO][np.isfinite(read[GYRO]).all(axis=1)]).max(axis=1) if GYRO in triads else np.zeros(0)
     whole = {kind: bool((r == np.floor(r))[np.isfinite(r)].all()) for kind, r in read.items()}
+    # accelerometers that read nearly nothing at the mean over two seconds read no gravity
+    force = read[ACCEL][np.isfinite(read[ACCEL]).all(axis=1)]
+    rows = max(int(_SECONDS * times.rate), 2)
+    if (count := len(force) // rows) >= _FEWEST_MEANS:
+        means = np.linalg.norm(force[: count * rows].reshape(-1, rows, 3).mean(axis=1), axis=1)
+        share = float(np.median(means) / max(np.median(np.linalg.norm(force, axis=1)), 1e-300))
+        if share <= _STEADY:
+            said.append(
+                f"accelerometers: at the mean over {_SECONDS:g} s they read {share:.0%} of what they read at a time: "
+                "gravity is not in them; what a filter has left of the readings cannot be calibrated"
+            )
     return Draft(
         content={"format": 1, "device": {"serial": "unknown"}, "log": table},
-        said=(*said, *_without_gravity(read[ACCEL], times.rate), *told),
+        said=(*said, *told),
         magnetometer=magnetometer,
         triads=triads,
         times=times,
@@ -184,23 +195,6 @@ def _of_log(log: FoundLog, rate: float | None) -> Draft:
         step=step_in_deg_s(read[GYRO]) if GYRO in triads and not whole[GYRO] else None,
         kept=log.kept,
     )
-
-
-def _without_gravity(read: Array, rate: float) -> list[str]:
-    """A remark where what accelerometers read is nearly nothing at the mean over two seconds, as without gravity."""
-    read = read[np.isfinite(read).all(axis=1)]
-    rows = max(int(_SECONDS * rate), 2)
-    whole = len(read) // rows * rows
-    if whole < _FEWEST_MEANS * rows:
-        return []
-    means = np.linalg.norm(read[:whole].reshape(-1, rows, 3).mean(axis=1), axis=1)
-    share = float(np.median(means) / max(np.median(np.linalg.norm(read, axis=1)), 1e-300))
-    if share > _STEADY:
-        return []
-    return [
-        f"accelerometers: at the mean over {_SECONDS:g} s they read {share:.0%} of what they read at a time: gravity "
-        "is not in them; what a filter has left of the readings cannot be calibrated"
-    ]
 
 
 def _with_sign(draft: Draft) -> Draft:

@@ -127,7 +127,15 @@ def times_of_column(stamps: Stamps) -> Times | None:
         return None
     units, how, sure = _units(stamps, typical)
     whole = bool((values == np.floor(values)).all())  # fractions are of seconds, and no counts of samples or ticks
-    uneven = _unevenness(values, typical)
+    # what is wrong with the stamps as a clock
+    parts, uneven = steps / typical, None
+    few, jitter = _FREE + _SHARE * len(parts), float(1.4826 * np.median(np.abs(parts - np.median(parts))))
+    if np.count_nonzero(parts <= 0.0) > few:
+        uneven = f"time stamps repeat ({np.mean(parts <= 0.0):.0%} of them)"
+    elif np.count_nonzero(parts > 1.5) > few and np.mean(parts < 0.5) > _SHARE:
+        uneven = "time stamps come in bursts" if np.mean(parts < 0.3) > 0.3 else "time stamps jitter"
+    elif jitter > _JITTER:
+        uneven = f"time stamps jitter by {jitter:.0%} of the interval"
     regular = uneven is not None and _even(values)
     line = np.polynomial.Polynomial.fit(np.arange(len(values)), values, 1).convert() if regular else None
     every = []
@@ -232,19 +240,6 @@ def _units(stamps: Stamps, step: float) -> tuple[dict[str, float], str, tuple[st
         counted = f"time: column {stamps.column!r} grows by one a row, as a counter of samples does too: if it is one, "
         sure = (f"{counted}give the rate (--sample-rate)",)
     return ranked, "by its steps", sure
-
-
-def _unevenness(values: Array, typical: float) -> str | None:
-    """What is wrong with time stamps as a clock; None where they will do."""
-    steps = np.diff(values) / typical
-    few = _FREE + _SHARE * len(steps)
-    again, long = int(np.count_nonzero(steps <= 0.0)), int(np.count_nonzero(steps > 1.5))
-    if again > few:
-        return f"time stamps repeat ({again / len(steps):.0%} of them)"
-    jitter = float(1.4826 * np.median(np.abs(steps - np.median(steps))))
-    if long > few and np.mean(steps < 0.5) > _SHARE:
-        return "time stamps come in bursts" if np.mean(steps < 0.3) > 0.3 else "time stamps jitter"
-    return f"time stamps jitter by {jitter:.0%} of the interval" if jitter > _JITTER else None
 
 
 def _even(values: Array) -> bool:

@@ -96,8 +96,12 @@ def columns_by_name(names: Iterable[str]) -> Columns:
             others.append(stem)
         elif set(axes) == set("xyz"):
             triads[kind] = _triad(kind, [axes[axis] for axis in "xyz"])
+    directed = {}  # words with the direction, where there is one, before the others: roll_rate of `RateRoll`
+    for name in names:
+        words = re.sub(r"(roll|pitch|yaw)(?=rate|speed|vel)", r"\1_", "_".join(_split(name)[0])).split("_")
+        directed[name] = "_".join(sorted(words, key=lambda word: not _DIRECTION.fullmatch(word)))
     for kind in (ACCEL, GYRO):
-        along = [next((n for n in names if score(kind, _direction_first(n), axis=axis)), None) for axis in "xyz"]
+        along = [next((n for n in names if score(kind, directed[n], axis=axis)), None) for axis in "xyz"]
         if kind not in triads and None not in along:
             triads[kind] = _triad(kind, [name for name in along if name is not None])
     taken = {column for triad in triads.values() for column in triad.columns}
@@ -181,12 +185,6 @@ def in_order(names: Sequence[str]) -> tuple[str, str, str]:
         names = [of_axis[axis] for axis in "xyz"]
     x, y, z = names
     return x, y, z
-
-
-def _direction_first(name: str) -> str:
-    """The words of a name with the direction, where there is one, before the others: roll_rate of `RateRoll`."""
-    words = re.sub(r"(roll|pitch|yaw)(?=rate|speed|vel)", r"\1_", "_".join(_split(name)[0])).split("_")
-    return "_".join(sorted(words, key=lambda word: not _DIRECTION.fullmatch(word)))
 
 
 def _axes(words: list[str]) -> list[tuple[str, str]]:

@@ -125,7 +125,12 @@ def _hypotheses(names: Sequence[str], read: Array, columns: Sequence[int]) -> li
     data sheets."""
     filled = [j for j in columns if np.isfinite(read[:, j]).mean() > 0.5]
     attitudes = _attitudes(read, filled)
-    numbers = [j for j in filled if j not in attitudes and _is_sensor(read[:, j])]
+    numbers = []  # that rise and fall: clocks, counters and the numbers of positions nearly always do the one
+    for j in filled:
+        steps = np.diff(read[np.isfinite(read[:, j]), j])
+        rises, falls = np.count_nonzero(steps > 0.0), np.count_nonzero(steps < 0.0)
+        if j not in attitudes and rises + falls > 0 and min(rises, falls) > _ONE_WAY * max(rises, falls):
+            numbers.append(j)
     runs = [(j, j + 1, j + 2) for j in numbers if j + 1 in numbers and j + 2 in numbers]
     runs = [run for run in runs if _are_one_sensor([names[j] for j in run])]
     if not runs or len(read) < _FEWEST_ROWS or not (quiet := _quiet(read[:, numbers])).any():
@@ -265,14 +270,6 @@ def time_by_data(names: Sequence[str], read: Array) -> str | None:
     """The column of a table (m, n) that is a time; None where none grows as one, or only a counter of samples."""
     growing = [j for j in range(len(names)) if grows(read[:, j]) and not _counts(read[:, j])]
     return names[growing[0]] if growing else None
-
-
-def _is_sensor(column: Array) -> bool:
-    """Whether the readings of a column are not all the same, and rise and fall: clocks, counters and the numbers of
-    positions rise, or fall, nearly always when they change."""
-    steps = np.diff(column[np.isfinite(column)])
-    rises, falls = np.count_nonzero(steps > 0.0), np.count_nonzero(steps < 0.0)
-    return bool(min(rises, falls) > _ONE_WAY * max(rises, falls) and rises + falls > 0)
 
 
 def _counts(column: Array) -> bool:

@@ -215,7 +215,12 @@ class _RestSearch:
         scatter_limit = factor * floor + self.force_step
         calm = [s < scatter_limit for s in scatter]
         if rates is None:
-            step = [_moving_step(force, window) for force in self.forces]
+            step = []  # between the means of the rows before and behind each, at the ends that of the nearest
+            for force in self.forces:
+                wide = min(window, len(force) // 2)
+                mean = inner_mean(force, wide)
+                steps = np.linalg.norm(mean[wide:] - mean[:-wide], axis=1)
+                step.append(steps[np.clip(np.arange(len(force)) - wide, 0, len(steps) - 1)])
             step_limit = tuning.floor_factor * self._floor(np.concatenate(step)) + self.force_step
             spans = [_runs(c & (s < step_limit)) for c, s in zip(calm, step, strict=True)]
             return self._assembled(spans, None, scatter_limit, None, [])
@@ -414,14 +419,6 @@ def _moving_scatter(values: Array, window: int) -> Array:
     window = min(window, len(values))
     variance = inner_variance(values, inner_mean(values, window), window).sum(axis=1)
     return np.asarray(np.sqrt(variance)[_window_of(len(values), window)])
-
-
-def _moving_step(values: Array, window: int) -> Array:
-    """Distance between the means of the `window` rows before and behind each row, at the ends that of the nearest."""
-    window = min(window, len(values) // 2)
-    mean = inner_mean(values, window)
-    step = np.linalg.norm(mean[window:] - mean[:-window], axis=1)
-    return np.asarray(step[np.clip(np.arange(len(values)) - window, 0, len(step) - 1)])
 
 
 def inner_mean(values: Array, window: int) -> Array:

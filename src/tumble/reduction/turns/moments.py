@@ -259,7 +259,20 @@ def growing_moments(batches: Iterable[Pieces], lengths: IntArray, compensation: 
 
         Σ t C Φ,    Σ t (C Ψ + C Φ × V′)
     """
-    whole = integrate(_in_parts(batches, lengths), PARTS * len(lengths), compensation)
+
+    def in_parts() -> Iterator[Pieces]:
+        """The same samples in pieces of PARTS of every turn, one after the other."""
+        done = np.zeros(len(lengths), dtype=np.int64)
+        for pieces in batches:
+            parts = []
+            for k, start, stop in zip(pieces.turn.tolist(), pieces.start.tolist(), pieces.stop.tolist(), strict=True):
+                edges = np.clip(start - done[k] + lengths[k] * np.arange(PARTS + 1) // PARTS, start, stop).tolist()
+                parts += [(PARTS * k + j, a, b) for j, (a, b) in enumerate(pairwise(edges)) if b > a]
+                done[k] += stop - start
+            turn, first, last = np.array(parts, dtype=np.int64).reshape(-1, 3).T
+            yield replace(pieces, turn=turn, start=first, stop=last)
+
+    whole = integrate(in_parts(), PARTS * len(lengths), compensation)
     C, V, T = np.broadcast_to(np.eye(3), (len(lengths), 3, 3)), np.zeros((len(lengths), 3)), np.zeros(len(lengths))
     parts = []
     for part in (slice(j, None, PARTS) for j in range(PARTS)):
@@ -272,19 +285,6 @@ def growing_moments(batches: Iterable[Pieces], lengths: IntArray, compensation: 
         Phi += weight * of_part
         Psi += weight * (moved + _crossed(of_part[..., : _kernels.LINEAR], V - before))
     return Phi, Psi
-
-
-def _in_parts(batches: Iterable[Pieces], lengths: IntArray) -> Iterator[Pieces]:
-    """The same samples in pieces of PARTS of every turn, one after the other."""
-    done = np.zeros(len(lengths), dtype=np.int64)
-    for pieces in batches:
-        parts = []
-        for k, start, stop in zip(pieces.turn.tolist(), pieces.start.tolist(), pieces.stop.tolist(), strict=True):
-            edges = np.clip(start - done[k] + lengths[k] * np.arange(PARTS + 1) // PARTS, start, stop).tolist()
-            parts += [(PARTS * k + j, a, b) for j, (a, b) in enumerate(pairwise(edges)) if b > a]
-            done[k] += stop - start
-        turn, start, stop = np.array(parts, dtype=np.int64).reshape(-1, 3).T
-        yield replace(pieces, turn=turn, start=start, stop=stop)
 
 
 # Columns -------------------------------------------------------------------------------------------------------
@@ -303,7 +303,8 @@ def lever_columns(moments: Moments, left_inverse: Array, axes: Array, rates: tup
     for G, H, which in ((first, second, slice(None)), (second, first, [1, 2, 4])):
         kernel = np.einsum("pja,kab,kbr->jkpr", along, G, H) - np.einsum("kja,pab,kbr->jkpr", G, along, H)
         weights[:, which] += kernel[:, which]
-    columns = -_contracted(moments.W, weights.reshape(3, len(_PAIRS), -1))
+    flat = weights.reshape(3 * len(_PAIRS), -1)
+    columns = -np.asarray(moments.W.reshape(len(moments), 3, len(flat)) @ flat)
     first, last = (
         np.einsum("pja,kab->kjpb", along, _skews(rate)).reshape(len(rate), *columns.shape[1:]) for rate in rates
     )
@@ -326,9 +327,3 @@ def single_delay_columns(moments: Moments, left_inverse: Array, axes: Array, end
     return np.asarray(
         ((moments.C @ left_inverse) * last - left_inverse * first - swept) * np.sign(moments.T)[:, None, None]
     )
-
-
-def _contracted(moments: Array, weights: Array) -> Array:
-    """Σ M_ij… w_j…m (K, 3, m) of moments (K, 3, 3, …) and weights (3, …, m)."""
-    flat = weights.reshape(-1, weights.shape[-1])
-    return np.asarray(moments.reshape(len(moments), 3, len(flat)) @ flat)
