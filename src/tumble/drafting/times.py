@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from tumble.recording.columns.numbers import CENTURY
 from tumble.recording.rows.timed import leaping
 from tumble.units import TIME_UNITS, Array
 
@@ -24,7 +25,6 @@ RATES_OF_LOGS = 2.0, 20_000.0
 """Hz."""
 _SLOWEST = 0.5  # Hz, of a log that may be one
 _SHORTEST_LOG = 2.0  # s
-_CENTURY = 1.1e9, 2.2e9  # s since 1970: 2004 to 2039
 _SLOW = 5.0  # Hz: at less, dates may be what a phone has been running for, in a thousandth of their unit
 _BY_DATES = "by its dates"
 _WEIGHTS = {
@@ -229,7 +229,7 @@ def _units(stamps: Stamps, step: float) -> tuple[dict[str, float], str, tuple[st
         usual = 10.0 <= rates[name] <= 2000.0
         costs[name] += _UNLIKELY_RATE * (not usual)
         costs[name] += _UNLIKELY_SPAN * (not counts and (high - low) * TIME_UNITS[name] < _SHORTEST_LOG)
-    dated = [name for name in costs if _CENTURY[0] < low * TIME_UNITS[name] and high * TIME_UNITS[name] < _CENTURY[1]]
+    dated = [name for name in costs if CENTURY[0] < low * TIME_UNITS[name] and high * TIME_UNITS[name] < CENTURY[1]]
     if dated and (rates[dated[0]] > _SLOW or min(costs.values()) >= _UNLIKELY_RATE):
         return {dated[0]: 0.0}, _BY_DATES, ()
     ranked = dict(sorted(costs.items(), key=lambda item: item[1]))

@@ -16,12 +16,11 @@ from collections.abc import Callable
 import numpy as np
 
 from tumble.bench.record.lines import Row
+from tumble.recording.rows.gaps import JUMP
 from tumble.units import Array
 
 WAIT_SECONDS = 0.1
 MOST_WAITING = 256
-JUMP = 1.5
-"""Intervals: a longer step leaves room for rows that may still come."""
 LEAP_SECONDS = 1.0
 LEAP_INTERVALS = 10.0
 """A row that comes later than the longer of these after the last one leaps. Less would set rows apart wherever a stream

@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+from tumble.bench.record.sources import LOOPBACK
 from tumble.bench.station import Station
 from tumble.bench.web.access import Access, lasting_token
 from tumble.errors import InputError, needs_extra
 from tumble.files import nothing_left
 from tumble.recording.session_file import SESSION_FILE
 
-LOOPBACK = "127.0.0.1"
 _ANY = ("0.0.0.0", "::")
 
 

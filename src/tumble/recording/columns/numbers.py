@@ -27,7 +27,8 @@ _QUIET_SHARE = 0.4
 _FEWEST_ROWS = 200
 _ANEW = 1e-3
 _CHANGES, _SECONDS = 0.02, 1e-4  # of the steps of a time; of one in whole seconds
-_CENTURY = 1.1e9, 2.2e9  # s since 1970: 2004 to 2039
+CENTURY = 1.1e9, 2.2e9
+"""s since 1970: 2004 to 2039."""
 _SAME_NORM = 1e-5
 _ROUNDED_NORM, _UNIT_NORM, _TURNED = 3e-3, 5e-3, 0.05
 """Of quaternions that are rounded: the spread of their length, how far its mean is from 1, and the least spread of
@@ -285,7 +286,7 @@ def grows(column: Array) -> bool:
     anew = steps < -0.5 * np.ptp(read) if len(read) else np.zeros(0, dtype=bool)
     if 0 < np.count_nonzero(anew) <= max(1.0, _ANEW * len(steps)):
         steps[anew] = np.median(steps)
-    dated = len(read) > 0 and _CENTURY[0] < read[0] < _CENTURY[1]
+    dated = len(read) > 0 and CENTURY[0] < read[0] < CENTURY[1]
     if len(steps) < 10 or (steps < 0.0).any() or np.mean(steps > 0.0) < (_SECONDS if dated else _CHANGES):
         return False
     r = np.corrcoef(np.arange(len(steps) + 1), np.concatenate([[0.0], np.cumsum(steps)]))[0, 1]
