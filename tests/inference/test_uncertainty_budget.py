@@ -17,9 +17,9 @@ from tumble.inference.integral import conditional
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import Problem, Rows
 from tumble.inference.linearisation import with_priors
-from tumble.inference.maximum import Maximum, without_outliers
+from tumble.inference.maximum import Evaluated, Maximum, without_outliers
 from tumble.inference.step import solve
-from tumble.inference.uncertainty_budget import noise_roots
+from tumble.inference.uncertainty_budget import averaged, contributions, noise_roots
 from tumble.methods.ellipsoid import ellipsoid
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
@@ -68,6 +68,12 @@ OTHERS: dict[str, Callable[[], Observations]] = {
 }
 
 
+def by_source(fitted: Maximum) -> dict[str, Array]:
+    """At the hyperparameters of the maximum."""
+    here = Evaluated.of(fitted.free, fitted.entries, fitted.at, fitted.best.phi[None])
+    return averaged(np.ones(1), [contributions(here, conditional(here).mean, noise_roots(fitted.free, fitted.at))])
+
+
 @pytest.mark.parametrize("name", [*SESSIONS, *OTHERS])
 def test_the_sources_are_the_covariance(name: str) -> None:
     """At given hyperparameters, that of the elimination, biases being those of the session."""
@@ -85,7 +91,7 @@ def test_the_sources_are_the_covariance(name: str) -> None:
         to_session[biases] += along[:, q:-1]
         expected = to_session @ expected @ to_session.T
         expected[np.ix_(biases, biases)] += np.einsum("ibd,icd->bc", noise, noise)
-    found = conditional(fitted.best).covariances(noise_roots(fitted.free, fitted.at))
+    found = by_source(fitted)
     u = np.sqrt(np.diag(expected)[1:])
     together = np.sum(list(found.values()), axis=0)[1:, 1:]
     np.testing.assert_allclose(together / np.outer(u, u), expected[1:, 1:] / np.outer(u, u), rtol=0.0, atol=1e-12)
@@ -123,7 +129,7 @@ def test_every_source_is_what_a_session_varies_by_where_it_alone_does(name: str)
     error, and no other, is estimated wrongly by."""
     fitted = fitted_of(SESSIONS[name]())
     problem = at_best(fitted)[0]
-    expected = conditional(fitted.best).covariances(noise_roots(fitted.free, fitted.at))
+    expected = by_source(fitted)
     u = np.sqrt(np.sum([np.diag(each) for each in expected.values()], axis=0))[1:]
     one = OneSource(fitted, problem)
     for source, covariance in expected.items():

@@ -37,12 +37,12 @@ except ImportError:
 # C: from libc.math cimport sqrt
 # C: from libc.stdint cimport int64_t
 # C: cpdef enum:
-# C:     LANES = 32
+# C:     LANES = 48
 
 if not cython.compiled:
     from numpy import sqrt
 
-    LANES = 32
+    LANES = 48
     sums = [0.0] * LANES
 
 ROUNDING = 1e-10

@@ -32,7 +32,7 @@ import numpy as np
 from tumble.inference.in_run import mean_along
 from tumble.inference.maximum import Evaluated, Maximum
 from tumble.inference.step import Told
-from tumble.inference.uncertainty_budget import Roots, Sources, add_contributions, noise_roots
+from tumble.inference.uncertainty_budget import averaged, contributions, noise_roots
 from tumble.scipy_compiled import special
 from tumble.units import Array
 
@@ -106,10 +106,13 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
             x = np.interp(special.ndtr(own), axis.cumulative, axis.phi)
             phi[:, axis.element] = x
             log_q += np.interp(x, axis.phi, axis.log_density) + 0.5 * own**2
-    every = [(some, conditional(here)) for some, here in _at_once(fitted, phi)]
+    every, by_source, roots = list[Conditional](), [], noise_roots(fitted.free, fitted.at)
+    for _, here in _at_once(fitted, phi):
+        every.append(conditional(here))
+        by_source.append(contributions(here, every[-1].mean, roots))
 
     def of_points(name: str) -> Array:
-        return np.concatenate([getattr(each, name) for _, each in every])
+        return np.concatenate([getattr(each, name) for each in every])
 
     weight, pareto = smoothed(of_points("value") - log_q)
     effective = float(1.0 / (weight**2).sum())
@@ -118,10 +121,7 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
     steps, process = of_points("step"), of_points("process_step")
     deviations = np.sqrt(np.diagonal(of_points("covariance"), axis1=1, axis2=2))
     mean, process_mean = weight @ steps, weight @ process
-    together, roots = Sources(), noise_roots(fitted.free, fitted.at)
-    for some, each in every:
-        add_contributions(together, weight[some], fitted.at, each.here, each.mean, roots)
-    sources = together.covariances()
+    sources = averaged(weight, by_source)
     sources["hyperparameters"] = ((steps - mean).T * weight) @ (steps - mean)
     covariance = np.sum(list(sources.values()), axis=0)
     factor = _coverage_factors(steps - mean, deviations, weight, np.sqrt(np.diag(covariance)))
@@ -232,23 +232,12 @@ class Conditional:
     session, which are by the `mean` of the processes along it where there are some, and the step and the covariance of
     the biases of the processes."""
 
-    here: Evaluated
+    value: Array
     mean: tuple[Array, Array] | None
     step: Array
     covariance: Array
     process_step: Array
     process_covariance: Array
-
-    @property
-    def value(self) -> Array:
-        """ℓ."""
-        return self.here.value
-
-    def covariances(self, roots: tuple[Roots, Roots]) -> dict[str, Array]:
-        """The covariance of the step by source, with the roots of the noise of the rows."""
-        out = Sources()
-        add_contributions(out, np.ones(self.value.shape), self.here.at, self.here, self.mean, roots)
-        return out.covariances()
 
 
 def conditional(here: Evaluated) -> Conditional:
@@ -266,7 +255,7 @@ def conditional(here: Evaluated) -> Conditional:
         along = np.swapaxes(mean[1], -3, -2).reshape(*step.shape[:-1], len(biases), -1)
         covariance[..., biases[:, None], biases] += along @ np.swapaxes(along, -1, -2)
     return Conditional(
-        here=here,
+        value=here.value,
         mean=mean,
         step=step,
         covariance=covariance,

@@ -31,8 +31,6 @@ Source: JCGM 100:2008 (GUM), 5.1; EA-4/02 M:2022, section 4.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
 from tumble.inference.elimination import along_chains
@@ -42,11 +40,7 @@ from tumble.inference.linearisation import root_of_inverse
 from tumble.inference.maximum import At, Evaluated
 from tumble.inference.step import by_others, times
 from tumble.rotation import skew
-from tumble.scipy_compiled import blas
 from tumble.units import Array, IntArray
-
-MANY_ROWS = 256
-"""Rows of a source that are added at once."""
 
 Roots = tuple[dict[str, slice], Array]
 """Names of sources, and where each stands among the roots F (N, r, Q) of their covariances of rows, S = F Fᵀ over the
@@ -96,55 +90,27 @@ def noise_roots(problem: Problem, at: At) -> tuple[Roots, Roots]:
     return roots(rests, noise.rest_directions), roots(in_turns, noise.turn_directions)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Sources:
-    """The covariance of gravity and the parameters (1 + m, 1 + m) by source: rows that are yet to be added, and the
-    triangles of all others."""
+def contributions(
+    here: Evaluated, mean: tuple[Array, Array] | None, roots: tuple[Roots, Roots]
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """By source the covariance (1 + m, 1 + m) of gravity and the parameters, at hyperparameters or at a stack of them,
+    and of what is known beforehand the rows K (k, 1 + m) of which Kᵀ K is one; the biases are those of the session
+    where their `mean` is given (`mean_along`)."""
+    at, out, beforehand = here.at, dict[str, Array](), dict[str, Array]()
 
-    rows: dict[str, list[Array]] = field(default_factory=dict)
-    triangles: dict[str, Array] = field(default_factory=dict)
+    def add(name: str, K: Array) -> None:
+        """Kᵀ K of rows (…, k, y)."""
+        square = np.swapaxes(K, -1, -2) @ K
+        out[name] = out[name] + square if name in out else square
 
-    def add(self, name: str, K: Array) -> None:
-        """Σ Kᵀ K over rows (..., y)."""
-        rows = self.rows.setdefault(name, [])
-        rows.append(K.reshape(-1, K.shape[-1]))
-        if sum(map(len, rows)) >= MANY_ROWS:
-            self._fold(name)
-
-    def _fold(self, name: str) -> None:
-        rows = np.concatenate(self.rows[name])
-        before = self.triangles.get(name)
-        before = np.zeros((rows.shape[1],) * 2, order="F") if before is None else before
-        self.triangles[name] = blas.dsyrk(1.0, rows.T, 1.0, before, overwrite_c=1) if len(rows) else before
-        self.rows[name].clear()
-
-    def covariances(self) -> dict[str, Array]:
-        """Of those that there are."""
-        for name in [name for name, rows in self.rows.items() if rows]:
-            self._fold(name)
-        every = ((name, self.triangles[name]) for name in self.rows)
-        return {name: np.triu(each) + np.triu(each, 1).T for name, each in every if each.any()}
-
-
-def add_contributions(
-    out: Sources,
-    weight: Array,
-    at: At,
-    here: Evaluated,
-    mean: tuple[Array, Array] | None,
-    roots: tuple[Roots, Roots],
-) -> None:
-    """Add the covariance by source at the hyperparameters of `here`, or at a stack of them, with a weight each; the
-    biases are those of the session where their `mean` is given (`mean_along`)."""
     problem, told, known = here.problem, here.told, here.known
     d, q, size, biases = told.factor.shape[-2], len(problem.own_usual), known.parameters.shape[-1], 1 + problem.biases
     components, process, (inverse, by_next, by) = told.weights.components, told.process, told.solved
-    share, own_known = np.sqrt(weight)[..., None, None], problem.own_known[..., None]
-    reduced = by_others(problem, told)
+    stack, reduced, own_known = known.parameters.shape[:-1], by_others(problem, told), problem.own_known[..., None]
     sigma = {f"{name}.scatter": np.asarray(getattr(components, name)) for name in SCATTER}
     rooted = list[Array]()
     for (where, F), W, weights in zip(roots, (told.weights.rest, told.weights.turn), at.noise.kept, strict=True):
-        longer = np.ones((*weight.shape, F.shape[2]))
+        longer = np.ones((*stack, F.shape[2]))
         for name in where.keys() & sigma.keys():
             longer[..., where[name]] = sigma[name][..., None]
         if F is roots[0][1] and components.unlike.size:
@@ -153,11 +119,12 @@ def add_contributions(
 
     for s, part in enumerate(problem.parts):
         # Z (39): of the unknowns of the rests what is beside that by the others, N, concerns the biases alone
-        Y, own, first = share * np.eye(q + size)[q:], part.rests, part.rests.start + part.first
+        Y, own = np.tile(np.eye(q + size)[q:], (*stack, 1, 1)), part.rests
+        first, accelerometers = own.start + part.first, problem.instrument.accel.size
         places = ((own, (own,)), (part.turns, (first, first + 1)))
         if mean is not None:
-            Y[..., biases, :] += share * mean[0][..., :-1]
-            N = inverse @ (share[..., None] * np.swapaxes(mean[1], -1, -2))
+            Y[..., biases, :] += mean[0][..., :-1]
+            N = inverse @ np.swapaxes(mean[1], -1, -2)
             along_chains(by_next, N)
         Z_x = known.roots[..., s, :, :] @ (np.swapaxes(known.roots[..., s, :, :], -1, -2) @ np.swapaxes(Y, -1, -2))
 
@@ -169,32 +136,47 @@ def add_contributions(
                 for e, after in enumerate(ends):
                     K[..., biases] += rows[..., some, :, e * d : (e + 1) * d] @ N[..., after, :, :]
             F = F[..., some, :, :]
-            H = np.empty((F.shape[-1], *K.shape[:-2], size))
-            np.matmul(np.swapaxes(F, -1, -2), K, out=np.moveaxis(H, 0, -2))
+            H = np.empty((*stack, F.shape[-1], K.shape[-3], size))
+            np.matmul(np.swapaxes(F, -1, -2), K, out=np.swapaxes(H, -3, -2))
             for name, columns in where.items():
                 if np.any(sigma.get(name, 1.0)):
-                    out.add(name, H[columns])
+                    add(name, H[..., columns, :, :].reshape(*stack, -1, size))
         if process is not None:
-            states, accelerometers = times(by[..., own, 3:, :-1], Z_x), problem.instrument.accel.size
+            states = times(by[..., own, 3:, :-1], Z_x)
             if mean is not None:
                 states[..., biases] += N[..., own, 3:, :]
             rho, deviation = (each[..., own, :][..., :-1, :, None] for each in (process.rho, process.deviation))
             steps = states[..., 1:, :, :] * (1.0 / deviation)
             steps -= states[..., :-1, :, :] * (rho / deviation)
             for K in (states[..., :1, :, :], steps):
-                out.add("accel.in_run", K[..., :accelerometers, :])
-                out.add("gyro.in_run", K[..., accelerometers:, :])
+                add("accel.in_run", K[..., :accelerometers, :].reshape(*stack, -1, size))
+                add("gyro.in_run", K[..., accelerometers:, :].reshape(*stack, -1, size))
         for name, members in problem.own_members.items():
-            out.add(f"prior.{name}", Z_x[..., members, :] / own_known[..., members, :])
+            K, before = Z_x[..., members, :] / own_known[..., members, :], beforehand.get(f"prior.{name}")
+            beforehand[f"prior.{name}"] = K if before is None else np.concatenate([before, K], axis=-2)
 
     common, u, instrument = Z_x[..., q:, :], problem.measured[1], problem.instrument
     if problem.prior.covariance is not None:
-        out.add("prior", root_of_inverse(problem.prior.covariance) @ common)
+        beforehand["prior"] = root_of_inverse(problem.prior.covariance) @ common
     else:
         K = common / np.where(u > 0.0, u, np.inf)[..., None]
-        out.add("gravity", K[..., :1, :])
-        out.add("prior.linear", K[..., 1 : 1 + instrument.linear_count, :])
-        for group in instrument.further:
-            out.add(f"prior.{group.name}", K[..., 1:, :][..., instrument.members[group.name], :])
-    for array in () if at.about is None else at.about.arrays:
-        out.add("arrays", array.rows(instrument, at.point.values)[:, :-1] @ common[..., 1:, :])
+        beforehand |= {"gravity": K[..., :1, :], "prior.linear": K[..., 1 : 1 + instrument.linear_count, :]}
+        for name, members in instrument.members.items():
+            beforehand[f"prior.{name}"] = K[..., 1:, :][..., members, :]
+    arrays = () if at.about is None else at.about.arrays
+    if arrays:
+        rows = np.concatenate([array.rows(instrument, at.point.values)[:, :-1] for array in arrays])
+        beforehand["arrays"] = rows @ common[..., 1:, :]
+    return out, beforehand
+
+
+def averaged(weight: Array, points: list[tuple[dict[str, Array], dict[str, Array]]]) -> dict[str, Array]:
+    """The means by source of the contributions of stacks of points with weights (P,), where there are any."""
+    out = dict[str, Array]()
+    for name in points[0][0]:
+        out[name] = np.tensordot(weight, np.concatenate([covariances[name] for covariances, _ in points]), axes=1)
+    for name in points[0][1]:
+        K = np.concatenate([beforehand[name] for _, beforehand in points]) * np.sqrt(weight)[:, None, None]
+        K = K.reshape(-1, K.shape[-1])
+        out[name] = K.T @ K
+    return {name: covariance for name, covariance in out.items() if covariance.any()}
