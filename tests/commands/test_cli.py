@@ -183,7 +183,7 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["calibrate", "one", "one", "--out", "x.json"], "holds the same recording as one"),
         (["calibrate", "one", "other", "--out", "x.json"], "expected a launch of device 'mems-7'"),
         (["calibrate", "one", "none", "--out", "x.json"], "none/session.toml: expected a session folder"),
-        (["calibrate", "few", "--truth", "none.json"], "none.json: cannot be read: No such file or directory"),
+        (["calibrate", "few", "--truth", "none.json"], "none.json: expected a truth.json as `tumble simulate` writes"),
         (["calibrate", "few", "--truth", "few/session.toml"], "session.toml: expected a truth.json"),
         (["calibrate", "few", "--truth", "few/log.parquet"], "log.parquet: expected UTF-8 text"),
         (["inspect"], "Missing argument 'SESSION'"),

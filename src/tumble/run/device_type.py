@@ -382,14 +382,9 @@ def _of_group(
     least = max(min(most, *(float(v.min()) for v in variances)), 1e-8 * largest)
     theta = (np.arange(GRID) + 0.5) / GRID * np.log(FARTHEST * largest / least)  # τ² = least (e^θ − 1)
     tau2 = least * np.expm1(theta)
-    likelihoods, information = [], []
-    for y, v in zip(values, variances, strict=True):
-        w = 1.0 / (tau2[:, None] + v)
-        total = w.sum(axis=1)
-        mean = w @ y / total
-        log = np.log(w).sum(axis=1) - np.log(total) - (w * (y - mean[:, None]) ** 2).sum(axis=1)
-        likelihoods.append(0.5 * log)
-        information.append((w**2).sum(axis=1))
+    likelihoods, information = zip(
+        *(_restricted(*each, tau2) for each in zip(values, variances, strict=True)), strict=True
+    )
     together = np.sum(likelihoods, axis=0)
     degrees = np.array([len(y) - 1.0 for y in values])
     apart = sum(each.max() for each in likelihoods) - together.max()
@@ -412,6 +407,14 @@ def _of_group(
         )
 
 
+def _restricted(y: Array, v: Array, tau2: Array) -> tuple[Array, Array]:
+    """ℓ of Eq. (3) of values y (n,) with variances v (n,) for each τ² (k,), and Σ w²."""
+    w = 1.0 / (tau2[:, None] + v)
+    total = w.sum(axis=1)
+    off = y - (w @ y / total)[:, None]
+    return 0.5 * (np.log(w).sum(axis=1) - np.log(total) - (w * off**2).sum(axis=1)), (w**2).sum(axis=1)
+
+
 def _run_to_run(group: Mapping[str, _Recordings], launches: Sequence[KnownLaunches]) -> float | None:
     """ρ² of a group, by the restricted likelihood of single launches about the mean of their unit, and of launches
     about the mean of a calibration; None where there are no two of a unit."""
@@ -429,9 +432,7 @@ def _run_to_run(group: Mapping[str, _Recordings], launches: Sequence[KnownLaunch
     log = np.zeros(len(grid))
     floor = 1e-12 * max(sizes)
     for y, v in repeated:
-        w = 1.0 / (grid[:, None] + v + floor)
-        mean = w @ y / w.sum(axis=1)
-        log += np.log(w).sum(axis=1) - np.log(w.sum(axis=1)) - (w * (y - mean[:, None]) ** 2).sum(axis=1)
+        log += 2.0 * _restricted(y, v + floor, grid)[0]
     for degrees, s2, n2 in behind:
         log -= degrees * (np.log(grid + n2 + floor) + s2 / (grid + n2 + floor))
     return float(grid[np.argmax(log)])

@@ -127,8 +127,9 @@ def read_truth(path: Path) -> dict[str, float]:
     """True values by parameter name from a truth.json. Raises InputError for a file that is none."""
     try:
         content = json_of(text_of_document(path))
-    except ValueError as error:
-        raise InputError(f"{path}: expected a truth.json as `tumble simulate` writes it: {error}") from error
+    except (InputError, ValueError) as error:
+        said = str(error).removeprefix(f"{path}: ")
+        raise InputError(f"{path}: expected a truth.json as `tumble simulate` writes it: {said}") from error
     numbers: list[Any] = list(content.values()) if isinstance(content, dict) else [None]
     if not all(type(each) in (int, float) and abs(each) < _LARGEST for each in numbers):
         raise InputError(f"{path}: expected an object of parameter names and numbers, found something else")
