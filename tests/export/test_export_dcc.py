@@ -315,7 +315,7 @@ def test_a_fault_of_the_certificate_file_is_named_in_one_line(tmp_path: Path, ol
 
 
 def test_a_missing_certificate_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="none.toml: cannot be read: No such file"):
+    with pytest.raises(InputError, match=r"none\.toml: cannot be read: No such file"):
         read_certificate(tmp_path / "none.toml")
 
 
