@@ -69,7 +69,17 @@ def allan_deviation(samples: Array, rate: float) -> AllanDeviation:
     terms = count + 1 - 2 * sizes
     deviation = np.sqrt(sums / (2.0 * terms * sizes.astype(float) ** 2)[:, None])
     tau = sizes / rate
-    degrees = np.column_stack([_degrees(count + 1, sizes, _exponents(tau, d)) for d in deviation.T])
+    degrees, x = np.empty_like(deviation), np.log2(tau)
+    for c, column in enumerate(deviation.T):
+        # the exponent α (0, −1, −2: white noise, flicker, random walk) of the power law S ∝ f^α around each τ, from the
+        # slope −α − 1 of σ² over an octave to either side. Steeper slopes at short τ (quantisation) count as white,
+        # which understates their degrees of freedom where there are plenty
+        exponents = np.zeros(len(tau), dtype=np.int64)
+        for i, centre in enumerate(x if column.all() else ()):
+            near = np.abs(x - centre) < 1.01
+            slope = np.polyfit(x[near] - centre, 2.0 * np.log2(column[near]), 1)[0]
+            exponents[i] = -np.searchsorted([-0.5, 0.5], slope)
+        degrees[:, c] = _degrees(count + 1, sizes, exponents)
     return _with_interval(tau, deviation, degrees, (count,))
 
 
@@ -82,20 +92,6 @@ def _integral(column: Array) -> Array:
     if not np.isfinite(out[-1]):
         raise InputError("Allan deviation: expected finite samples, found NaN or infinity; repair or cut the log")
     return out
-
-
-def _exponents(tau: Array, deviation: Array) -> IntArray:
-    """Exponent α (0, −1, −2: white noise, flicker, random walk) of the power law S ∝ f^α around each τ, from the
-    slope −α − 1 of σ² over an octave to either side. Steeper slopes at short τ (quantisation) count as white,
-    which understates their degrees of freedom where there are plenty."""
-    if not deviation.all():
-        return np.zeros(len(tau), dtype=np.int64)
-    x, y = np.log2(tau), 2.0 * np.log2(deviation)
-    slope = np.empty(len(tau))
-    for i, centre in enumerate(x):
-        near = np.abs(x - centre) < 1.01
-        slope[i] = np.polyfit(x[near] - centre, y[near], 1)[0]
-    return -np.searchsorted([-0.5, 0.5], slope)
 
 
 def _degrees(points: int, sizes: IntArray, exponents: IntArray) -> Array:

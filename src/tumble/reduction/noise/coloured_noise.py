@@ -135,7 +135,16 @@ def _fit(rests: Sequence[Array]) -> ColouredNoise:
         [np.convolve(x, f, mode="valid") if len(x) >= len(f) else x[:0] for x in each]
         for each, f in zip(scaled, filters, strict=True)
     ]
-    return ColouredNoise(batch=batch, autocovariance=autocovariance, correlation=_correlation(innovations), level=level)
+    # those of filters of different order end together; channels without noise are uncorrelated
+    moments = np.zeros((channels, channels))
+    for together in zip(*innovations, strict=True):
+        shortest = min(len(x) for x in together)
+        stacked = np.array([x[len(x) - shortest :] for x in together])
+        moments += stacked @ stacked.T
+    scale = np.sqrt(np.diag(moments))
+    scale[scale == 0.0] = np.inf
+    correlation = np.where(np.eye(channels) > 0, 1.0, moments / np.outer(scale, scale))
+    return ColouredNoise(batch=batch, autocovariance=autocovariance, correlation=correlation, level=level)
 
 
 def _variance_of_mean(autocovariance: Array, batches: ArrayLike) -> Array:
@@ -172,15 +181,6 @@ def _straight(series: list[Array], autocovariance: Array) -> bool:
     return len(ratio) > 0 and float(np.cbrt(np.mean(ratio))) < 1.0 - sigma**2 - STRAIGHT_SIGMAS * sigma
 
 
-def _slope_lost(autocovariance: Array, n: int, lags: int) -> Array:
-    """By how much taking its slope off lowers the autocovariances of a rest of n samples: λ Σ q_t q_{t+j} / (n − j),
-    with the slope q and its variance λ."""
-    q = _slope(n)
-    r = np.correlate(q, q, "full")[n - 1 :]
-    variance = r[0] * autocovariance[0] + 2.0 * (r[1:] @ autocovariance[1:n])
-    return np.asarray(max(variance, 0.0) * r[:lags] / (n - np.arange(lags)))
-
-
 def _fit_channels(channels: list[list[Array]], longest: int, sloping: BoolArray) -> tuple[list[Array], Array]:
     """Prediction-error filters (1, −a₁, … −a_p) of one order and autocovariances (c, longest) of channels, each a list
     by rests; `sloping`: the slope was taken off a channel's series, as the mean always is."""
@@ -215,7 +215,11 @@ def _fit_channels(channels: list[list[Array]], longest: int, sloping: BoolArray)
             break
         lost = now
         for c in np.flatnonzero(sloping):
-            bent[c] = _slope_lost(autocovariance[c], middle, order_limit + 1)
+            # by how much taking its slope q off lowers the autocovariances of a rest: λ Σ q_t q_{t+j} / (n − j), λ its
+            # variance
+            q = np.correlate(_slope(middle), _slope(middle), "full")[middle - 1 :]
+            variance = q[0] * autocovariance[c, 0] + 2.0 * (q[1:] @ autocovariance[c, 1:middle])
+            bent[c] = max(variance, 0.0) * q[: order_limit + 1] / (middle - np.arange(order_limit + 1))
     return filters, autocovariance
 
 
@@ -245,16 +249,3 @@ def _levels(series: list[Array], autocovariance: Array) -> Array:
     beyond = np.abs(np.cbrt(power) - 1.0 + sigma**2) > LEVEL_SIGMAS * sigma
     level[long] = np.where(beyond, np.maximum(power, 1e-6), 1.0)
     return level
-
-
-def _correlation(innovations: list[list[Array]]) -> Array:
-    """Correlation matrix of the innovations of the channels, each a list by rests; filters of different order leave
-    series that end together. Channels without noise are uncorrelated."""
-    moments = np.zeros((len(innovations), len(innovations)))
-    for channels in zip(*innovations, strict=True):
-        shortest = min(len(x) for x in channels)
-        stacked = np.array([x[len(x) - shortest :] for x in channels])
-        moments += stacked @ stacked.T
-    scale = np.sqrt(np.diag(moments))
-    scale[scale == 0.0] = np.inf
-    return np.asarray(np.where(np.eye(len(moments)) > 0, 1.0, moments / np.outer(scale, scale)))
