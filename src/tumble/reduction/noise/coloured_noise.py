@@ -148,14 +148,14 @@ def _fit(rests: Sequence[Array]) -> ColouredNoise:
 
 
 def _variance_of_mean(autocovariance: Array, batches: ArrayLike) -> Array:
-    """v(K) of the module docstring by partial sums of r_j and of j r_j: of autocovariances (..., L) for one K, or of
-    those of one channel (L,) for several K, in batches."""
+    """v(K) of the module docstring by partial sums of r_j and of j r_j: of autocovariances (..., L) for one K (...), or
+    for several (..., n), in batches."""
     K = np.asarray(batches, dtype=float)
     last = np.clip(K.astype(np.int64), 1, autocovariance.shape[-1]) - 1
     r = autocovariance[..., : int(last.max()) + 1]
     sums, moments = np.cumsum(r, axis=-1)[..., last], np.cumsum(np.arange(r.shape[-1]) * r, axis=-1)[..., last]
-    variance = (2.0 * (sums - moments / K) - r[..., 0]) / K
-    return np.asarray(np.maximum(variance, LEAST * r[..., 0] / K))
+    white = r[..., :1] if K.ndim else r[..., 0]
+    return np.asarray(np.maximum((2.0 * (sums - moments / K) - white) / K, LEAST * white / K))
 
 
 def _slope(n: int) -> Array:
@@ -169,14 +169,17 @@ def _straight(series: list[Array], autocovariance: Array) -> bool:
     + third, which no slope changes, judged as a chi-square at STRAIGHT_SIGMAS (Wilson and Hilferty)."""
     if autocovariance[0] <= 0.0:
         return False
-    ratio = []
+    ratio, of_length = [], dict[int, tuple[Array, float]]()
     for x in series:
         third = len(x) // 3
         if third >= 3:
-            w = np.repeat([1.0, -2.0, 1.0], third) / third
-            r = np.correlate(w, w, "full")[len(w) - 1 :]
-            expected = r[0] * autocovariance[0] + 2.0 * (r[1:] @ autocovariance[1 : len(r)])
-            ratio.append((w @ x[: len(w)]) ** 2 / max(expected, 1e-12 * autocovariance[0]))
+            if third not in of_length:
+                w = np.repeat([1.0, -2.0, 1.0], third) / third
+                r = np.correlate(w, w, "full")[len(w) - 1 :]
+                expected = r[0] * autocovariance[0] + 2.0 * (r[1:] @ autocovariance[1 : len(r)])
+                of_length[third] = w, max(expected, 1e-12 * autocovariance[0])
+            w, expected = of_length[third]
+            ratio.append((w @ x[: len(w)]) ** 2 / expected)
     sigma = np.sqrt(2.0 / (9.0 * len(ratio))) if ratio else np.inf
     return len(ratio) > 0 and float(np.cbrt(np.mean(ratio))) < 1.0 - sigma**2 - STRAIGHT_SIGMAS * sigma
 
@@ -210,7 +213,7 @@ def _fit_channels(channels: list[list[Array]], longest: int, sloping: BoolArray)
             autocovariance[c], autocovariance[c, : best + 1] = 0.0, corrected[c, : best + 1]
             if best:
                 _kernels.continue_autocovariance(autocovariance[c], filters[c], NEGLIGIBLE)
-            now[c] = shares @ _variance_of_mean(autocovariance[c], different)
+        now[noisy] = _variance_of_mean(autocovariance[noisy], different) @ shares
         if np.all(np.abs(now - lost) <= 1e-4 * now):
             break
         lost = now
