@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import shutil
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,7 @@ settings.load_profile("tumble")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small, and tests run side by side
 MEMORY = Path("/dev/shm")  # where there is enough of it, what tests write and sync never waits for a disk
 if "TMPDIR" not in os.environ and MEMORY.is_dir() and shutil.disk_usage(MEMORY).free > 4e9:
-    os.environ["TMPDIR"] = str(MEMORY)
+    os.environ["TMPDIR"] = tempfile.tempdir = str(MEMORY)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
