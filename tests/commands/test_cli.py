@@ -185,7 +185,7 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["calibrate", "one", "none", "--out", "x.json"], "none/session.toml: expected a session folder"),
         (["calibrate", "few", "--truth", "none.json"], "none.json: expected a truth.json as `tumble simulate` writes"),
         (["calibrate", "few", "--truth", "few/session.toml"], "session.toml: expected a truth.json"),
-        (["calibrate", "few", "--truth", "few/log.parquet"], "log.parquet: expected UTF-8 text"),
+        (["calibrate", "few", "--truth", "few/log.parquet"], "log.parquet: expected a truth.json"),
         (["inspect"], "Missing argument 'SESSION'"),
         (["inspect", "none"], "none/session.toml: expected a session folder"),
         (["inspect", "one", "two"], "Got unexpected extra argument (two)"),
