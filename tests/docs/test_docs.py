@@ -137,11 +137,12 @@ def same_line(expected: str, found: str) -> bool:
 
 
 def same_number(expected: str, found: str) -> bool:
-    """Whether two numbers are the same up to LAST_DIGIT in the last digit of the expected one."""
+    """Whether two numbers are the same up to LAST_DIGIT in the last digit of the expected one, or to 1e-10 of it: of
+    numbers that are written in full the digits behind are those of a processor and its linear algebra."""
     mantissa, _, exponent = expected.partition("e")
     last = 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
     a, b = (float(number.replace("−", "-")) for number in (expected, found))
-    return abs(a - b) <= (LAST_DIGIT + 0.01) * last
+    return abs(a - b) <= max((LAST_DIGIT + 0.01) * last, 1e-10 * abs(a))
 
 
 def same_output(expected: list[str], found: list[str]) -> bool:
