@@ -36,4 +36,3 @@ def _extension(package: str, name: str, public: str) -> Any:
 
 special = _extension("special", "_ufuncs", "scipy.special")
 lapack = _extension("linalg", "_flapack", "scipy.linalg.lapack")
-blas = _extension("linalg", "_fblas", "scipy.linalg.blas")
