@@ -93,7 +93,7 @@ NO_RESULT = {
     "registry.md": 6,
     "robustness.md": 1,
     "simulation.md": 1,
-    "temperature.md": 4,
+    "temperature.md": 3,
     "thresholds.md": 2,
     "xsens.md": 4,
 }
