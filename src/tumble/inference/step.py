@@ -145,14 +145,11 @@ def tell(problem: Problem, rows: Rows, weight: Weights) -> Told:
     """What the rows of every session say by themselves."""
     process = InRun.of(problem, weight.components) if weight.components.wanders else None
     rest, turn = whitened_rows(problem, rows, weight, process)
-    (*stack, N, _, width), (*_, t, _) = rest.shape, turn.shape
+    *stack, N, _, width = rest.shape
     d = 3 if process is None else 3 + problem.sensors
-    factor, joints, size = np.empty((*stack, N, d, d + width)), turn, width - d
+    factor, size = np.empty((*stack, N, d, d + width)), width - d
     sessions = np.swapaxes(np.zeros((*stack, len(problem.parts), size, size)), -1, -2)
-    if process is not None:
-        joints = np.zeros((*stack, N, t + d - 3, d + width))
-        joints[..., problem.before_turn, :t, :] = turn
-        process.write_steps(joints[..., t:, :], d)
+    joints = turn if process is None else joining(problem, turn, process)
     begins = np.zeros((d, d + width))  # a chain of states begins as its process is
     begins[3:, 3:d] = np.eye(d - 3)
     for at in np.ndindex(*stack):
@@ -160,6 +157,18 @@ def tell(problem: Problem, rows: Rows, weight: Weights) -> Told:
             between = joints[at][part.turns if process is None else part.rests]
             eliminate(rest[at][part.rests], between, _links(part, process), factor[at][part.rests], triangle, begins)
     return Told(weights=weight, process=process, whitened=(rest, turn), factor=factor, sessions=sessions)
+
+
+def joining(problem: Problem, turn: Array, process: InRun | None) -> Array:
+    """The rows (N, t + n, 2d + p + 1) that join each rest to the next: those of its `turn`, zero where it has none, and
+    the steps of the n states of the biases."""
+    *stack, _, t, width = turn.shape
+    n = 0 if process is None else problem.sensors
+    joints = np.zeros((*stack, len(problem.link), t + n, width))
+    joints[..., problem.before_turn, :t, :] = turn
+    if process is not None:
+        process.write_steps(joints[..., t:, :], 3 + n)
+    return joints
 
 
 def _links(part: SessionSpan, process: InRun | None) -> IntArray:

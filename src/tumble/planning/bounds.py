@@ -42,7 +42,7 @@ from tumble.inference.in_run import InRun, mean_along
 from tumble.inference.likelihood import Linearised, Point, Problem
 from tumble.inference.linearisation import linearised
 from tumble.inference.sources import by_time_base, clocked
-from tumble.inference.step import tell, whitened_rows, with_own
+from tumble.inference.step import joining, tell, whitened_rows, with_own
 from tumble.inference.turns_about import TurnsAbout, own_axes, warms
 from tumble.methods.least_squares import least_squares
 from tumble.planning.expected_sizes import expected
@@ -231,11 +231,7 @@ def whitened(seen: Linearised) -> tuple[Array, Array, int]:
     process = InRun.of(seen.problem, seen.components) if seen.components.wanders else None
     rest, turn = whitened_rows(seen.problem, seen.rows, seen.noise.weights(seen.components), process)
     n = 0 if process is None else seen.problem.sensors
-    joints = np.zeros((len(rest), turn.shape[1] + n, rest.shape[2] + 3 + n))
-    joints[seen.problem.before_turn, : turn.shape[1]] = turn
-    if process is not None:
-        process.write_steps(joints[:, turn.shape[1] :], 3 + n)
-    return np.pad(rest, ((0, 0), (0, n), (0, 0))), joints[:-1], n
+    return np.pad(rest, ((0, 0), (0, n), (0, 0))), joining(seen.problem, turn, process)[:-1], n
 
 
 def begun(rest: Array, states: int) -> Array:
