@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import is_dataclass
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, get_args, get_origin, get_type_hints
 
@@ -92,6 +93,23 @@ def json_of(text: str) -> Any:
         raise ValueError(_BEYOND_MEASURE) from None
     except ValueError as fault:
         raise ValueError(_BEYOND_MEASURE if "digits" in str(fault) else str(fault)) from None
+
+
+def as_json(part: Any, by_type: Mapping[type, Callable[[Any], Any]]) -> Any:
+    """A part of a result as JSON has it: records as their fields, arrays as lists, days and times by ISO 8601, and what
+    is of a type in `by_type` as that has it."""
+    if type(part) in by_type:
+        return by_type[type(part)](part)
+    if hasattr(part, "tolist"):  # of NumPy
+        return as_json(part.tolist(), by_type)
+    if isinstance(part, date):
+        return part.isoformat()
+    if isinstance(part, list | tuple):
+        return [as_json(each, by_type) for each in part]
+    names = getattr(part, "__dataclass_fields__", None)
+    if names is not None:
+        return {name: as_json(getattr(part, name), by_type) for name in names}
+    return {key: as_json(each, by_type) for key, each in part.items()} if isinstance(part, Mapping) else part
 
 
 def _no_number(name: str) -> NoReturn:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from tumble.documents import dotted, faults_of, is_plain, json_of, shown, text_of_document
+from tumble.documents import as_json, dotted, faults_of, is_plain, json_of, shown, text_of_document
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath, whole_file
 from tumble.inference.estimate import Fit, Outcome
@@ -52,7 +52,7 @@ def content_of(calibration: Calibration) -> dict[str, Any]:
     """What the calibration file holds, as JSON has it: beside the fields the range of temperatures that the rests have,
     the lag behind the thermometer, and with each sensor model its unit and the values of the groups beyond it."""
     content: dict[str, Any] = {
-        "session" if name == "circumstances" else name: _content(getattr(calibration, name))
+        "session" if name == "circumstances" else name: as_json(getattr(calibration, name), _AS_TABLES)
         for name in calibration.__dataclass_fields__
     }
     content["iterations"] = [
@@ -92,7 +92,8 @@ def _known_content(circumstances: Circumstances) -> dict[str, Any]:
     return {key: value for key, value in content.items() if value}
 
 
-_AS_TABLES: Mapping[type, Callable[[Any], dict[str, Any]]] = {
+_AS_TABLES: Mapping[type, Callable[[Any], Any]] = {
+    np.ndarray: np.ndarray.tolist,
     Parameter: _parameter_content,
     SensorModel: lambda model: {"matrix": model.matrix.tolist(), "bias": model.bias.tolist(), "unit": ""},
     Outcome: Outcome.content,
@@ -100,20 +101,6 @@ _AS_TABLES: Mapping[type, Callable[[Any], dict[str, Any]]] = {
     Circumstances: _known_content,
 }
 """Parts that stand in the file otherwise than as their fields."""
-
-
-def _content(part: Any) -> Any:
-    """A part of a calibration as JSON has it."""
-    if isinstance(part, np.ndarray):
-        return part.tolist()
-    if isinstance(part, Mapping):
-        return {key: _content(value) for key, value in part.items()}
-    if isinstance(part, tuple):
-        return [_content(each) for each in part]
-    if type(part) in _AS_TABLES:
-        return _AS_TABLES[type(part)](part)
-    names = getattr(part, "__dataclass_fields__", None)
-    return part if names is None else {name: _content(getattr(part, name)) for name in names}
 
 
 def text_of_calibration(calibration: Calibration) -> str:

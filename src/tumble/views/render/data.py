@@ -11,27 +11,27 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, is_dataclass
-from datetime import date
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import click
-import numpy as np
 
+from tumble.documents import as_json
 from tumble.inference.estimate import Judgement
 
 Content = dict[str, Any]
+_FINITE: Mapping[type, Callable[[Any], Any]] = {float: lambda number: number if math.isfinite(number) else None}
+"""A number that is not finite is null."""
 
 
 def print_data(content: Content) -> None:
     """Print a result as JSON on standard output, in characters that every terminal has."""
-    click.echo(json.dumps({"format": 1} | _plain(content), indent=1, allow_nan=False))
+    click.echo(json.dumps({"format": 1} | as_json(content, _FINITE), indent=1, allow_nan=False))
 
 
 def print_line(content: Content) -> None:
     """The same on one line, at once."""
-    click.echo(json.dumps({"format": 1} | _plain(content), allow_nan=False))
+    click.echo(json.dumps({"format": 1} | as_json(content, _FINITE), allow_nan=False))
 
 
 def fields(result: object, names: str) -> Content:
@@ -47,18 +47,3 @@ def judged(reasons: Sequence[str]) -> Content:
 def rows(names: str, *columns: Iterable[Any]) -> list[Content]:
     """Columns of equal length as rows by the names of the columns."""
     return [dict(zip(names.split(), row, strict=True)) for row in zip(*columns, strict=True)]
-
-
-def _plain(value: Any) -> Any:
-    """A value as JSON has it; numbers that are not finite are null."""
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, date):
-        return value.isoformat()
-    if is_dataclass(value) and not isinstance(value, type):
-        return _plain(asdict(value))
-    return None if isinstance(value, float) and not math.isfinite(value) else value
