@@ -23,10 +23,10 @@ from typing import Any
 
 import numpy as np
 
-from tumble.bench.record.sources import Ended
 from tumble.bench.session_folder import session_to_record
 from tumble.bench.station import Station
 from tumble.planning.setup import Setup
+from tumble.recording.live.sources import Ended
 from tumble.run.calibrate import calibrate
 from tumble.simulation.session import simulate_session
 

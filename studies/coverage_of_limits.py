@@ -20,12 +20,12 @@ from math import inf, sqrt
 import numpy as np
 from stored import shown, store
 
-from tumble.acceptance.conformity import judge_value
 from tumble.inference.joint import joint
+from tumble.lab.conformity import judge_value
+from tumble.lab.type_spread import KnownLaunches, TypeSpread, pooled
 from tumble.planning.setup import Setup
 from tumble.result.coverage import by_gravity, degrees_of_mean, expanded
 from tumble.result.parts import Parameter
-from tumble.run.type_spread import KnownLaunches, TypeSpread, pooled
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import Scenario, scenario_of
 from tumble.units import Array

@@ -3,7 +3,7 @@
 A type is drawn once: the mean of every parameter from the usual spread of MEMS, units about it with a part of that
 spread (`SPREAD`), drifts in every recording anew. Each unit is recorded twice by hand, with all the rests and with half
 of them, and estimated by the method joint with the usual sizes of the grade. Then, for n known units out of the others,
-the recording with half the rests is combined with the type (`tumble.run.device_type`), as `tumble calibrate --registry`
+the recording with half the rests is combined with the type (`tumble.lab.device_type`), as `tumble calibrate --registry`
 does. A unit is either a complete session, or drawn by the information of one (`--linear`): then its estimate has that
 session's covariance, and thousands are cheap. Beside it stands what is possible at all: u where means and spreads of
 the type are known exactly, and the power of the best test for an outlier.
@@ -30,11 +30,11 @@ from scipy.stats import t
 from tumble.inference.estimate import Estimate
 from tumble.inference.joint import joint
 from tumble.inference.sources import UncertaintyBudget, source
+from tumble.lab.device_type import DeviceType, KnownCalibration, known_calibration, with_type
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import session_of
 from tumble.reduction.observations import Observations
 from tumble.run.calibrate import calibrate
-from tumble.run.device_type import DeviceType, KnownCalibration, known_calibration, with_type
 from tumble.run.from_estimate import learned_in, parameters_of
 from tumble.sensors.grades import spread_of
 from tumble.sensors.parameters import group_name, variable_of

@@ -30,14 +30,14 @@ from typing import Any, cast
 import numpy as np
 from sqlalchemy import func, select, text
 
-from tumble.registry.adding import Particulars, Submission, add, content_sha256
-from tumble.registry.store.connect import open_registry
-from tumble.registry.store.tables import CALIBRATION, CONTENT, LOG
+from tumble.lab.registry.adding import Particulars, Submission, add, content_sha256
+from tumble.lab.registry.store.connect import open_registry
+from tumble.lab.registry.store.tables import CALIBRATION, CONTENT, LOG
 
 PARAMETERS = 21
 LONGEST = 0.3  # s from the start of a writer, or from its first record, to the kill
 KILLS_OF_A_FILE = 50
-IMPORTED = ["numpy", "sqlalchemy.dialects.sqlite", "psycopg", "tumble.registry.adding"]
+IMPORTED = ["numpy", "sqlalchemy.dialects.sqlite", "psycopg", "tumble.lab.registry.adding"]
 
 
 def submissions(seed: int) -> Iterator[Submission]:

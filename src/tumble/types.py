@@ -18,6 +18,8 @@ from tumble.inference.estimate import Judgement as Judgement
 from tumble.inference.estimate import ProcessBias as ProcessBias
 from tumble.inference.likelihood import Linearised as Linearised
 from tumble.inference.prediction import Prediction as Prediction
+from tumble.lab.selftest import SelftestRecord as SelftestRecord
+from tumble.lab.type_spread import KnownLaunches as KnownLaunches
 from tumble.methods.ellipsoid_fit import WorstPosition as WorstPosition
 from tumble.methods.field_check import CheckResult as CheckResult
 from tumble.planning.best_positions import Aim as Aim
@@ -62,8 +64,6 @@ from tumble.result.parts import SourceContributions as SourceContributions
 from tumble.result.uncertainty_budget import BudgetLine as BudgetLine
 from tumble.run.readings_table import Nominal as Nominal
 from tumble.run.readings_table import ReadingsTable as ReadingsTable
-from tumble.run.type_spread import KnownLaunches as KnownLaunches
-from tumble.selftest import SelftestRecord as SelftestRecord
 from tumble.sensors.compensation import Compensator as Compensator
 from tumble.sensors.grades import NoiseModel as NoiseModel
 from tumble.sensors.grades import Spread as Spread

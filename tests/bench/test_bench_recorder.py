@@ -20,20 +20,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tumble.bench.follow.samples import Clock
-from tumble.bench.record.lines import MOTIONCAL_COLUMNS, Lines, Row, numbers_in
 from tumble.bench.record.order import Order
 from tumble.bench.record.recorder import Intake, Recorder
-from tumble.bench.record.sources import (
-    GrowingFile,
-    Mavlink,
-    Replay,
-    Serial,
-    StandardInput,
-    Tcp,
-    Udp,
-    line_of,
-    source_of,
-)
 from tumble.bench.record.virtual_table import VirtualTable
 from tumble.bench.session_folder import (
     MOTIONCAL_LOG,
@@ -44,6 +32,18 @@ from tumble.bench.session_folder import (
     session_to_record,
 )
 from tumble.errors import InputError
+from tumble.recording.live.lines import MOTIONCAL_COLUMNS, Lines, Row, numbers_in
+from tumble.recording.live.sources import (
+    GrowingFile,
+    Mavlink,
+    Replay,
+    Serial,
+    StandardInput,
+    Tcp,
+    Udp,
+    line_of,
+    source_of,
+)
 from tumble.recording.session import Exclusion
 from tumble.recording.session_file import read_session
 from tumble.units import G_STANDARD
@@ -407,7 +407,7 @@ def test_tcp_connections_one_after_the_other(folder: Path) -> None:
 
 
 def test_a_tcp_sender_that_lost_its_power_gives_way_to_the_next(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tumble.bench.record.sources._SILENT_SECONDS", 0.05)
+    monkeypatch.setattr("tumble.recording.live.sources._SILENT_SECONDS", 0.05)
     source = Tcp("127.0.0.1", 0)
     intake = Intake(source, session_to_record(folder))
     intake.start()
@@ -603,7 +603,7 @@ import sys
 from pathlib import Path
 from tumble.bench.session_folder import session_to_record
 from tumble.bench.record.recorder import Intake
-from tumble.bench.record.sources import GrowingFile
+from tumble.recording.live.sources import GrowingFile
 intake = Intake(GrowingFile(Path(sys.argv[2])), session_to_record(Path(sys.argv[1])))
 intake.start()
 intake._thread.join()

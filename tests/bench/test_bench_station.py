@@ -14,10 +14,10 @@ from tests.support.bench_driver import SITE, Bench
 from tests.support.browser import eventually
 from tumble.bench.follow.faults import SampleWatch
 from tumble.bench.follow.wishes import wishes
-from tumble.bench.record.sources import source_of
 from tumble.bench.station import Station, station_of
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
+from tumble.recording.live.sources import source_of
 from tumble.recording.log import open_log
 from tumble.recording.session_file import read_session
 from tumble.run.calibrate import calibrate

@@ -17,11 +17,11 @@ from click.testing import CliRunner
 from tests.support import ROOT
 from tests.support.calibrated import HEXAD, calibration, of_device
 from tests.support.exports import CERTIFICATE
-from tumble.acceptance.certificate import read_certificate
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import export_calibration
-from tumble.export.dcc import d_si
+from tumble.lab.certificate import read_certificate
+from tumble.lab.dcc import d_si
 from tumble.recording.session import AirConditions, Circumstances, Site
 from tumble.result.calibration import Calibration
 

@@ -13,10 +13,10 @@ from scipy import stats
 from tests.methods.test_ellipsoid import FOURTEEN, placed
 from tests.support.calibrated import calibration
 from tests.support.exports import CERTIFICATE
-from tumble.acceptance.conformity import judge_value
-from tumble.acceptance.limits import parse_limits
 from tumble.export import export_calibration
 from tumble.inference.estimate import Fit
+from tumble.lab.conformity import judge_value
+from tumble.lab.limits import parse_limits
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import (
     degrees_of_freedom,

@@ -18,7 +18,7 @@ from tests.use.test_applied_model import larger, read, truth
 from tumble.errors import CalibrationError, InputError
 from tumble.export import FORMATS, export_calibration
 from tumble.inference.estimate import Outcome
-from tumble.registry.adding import Particulars, read_submission
+from tumble.lab.registry.adding import Particulars, read_submission
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.sensors.parameters import sensor_kind

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 from tumble.cli import main
 from tumble.errors import InputError
+from tumble.lab.type_spread import KnownLaunches, TypeSpread
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import read_calibration
@@ -19,7 +20,6 @@ from tumble.result.coverage import expanded
 from tumble.result.parts import CalibratedTemperature, Parameter
 from tumble.run.calibrate import calibrate
 from tumble.run.launches import Run, mean_of_launches
-from tumble.run.type_spread import KnownLaunches, TypeSpread
 from tumble.sensors.parameters import group_name
 from tumble.simulation.session import simulate_session
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from tumble.acceptance.certificate import Certificate, Party, Person
 from tumble.export import FORMATS
 from tumble.export.robots import NoiseDensities
+from tumble.lab.certificate import Certificate, Party, Person
 from tumble.reduction.noise.filter_values import Densities
 
 THERMAL = tuple(name for name in FORMATS if name.endswith("-thermal"))

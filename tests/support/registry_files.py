@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from tumble.registry.store import rows
-from tumble.registry.store.connect import Registry
-from tumble.registry.types import LimitsRecord, Record
+from tumble.lab.registry.store import rows
+from tumble.lab.registry.store.connect import Registry
+from tumble.lab.registry.types import LimitsRecord, Record
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import units_of
 

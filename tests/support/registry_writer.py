@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tumble.registry.adding import Submission, add
-from tumble.registry.store.connect import open_registry
+from tumble.lab.registry.adding import Submission, add
+from tumble.lab.registry.store.connect import open_registry
 
 
 def write_all(place: str, submissions: Sequence[Submission]) -> None:

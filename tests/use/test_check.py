@@ -22,18 +22,18 @@ from tumble.inference.estimate import Outcome
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import Point, Prior, Problem
 from tumble.inference.linearisation import linearise
+from tumble.lab.registry.adding import Particulars, add, submission
+from tumble.lab.registry.series import device_launches
+from tumble.lab.registry.store.connect import open_registry
+from tumble.lab.type_spread import KnownLaunches
 from tumble.methods.field_check import CHANCE, CheckResult, _student, field_check
 from tumble.planning.setup import Setup
 from tumble.recording.session import Circumstances
 from tumble.recording.session_file import read_session
 from tumble.reduction.observations import Observations
-from tumble.registry.adding import Particulars, add, submission
-from tumble.registry.series import device_launches
-from tumble.registry.store.connect import open_registry
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.parts import CalibratedDevice, CalibratedTemperature, Launch, Member, Parameter
 from tumble.run.calibrate import calibrate
-from tumble.run.type_spread import KnownLaunches
 from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import Scenario, scenario_of

@@ -16,11 +16,11 @@ from scipy.special import ndtr
 from tests.support.calibrated import FRAMES, HEXAD, calibration, of_device
 from tumble.cli import main
 from tumble.errors import InputError
+from tumble.lab.registry.adding import Particulars, add, read_submission
+from tumble.lab.registry.monitor import monitored
+from tumble.lab.registry.store.connect import open_registry
 from tumble.planning.setup import Setup
 from tumble.recording.session import Site
-from tumble.registry.adding import Particulars, add, read_submission
-from tumble.registry.monitor import monitored
-from tumble.registry.store.connect import open_registry
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Parameter
 from tumble.run.calibrate import calibrate

@@ -17,13 +17,13 @@ import pytest
 from click.testing import CliRunner
 
 from tests.use.test_check import device, seen
-from tumble.bench.record.sources import Ended, LineSource
 from tumble.bench.watching import LiveSamples, opened
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.methods.field_check import field_check
 from tumble.methods.rest_chain import JudgedRest, RestChain
 from tumble.planning.setup import Setup
+from tumble.recording.live.sources import Ended, LineSource
 from tumble.recording.log import Chunk, open_log
 from tumble.recording.session_file import read_session, session_of
 from tumble.reduction.observations import Observations
@@ -267,7 +267,7 @@ def test_lines_on_standard_input_are_watched(folder: Path, monkeypatch: pytest.M
 
     threading.Thread(target=send, daemon=True).start()
     with os.fdopen(read) as stdin:
-        monkeypatch.setattr("tumble.bench.record.sources.sys.stdin", stdin)
+        monkeypatch.setattr("tumble.recording.live.sources.sys.stdin", stdin)
         watch, chunks = opened("stdin", read_calibration(folder / "calibration.json"), None)
         live = [event for event in watched(watch, chunks) if isinstance(event, WatchedRest)]
     recorded = [event for event in events_of(folder, "day") if isinstance(event, WatchedRest)]

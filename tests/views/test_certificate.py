@@ -18,16 +18,16 @@ from click.testing import CliRunner
 
 from tests.support.calibrated import calibration, of_device, warmed
 from tests.views.test_report import Page, opened, pdf_text
-from tumble.acceptance.certificate import Party, read_certificate
-from tumble.acceptance.conformity import judge_value
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.inference.estimate import Outcome
+from tumble.lab.certificate import Party, read_certificate
+from tumble.lab.conformity import judge_value
+from tumble.lab.registry.adding import Particulars, read_submission
 from tumble.planning.setup import Setup
 from tumble.recording.session import AirConditions, Circumstances
 from tumble.recording.session_file import session_of
-from tumble.registry.adding import Particulars, read_submission
 from tumble.result.calibration import read_calibration
 from tumble.result.coverage import expanded
 from tumble.result.further import left_by_matrix

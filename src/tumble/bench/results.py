@@ -104,11 +104,11 @@ def exported(folder: Path, to: str) -> str:
 def registered(folder: Path, place: str | None) -> str:
     """Add a calibration to the registry at `place`, as `tumble registry add` does; under which number, and what its
     limits say of it."""
-    from tumble.registry.store.connect import extra_named
+    from tumble.lab.registry.store.connect import extra_named
 
     with extra_named():
-        from tumble.registry.adding import add_calibration
-        from tumble.registry.store.connect import open_registry
+        from tumble.lab.registry.adding import add_calibration
+        from tumble.lab.registry.store.connect import open_registry
 
         with open_registry(place, create=True) as opened:
             added = add_calibration(opened, folder / CALIBRATION_FILE)

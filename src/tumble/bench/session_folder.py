@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from tumble.bench.follow.faults import Fault
-from tumble.bench.record.lines import MOTIONCAL_COLUMNS
-from tumble.bench.record.sources import is_recorded, source_of
 from tumble.bench.record.virtual_table import FULL_SCALE, GRAVITY
 from tumble.documents import text_of_document, toml_of, whole_number
 from tumble.errors import InputError, SessionError
 from tumble.files import plain_name, whole_file
+from tumble.recording.live.lines import MOTIONCAL_COLUMNS
+from tumble.recording.live.sources import is_recorded, source_of
 from tumble.recording.session import Exclusion, Session
 from tumble.recording.session_file import SESSION_FILE, read_session, write_session
 from tumble.recording.text.dialect import DIALECT_KEYS

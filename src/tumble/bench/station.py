@@ -22,11 +22,11 @@ from tumble.bench.follow.faults import Fault, faults_of_rests
 from tumble.bench.follow.live import Live
 from tumble.bench.follow.wishes import Task, Wanted
 from tumble.bench.record.recorder import NOTHING_RECEIVED, Intake
-from tumble.bench.record.sources import LineSource, source_of
 from tumble.bench.record.virtual_table import VirtualTable
 from tumble.bench.state import State, Trace
 from tumble.errors import InputError, TumbleError
 from tumble.programme.positions import programme as built_in
+from tumble.recording.live.sources import LineSource, source_of
 from tumble.recording.session_file import SESSION_FILE
 
 log = logging.getLogger(__name__)

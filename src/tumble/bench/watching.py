@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from tumble.bench.follow.samples import Clock
-from tumble.bench.record.lines import Lines
-from tumble.bench.record.sources import Ended, LineSource, source_of
 from tumble.bench.session_folder import in_si
 from tumble.errors import InputError
+from tumble.recording.live.lines import Lines
+from tumble.recording.live.sources import Ended, LineSource, source_of
 from tumble.recording.log import Chunk, open_log
 from tumble.recording.session import Session
 from tumble.recording.session_file import read_session, session_of

@@ -15,10 +15,10 @@ from tumble.errors import InputError
 
 if TYPE_CHECKING:
     from tumble.drafting.new_session import Given
+    from tumble.lab.device_type import DeviceType
+    from tumble.lab.registry.store.connect import Registry
     from tumble.planning.error_propagation import BudgetedMethod
     from tumble.planning.setup import Setup
-    from tumble.registry.store.connect import Registry
-    from tumble.run.device_type import DeviceType
 
 _Command = Callable[..., None]
 _Option = Callable[[_Command], _Command]
@@ -235,10 +235,10 @@ CLUSTER = together(
 @contextmanager
 def opened(place: str) -> Iterator[Registry]:
     """A registry, with a line for the extra where it is missing."""
-    from tumble.registry.store.connect import extra_named
+    from tumble.lab.registry.store.connect import extra_named
 
     with extra_named():
-        from tumble.registry.store.connect import open_registry
+        from tumble.lab.registry.store.connect import open_registry
 
         with open_registry(place) as registry:
             yield registry
@@ -247,6 +247,6 @@ def opened(place: str) -> Iterator[Registry]:
 def type_in(place: str, model: str) -> DeviceType:
     """A type by its units in a registry."""
     with opened(place) as registry:
-        from tumble.registry.series import device_type
+        from tumble.lab.registry.series import device_type
 
         return device_type(registry, model)

@@ -130,7 +130,7 @@ def calibrate(
                 raise InputError(f"{asked}: expected the type of the device, `model` under [device], found none")
             if known_launches is not None and model is not None:  # the launches of all devices of the type
                 with ask.opened(known_launches) as opened:
-                    from tumble.registry.series import type_spread
+                    from tumble.lab.registry.series import type_spread
 
                     words["alike"] = type_spread(opened, model, frame)
             if type_registry is not None and model is not None:

@@ -116,7 +116,7 @@ def upload(
 @ask.option("--by", "Who runs it and stands for it; default: the name of the user.", metavar="NAME")
 def selftest(out: Path | None, by: str | None) -> None:
     """Run the reference cases on this machine and compare them with published values, closed forms and truth."""
-    from tumble.selftest import run_selftest
+    from tumble.lab.selftest import run_selftest
     from tumble.views.checks import selftest_table
     from tumble.views.render.terminal import print_blocks
 

@@ -17,8 +17,8 @@ from tumble.errors import InputError
 if TYPE_CHECKING:
     from datetime import datetime
 
-    from tumble.registry.store.connect import Registry
-    from tumble.registry.types import Record
+    from tumble.lab.registry.store.connect import Registry
+    from tumble.lab.registry.types import Record
 
 
 _DAY: dict[str, Any] = {"type": click.DateTime(["%Y-%m-%d"]), "metavar": "YYYY-MM-DD"}
@@ -44,10 +44,10 @@ def _command(name: str, *, opens: bool = True) -> Callable[[Callable[..., None]]
     def made(function: Callable[..., None]) -> click.Command:
         @wraps(function)
         def in_registry(*args: Any, place: str | None, **options: Any) -> None:
-            from tumble.registry.store.connect import extra_named
+            from tumble.lab.registry.store.connect import extra_named
 
             with extra_named():
-                from tumble.registry.store.connect import open_registry
+                from tumble.lab.registry.store.connect import open_registry
 
                 if not opens:
                     function(*args, place=place, **options)
@@ -85,9 +85,9 @@ def add(
     """Add a CALIBRATION file, judge it by the limits in force, and say so. Exit status 1 if it does not pass."""
     from datetime import UTC
 
-    from tumble.registry.adding import Particulars, read_submission
-    from tumble.registry.adding import add as add_to
-    from tumble.registry.store.connect import open_registry
+    from tumble.lab.registry.adding import Particulars, read_submission
+    from tumble.lab.registry.adding import add as add_to
+    from tumble.lab.registry.store.connect import open_registry
 
     performed = None if day is None else day.replace(tzinfo=UTC)
     stated = Particulars(performed=performed, state=state or "unchanged", **particulars)
@@ -102,7 +102,7 @@ def add(
 
 def _print_record(opened: Registry, record: Record, every: bool) -> bool:
     """Print a record with the verdict on it, and whether it passes."""
-    from tumble.registry.series import calibration_in, verdict_of
+    from tumble.lab.registry.series import calibration_in, verdict_of
     from tumble.views.registry import record_blocks, record_data
 
     verdict, calibration = verdict_of(opened, record), calibration_in(opened, record, record.frame)
@@ -122,8 +122,8 @@ def _print_record(opened: Registry, record: Record, every: bool) -> bool:
 @ask.JSON
 def list_(serial: str | None, opened: Registry) -> None:
     """All devices with their latest record, or the records of the device SERIAL."""
-    from tumble.registry.due import due as due_of
-    from tumble.registry.due import records
+    from tumble.lab.registry.due import due as due_of
+    from tumble.lab.registry.due import records
     from tumble.views.registry_lists import device_table, devices_data, record_table
 
     if serial is not None:
@@ -141,7 +141,7 @@ def list_(serial: str | None, opened: Registry) -> None:
 @ask.EVERY
 def show_(number: int, out: Path | None, every: bool, opened: Registry) -> None:
     """The record NUMBER with the verdict on each parameter. Exit status 1 if it does not pass."""
-    from tumble.registry.store.rows import file_of, record_of
+    from tumble.lab.registry.store.rows import file_of, record_of
 
     with opened.reading() as connection:
         record, text = record_of(connection, number), file_of(connection, number)
@@ -163,7 +163,7 @@ def trend(serial: str, parameter: str | None, out: Path | None, every: bool, ope
     Exit status 1 if the device has changed since the calibration before by more than chance makes, in a parameter or
     in all together, as `tumble compare` says it of both.
     """
-    from tumble.registry.monitor import monitored
+    from tumble.lab.registry.monitor import monitored
     from tumble.views.registry import history_blocks, trend_blocks, trend_data
 
     found = monitored(opened, serial, parameter)
@@ -191,10 +191,10 @@ def limits(model: str | None, file: Path | None, place: str | None) -> None:
 
     Without FILE those of MODEL are shown, without MODEL those of all types are listed.
     """
-    from tumble.acceptance.limits import read_limits
-    from tumble.registry.adding import set_limits
-    from tumble.registry.store.connect import open_registry
-    from tumble.registry.store.rows import every_limits
+    from tumble.lab.limits import read_limits
+    from tumble.lab.registry.adding import set_limits
+    from tumble.lab.registry.store.connect import open_registry
+    from tumble.lab.registry.store.rows import every_limits
     from tumble.views.registry import limits_blocks
     from tumble.views.registry_lists import limits_data, limits_table
 
@@ -226,7 +226,7 @@ def due(day: datetime | None, opened: Registry) -> None:
     """
     from datetime import UTC, date, datetime
 
-    from tumble.registry.due import due as due_of
+    from tumble.lab.registry.due import due as due_of
     from tumble.views.registry_lists import due_data, due_table
 
     today = datetime.now(UTC).date() if day is None else day.date()
@@ -244,7 +244,7 @@ def datasheet(model: str, out: Path | None, opened: Registry) -> None:
     """What the units of the type MODEL are like: min, typical, max and tolerance intervals of every parameter."""
     from datetime import UTC, datetime
 
-    from tumble.registry.datasheet import datasheet as datasheet_of
+    from tumble.lab.datasheet import datasheet as datasheet_of
     from tumble.views.datasheet import datasheet_blocks, datasheet_data, write_datasheet
 
     sheet = datasheet_of(opened, model)
@@ -259,7 +259,7 @@ def datasheet(model: str, out: Path | None, opened: Registry) -> None:
 @ask.out("File to write; default: standard output.")
 def export(out: Path | None, opened: Registry) -> None:
     """Everything in the registry as JSON lines."""
-    from tumble.registry.exchange import export_lines
+    from tumble.lab.registry.exchange import export_lines
 
     if out is not None:
         _whole_new_file(out, "export", lambda: (f"{line}\n" for line in export_lines(opened)))
@@ -272,8 +272,8 @@ def export(out: Path | None, opened: Registry) -> None:
 @click.argument("file", type=ask.FILE)
 def import_(file: Path, place: str | None) -> None:
     """Add what FILE, an export, holds and the registry does not; nothing of a file that is no whole export."""
-    from tumble.registry.exchange import import_export, read_export
-    from tumble.registry.store.connect import open_registry
+    from tumble.lab.registry.exchange import import_export, read_export
+    from tumble.lab.registry.store.connect import open_registry
 
     export = read_export(file)
     with open_registry(place, create=True) as opened:

@@ -10,7 +10,7 @@ import click
 from tumble.commands import ask, tell
 
 if TYPE_CHECKING:
-    from tumble.run.type_spread import KnownLaunches
+    from tumble.lab.type_spread import KnownLaunches
 
 
 @click.command(epilog=ask.examples("tumble verify imu-7/calibration.json check-session"))
@@ -53,7 +53,7 @@ def check(calibration: Path, session: Path, out: Path | None, force: bool, known
     launches: tuple[KnownLaunches, ...] = ()
     if known_launches is not None:
         with ask.opened(known_launches) as opened:
-            from tumble.registry.series import device_launches
+            from tumble.lab.registry.series import device_launches
 
             launches = device_launches(opened, described.device.serial)
     found = check_calibration(calibration, described, launches=launches)

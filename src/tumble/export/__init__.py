@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
-    from tumble.acceptance.certificate import Certificate
     from tumble.export.exported import Exported
     from tumble.export.robots import NoiseDensities
     from tumble.files import FilePath
+    from tumble.lab.certificate import Certificate
     from tumble.recording.session import Session
     from tumble.result.calibration import Calibration
 
@@ -92,8 +92,8 @@ def export_calibration(
     >>> exported.content.splitlines()[0].split(b",")[0]
     b'# device mems-1'
     """
-    from tumble.acceptance.certificate import Certificate, read_certificate
     from tumble.export.exported import NO_MAGNETOMETER
+    from tumble.lab.certificate import Certificate, read_certificate
     from tumble.result.accepted import accepted_part
     from tumble.result.calibration import calibration_from
 

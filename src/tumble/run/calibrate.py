@@ -37,8 +37,8 @@ from tumble.sensors.grades import guessed_grade
 from tumble.sensors.parameters import Terms, usual_sizes
 
 if TYPE_CHECKING:
+    from tumble.lab.device_type import DeviceType
     from tumble.recording.arrays import Temperatures
-    from tumble.run.device_type import DeviceType
 
 _LOG = logging.getLogger(__name__)
 Method = Literal["joint", "staged", "sequential", "scalar", "ellipsoid"]
@@ -291,7 +291,7 @@ def estimated(
     by_clock = clocked(session.log.time_base_u, session.log.increments)
     observations = with_grade(session, observations, terms)
     if device_type is not None:
-        from tumble.run.device_type import with_in_run, with_type
+        from tumble.lab.device_type import with_in_run, with_type
 
         observations = with_in_run(observations, device_type)
     notes = observations.notes

@@ -22,6 +22,8 @@ from tumble.files import FilePath
 from tumble.inference.estimate import GroupFinding, Outcome
 from tumble.inference.prediction import Prediction, prediction
 from tumble.inference.sources import UncertaintyBudget, by_time_base, clocked, source
+from tumble.lab.device_type import DeviceType
+from tumble.lab.type_spread import TypeSpread, pooled
 from tumble.methods.ellipsoid_fit import TRIAD
 from tumble.recording.log import Log
 from tumble.recording.session import AirConditions, Circumstances, Session
@@ -33,10 +35,8 @@ from tumble.result.parts import CalibratedTemperature, Launch, Parameter, learne
 from tumble.result.shared_errors import by_priors
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.calibrate import DEFAULT_METHOD, Method, calibrate, provenance_of
-from tumble.run.device_type import DeviceType
 from tumble.run.magnetometer import NAMES
 from tumble.run.observed import Progress
-from tumble.run.type_spread import TypeSpread, pooled
 from tumble.sensors.frames import Convention, Frame, frame_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel

@@ -37,6 +37,7 @@ from tumble.files import FilePath
 from tumble.inference.estimate import Outcome
 from tumble.inference.prediction import prediction
 from tumble.inference.variables import variables_of
+from tumble.lab.type_spread import KnownLaunches, known_launches
 from tumble.methods.field_check import ChangedParameter, CheckResult, KnownBefore, field_check
 from tumble.planning.bounds import components_of
 from tumble.recording.session import Circumstances, Session, Site
@@ -50,7 +51,6 @@ from tumble.result.parts import learned_fraction
 from tumble.run.calibrate import grade_of, provenance_of
 from tumble.run.from_estimate import readings_of_session, reference_of, references_of
 from tumble.run.observed import inspect_session, observations_for_calibration
-from tumble.run.type_spread import KnownLaunches, known_launches
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_of, sensor_kind, shown_in, to_temperature, usual_sizes, variable_of

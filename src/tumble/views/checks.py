@@ -8,10 +8,10 @@ from dataclasses import asdict
 
 import numpy as np
 
+from tumble.lab.selftest import SelftestRecord
 from tumble.methods.field_check import CHANCE
 from tumble.methods.rest_chain import MovedBias
 from tumble.result.parts import fit_content
-from tumble.selftest import SelftestRecord
 from tumble.sensors.parameters import group_name, group_of, positions_by_group, sensor_kind, shown_in
 from tumble.units import G_STANDARD, engineering, two_digits
 from tumble.use.apply import RestResidual

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from tumble.acceptance.conformity import RESULTS, RULE
 from tumble.errors import needs_extra
 from tumble.files import ending_in, whole_file
-from tumble.registry.monitor import Monitored
-from tumble.registry.trend import YEAR, Trend
-from tumble.registry.types import STATES
+from tumble.lab.conformity import RESULTS, RULE
+from tumble.lab.registry.monitor import Monitored
+from tumble.lab.registry.trend import YEAR, Trend
+from tumble.lab.registry.types import STATES
 from tumble.result.coverage import expanded_of
 from tumble.sensors.parameters import group_name, named_group
 from tumble.views.blocks import ChartPanel, Document, Items, Panels, Part, Section, Table, Text, Tone, section

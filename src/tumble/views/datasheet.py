@@ -16,7 +16,7 @@ from tumble.views.blocks import Block, Document, Facts, Part, Table, Text, secti
 from tumble.views.render.data import Content, fields
 
 if TYPE_CHECKING:
-    from tumble.registry.datasheet import Datasheet, DatasheetRow
+    from tumble.lab.datasheet import Datasheet, DatasheetRow
 
 ENDINGS = (".md", ".html", ".pdf")
 _EXPLAINED = (

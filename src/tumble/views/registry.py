@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Container, Iterable, Mapping, Sequence
 
-from tumble.acceptance.conformity import RULE, Verdict
-from tumble.registry.adding import logs_of
-from tumble.registry.monitor import Monitored
-from tumble.registry.trend import Change, Trend
-from tumble.registry.types import LimitsRecord, Record
+from tumble.lab.conformity import RULE, Verdict
+from tumble.lab.registry.adding import logs_of
+from tumble.lab.registry.monitor import Monitored
+from tumble.lab.registry.trend import Change, Trend
+from tumble.lab.registry.types import LimitsRecord, Record
 from tumble.result.calibration import Calibration
 from tumble.sensors.parameters import beyond_linear, group_name
 from tumble.units import two_digits

@@ -10,8 +10,8 @@ from tumble.views.blocks import Table
 from tumble.views.render.data import Content, fields
 
 if TYPE_CHECKING:
-    from tumble.registry.due import Due
-    from tumble.registry.types import LimitsRecord, Record
+    from tumble.lab.registry.due import Due
+    from tumble.lab.registry.types import LimitsRecord, Record
 
 
 def day_of(moment: date) -> str:

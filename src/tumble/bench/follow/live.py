@@ -12,8 +12,8 @@ from tumble.bench.follow.faults import Fault, SampleWatch
 from tumble.bench.follow.rests import Blocks, Judged, Progress, Rest, StillLimits, calm_since, grouped
 from tumble.bench.follow.samples import Clock
 from tumble.bench.follow.wishes import Task
-from tumble.bench.record.lines import Lines
 from tumble.bench.record.recorder import growing_file
+from tumble.recording.live.lines import Lines
 from tumble.recording.log import HEAD_ROWS, Chunk
 from tumble.recording.session import Exclusion
 from tumble.reduction.blocks.reducer import Reducer, Reduction

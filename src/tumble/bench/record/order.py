@@ -15,7 +15,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tumble.bench.record.lines import Row
+from tumble.recording.live.lines import Row
 from tumble.recording.rows.gaps import JUMP
 from tumble.units import Array
 

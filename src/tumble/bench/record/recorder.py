@@ -17,11 +17,11 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from tumble.bench.record.lines import Lines, numbers_in
 from tumble.bench.record.order import Order
-from tumble.bench.record.sources import Ended, LineSource
 from tumble.bench.state import Received
 from tumble.errors import InputError
+from tumble.recording.live.lines import Lines, numbers_in
+from tumble.recording.live.sources import Ended, LineSource
 from tumble.recording.session import LogSpec, Session
 
 log = logging.getLogger(__name__)

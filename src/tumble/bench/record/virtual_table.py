@@ -12,10 +12,10 @@ import time
 import numpy as np
 from scipy.linalg import block_diag
 
-from tumble.bench.record.sources import LineSource, speed_of
 from tumble.documents import whole_number
 from tumble.earth import earth_rate
 from tumble.programme.positions import Programme, programme
+from tumble.recording.live.sources import LineSource, speed_of
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import grade, spread_of
 from tumble.sensors.model import Block

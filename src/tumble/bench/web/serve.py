@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from tumble.bench.record.sources import LOOPBACK
 from tumble.bench.station import Station
 from tumble.bench.web.access import Access, lasting_token
 from tumble.errors import InputError, needs_extra
 from tumble.files import nothing_left
+from tumble.recording.live.sources import LOOPBACK
 from tumble.recording.session_file import SESSION_FILE
 
 _ANY = ("0.0.0.0", "::")

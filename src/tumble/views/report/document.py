@@ -9,12 +9,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
-from tumble.acceptance.certificate import RELATES, STATES, Certificate, Party, check_certificate, recorded_on
-from tumble.acceptance.conformity import RESULTS, RULE, Result, Verdict, verdicts
-from tumble.acceptance.limits import Limits
-from tumble.acceptance.scope import statement_of_scope, within_scope
 from tumble.documents import check_regular
 from tumble.errors import InputError
+from tumble.lab.certificate import RELATES, STATES, Certificate, Party, check_certificate, recorded_on
+from tumble.lab.conformity import RESULTS, RULE, Result, Verdict, verdicts
+from tumble.lab.limits import Limits
+from tumble.lab.scope import statement_of_scope, within_scope
 from tumble.result import further
 from tumble.result.calibration import Calibration
 from tumble.views.blocks import Document, Facts, Items, Letterhead, Part, Section, Signature, Tone, section

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.acceptance.conformity import RESULTS, RULE, LimitJudgement, Verdict
-from tumble.acceptance.limits import Limits
 from tumble.errors import CalibrationError
+from tumble.lab.conformity import RESULTS, RULE, LimitJudgement, Verdict
+from tumble.lab.limits import Limits
 from tumble.result.accepted import WORDS, accepted_kinds
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import expanded

@@ -41,8 +41,8 @@ def write_report(
     given = [calibrations] if isinstance(calibrations, Calibration | str | os.PathLike) else calibrations
     out = Path(out)
     ending = ending_in(out, *ENDINGS)
-    from tumble.acceptance.certificate import judged_by, read_certificate
-    from tumble.acceptance.limits import limits_of
+    from tumble.lab.certificate import judged_by, read_certificate
+    from tumble.lab.limits import limits_of
 
     stated = None if certificate is None else read_certificate(Path(certificate))
     acceptance = None if stated is None else judged_by(stated)

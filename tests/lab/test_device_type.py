@@ -17,16 +17,16 @@ import tumble
 from tumble.cli import main
 from tumble.inference.estimate import Estimate
 from tumble.inference.joint import joint
+from tumble.lab.datasheet import tolerance_factor
+from tumble.lab.device_type import DeviceType, KnownCalibration, with_type
+from tumble.lab.registry.adding import add_calibration
+from tumble.lab.registry.series import device_type
+from tumble.lab.registry.store.connect import open_registry
 from tumble.planning.best_positions import plan
 from tumble.planning.bounds import stated
 from tumble.planning.setup import Setup, with_all_groups
 from tumble.reduction.observations import Observations
-from tumble.registry.adding import add_calibration
-from tumble.registry.datasheet import tolerance_factor
-from tumble.registry.series import device_type
-from tumble.registry.store.connect import open_registry
 from tumble.result.parts import Parameter
-from tumble.run.device_type import DeviceType, KnownCalibration, with_type
 from tumble.run.from_estimate import learned_in, parameters_of
 from tumble.sensors.parameters import positions_by_group
 from tumble.simulation.observations import simulate_observations

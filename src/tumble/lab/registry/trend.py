@@ -28,7 +28,7 @@ Source: Mandel & Paule, Anal. Chem. 42 (1970) 1194, for τ; JCGM 100 (GUM) G.4 f
 
 When the drift of a parameter carries it to a limit, and how well that is known.
 
-On the line of a trend (`tumble.registry.trend`) the parameter is at the time t, with Δ = t − t̄,
+On the line of a trend (`tumble.lab.registry.trend`) the parameter is at the time t, with Δ = t − t̄,
 
     y(t) = a + b Δ,   u(y)² = u_a² + 2 c Δ + u_b² Δ² + τ²                                                        (1)
 
@@ -48,9 +48,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from tumble.lab.registry.series import Series, SeriesPoint
+from tumble.lab.registry.types import Forecast
 from tumble.methods.least_squares import scatter_of
-from tumble.registry.series import Series, SeriesPoint
-from tumble.registry.types import Forecast
 from tumble.result.coverage import apart, shared_gravity
 from tumble.result.shared_errors import shared_time_base
 from tumble.scipy_compiled import special

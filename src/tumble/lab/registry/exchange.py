@@ -15,15 +15,15 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from tumble.acceptance.limits import OCCASIONS, parse_limits
 from tumble.documents import check_regular, json_of, shown
 from tumble.errors import InputError
 from tumble.files import FilePath
-from tumble.registry.adding import Particulars, Submission, add_within, is_past, submission, utc
-from tumble.registry.due import keep_forecasts
-from tumble.registry.store import rows
-from tumble.registry.store.connect import Registry
-from tumble.registry.types import STATES, LimitsRecord
+from tumble.lab.limits import OCCASIONS, parse_limits
+from tumble.lab.registry.adding import Particulars, Submission, add_within, is_past, submission, utc
+from tumble.lab.registry.due import keep_forecasts
+from tumble.lab.registry.store import rows
+from tumble.lab.registry.store.connect import Registry
+from tumble.lab.registry.types import STATES, LimitsRecord
 
 FORMAT = 1
 KIND = "tumble registry"

@@ -11,12 +11,12 @@ from scipy import stats
 
 from tests.support.registry_files import content, digest
 from tumble.errors import InputError
-from tumble.registry.adding import Particulars, add, submission, utc
-from tumble.registry.series import type_spread
-from tumble.registry.store.connect import open_registry
+from tumble.lab.registry.adding import Particulars, add, submission, utc
+from tumble.lab.registry.series import type_spread
+from tumble.lab.registry.store.connect import open_registry
+from tumble.lab.type_spread import KnownLaunches, TypeSpread, pooled
 from tumble.result.coverage import degrees_of_mean
 from tumble.result.parts import coverage_factor
-from tumble.run.type_spread import KnownLaunches, TypeSpread, pooled
 
 NAME = "accel.bias.x"
 

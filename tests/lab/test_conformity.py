@@ -11,12 +11,12 @@ import pytest
 
 from tests.support.calibrated import calibration, warmed
 from tests.support.registry_files import record
-from tumble.acceptance.conformity import verdicts
-from tumble.acceptance.limits import Limits, parse_limits
 from tumble.errors import InputError
-from tumble.registry.adding import Particulars, add, set_limits, submission
-from tumble.registry.series import verdict_of
-from tumble.registry.store.connect import open_registry
+from tumble.lab.conformity import verdicts
+from tumble.lab.limits import Limits, parse_limits
+from tumble.lab.registry.adding import Particulars, add, set_limits, submission
+from tumble.lab.registry.series import verdict_of
+from tumble.lab.registry.store.connect import open_registry
 from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import curve
 from tumble.units import G_STANDARD

@@ -23,11 +23,11 @@ from typing import Any
 
 import numpy as np
 
-from tumble.acceptance.certificate import RELATES, STATES, Certificate, Party, check_certificate, judged_by
-from tumble.acceptance.conformity import RULE, Verdict, verdicts
-from tumble.acceptance.scope import statement_of_scope, within_scope
 from tumble.errors import InputError
 from tumble.export.exported import NOT_IN_MATRIX, UNITS, Exported, example, models, not_held, one_line, origin, shown
+from tumble.lab.certificate import RELATES, STATES, Certificate, Party, check_certificate, judged_by
+from tumble.lab.conformity import RULE, Verdict, verdicts
+from tumble.lab.scope import statement_of_scope, within_scope
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.coverage import PROBABILITY, degrees_of_freedom
 from tumble.result.further import described

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import bindparam, func, insert, select
 
 from tumble.errors import InputError
-from tumble.registry.store.tables import CALIBRATION, CONTENT, FORECAST, LIMITS, LOG
-from tumble.registry.types import Forecast, LatestRecord, LimitsRecord, Record
+from tumble.lab.registry.store.tables import CALIBRATION, CONTENT, FORECAST, LIMITS, LOG
+from tumble.lab.registry.types import Forecast, LatestRecord, LimitsRecord, Record
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection

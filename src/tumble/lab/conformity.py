@@ -24,7 +24,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from tumble.acceptance.limits import OCCASIONS, Limits, Occasion
+from tumble.lab.limits import OCCASIONS, Limits, Occasion
 from tumble.result.accepted import accepted_kinds, accepted_part
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import expanded, expanded_of

@@ -24,15 +24,15 @@ from tests.support.postgresql_server import Server, postgresql_server
 from tests.support.registry_files import NAMES, content, digest, file_of, limits_records, record, write
 from tests.support.registry_writer import write_all
 from tumble.errors import InputError, MissingExtraError
-from tumble.registry import exchange
-from tumble.registry.adding import Added, Particulars, Submission, add, read_submission, set_limits, submission
-from tumble.registry.due import due, records
-from tumble.registry.exchange import Imported, export_lines, import_file
-from tumble.registry.series import calibration_in
-from tumble.registry.store import connect
-from tumble.registry.store.connect import Registry, open_registry
-from tumble.registry.store.tables import METADATA, VERSION
-from tumble.registry.types import LimitsRecord
+from tumble.lab.registry import exchange
+from tumble.lab.registry.adding import Added, Particulars, Submission, add, read_submission, set_limits, submission
+from tumble.lab.registry.due import due, records
+from tumble.lab.registry.exchange import Imported, export_lines, import_file
+from tumble.lab.registry.series import calibration_in
+from tumble.lab.registry.store import connect
+from tumble.lab.registry.store.connect import Registry, open_registry
+from tumble.lab.registry.store.tables import METADATA, VERSION
+from tumble.lab.registry.types import LimitsRecord
 
 LIMITS = 'format = 1\n[periodic]\n"accel.bias" = "5 mg"\n'
 CORRECTION = Particulars(supersedes=1, reason="wrong gravity")
@@ -594,7 +594,7 @@ def test_without_the_extra_it_is_named(module: str, tmp_path: Path) -> None:
     code = (
         f"import sys; sys.modules[{module!r}] = None\n"
         "from tumble.errors import MissingExtraError\n"
-        "from tumble.registry.store.connect import open_registry\n"
+        "from tumble.lab.registry.store.connect import open_registry\n"
         "try:\n"
         f"    with open_registry({place!r}, create=True): pass\n"
         "except MissingExtraError as error: print(error)\n"

@@ -14,17 +14,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.registry_files import content, limits_records, record, write
-from tumble.acceptance.conformity import judge, judge_value
-from tumble.acceptance.limits import Limits, months_later, parse_limits, read_limits
 from tumble.errors import InputError
-from tumble.registry import adding
-from tumble.registry.adding import Particulars, add, set_limits, submission, utc
-from tumble.registry.due import Due, due
-from tumble.registry.exchange import export_lines, import_file
-from tumble.registry.monitor import monitored
-from tumble.registry.series import verdict_of
-from tumble.registry.store import rows
-from tumble.registry.store.connect import Registry, open_registry
+from tumble.lab.conformity import judge, judge_value
+from tumble.lab.limits import Limits, months_later, parse_limits, read_limits
+from tumble.lab.registry import adding
+from tumble.lab.registry.adding import Particulars, add, set_limits, submission, utc
+from tumble.lab.registry.due import Due, due
+from tumble.lab.registry.exchange import export_lines, import_file
+from tumble.lab.registry.monitor import monitored
+from tumble.lab.registry.series import verdict_of
+from tumble.lab.registry.store import rows
+from tumble.lab.registry.store.connect import Registry, open_registry
 from tumble.result.parts import Parameter
 from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD
 from tumble.views.registry_lists import due_table

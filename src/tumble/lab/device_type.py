@@ -58,10 +58,10 @@ from tumble.errors import InputError
 from tumble.inference.estimate import Estimate
 from tumble.inference.prediction import prediction
 from tumble.inference.sources import UncertaintyBudget, source
+from tumble.lab.type_spread import KnownLaunches, known_launches
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Parameter
-from tumble.run.type_spread import KnownLaunches, known_launches
 from tumble.scipy_compiled import special
 from tumble.sensors.parameters import (
     Variable,

@@ -86,7 +86,7 @@ def open_registry(place: FilePath | None = None, *, create: bool = False) -> Ite
 
 
 def _connected(place: str | None, create: bool) -> Registry:
-    from tumble.registry.store.tables import has_tables, make_tables
+    from tumble.lab.registry.store.tables import has_tables, make_tables
 
     url = _url(place)
     file = Path(url.database or "") if _is_file(url) else None

@@ -14,19 +14,19 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import TypeVar
 
-from tumble.acceptance.conformity import Verdict, verdict_at
-from tumble.acceptance.limits import parse_limits
 from tumble.errors import InputError
+from tumble.lab.conformity import Verdict, verdict_at
+from tumble.lab.device_type import DeviceType, known_calibration
+from tumble.lab.limits import parse_limits
+from tumble.lab.registry.due import records
+from tumble.lab.registry.store import rows
+from tumble.lab.registry.store.connect import Registry
+from tumble.lab.registry.types import Record, State
+from tumble.lab.type_spread import KnownLaunches, TypeSpread, known_launches
 from tumble.recording.session import Site
-from tumble.registry.due import records
-from tumble.registry.store import rows
-from tumble.registry.store.connect import Registry
-from tumble.registry.types import Record, State
 from tumble.result.calibration import Calibration, calibration_of
 from tumble.result.coverage import by_gravity
 from tumble.result.shared_errors import by_priors, of_time_base
-from tumble.run.device_type import DeviceType, known_calibration
-from tumble.run.type_spread import KnownLaunches, TypeSpread, known_launches
 from tumble.use.compare import Comparison, compare_calibrations
 
 _Known = TypeVar("_Known")

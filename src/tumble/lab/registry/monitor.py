@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from datetime import date
 from typing import Any
 
-from tumble.acceptance.conformity import judge_value
-from tumble.acceptance.limits import Limits, parse_limits
 from tumble.errors import InputError
-from tumble.registry.series import Past, Series, latest_comparison, past_of, series_of
-from tumble.registry.store import rows
-from tumble.registry.store.connect import Registry
-from tumble.registry.trend import Trend, forecast, trend_of
-from tumble.registry.types import Forecast, LimitsRecord, Record
+from tumble.lab.conformity import judge_value
+from tumble.lab.limits import Limits, parse_limits
+from tumble.lab.registry.series import Past, Series, latest_comparison, past_of, series_of
+from tumble.lab.registry.store import rows
+from tumble.lab.registry.store.connect import Registry
+from tumble.lab.registry.trend import Trend, forecast, trend_of
+from tumble.lab.registry.types import Forecast, LimitsRecord, Record
 from tumble.use.compare import Comparison
 
 

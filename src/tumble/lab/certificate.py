@@ -23,10 +23,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from tumble.acceptance.limits import Limits, Occasion, limits_of
-from tumble.acceptance.scope import Capability
 from tumble.documents import is_plain, shown, text_of_document, toml_of, validated
 from tumble.errors import InputError
+from tumble.lab.limits import Limits, Occasion, limits_of
+from tumble.lab.scope import Capability
 
 if TYPE_CHECKING:
     from tumble.result.calibration import Calibration

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from tests.support.calibrated import calibration, warmed
 from tests.views.test_certificate import CERTIFICATE, LABORATORY, RECORDED, files
 from tests.views.test_report import Page
-from tumble.acceptance.certificate import read_certificate
-from tumble.acceptance.scope import CMC, OUTSIDE, Capability, statement_of_scope, within_scope
 from tumble.errors import InputError
 from tumble.export import export_calibration
+from tumble.lab.certificate import read_certificate
+from tumble.lab.scope import CMC, OUTSIDE, Capability, statement_of_scope, within_scope
 from tumble.result.coverage import expanded
 from tumble.result.temperature_curves import changing, curve, measured_range
 from tumble.units import G_STANDARD

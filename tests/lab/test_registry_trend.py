@@ -20,14 +20,14 @@ from matplotlib.figure import Figure
 from scipy import optimize, stats
 
 from tests.support.registry_files import content
-from tumble.acceptance.limits import read_limits
 from tumble.errors import InputError, MissingExtraError
-from tumble.registry.adding import Particulars, add, set_limits, submission, utc
-from tumble.registry.monitor import Monitored, monitored
-from tumble.registry.series import Series, SeriesPoint
-from tumble.registry.store.connect import open_registry
-from tumble.registry.trend import YEAR, Trend, forecast, trend_of
-from tumble.registry.types import State
+from tumble.lab.limits import read_limits
+from tumble.lab.registry.adding import Particulars, add, set_limits, submission, utc
+from tumble.lab.registry.monitor import Monitored, monitored
+from tumble.lab.registry.series import Series, SeriesPoint
+from tumble.lab.registry.store.connect import open_registry
+from tumble.lab.registry.trend import YEAR, Trend, forecast, trend_of
+from tumble.lab.registry.types import State
 from tumble.units import Array
 from tumble.views.control_chart import draw_panel, write_chart
 from tumble.views.registry import sparkline

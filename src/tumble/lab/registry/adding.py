@@ -13,15 +13,15 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
 
-from tumble.acceptance.conformity import verdict_at
-from tumble.acceptance.limits import Occasion, parse_limits
 from tumble.errors import InputError
 from tumble.files import FilePath
+from tumble.lab.conformity import verdict_at
+from tumble.lab.limits import Occasion, parse_limits
+from tumble.lab.registry.due import keep_forecasts
+from tumble.lab.registry.store import rows
+from tumble.lab.registry.store.connect import Registry
+from tumble.lab.registry.types import LimitsRecord, Record, State
 from tumble.recording.session.table import LONGEST_NAME
-from tumble.registry.due import keep_forecasts
-from tumble.registry.store import rows
-from tumble.registry.store.connect import Registry
-from tumble.registry.types import LimitsRecord, Record, State
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_of, text_and_name
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Literal, get_args
 
-from tumble.acceptance.limits import Occasion
+from tumble.lab.limits import Occasion
 
 State = Literal["as-found", "as-left", "unchanged"]
 STATES: tuple[State, ...] = get_args(State)

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from datetime import date
 from itertools import islice
 
-from tumble.acceptance.limits import parse_limits
 from tumble.errors import InputError
-from tumble.registry.store import rows
-from tumble.registry.store.connect import Registry
-from tumble.registry.types import Forecast, LimitsRecord, Record
+from tumble.lab.limits import parse_limits
+from tumble.lab.registry.store import rows
+from tumble.lab.registry.store.connect import Registry
+from tumble.lab.registry.types import Forecast, LimitsRecord, Record
 
 BATCH = 100
 """Forecasts that are kept in a transaction."""
@@ -121,6 +121,6 @@ def keep_forecasts(registry: Registry, serials: Collection[str] | None = None) -
 
 
 def _forecast(registry: Registry, serial: str, limits: LimitsRecord) -> Forecast | None:
-    from tumble.registry.monitor import first_forecast  # slow to import, and rarely needed to say what is due
+    from tumble.lab.registry.monitor import first_forecast  # slow to import, and rarely needed to say what is due
 
     return first_forecast(registry, serial, limits)

@@ -1,6 +1,6 @@
 """The data sheet of a device type: what its units in the registry are like, parameter by parameter.
 
-Of the n units of a parameter, each by its own recordings (`tumble.run.device_type`), the least, the mean and the
+Of the n units of a parameter, each by its own recordings (`tumble.lab.device_type`), the least, the mean and the
 largest value, their standard deviation s, and the interval that contains 95 % of all units of the type with 95 %
 confidence, where they are normally distributed,
 
@@ -29,9 +29,9 @@ from scipy.stats import chi2, ncx2
 
 from tumble.brief import Brief
 from tumble.errors import InputError
-from tumble.registry.series import device_type
-from tumble.registry.store.connect import Registry
-from tumble.run.device_type import FEWEST_UNITS
+from tumble.lab.device_type import FEWEST_UNITS
+from tumble.lab.registry.series import device_type
+from tumble.lab.registry.store.connect import Registry
 from tumble.sensors.parameters import group_name, group_of
 from tumble.units import Array
 
