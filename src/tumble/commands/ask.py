@@ -61,7 +61,7 @@ class Numbers(click.ParamType[tuple[Any, ...]]):
 PATH = _NamedPath(path_type=Path)
 FILE = _NamedPath(path_type=Path, dir_okay=False)
 FOLDER = _NamedPath(path_type=Path, file_okay=False)
-METHOD_NAMES = ["joint", "staged", "sequential", "scalar", "ellipsoid"]
+METHOD_NAMES = ["joint", "sequential", "scalar", "ellipsoid"]
 BUDGETED_METHODS: list[BudgetedMethod] = ["staged", "sequential", "scalar"]
 """Methods whose errors are known before anything is measured."""
 NUMBERS = Numbers("numbers with commas between them")

@@ -166,13 +166,13 @@ def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCours
     if programme is None or position is None:
         raise ProgrammeError(
             f"method {method.name}: expected a programme with known positions and turns, such as rough-table, "
-            "found none; give [programme] in session.toml or take the method staged"
+            "found none; give [programme] in session.toml or take the method joint"
         )
     for block in (observations.accel_block, observations.gyro_block):
         if block is not None and not block.triad:
             raise InputError(
                 f"method {method.name}: expected three sensors of a kind along the body axes, found {block.size} "
-                f"({block.kind}) with other directions; take the method staged"
+                f"({block.kind}) with other directions; take the method joint"
             )
     nominal = np.array([programme.positions[k].vertical_b for k in position])
     method.check(nominal)
@@ -183,7 +183,7 @@ def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCours
     if not np.all(np.any(np.abs(nominal) > 1.0 - STANDING, axis=0)):
         raise ProgrammeError(
             f"method {method.name}: expected rests in which X, Y and Z each are vertical, found others in the "
-            "programme; take the programme rough-table or the method staged"
+            "programme; take the programme rough-table or the method joint"
         )
     check_directions(programme)
     turns, latitude = observations.turns, observations.site.latitude
@@ -191,7 +191,7 @@ def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCours
     if latitude is None:
         raise SessionError(
             f"[site]: expected latitude_deg, from which the method {method.name} has the Earth's rate, found none; "
-            "give it or take the method staged"
+            "give it or take the method joint"
         )
     return ProgrammeCourse(
         nominal=nominal,
@@ -225,7 +225,7 @@ def _series(programme: Programme, position: IntArray, first: Sequence[int]) -> t
             if rest not in between:
                 raise ProgrammeError(
                     f"programme {programme.name}: expected the turn from rest {rest + 1} to rest {rest + 2} in the "
-                    "log, found the end of a file; record every series in one file or take the method staged"
+                    "log, found the end of a file; record every series in one file or take the method joint"
                 )
         course.append(
             tuple(
