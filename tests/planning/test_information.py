@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.formula_setup import bound_of
 from tumble.earth import earth_rate
 from tumble.inference.hyperparameters import CORRELATION_TIME
-from tumble.planning.bounds import bound_of
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.setup import Setup
 from tumble.rotation import axes_matrix, rotation_matrix, rotation_vector
