@@ -205,22 +205,17 @@ def bound_by(seen: Linearised, rate: float, clock_u: float = 0.0, by_type: Array
     )
 
 
-def whitened(seen: Linearised) -> tuple[Array, Array, int]:
+def whitened(seen: Linearised) -> tuple[Array, Array]:
     """Whitened rows as `tumble.inference.elimination` takes them: those of the rests (N, r + n, d + p + 1), with
-    d = 3 + n unknowns each, those that join each rest to the next (N − 1, t + n, 2d + p + 1), and the number n of
-    in-run biases. The last n rows of a rest are zero: where a chain begins, they are those of `begun`."""
+    d = 3 + n unknowns each, and those that join each rest to the next (N − 1, t + n, 2d + p + 1). The last n rows of
+    the first rest say that a chain begins with its n in-run biases as a stationary process has them; of others they
+    are zero."""
     process = InRun.of(seen.problem, seen.components) if seen.components.wanders else None
     rest, turn = whitened_rows(seen.problem, seen.rows, seen.noise.weights(seen.components), process)
     n = 0 if process is None else seen.problem.sensors
-    return np.pad(rest, ((0, 0), (0, n), (0, 0))), joining(seen.problem, turn, process)[:-1], n
-
-
-def begun(rest: Array, states: int) -> Array:
-    """The rows (r + n, d + p + 1) of a rest with which a chain begins: its n states are those of a stationary
-    process."""
-    out = rest.copy()
-    out[rest.shape[0] - states :, 3 : 3 + states] = np.eye(states)
-    return out
+    rest = np.pad(rest, ((0, 0), (0, n), (0, 0)))
+    rest[0, rest.shape[1] - n :, 3 : 3 + n] = np.eye(n)
+    return rest, joining(seen.problem, turn, process)[:-1]
 
 
 SHORTEST_TIME = 1e-3

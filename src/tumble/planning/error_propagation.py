@@ -97,14 +97,9 @@ class PaperProgramme:
         )
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class PaperReadings:
-    """What sensors read, many cases at once: specific forces over g and rates, rad/s, at rest (..., N, 3); `turn` takes
-    a model to the rotations (..., K, 3, 3) that are integrated with it."""
-
-    force: Array
-    rate: Array
-    turn: Callable[[SensorModel], Array]
+Readings = tuple[Array, Array, Callable[[SensorModel], Array]]
+"""What sensors read, many cases at once: specific forces over g and rates, rad/s, at rest (..., N, 3), and a function
+from a model to the rotations (..., K, 3, 3) that are integrated with it."""
 
 
 def readings_of(
@@ -116,7 +111,7 @@ def readings_of(
     rate: Array | float = 0.0,
     drift: Array | float = 0.0,
     turned: Array | float = 0.0,
-) -> PaperReadings:
+) -> Readings:
     """What sensors with the parameters X (..., 21) read in attitudes (..., N, 3, 3), with errors of the forces and
     rates at rest (..., N, 3), of the rates in turns, `drift` (..., K, 3), and of the rotations, `turned` (..., K, 3),
     rad."""
@@ -134,18 +129,17 @@ def readings_of(
         w = body @ S_t + T * (offset @ np.swapaxes(inverse, -1, -2))
         ahead = np.zeros_like(w)
         for (node, weight), there in zip(_NODES, by_earth, strict=True):
-            ahead += weight * _rotated(node * w, there @ S_t)
+            ahead += weight * (rotation_matrix(node * w) @ (there @ S_t)[..., None])[..., 0]
         return np.asarray(rotation_matrix(ahead + turned) @ rotation_matrix(w))
 
-    return PaperReadings(
-        force=accel.predict(attitudes[..., 1, :]) + force, rate=gyro.predict(earth @ attitudes) + rate, turn=turn
-    )
+    return accel.predict(attitudes[..., 1, :]) + force, gyro.predict(earth @ attitudes) + rate, turn
 
 
-def estimated(plan: PaperProgramme, seen: PaperReadings) -> Array:
+def estimated(plan: PaperProgramme, readings: Readings) -> Array:
     """The parameters (..., 21) after one pass; those of gyros that the programme does not give are zero."""
-    start, turn = (PERFECT_TRIAD, PERFECT_TRIAD), seen.turn if len(plan.first) else None
-    models = one_pass(_METHODS[plan.method], plan.course, (seen.force, seen.rate), turn, np.array(1.0), start)
+    force, rate, turn = readings
+    start, turned = (PERFECT_TRIAD, PERFECT_TRIAD), turn if len(plan.first) else None
+    models = one_pass(_METHODS[plan.method], plan.course, (force, rate), turned, np.array(1.0), start)
     (b, k, angles), of_gyro = (triad_parameters(model) for model in models)
     parts = [b, k, angles[..., ACCEL_ANGLES], *of_gyro]
     return np.concatenate([np.broadcast_to(each, (*b.shape[:-1], each.shape[-1])) for each in parts], axis=-1)
@@ -177,10 +171,3 @@ def second_order(plan: PaperProgramme) -> Array:
     Q = np.zeros((len(NAMES),) * 3)
     Q[i, j] = Q[j, i] = 0.5 * (of_two - of_one[i] - of_one[j]) / (STEPS[i] * STEPS[j])[:, None]
     return Q
-
-
-def _rotated(by: Array, vectors: Array) -> Array:
-    """Vectors (..., 3) rotated by rotation vectors (..., 3), Rodrigues."""
-    angle, once = np.linalg.norm(by, axis=-1, keepdims=True), np.cross(by, vectors)
-    half = np.sinc(0.5 * angle / np.pi)
-    return np.asarray(vectors + np.sinc(angle / np.pi) * once + 0.5 * half**2 * np.cross(by, once))

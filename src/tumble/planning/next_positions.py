@@ -18,7 +18,7 @@ import numpy as np
 
 from tumble.errors import InputError
 from tumble.inference.elimination import eliminate
-from tumble.planning.bounds import begun, instrument_of, view, whitened
+from tumble.planning.bounds import instrument_of, view, whitened
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, TRIPLES, Move, Position, from_attitudes
@@ -136,8 +136,7 @@ def next_positions(
         u = np.linalg.inv(triangles[:, 1:-1, 1:-1]) / weight[:, None]
         return np.asarray(np.sqrt((u**2).sum(axis=(1, 2)) / np.isfinite(weight).sum()))
 
-    rest, joint, states = whitened(view(itinerary_of(setup), setup, gyros=gyros))
-    rest[0] = begun(rest[0], states)
+    rest, joint = whitened(view(itinerary_of(setup), setup, gyros=gyros))
     last, shown = _eliminated(rest, joint, known)
     d = joint.shape[2] - rest.shape[2]
     ended = np.asarray(np.linalg.qr(last, mode="r"))[d:, d:]
@@ -153,7 +152,7 @@ def next_positions(
     pairs = np.stack([np.broadcast_to(end.matrix, (len(places), 3, 3)),
                       np.array([positions[i].matrix for i in places])], axis=1)  # fmt: skip
     apart = np.stack([moves, np.zeros_like(moves)], axis=1).reshape(-1, 3)[:-1]
-    rest, joint, _ = whitened(view(Itinerary.through(pairs.reshape(-1, 3, 3), apart, setup), setup, gyros=gyros))
+    rest, joint = whitened(view(Itinerary.through(pairs.reshape(-1, 3, 3), apart, setup), setup, gyros=gyros))
     chains = zip(rest[1::2], joint[::2, None], strict=True)
     values = criterion(np.array([_eliminated(np.stack([last, own]), by, shown)[1] for own, by in chains]))
     order = np.argsort(values, kind="stable")

@@ -177,8 +177,8 @@ def _noise(setup: Setup, plan: PaperProgramme) -> dict[str, Array]:
         """What unit errors of readings make of the parameters (m, 21)."""
         X, out = np.zeros((len(rest) if "turned" not in errors else len(turn), len(NAMES))), []
         for sign in (1.0, -1.0):
-            seen = readings_of(plan, X, plan.nominal, **{name: sign * step * error for name, error in errors.items()})
-            out.append(estimated(plan, seen))
+            signed = {name: sign * step * error for name, error in errors.items()}
+            out.append(estimated(plan, readings_of(plan, X, plan.nominal, **signed)))
         return np.asarray((out[0] - out[1]) / (2.0 * step))
 
     alike = np.exp(-np.abs(np.subtract.outer(*[itinerary_of(setup).rests[:, 0]] * 2)) / CORRELATION_TIME)
