@@ -274,7 +274,7 @@ def leaves(table: float, mounting: float, rest: float, method: MethodOfPaper, it
     return plan(setup, method=method, iterations=iteration).group(group, iteration).u
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(
     group=st.sampled_from(GROUPS),
     part=st.floats(0.005, 0.2),
