@@ -31,8 +31,7 @@ from tumble.inference.linearisation import linearise
 from tumble.inference.step import solve
 from tumble.inference.turns_about import TurnsAbout
 from tumble.methods.paper.four_stages import scalar, sequential
-from tumble.planning.budget import GROUPS
-from tumble.planning.setup import Setup
+from tumble.planning.setup import GROUPS, Setup
 from tumble.reduction.observations import Observations
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import Scenario, itinerary, scenario_of

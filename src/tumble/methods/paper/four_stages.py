@@ -121,12 +121,9 @@ def gyro_bias_pass(
     return before.composed(SensorModel(matrix=np.eye(3), bias=bias))
 
 
-def gyro_matrix_pass(
-    course: ProgrammeCourse, rates: Array, force: Array, C: Array, before: SensorModel, rows: Array | None = None
-) -> SensorModel:
-    """Stage 4: the gyro model after a pass, with turns C (..., K, 3, 3) integrated about the model `before`; `rows`
-    (..., 2T, 9) are those that they are solved with, of the programme where None."""
-    x = solved(course.matrix if rows is None else rows, differences(course, rates, force, C, before))
+def gyro_matrix_pass(course: ProgrammeCourse, rates: Array, force: Array, C: Array, before: SensorModel) -> SensorModel:
+    """Stage 4: the gyro model after a pass, with turns C (..., K, 3, 3) integrated about the model `before`."""
+    x = solved(course.matrix, differences(course, rates, force, C, before))
     return before.composed(triad_model(np.zeros_like(x[..., :3]), x[..., :3], x[..., 3:]))
 
 
@@ -137,7 +134,6 @@ def one_pass(
     turn: Callable[[SensorModel], Array] | None,
     gravity: Array,
     before: tuple[SensorModel, SensorModel],
-    rows: Array | None = None,
 ) -> tuple[SensorModel, SensorModel]:
     """The models of accelerometers and gyros after all stages, from readings at rest (..., N, 3) of both and from
     turns, which `turn` integrates about a model; after those of the rests without, and of accelerometers alone where
@@ -148,7 +144,7 @@ def one_pass(
         return accel, gyro
     corrected = accel.apply(force)
     gyro = gyro_bias_pass(course, rates, corrected, gyro, method)
-    return accel, gyro if turn is None else gyro_matrix_pass(course, rates, corrected, turn(gyro), gyro, rows)
+    return accel, gyro if turn is None else gyro_matrix_pass(course, rates, corrected, turn(gyro), gyro)
 
 
 def differences(course: ProgrammeCourse, rates: Array, force: Array, C: Array, model: SensorModel) -> Array:
