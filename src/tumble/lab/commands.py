@@ -238,7 +238,7 @@ def due(day: datetime | None, opened: Registry) -> None:
 
 @_command("datasheet")
 @click.argument("model")
-@ask.out("File to write: .md, .html or .pdf; default: the terminal.")
+@ask.out("File to write: .md or .html; default: the terminal.")
 @ask.JSON
 def datasheet(model: str, out: Path | None, opened: Registry) -> None:
     """What the units of the type MODEL are like: min, typical, max and tolerance intervals of every parameter."""

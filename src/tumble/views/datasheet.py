@@ -18,7 +18,7 @@ from tumble.views.render.data import Content, fields
 if TYPE_CHECKING:
     from tumble.lab.datasheet import Datasheet, DatasheetRow
 
-ENDINGS = (".md", ".html", ".pdf")
+ENDINGS = (".md", ".html")
 _EXPLAINED = (
     "Min, typical (mean) and max of the units by their own recordings; s is the standard deviation between them, of "
     "which u is what the recordings do not know; run to run is what a unit changes by from power-on to power-on. The "
@@ -114,8 +114,8 @@ def _escaped(text: str) -> str:
 
 
 def write_datasheet(sheet: Datasheet, out: Path, created: str) -> None:
-    """Write a data sheet, `created` at a time in ISO 8601, as Markdown, HTML or PDF by the ending of the file. Raises
-    InputError for another, MissingExtraError without the extra for the last two."""
+    """Write a data sheet, `created` at a time in ISO 8601, as Markdown or HTML by the ending of the file. Raises
+    InputError for another, MissingExtraError without the extra for the page."""
     ending = ending_in(out, *ENDINGS)
     blocks = datasheet_blocks(sheet)
     if ending == ".md":
@@ -133,9 +133,8 @@ def write_datasheet(sheet: Datasheet, out: Path, created: str) -> None:
             statements=(_EXPLAINED,),
             closing="End of the data sheet",
         )
-        with needs_extra("a data sheet as a page", "report", "jinja2", "matplotlib", "typst"):
-            from tumble.views.render.pages import written
-
-            content = written(document, ending)
+        with needs_extra("a data sheet as a page", "report", "jinja2"):
+            from tumble.views.render.pages import page
+        content = page(document).encode()
     with whole_file(out) as temporary:
         temporary.write_bytes(content)
