@@ -641,15 +641,16 @@ def test_results_are_printed_as_data(sessions: Path) -> None:
     done = run("calibrate", sessions / "one", "--terms", "linear", "--json")
     assert json.loads(done.stdout) == json.loads((sessions / "one/calibration.json").read_text(encoding="utf-8"))
     seen = json.loads(run("inspect", sessions / "one", "--json").stdout)
-    assert [rest["start"] for rest in seen["rests"]] == [rest["start"] for rest in json.loads(done.stdout)["rests"]]
-    assert len(seen["turns"]) == len(seen["rests"]) - 1
+    observed = seen["observations"]
+    assert [rest["start"] for rest in observed["rests"]] == [rest["start"] for rest in json.loads(done.stdout)["rests"]]
+    assert len(observed["turns"]) == len(observed["rests"]) - 1
     file = sessions / "one/calibration.json"
     compared = json.loads(run("compare", file, file, "--json").stdout)
     assert compared["verdict"] == "accepted"
-    assert {p["difference"] for p in compared["parameters"]} == {0.0}
+    assert {each["value"] for each in compared["differences"]} == {0.0}
     verified = json.loads(run("verify", file, sessions / "one", "--json").stdout)
     assert verified["verdict"] == "accepted"
-    assert len(verified["positions"]) == len(seen["rests"])
+    assert len(verified["positions"]) == len(observed["rests"])
 
 
 def test_quiet_leaves_results_reasons_and_errors(sessions: Path) -> None:
