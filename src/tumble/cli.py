@@ -70,8 +70,8 @@ STUCK_SECONDS = 5.0
 
 COMMANDS: Mapping[str, str] = {
     "From a recording to a calibration": (
-        "recordings.new recordings.inspect calibrate.calibrate calibrate.ellipsoid results.verify results.check "
-        "results.watch results.compare results.apply results.mission recordings.noise recordings.bench"
+        "recordings.new recordings.inspect calibrate.calibrate calibrate.ellipsoid results.check "
+        "results.compare results.apply recordings.noise recordings.bench"
     ),
     "Before anything is recorded": (
         "planning.programme planning.plan planning.budget planning.require planning.simulate"

@@ -387,7 +387,7 @@ class SessionRows:
 
 
 def _student(normal: Array, inverse_degrees: Array) -> Array:
-    """√(ν/χ²_ν), by which a normal number becomes one of Student's t, from a second normal number (Wilson & Hilferty)."""
+    """√(ν/χ²_ν), which makes Student's t of a normal number, from a second normal number (Wilson & Hilferty)."""
     ninth = 2.0 / 9.0 * inverse_degrees
     return np.asarray(np.maximum(1.0 - ninth + np.sqrt(ninth) * normal, _LEAST_ROOT) ** -1.5)
 

@@ -29,7 +29,7 @@ from typing import Any
 
 from tumble.documents import whole_number
 from tumble.errors import InputError, needs_extra
-from tumble.recording.session import LogSpec
+from tumble.recording.session import LogSpec, Session
 from tumble.recording.session_file import read_session
 from tumble.units import G_STANDARD
 
@@ -49,11 +49,12 @@ class Ended(Exception):  # noqa: N818
 
 class LineSource:
     """Something that sends lines. `unordered`: rows may come in another order than they were sent in; `trouble`: what
-    interrupts it."""
+    interrupts it; `session`: what describes the lines, of a session that is replayed."""
 
     name = ""
     unordered = False
     trouble: str | None = None
+    session: Session | None = None
 
     def read(self, timeout: float) -> bytes:
         """What has come, nothing after `timeout` s without. Raises Ended."""
@@ -289,7 +290,8 @@ class Replay(LineSource):
 
     def __init__(self, folder: Path, speed: float) -> None:
         self.name, self._speed = f"replay:{folder.name}@{speed:g}x", speed
-        log = read_session(folder).log
+        self.session = read_session(folder)
+        log = self.session.log
         file = log.files[0]
         if len(log.files) > 1 or not isinstance(file, Path) or log.clock:
             raise InputError(
