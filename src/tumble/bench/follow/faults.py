@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.bench.follow.rests import CALM_BLOCKS, Progress, nearest_positions, verticals
+from tumble.bench.follow.progress import LATEST_BLOCKS, Progress, nearest_positions, verticals
 from tumble.bench.follow.wishes import Task
 from tumble.programme.positions import Programme
 from tumble.programme.sheet_words import move_text
@@ -137,7 +137,7 @@ def faults_of_rests(task: Task, progress: Progress) -> Iterator[Fault]:
     if blocks.temperature is not None:
         first, limit = groups[0][0], task.wanted.warming
         change = blocks.temperature - float(blocks.temperature[first.first : first.last].mean())
-        now = float(change[-CALM_BLOCKS:].mean())
+        now = float(change[-LATEST_BLOCKS:].mean())
         if steps := int(abs(now) / limit):
             since = float(blocks.edges[int(np.argmax(np.abs(change) >= steps * limit))])
             said = (
@@ -184,7 +184,7 @@ def _off_course(task: Task, programme: Programme, progress: Progress) -> Iterato
         yield Fault(kind=kind, said=said, start=groups[k][0].start, stop=stop, place=k)
         return
     turn, turned_now = task.turn_b(len(groups)), progress.turned
-    if progress.lasts or turn is None or turned_now is None:
+    if progress.current is not None or turn is None or turned_now is None:
         return
     if -float(turned_now @ turn[0]) * np.sign(turn[1]) >= WRONG_WAY:
         said = f"this is the wrong way: wanted {move_text(task.move(len(groups)))}; turn back"
