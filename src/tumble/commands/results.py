@@ -87,7 +87,7 @@ def watch(calibration: Path, source: str, session: Path | None) -> None:
 
     Exit status 0: no change is shown; 1: something has changed.
     """
-    from tumble.bench.watching import opened
+    from tumble.use.listening import opened
     from tumble.recording.session_file import read_session
     from tumble.result.calibration import read_calibration
     from tumble.use.watch import Event, WatchedRest
