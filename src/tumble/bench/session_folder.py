@@ -130,11 +130,10 @@ _HERE = ("knock", "movement")
 
 class Answers:
     """The answers of one session, written into the session.toml of its `folder`, which left out `before` what it did.
-    `answered` are the keys of faults that are seen to; `go_on` says whether the operator wants more positions than are
-    needed."""
+    `go_on` says whether the operator wants more positions than are needed."""
 
     def __init__(self, folder: Path, before: tuple[Exclusion, ...]) -> None:
-        self.answered: set[tuple[str, int]] = set()
+        self._answered: list[Fault] = []
         self.go_on = False
         self._folder, self._before = folder, before
         self._added: list[Exclusion] = []
@@ -146,6 +145,10 @@ class Answers:
         """What is left out, last what has no end yet."""
         ended = tuple(one for one in (*self._before, *self._added) if one != self._open)
         return ended if self._open is None else (*ended, self._open.model_copy(update={"stop": math.inf}))
+
+    def has_answered(self, fault: Fault) -> bool:
+        """Whether a fault is settled."""
+        return any(fault.is_like(other) for other in self._answered)
 
     def moved(self, now: float) -> None:
         """End what is left out until the unit is moved."""
@@ -172,7 +175,7 @@ class Answers:
 
     def going_on(self, fault: Fault | None) -> str:
         if fault is not None:
-            self.answered.add(fault.key)
+            self._answered.append(fault)
             return "noted; nothing is left out"
         self.go_on = True
         return "going on"
@@ -193,7 +196,7 @@ class Answers:
         return "taken back"
 
     def _leave_out(self, fault: Fault, start: float, now: float, *, until_moved: bool) -> None:
-        self.answered.add(fault.key)
+        self._answered.append(fault)
         one = Exclusion(start=start, stop=max(now, start + 1e-3), reason=fault.said)
         self._add(one)
         if until_moved:

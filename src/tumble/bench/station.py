@@ -86,7 +86,7 @@ class Station:
         self._estimates = Estimates(self.task, self._worker)
         self._result: dict[str, Any] | None = None
         self._busy = self._message = ""
-        self._wrong: tuple[str, int] | None = None
+        self._wrong: Fault | None = None
         self._taken = 0
 
     # -------------------- running --------------------
@@ -140,10 +140,10 @@ class Station:
             fault, _ = self._present_fault()
             self._estimates.ask(progress, self._answers.excluded)
             shown = screens.screen(self.task, progress, fault, self._estimates.shown, go_on=self._answers.go_on)
-            wrong, taken = None if fault is None else fault.key, len(progress.groups)
-            if wrong not in (None, self._wrong) or taken > self._taken:
+            another = fault is not None and (self._wrong is None or not fault.is_like(self._wrong))
+            if another or len(progress.groups) > self._taken:
                 self._message = ""  # which was of what was wrong before, or of the position before
-            self._wrong, self._taken = wrong, taken
+            self._wrong, self._taken = fault, len(progress.groups)
         intake, live, device, programme = self.intake, self._live, self.task.session.device, self.task.programme
         source = "recording has stopped" if self._listen is not None else "the log of another program"
         received = NOTHING_RECEIVED if intake is None else intake.received
@@ -182,7 +182,7 @@ class Station:
         if progress is None:
             return None, 0.0
         faults = (*self._live.faults, *faults_of_rests(self.task, progress))
-        return next((fault for fault in faults if fault.key not in self._answers.answered), None), progress.now
+        return next((fault for fault in faults if not self._answers.has_answered(fault)), None), progress.now
 
     # -------------------- the buttons --------------------
 

@@ -19,6 +19,8 @@ STUCK_SECONDS = 1.0
 FULL = 0.999
 _LEAST_RUN = 20
 _AGAIN_SECONDS = 10.0
+SAME_SECONDS = 2.0
+"""Faults of one kind that begin closer together are one."""
 WRONG_WAY = 30.0 * DEGREE
 """A turn that has gone so far against its sense is wrong, before it ends."""
 KNOCK_SECONDS = 5.0
@@ -40,10 +42,9 @@ class Fault:
     place: int | None = None
     choices: tuple[str, ...] = ("again", "go_on")
 
-    @property
-    def key(self) -> tuple[str, int]:
-        """What an answer to it is kept under."""
-        return self.kind, round(self.start)
+    def is_like(self, other: Fault) -> bool:
+        """Whether this is the same as another that was seen before: where a rest begins is known to some blocks."""
+        return self.kind == other.kind and abs(self.start - other.start) < SAME_SECONDS
 
 
 # -------------------- samples --------------------

@@ -44,7 +44,7 @@ class Live:
     at : int
         Bytes of the log that were read.
     trouble : str
-        Why the log cannot be read any further; empty while it can.
+        Why the log cannot be followed; empty while it can.
     """
 
     def __init__(self, task: Task) -> None:
@@ -57,12 +57,12 @@ class Live:
         self.now: Progress | None = None
         self.faults: deque[Fault] = deque(maxlen=_MOST_FAULTS)
         self.samples = self.lost = 0
-        self.trouble = ""
+        self.trouble, self._unreadable = "", False
         spec = self._task.session.log
         self.at, self._path, self._streamed = 0, growing_file(spec), streamed
         self._lines = Lines(columns=spec.columns, clock=spec.time, refuse=lambda _: None)  # counted by who records it
         self._reducer: Reducer | None = None
-        self._gaps, self._latest, self._back = 0, 0.0, False
+        self._gaps, self._latest = 0, 0.0
         self._watches: list[SampleWatch] = []
         self._searched: tuple[int, tuple[Exclusion, ...]] = 0, ()
 
@@ -77,11 +77,12 @@ class Live:
         where a window ends."""
         try:
             for _ in range(_PIECES):
-                if self.trouble or not self._read_piece():
+                if self._unreadable or not self._read_piece():
                     break
                 if self._streamed.head < HEAD_ROWS <= self.samples:
                     self._begin(StreamedSamples(self._task.session.log, head=HEAD_ROWS))
         except LogError as error:
+            self._unreadable = True
             self.trouble = f"the log cannot be followed any further, what is received is recorded: {error}"
         if self._reducer is not None:
             reduction = replace(self._reducer.now(), gaps=tuple(self._streamed.gaps))
@@ -105,20 +106,22 @@ class Live:
         return True
 
     def _look_at_clock(self, rows: Array) -> None:
-        """Say once that the times of the rows have gone back and stay there, where the samples cannot follow."""
+        """Say that the times of the rows have gone back: no sample is settled until they are where they were."""
         spec = self._task.session.log
-        if spec.time is None or not self.samples or self._back:
+        if spec.time is None or not self.samples:
             return
         time = float(rows[-1, spec.columns.index(spec.time)]) * spec.time_factor
-        if time < self._latest - _BACK_SECONDS:
-            self._back = True
-            found = (
+        if time >= self._latest - _BACK_SECONDS:
+            self.trouble = ""
+            return
+        if not self.trouble:
+            said = (
                 f"the clock goes back from {self._latest:.1f} s to {time:.1f} s: another power-on, or wrong times before; "
                 "what follows is recorded, but such a log cannot be calibrated: record anew"
             )
-            self.faults.append(
-                Fault(kind="clock", said=found, start=self._latest, stop=self._latest, choices=("anew", "go_on"))
-            )
+            at = self._latest
+            self.faults.appendleft(Fault(kind="clock", said=said, start=at, stop=at, choices=("anew", "go_on")))
+        self.trouble = f"the clock is {self._latest - time:.0f} s behind: the page waits for it"
 
     def _take(self, chunk: Chunk, interval: float) -> None:
         """Look at samples, and feed them to the reduction."""

@@ -21,8 +21,6 @@ from tumble.sensors.model import Block
 
 FEWEST_BLOCKS = 30
 """Of a log, in which rests are looked for."""
-_SHORTEST = 3
-"""Blocks of a rest that lasts, after what is left out of it."""
 _NOISE_BLOCKS = 10
 """From which the noise of a rest is estimated, at least."""
 
@@ -73,11 +71,12 @@ def rests_so_far(
     usual = reduction.tuning
     quick = replace(usual, window=usual.short_window, rest=usual.short_window, margin_least=0.0, margin_fraction=0.0)
     with np.errstate(over="ignore", invalid="ignore"):  # of damaged samples
-        found = find_rests(replace(without_blemishes(reduction), tuning=quick), accel, gyro)
+        reduction = replace(without_blemishes(reduction), tuning=quick)
+        found = find_rests(reduction, accel, gyro)
     file, shortest = reduction.files[-1], usual.rest + 2.0 * usual.margin_least
     kept = without_times(reduction, found, excluded).rests
     ended = tuple(span for span in kept if not _lasts(span, file) and span.stop - span.start >= shortest - 1e-9)
-    lasting = tuple(span for span in kept[-1:] if _lasts(span, file) and span.last - span.first >= _SHORTEST)
+    lasting = tuple(span for span in kept[-1:] if _lasts(span, file))
     return RestsSoFar(
         rests=ended + lasting,
         still=any(_lasts(span, file) for span in found.rests[-1:]),
