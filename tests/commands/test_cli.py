@@ -28,7 +28,7 @@ from click.testing import CliRunner, Result
 
 import tumble.commands
 from tumble import __version__
-from tumble.cli import COMMANDS, first_sentence, listed, main
+from tumble.cli import first_sentence, listed, main
 from tumble.planning.setup import Setup
 from tumble.run.observed import inspect_session
 from tumble.simulation.session import simulate_session
@@ -683,7 +683,7 @@ def test_a_log_is_calibrated_without_a_session(sessions: Path) -> None:
     )
 
 
-LISTED = listed(" ".join(COMMANDS.values()))
+LISTED = {name: sentence for commands in listed().values() for name, sentence in commands.items()}
 
 
 @pytest.mark.parametrize("name", LISTED)
@@ -703,8 +703,9 @@ def test_examples_in_the_help_are_commands(name: str) -> None:
 
 
 def test_every_command_is_listed_with_its_first_sentence() -> None:
-    modules = pkgutil.iter_modules(tumble.commands.__path__, "tumble.commands.")
-    known = [value for module in modules for value in vars(importlib.import_module(module.name)).values()]
+    modules = [module.name for module in pkgutil.iter_modules(tumble.commands.__path__, "tumble.commands.")]
+    modules += ["tumble.lab.commands", "tumble.bench.commands"]
+    known = [value for module in modules for value in vars(importlib.import_module(module)).values()]
     every = [command for command in known if isinstance(command, click.Command)]
     parts = [part for command in every for part in getattr(command, "commands", {}).values()]
     assert sorted(str(command.name) for command in every if command not in parts) == sorted(LISTED)
