@@ -28,6 +28,7 @@ from tumble.result.further import (
     verdicts,
 )
 from tumble.result.parts import Parameter
+from tumble.result.unaided import unaided_lines
 from tumble.units import engineering
 from tumble.views.blocks import (
     Block,
@@ -138,6 +139,7 @@ def result(
         left = left_by_matrix(calibration)
         alone = f", with the whole correction; {left}" if left else ""
         blocks.append(f"Known to (standard uncertainty): {predicted(calibration.prediction)}{alone}.")
+        blocks += [f"{line[0].upper()}{line[1:]}." for line in unaided_lines(calibration)]
         correction = "Matrix and bias: true = matrix⁻¹ · (reading − bias)."
         if left:
             correction += f" The whole correction takes from a reading besides: {terms_of(calibration)}."
