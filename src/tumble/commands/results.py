@@ -65,17 +65,16 @@ def check(
         found = check_calibration(calibration, readings, launches=launches)
     else:
         found = check_stream(calibration, listen, session=session, show=_show)
-    written = out is not None and found.explained
-    if out is not None and written:
-        found.updated().write(out, force=force)
+    if out is not None and found.updated is not None:
+        found.updated.write(out, force=force)
     if tell.as_json() and listen is not None:
         tell.print_json(_event("check", found))
     else:
         tell.show(found, lambda: check_blocks(found, rests=listen is None))
     for note in found.notes:
         tell.say(f"note: {note}")
-    if written:
-        tell.say(f"written to {out}")
+    if out is not None:
+        tell.say(f"written to {out}" if found.updated is not None else f"not written: nothing updates it: {out}")
     tell.end(found.reasons, "changed: ")
 
 

@@ -30,7 +30,7 @@ itself, whose parameters cannot be tested with themselves, and for a calibration
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -53,7 +53,7 @@ from tumble.methods.field_check import (
 )
 from tumble.methods.rest_chain import JudgedRest
 from tumble.planning.bounds import components_of
-from tumble.recording.session import Circumstances, Session, Site
+from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.result.accepted import accepted_accelerometers
@@ -64,22 +64,13 @@ from tumble.result.launch_variances import LaunchVariances, launch_variances
 from tumble.result.parts import learned_fraction
 from tumble.run.calibrate import grade_of, provenance_of
 from tumble.run.from_estimate import readings_of_session, reference_of, references_of
-from tumble.run.observed import inspect_session, observations_for_calibration
+from tumble.run.observed import Observed, inspect_session, observations_for_calibration
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.parameters import (
-    group_name,
-    group_of,
-    positions_by_group,
-    sensor_kind,
-    shown_in,
-    to_temperature,
-    usual_sizes,
-    variable_of,
-)
+from tumble.sensors.parameters import group_of, sensor_kind, shown_in, to_temperature, usual_sizes, variable_of
 from tumble.units import ZERO_CELSIUS, engineering
 from tumble.use.apply import check_device
-from tumble.use.positions import PositionResiduals, positions_of_session, positions_of_table, residuals_in
+from tumble.use.positions import PositionResiduals, residuals_in, table_observations
 
 _FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
 _RAW = ("count", "V")
@@ -156,6 +147,9 @@ class FieldCheck(Judged):
         Whether the rests alone show no change, where no change explains the whole session.
     notes : tuple of str
         What was assumed.
+    updated : Calibration or None
+        The calibration, updated by the check: parameters that have changed are known by the check alone. None if no
+        change explains the session, and if the parameters were not tested with a session.
     """
 
     json_fields: ClassVar = (
@@ -176,7 +170,7 @@ class FieldCheck(Judged):
     misfit: Fit | None = None
     rests_agree: bool = False
     notes: tuple[str, ...] = ()
-    basis: _Basis | None = field(default=None, repr=False)
+    updated: Calibration | None = None
 
     @property
     def valid(self) -> bool:
@@ -204,55 +198,11 @@ class FieldCheck(Judged):
             "look at it with `tumble inspect`, repeat the check at rest, or calibrate",
         )
 
-    def updated(self) -> Calibration:
-        """The calibration, updated by the check.
 
-        Parameters that have changed are known by the check alone. The notes of the calibration name the check.
-
-        Raises
-        ------
-        CalibrationError
-            If no change explains the session, or the parameters were not tested with a session.
-        """
-        if not self.explained:
-            raise CalibrationError(f"{self.source}: expected a check that is explained, found {self.reasons[-1]}")
-        if self.basis is None:
-            raise CalibrationError(
-                f"{self.source}: expected a session by which the parameters are tested, found readings that test "
-                "none; check with another session of the device"
-            )
-        return _updated(self, self.basis).in_frame(self.basis.frame)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Basis:
-    """What an update of the calibration needs: the calibration in the frame `accelerometer`, its own frame, the result
-    with the instrument it is for, and the session and its temperatures, °C."""
-
-    calibration: Calibration
-    frame: str
-    result: CheckResult
-    instrument: Instrument
-    sha256: str
-    site: Site
-    circumstances: Circumstances
-    sample_rate: float
-    temperature: float | None
-    references: Mapping[str, tuple[float, ...]]
-
-
-def tested(result: CheckResult, instrument: Instrument) -> dict[str, Any]:
-    """The fields of a `FieldCheck` that describe the tests of the parameters of an instrument."""
-    determined = {group_name(name) for name in result.tests}
-    linear = positions_by_group(instrument.names[: instrument.linear_count])
-    return {
-        "unseen": tuple(group for group in linear if group not in determined),
-        "changes": result.changes,
-        "parameters": tuple(result.tests.values()),
-        "largest": result.largest,
-        "limit": result.limit,
-        "misfit": result.misfit,
-    }
+def tested(result: CheckResult) -> dict[str, Any]:
+    """The fields of a `FieldCheck` that describe the tests of the parameters."""
+    same = {name: getattr(result, name) for name in ("changes", "largest", "limit", "unseen", "misfit")}
+    return same | {"parameters": tuple(result.tests.values())}
 
 
 def change_text(change: ChangedParameter) -> str:
@@ -320,13 +270,12 @@ def check_calibration(
     >>> len(check.rests), check.valid
     (4, True)
     """
-    given = accepted_accelerometers(calibration_from(calibration), "a check has its attitudes")
-    if given.covariance is None:
-        raise CalibrationError(f"calibration of {given.serial!r}: expected one with uncertainties, found none")
+    given = accepted_for_check(calibration)
     if not isinstance(readings, Session) and not Path(readings).is_dir():
-        table = positions_of_table(given, Path(readings))
-        residuals = residuals_in(given, table)
-        rests = tuple(_rest(residuals, i, label=label) for i, label in enumerate(table.labels))
+        rows, table = table_observations(given, Path(readings))
+        residuals = residuals_in(given, rows, table.sha256)
+        labels = (f"position {i} (line {line})" for i, line in enumerate(table.lines, 1))
+        rests = tuple(_rest(residuals, i, label=label) for i, label in enumerate(labels))
         return FieldCheck(source=str(readings), rests=rests, left_out=residuals.left_out, rest_limit=residuals.limit)
     session = session_from(readings)
     check_session(given, session)
@@ -337,19 +286,19 @@ def check_calibration(
     grade, guessed_from = grade_of(session, observations)
 
     # each rest against gravity
-    positions = positions_of_session(given, observations, observed.sha256, grade)
-    residuals = residuals_in(given, positions)
+    residuals = residuals_in(given, observations, observed.sha256, grade)
     at, kelvin = observations.rests, observations.rests.temperature
+    times = zip(at.start.tolist(), at.stop.tolist(), strict=True)
     rests = tuple(
         _rest(
             residuals,
             i,
-            label=label,
-            start=float(at.start[i]),
-            stop=float(at.stop[i]),
+            label=f"rest {i + 1} ({start:z.1f}–{stop:z.1f} s)",
+            start=start,
+            stop=stop,
             celsius=None if kelvin is None else float(kelvin[i]) - ZERO_CELSIUS,
         )
-        for i, label in enumerate(positions.labels)
+        for i, (start, stop) in enumerate(times)
     )
     by_rests = FieldCheck(
         source=session.name,
@@ -378,26 +327,17 @@ def check_calibration(
     if not result.explained and observations.gyro_block is not None:
         at_rest = observations.of_accelerometers()
         rests_agree = field_check(at_rest, prior_at_check(own, at_rest, grade, sheet, launches)).valid
-    now = reference_of(observations)
-    return replace(
+    check = replace(
         by_rests,
         turns=0 if observations.turns is None else len(observations.turns),
-        **tested(result, prior.instrument),
+        **tested(result),
         rests_agree=rests_agree,
-        notes=(*by_rests.notes, *_assumptions(own, now, grade, guessed_from, launches)),
-        basis=_Basis(
-            calibration=own,
-            frame=given.frame,
-            result=result,
-            instrument=prior.instrument,
-            sha256=observed.sha256,
-            site=session.site,
-            circumstances=observed.circumstances,
-            sample_rate=observed.rate,
-            temperature=now,
-            references=references_of(observations),
-        ),
+        notes=(*by_rests.notes, *_assumptions(own, reference_of(observations), grade, guessed_from, launches)),
     )
+    if not result.explained:
+        return check
+    updated = _updated(own, check, result, prior.instrument, observations, observed)
+    return replace(check, updated=updated.in_frame(given.frame))
 
 
 def _rest(residuals: PositionResiduals, i: int, **of_rest: Any) -> CheckedRest:
@@ -429,6 +369,14 @@ def _assumptions(
         warmth = f"calibrated at {then:.1f} °C, checked at {now:.1f} °C: parameters by their slopes and curvatures"
         return turning_on, warmth
     return (turning_on,)
+
+
+def accepted_for_check(calibration: Calibration | FilePath) -> Calibration:
+    """The accepted part of a calibration; raise CalibrationError without accelerometers or uncertainties."""
+    given = accepted_accelerometers(calibration_from(calibration), "a check has its attitudes")
+    if given.covariance is None:
+        raise CalibrationError(f"calibration of {given.serial!r}: expected one with uncertainties, found none")
+    return given
 
 
 def check_session(calibration: Calibration, session: Session) -> None:
@@ -544,10 +492,16 @@ def prior_at_check(
 # -------------------- the updated calibration --------------------
 
 
-def _updated(check: FieldCheck, basis: _Basis) -> Calibration:
+def _updated(
+    before: Calibration,
+    check: FieldCheck,
+    result: CheckResult,
+    instrument: Instrument,
+    observations: Observations,
+    observed: Observed,
+) -> Calibration:
     """The calibration by the check, at the temperature of the check, in the frame `accelerometer`. Fields that describe
     the recording of the calibration are emptied."""
-    before, result, instrument = basis.calibration, basis.result, basis.instrument
     assert before.covariance is not None
     u, changed = np.sqrt(np.diag(result.covariance)), {change.name for change in result.changes}
     parameters, at = [], []
@@ -583,16 +537,16 @@ def _updated(check: FieldCheck, basis: _Basis) -> Calibration:
         prediction=predicted,
         temperature=replace(
             before.temperature,
-            reference=basis.temperature if warm else None,
+            reference=reference_of(observations) if warm else None,
             range=before.temperature_range,
-            references=basis.references if warm else {},
+            references=references_of(observations) if warm else {},
         ),
-        site=before.site if before.site == basis.site else None,
-        circumstances=basis.circumstances,
-        sample_rate=basis.sample_rate,
+        site=before.site if before.site == observations.site else None,
+        circumstances=observed.circumstances,
+        sample_rate=observed.rate,
         notes=(note, *before.notes),
         provenance={
-            **provenance_of(basis.sha256),
+            **provenance_of(observed.sha256),
             "calibrated_log_sha256": before.provenance.get("log_sha256", "unknown"),
         },
         iterations=(),

@@ -31,7 +31,7 @@ where s_g is the standard deviation from launch to launch that is usual for the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -41,10 +41,11 @@ from tumble.inference.estimate import Fit
 from tumble.inference.variables import sensors_at
 from tumble.methods.least_squares import sigmas
 from tumble.reduction.observations import Observations
+from tumble.reduction.rests.rests import Rests
 from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration
 from tumble.run.case import Verticals, verticals_of
-from tumble.run.readings_table import read_table
+from tumble.run.readings_table import ReadingsTable, read_table
 from tumble.scipy_compiled import special
 from tumble.sensors.frames import Convention, frame_of, triad_axes
 from tumble.sensors.grades import TURN_ON, spread_of
@@ -62,39 +63,6 @@ variances that integrate over the scatter, and known to some hundredths."""
 
 _OVER_TEMPERATURE: dict[Variable, int] = {"temperature": 1, "temperature²": 2}
 """Variables that a reading at some temperature depends on, and their powers."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class CheckPositions:
-    """Readings at rest in N positions, SI.
-
-    Attributes
-    ----------
-    block : Block
-        The accelerometers.
-    readings, covariance : (N, n) and (N, n, n) array
-        Mean readings and their covariances.
-    labels : tuple of str
-        Names of the positions.
-    gravity, gravity_u : float
-        Gravity and its standard uncertainty, m/s².
-    sha256 : str
-        SHA-256 of the source.
-    celsius : (N, n) array or None
-        Temperatures of the sensors, °C.
-    grade : str or None
-        Grade of the device.
-    """
-
-    block: Block
-    readings: Array
-    covariance: Array
-    labels: tuple[str, ...]
-    gravity: float
-    gravity_u: float
-    sha256: str
-    celsius: Array | None = None
-    grade: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -123,38 +91,8 @@ class PositionResiduals:
     by_turn_on: bool = False
 
 
-def positions_of_session(
-    calibration: Calibration, observations: Observations, sha256: str, grade: str
-) -> CheckPositions:
-    """The rests of a session as positions; the sensors follow their thermometers with the lag of the calibration."""
-    rests, site = observations.rests, observations.site
-    return CheckPositions(
-        block=observations.accel_block,
-        readings=rests.accel,
-        covariance=rests.accel_covariance,
-        labels=tuple(
-            f"rest {i} ({start:z.1f}–{stop:z.1f} s)"
-            for i, (start, stop) in enumerate(zip(rests.start, rests.stop, strict=True), 1)
-        ),
-        gravity=site.gravity,
-        gravity_u=site.gravity_u,
-        sha256=sha256,
-        celsius=_celsius(calibration, observations),
-        grade=grade,
-    )
-
-
-def _celsius(calibration: Calibration, observations: Observations) -> Array | None:
-    """Temperatures (N, n), °C, of the accelerometers at rest; None without thermometers."""
-    kelvin = observations.rests.temperatures
-    if kelvin is None:
-        return None
-    lag = 0.0 if calibration.accel is None else calibration.compensator.lag
-    return sensors_at(observations, kelvin, lag)[:, observations.accel_block.thermometer] - ZERO_CELSIUS
-
-
-def positions_of_table(calibration: Calibration, path: Path) -> CheckPositions:
-    """The rows of a table of readings as positions.
+def table_observations(calibration: Calibration, path: Path) -> tuple[Observations, ReadingsTable]:
+    """The rows of a table of readings as rests, and the table.
 
     They have the unit and the scale of the readings that the calibration was made from, and its gravity. Their noise is
     that of its rests, or that of a row of its table.
@@ -174,25 +112,26 @@ def positions_of_table(calibration: Calibration, path: Path) -> CheckPositions:
         )
 
     # the variance of a row beside the scatter: of a row of its table, or of a mean as long as the rests
-    rests = [(np.array(r.accel.noise), r.stop - r.start) for r in calibration.rests if r.accel is not None]
+    before = [(np.array(r.accel.noise), r.stop - r.start) for r in calibration.rests if r.accel is not None]
     variance = np.array(worth.row_u) ** 2 if worth.row_u else np.zeros(3)
-    if rests and not worth.row_u:
-        variance = np.median([noise**2 / duration for noise, duration in rests], axis=0)
+    if before and not worth.row_u:
+        variance = np.median([noise**2 / duration for noise, duration in before], axis=0)
     elif not worth.row_u and _accelerometer_fit(calibration).scatter == 0.0:
         raise CalibrationError(
             f"calibration of {calibration.serial!r}: expected one that says how uncertain a reading is, found no "
             "scatter in it: it has as many positions as parameters; calibrate with more"
         )
     readings = (table.values - np.array(worth.offset)) / np.array(worth.scale)
-    return CheckPositions(
-        block=Block(kind="accel", axes=triad_axes(calibration.accel.matrix)),
-        readings=readings,
-        covariance=np.broadcast_to(np.diag(variance), (len(readings), 3, 3)),
-        labels=tuple(f"position {i} (line {line})" for i, line in enumerate(table.lines, 1)),
-        gravity=calibration.site.gravity,
-        gravity_u=calibration.site.gravity_u,
-        sha256=table.sha256,
+    N, none = len(readings), np.zeros((len(readings), 0))
+    start = np.arange(float(N))
+    rests = Rests.of_white_noise(start, start + 1.0, accel=readings, gyro=none, densities=(0.0, 0.0))
+    observations = Observations(
+        accel_block=Block(kind="accel", axes=triad_axes(calibration.accel.matrix)),
+        gyro_block=None,
+        site=calibration.site,
+        rests=replace(rests, accel_covariance=np.broadcast_to(np.diag(variance), (N, 3, 3))),
     )
+    return observations, table
 
 
 def _accelerometer_fit(calibration: Calibration) -> Fit:
@@ -200,8 +139,19 @@ def _accelerometer_fit(calibration: Calibration) -> Fit:
     return calibration.fits.get("accelerometers", nothing)
 
 
-def residuals_in(calibration: Calibration, positions: CheckPositions) -> PositionResiduals:
+def residuals_in(
+    calibration: Calibration, observations: Observations, sha256: str, grade: str | None = None
+) -> PositionResiduals:
     """Differences in check positions by an accepted calibration, Eq. (1) to (4).
+
+    Parameters
+    ----------
+    observations
+        The positions, as rests.
+    sha256
+        SHA-256 of their log or table.
+    grade
+        Grade of the device, for Eq. (4).
 
     Raises
     ------
@@ -211,28 +161,29 @@ def residuals_in(calibration: Calibration, positions: CheckPositions) -> Positio
         For positions of other sensors, of one of several launches behind the calibration, or where each of its own
         positions is determined by nothing but itself.
     """
-    seen, J, names, length = _seen(calibration, positions)
+    seen, J, names, length = _seen(calibration, observations)
+    rests, there, block = observations.rests, observations.site, observations.accel_block
     assert calibration.accel is not None
-    if any(launch.log_sha256 == positions.sha256 for launch in calibration.launches):
+    if any(launch.log_sha256 == sha256 for launch in calibration.launches):
         raise InputError(
             f"calibration of {calibration.serial!r}: expected positions that did not take part in it, or those of its "
             f"only session, found one of its {len(calibration.launches)} launches; check with another session"
         )
     fit, site = _accelerometer_fit(calibration), calibration.site
     across = seen.direction[:, None, :] @ calibration.accel.inverse()
-    noise = positions.covariance + fit.scatter**2 * np.eye(positions.block.size)
+    noise = rests.accel_covariance + fit.scatter**2 * np.eye(block.size)
     variance = (across @ noise @ np.swapaxes(across, 1, 2))[:, 0, 0]
     by_parameters = np.einsum("im,mk,ik->i", J, seen.parameter_covariance, J)
-    difference = positions.gravity - length
+    difference = there.gravity - length
 
     def limit(degrees: float) -> float:
         """Quantile of the largest of the ratios."""
         tail = 1.0 - 0.5 * CHANCE / len(difference)
         return float(special.ndtri(tail) if np.isinf(degrees) else special.stdtrit(degrees, tail))
 
-    if calibration.provenance.get("log_sha256") == positions.sha256:  # its own positions: each is left out
+    if calibration.provenance.get("log_sha256") == sha256:  # its own positions: each is left out
         unlearned = _unlearned(calibration, names, J)
-        left = 1.0 - np.maximum(by_parameters - unlearned - positions.gravity_u**2, 0.0) / variance
+        left = 1.0 - np.maximum(by_parameters - unlearned - there.gravity_u**2, 0.0) / variance
         left = np.where(left > NOTHING_LEFT, left, np.nan)
         if np.isnan(left).all():
             raise InputError(
@@ -247,15 +198,15 @@ def residuals_in(calibration: Calibration, positions: CheckPositions) -> Positio
             limit=limit(np.inf),
             left_out=True,
         )
-    shared = site is not None and (site.gravity, site.gravity_u) == (positions.gravity, positions.gravity_u)
-    by_gravity = -(positions.gravity_u**2) if shared else positions.gravity_u**2
+    shared = site is not None and (site.gravity, site.gravity_u) == (there.gravity, there.gravity_u)
+    by_gravity = -(there.gravity_u**2) if shared else there.gravity_u**2
     u = np.sqrt(variance + np.maximum(by_parameters + by_gravity, 0.0))
     by_scatter = float(np.max(fit.scatter**2 * (across[:, 0] ** 2).sum(axis=1) / u**2))
 
     # Eq. (4), for a device of a known grade
     by_turn_on = False
-    if positions.grade is not None:
-        spread, linear = TURN_ON[positions.grade], positions.block.names
+    if grade is not None:
+        spread, linear = TURN_ON[grade], block.names
         turned_on = np.zeros(len(names))
         turned_on[: len(linear)] = [2.0 * spread_of(spread, name) ** 2 for name in linear]
         V = np.diag(variance) + by_gravity + J @ (seen.parameter_covariance + np.diag(turned_on)) @ J.T
@@ -286,17 +237,21 @@ def _unlearned(calibration: Calibration, names: tuple[str, ...], J: Array) -> Ar
     return np.asarray(np.einsum("ik,ki->i", moved, np.linalg.solve(every[len(names) :, len(names) :], moved.T)))
 
 
-def verticals(calibration: Calibration, positions: CheckPositions) -> Verticals:
+def verticals(calibration: Calibration, observations: Observations) -> Verticals:
     """The vertical in the frame of the calibration in every position, with its covariance, for the relation of two
     blocks (`tumble.run.case.relate`). Raises as `residuals_in`."""
-    return _seen(accepted_accelerometers(calibration, "positions at rest show the vertical"), positions)[0]
+    return _seen(accepted_accelerometers(calibration, "positions at rest show the vertical"), observations)[0]
 
 
-def _seen(calibration: Calibration, positions: CheckPositions) -> tuple[Verticals, Array, tuple[str, ...], Array]:
+def _seen(calibration: Calibration, observations: Observations) -> tuple[Verticals, Array, tuple[str, ...], Array]:
     """The verticals, the derivative J (N, m) of |true|, the names of the m parameters that a reading of the
     accelerometers at rest depends on, and |true| (N,)."""
     assert calibration.accel is not None
-    block, celsius, reference = positions.block, positions.celsius, calibration.reference_temperature
+    block, reference = observations.accel_block, calibration.reference_temperature
+    rests, celsius = observations.rests, None
+    if rests.temperatures is not None:  # the sensors follow their thermometers with the lag of the calibration
+        kelvin = sensors_at(observations, rests.temperatures, calibration.compensator.lag)
+        celsius = kelvin[:, block.thermometer] - ZERO_CELSIUS
     convention = Convention(frame=frame_of(calibration.frame), block=block)
     if calibration.outcome.unobservable:
         raise CalibrationError(
@@ -319,7 +274,7 @@ def _seen(calibration: Calibration, positions: CheckPositions) -> tuple[Vertical
         )
 
     # derivative (N, n, m) of the readings
-    force = calibration.compensator.force(positions.readings, celsius)
+    force = calibration.compensator.force(rests.accel, celsius)
     linear = convention.jacobian(np.array([calibration[name].value for name in convention.names]))
     of_linear = np.einsum("pkm,ik->ipm", linear[:, :3], force) + linear[:, 3]
     derivative = instrument.derivative(block, np.zeros(len(instrument.names)))
@@ -332,6 +287,6 @@ def _seen(calibration: Calibration, positions: CheckPositions) -> tuple[Vertical
     change = np.concatenate([of_linear, every[:, :, instrument.linear_count :]], axis=2)
     covariance = calibration.covariance_of(names)
     covariance = np.zeros((len(names), len(names))) if covariance is None else covariance
-    seen = verticals_of(calibration.accel, force, change, positions.covariance, covariance)
+    seen = verticals_of(calibration.accel, force, change, rests.accel_covariance, covariance)
     J = -np.einsum("ik,kp,ipm->im", seen.direction, calibration.accel.inverse(), change)
     return seen, J, names, np.linalg.norm(force, axis=1)

@@ -28,14 +28,13 @@ from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.reduction.rest_stream import RestStream
-from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.rotation import unit_vector
 from tumble.run.calibrate import grade_of
 from tumble.run.from_estimate import reference_of
 from tumble.sensors.parameters import usual_sizes
 from tumble.units import ZERO_CELSIUS, Array
-from tumble.use.check import CheckedRest, FieldCheck, check_session, prior_at_check, tested
+from tumble.use.check import CheckedRest, FieldCheck, accepted_for_check, check_session, prior_at_check, tested
 from tumble.use.corrector import LATEST, Ranges, Stream, white_noise
 
 SHAKEN = 10.0
@@ -229,14 +228,9 @@ class StreamCheck:
         return FieldCheck(
             source=self.session.name,
             rests=tuple(self.rests),
-            **tested(self._chain.result(self.moved), self._chain.instrument),
+            **tested(self._chain.result(self.moved)),
             notes=(*self.calibration.absent, note),
         )
-
-
-def accepted_for_check(calibration: Calibration | FilePath) -> Calibration:
-    """The accepted part of a calibration; raises CalibrationError without accelerometers."""
-    return accepted_accelerometers(calibration_from(calibration), "a check has its attitudes")
 
 
 def check_stream(
