@@ -58,9 +58,9 @@ from tumble.errors import InputError
 from tumble.inference.estimate import Estimate
 from tumble.inference.prediction import prediction
 from tumble.inference.sources import UncertaintyBudget, source
-from tumble.lab.type_spread import KnownLaunches, known_launches
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
+from tumble.result.launch_variances import LaunchVariances, launch_variances
 from tumble.result.parts import Parameter
 from tumble.scipy_compiled import special
 from tumble.sensors.parameters import (
@@ -114,7 +114,7 @@ class KnownCalibration:
     says: frozenset[str]
     in_run: Mapping[str, float]
     reference: float | None
-    launches: KnownLaunches | None
+    launches: LaunchVariances | None
 
     @staticmethod
     def of(
@@ -125,7 +125,7 @@ class KnownCalibration:
         logs: Collection[str],
         in_run: Mapping[str, float],
         reference: float | None = None,
-        launches: KnownLaunches | None = None,
+        launches: LaunchVariances | None = None,
     ) -> KnownCalibration:
         """What parameters with their covariance (m, m) say, beside those that are no property of a device."""
         kept = [i for i, p in enumerate(parameters) if p.u and variable_of(p.name) not in _OF_A_SESSION]
@@ -203,7 +203,7 @@ def known_calibration(calibration: Calibration) -> KnownCalibration | None:
         logs=logs - {""},
         in_run={kind: sizes[f"{kind}_in_run"] for kind in ("accel", "gyro") if f"{kind}_in_run" in sizes},
         reference=calibration.reference_temperature,
-        launches=known_launches(calibration),
+        launches=launch_variances(calibration),
     )
 
 
@@ -368,7 +368,7 @@ _Recordings = Sequence[Sequence[tuple[float, float, bool]]]
 
 
 def _of_group(
-    group: Mapping[str, _Recordings], launches: Sequence[KnownLaunches], most: float
+    group: Mapping[str, _Recordings], launches: Sequence[LaunchVariances], most: float
 ) -> Iterable[TypeParameter]:
     """What is said of the parameters of a group, Eqs. (3) and (4), whose τ² is `most` at most."""
     rho2 = _run_to_run(group, launches)
@@ -415,7 +415,7 @@ def _restricted(y: Array, v: Array, tau2: Array) -> tuple[Array, Array]:
     return 0.5 * (np.log(w).sum(axis=1) - np.log(total) - (w * off**2).sum(axis=1)), (w**2).sum(axis=1)
 
 
-def _run_to_run(group: Mapping[str, _Recordings], launches: Sequence[KnownLaunches]) -> float | None:
+def _run_to_run(group: Mapping[str, _Recordings], launches: Sequence[LaunchVariances]) -> float | None:
     """ρ² of a group, by the restricted likelihood of single launches about the mean of their unit, and of launches
     about the mean of a calibration; None where there are no two of a unit."""
     repeated = [

@@ -17,43 +17,14 @@ like its type, and judged by itself.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
-from tumble.result.calibration import Calibration
+from tumble.result.launch_variances import LaunchVariances
 from tumble.scipy_compiled import special
 
 UNLIKE = 1e-3
 """A device is not like its type where chance makes it as unstable less often."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class KnownLaunches:
-    """The launches behind a calibration of a device: the SHA-256 of their logs, one fewer than there are as `degrees`,
-    and by parameter the variance from launch to launch and the mean variance that launches know of themselves, SI."""
-
-    serial: str
-    logs: frozenset[str]
-    degrees: int
-    variances: Mapping[str, tuple[float, float]]
-
-
-def known_launches(calibration: Calibration) -> KnownLaunches | None:
-    """The launches behind a calibration; None where there are not several."""
-    count = len(calibration.launches)
-    if count < 2:
-        return None
-    own = [{p.name: (p.u or 0.0) ** 2 for p in launch.parameters} for launch in calibration.launches]
-    return KnownLaunches(
-        serial=calibration.serial,
-        logs=frozenset(launch.log_sha256 for launch in calibration.launches),
-        degrees=count - 1,
-        variances={
-            p.name: (p.run_to_run**2, sum(each[p.name] for each in own) / count)
-            for p in calibration.parameters
-            if p.run_to_run is not None and all(p.name in each for each in own)
-        },
-    )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -62,7 +33,7 @@ class TypeSpread:
 
     model: str
     frame: str
-    known: tuple[KnownLaunches, ...]
+    known: tuple[LaunchVariances, ...]
 
     @property
     def devices(self) -> int:

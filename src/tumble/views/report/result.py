@@ -23,6 +23,7 @@ from tumble.result.further import (
     verdicts,
 )
 from tumble.result.parts import Parameter
+from tumble.result.unaided import unaided_lines
 from tumble.views.blocks import Block, Facts, Items, Section, Table, Text, Tone, section, table
 from tumble.views.calibration import group_table, launch_table, unknown_blocks
 from tumble.views.numbers import (
@@ -51,12 +52,12 @@ _MOST_LARGE, _MOST_WITH_WORDS = 9, 12
 """Columns for which a page has room in the larger type, and in the smaller one with the parameters in words."""
 
 
-def result(calibration: Calibration, *before: Block) -> Section:
-    """Verdict and remarks, the blocks `before` the parameters, parameters with U, and what corrected readings are known
-    to."""
-    remarks = calibration.outcome.remarks
-    causes = [Items(items=remarks)] if remarks else []
-    return section("Result", *verdict_blocks(calibration), *causes, *before, *value_blocks(calibration))
+def result(calibration: Calibration) -> Section:
+    """Verdict and remarks, what the calibration gains in a minute without aid, parameters with U, and what corrected
+    readings are known to."""
+    sentences = (*calibration.outcome.remarks, *unaided_lines(calibration))
+    listed = [Items(items=tuple(f"{each[0].upper()}{each[1:]}" for each in sentences))] if sentences else []
+    return section("Result", *verdict_blocks(calibration), *listed, *value_blocks(calibration))
 
 
 def verdict_blocks(calibration: Calibration) -> list[Block]:
