@@ -24,17 +24,7 @@ from tumble.bench.session_folder import MOTIONCAL_LOG, begin, begin_next, leave_
 from tumble.errors import InputError, MissingExtraError
 from tumble.recording.live.lines import MOTIONCAL_COLUMNS, Lines, Row, numbers_in
 from tumble.recording.live.samples import SI_LOG, StreamedSamples
-from tumble.recording.live.sources import (
-    GrowingFile,
-    Mavlink,
-    Replay,
-    Serial,
-    StandardInput,
-    Tcp,
-    Udp,
-    line_of,
-    source_of,
-)
+from tumble.recording.live.sources import GrowingFile, Mavlink, Replay, Serial, StandardInput, Tcp, Udp, line_of, source_of
 from tumble.recording.log import open_log
 from tumble.recording.session import Exclusion
 from tumble.recording.session_file import read_session
@@ -426,17 +416,7 @@ def test_a_replay_is_the_log_to_the_byte_and_keeps_its_pace(folder: Path, tmp_pa
 
 @pytest.mark.parametrize(
     "listen",
-    [
-        "",
-        "udp:x",
-        "udp:²",
-        "tcp:70000",
-        "serial:/dev/ttyX",
-        "serial:/dev/ttyX:²",
-        "replay:nowhere@0x",
-        "simulator",
-        "file:",
-    ],
+    ["", "udp:x", "udp:²", "tcp:70000", "serial:/dev/ttyX", "serial:/dev/ttyX:²", "replay:nowhere@0x", "simulator", "file:"],
 )
 def test_a_source_that_is_none_is_refused(listen: str) -> None:
     with pytest.raises(InputError, match="listen"):
