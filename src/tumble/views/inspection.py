@@ -1,7 +1,6 @@
 """Rests and turns found in a recording, as tables, as data, and as a picture of what the sensors read over time.
 
-`plot` draws a session as it was recorded, `overview` what a calibration file has of it. The files of a log stand one
-after the other.
+In the picture the files of a log stand one after the other.
 """
 
 from __future__ import annotations
@@ -19,13 +18,12 @@ from tumble.run.observed import Observed
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS
 from tumble.views.blocks import Block, Items, Table, table
 from tumble.views.render.characters import drawable
-from tumble.views.render.pictures import COLOURS, PAGE, STYLE, drawn, write_picture
+from tumble.views.render.pictures import COLOURS, write_picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from tumble.result.parts import RestResult, TurnResult
 
 UPRIGHT = 0.98  # an axis within 11° of the vertical is up or down
 
@@ -159,39 +157,7 @@ def plot(observed: Observed, path: Path) -> None:
         _numbers(axes_of[0], rests)
         axes_of[-1].set_xlabel("time, s")
 
-    write_picture(path, "a picture of the recording", (10.0, 5.0), draw, STYLE)
-
-
-def overview(name: str, rests: Sequence[RestResult], turns: Sequence[TurnResult], columns: Sequence[str]) -> str:
-    """The mean readings of the accelerometers at the rests over time, thin lines from each to the next, and the angle
-    of every turn between them as the gyros saw it, as the SVG of a figure `name`; the accelerometers are called by
-    their columns."""
-    starts = _starts(max((r.stop for r in rests if r.file == file), default=0.0) for file in range(rests[-1].file + 1))
-    spans = [(r.start + starts[r.file], r.stop + starts[r.file]) for r in rests]
-    between = [(spans[t.first][1], spans[t.last][0]) for t in turns]
-
-    def draw(figure: Figure) -> None:
-        told = any(t.angle is not None for t in turns)
-        all_axes = figure.subplots(2 if told else 1, 1, sharex=True, squeeze=False, height_ratios=(2, 1)[: 1 + told])
-        top, times = all_axes[0, 0], np.ravel(np.array(spans))
-        for i, means in enumerate(np.array([r.accel.mean for r in rests if r.accel is not None]).T):
-            label, colour = drawable(columns[i]) if i < len(columns) else str(i), COLOURS[i % len(COLOURS)]
-            top.plot(times, np.repeat(means, 2), color=colour, linewidth=0.4)
-            for span, mean in zip(spans, means, strict=True):
-                top.plot(span, (mean, mean), color=colour, linewidth=2.0, label=label if span is spans[0] else None)
-        top.set_ylabel("m/s²")
-        _spans(top, spans, between)
-        _numbers(top, spans)
-        top.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        if told:
-            bottom = all_axes[1, 0]
-            for turn, (start, stop) in zip(turns, between, strict=True):
-                if turn.angle is not None:
-                    bottom.bar(start, turn.angle / DEGREE, stop - start, align="edge", color="#c0561a")
-            bottom.set(ylabel="turn, °", ylim=(0.0, 190.0), yticks=(0, 90, 180))
-        all_axes[-1, 0].set_xlabel("time, s")
-
-    return drawn(name, PAGE, 2.4, draw)
+    write_picture(path, "a picture of the recording", (10.0, 5.0), draw)
 
 
 def _starts(lasted: Iterable[float]) -> list[float]:
