@@ -37,7 +37,6 @@ from tumble.files import FilePath
 from tumble.inference.estimate import Outcome
 from tumble.inference.prediction import prediction
 from tumble.inference.variables import variables_of
-from tumble.lab.type_spread import KnownLaunches, known_launches
 from tumble.methods.field_check import ChangedParameter, CheckResult, KnownBefore, field_check
 from tumble.planning.bounds import components_of
 from tumble.recording.session import Circumstances, Session, Site
@@ -47,6 +46,7 @@ from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.correction import reference_of_parameter
 from tumble.result.coverage import by_gravity, shared_gravity
+from tumble.result.launch_spread import LaunchSpread, launch_spread
 from tumble.result.parts import learned_fraction
 from tumble.run.calibrate import grade_of, provenance_of
 from tumble.run.from_estimate import readings_of_session, reference_of, references_of
@@ -124,10 +124,10 @@ def change_text(change: ChangedParameter) -> str:
 
 
 def check_calibration(
-    calibration: Calibration | FilePath, session: Session | FilePath, *, launches: Sequence[KnownLaunches] = ()
+    calibration: Calibration | FilePath, session: Session | FilePath, *, launches: Sequence[LaunchSpread] = ()
 ) -> FieldCheck:
     """Whether a calibration, or that of a file, still holds for its device, by three to five rests in any attitude and
-    the turns between them: a `Session` or its folder. With `launches`, as `tumble.device_launches` has them, it is
+    the turns between them: a `Session` or its folder. With `launches`, as `Registry.launches` has them, it is
     judged by how much the device has changed from power-on to power-on in all its calibrations.
 
     Raises CalibrationError for a calibration that was not accepted, has no uncertainties or is in the frame of the
@@ -214,9 +214,9 @@ def check_given(calibration: Calibration, session: Session) -> None:
             )
 
 
-def _launches(calibration: Calibration, others: Sequence[KnownLaunches]) -> Sequence[KnownLaunches]:
+def _launches(calibration: Calibration, others: Sequence[LaunchSpread]) -> Sequence[LaunchSpread]:
     """The launches behind a calibration and those of other ones of its device, each once."""
-    own = known_launches(calibration)
+    own = launch_spread(calibration)
     return others if own is None else (own, *(each for each in others if not each.logs & own.logs))
 
 
@@ -228,7 +228,7 @@ def known_before(
     observations: Observations,
     grade: str,
     data_sheet: Mapping[str, float],
-    launches: Sequence[KnownLaunches] = (),
+    launches: Sequence[LaunchSpread] = (),
 ) -> KnownBefore:
     """Parameters and covariance at the check by the calibration, in the frame `accelerometer`, Eq. (1), of a device of
     which `launches` of other calibrations are known."""
