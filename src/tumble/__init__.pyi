@@ -16,8 +16,6 @@ from tumble.errors import SessionError as SessionError
 from tumble.errors import TumbleError as TumbleError
 from tumble.export import export_calibration as export_calibration
 from tumble.export.exported import Exported as Exported
-from tumble.export.upload import Upload as Upload
-from tumble.export.upload import upload as upload
 from tumble.inference.estimate import Estimate as Estimate
 from tumble.inference.estimate import Fit as Fit
 from tumble.inference.estimate import Outcome as Outcome

@@ -10,7 +10,6 @@ from tumble.campaigns.fleet import Tally as Tally
 from tumble.campaigns.summary import SummaryLine as SummaryLine
 from tumble.diagnosis.observability import Refusal as Refusal
 from tumble.drafting.new_session import Given as Given
-from tumble.export.upload import ParameterChange as ParameterChange
 from tumble.inference.estimate import GroupFinding as GroupFinding
 from tumble.inference.estimate import HyperparameterEstimate as HyperparameterEstimate
 from tumble.inference.estimate import Integral as Integral

@@ -36,7 +36,7 @@ from tumble.views.calibration import (
     launch_table,
     method_table,
 )
-from tumble.views.numbers import quantity_table, shown_units
+from tumble.views.numbers import cells, quantity_table, shown_units
 from tumble.views.render.terminal import print_blocks, text_of
 from tumble.views.report.write import write_report
 
@@ -350,7 +350,13 @@ def test_anything_with_a_name_a_value_and_a_unit_is_shown_by_one_table() -> None
         Hyperparameter(name="scatter.turns", value=6e-4, u=None, unit="rad", words="turns"),
         Hyperparameter(name="lag", value=12.3, u=2.0, unit="s", words="of the thermometer"),
     ]
-    shown = quantity_table(quantities, after=lambda q, _: {"what it is": q.words})
+
+
+    def row(q: Hyperparameter, size: float, unit: str) -> dict[str, str]:
+        value, u = cells(q.value, q.u, size)
+        return {"value": value, "u (k=1)": u, "unit": unit, "what it is": q.words}
+
+    shown = quantity_table(quantities, shown_units(quantities), row, words=("what it is",))
     assert shown.columns == ("parameter", "value", "u (k=1)", "unit", "what it is")
     assert shown.rows == (
         ("scatter.accel", "44.0", "6.0", "µg", "rests"),
@@ -358,7 +364,7 @@ def test_anything_with_a_name_a_value_and_a_unit_is_shown_by_one_table() -> None
         ("lag", "12.3", "2.0", "s", "of the thermometer"),
     )
     assert shown.text == (0, 3, 4)
-    assert quantity_table([]).columns == ("parameter", "value", "u (k=1)", "unit")
+    assert text_of([quantity_table([], {}, row)]) == ""
 
 
 def test_the_verdict_is_first_and_the_length_does_not_grow_with_the_rests(

@@ -150,7 +150,7 @@ def calibrate(
 
         known = truth_at(true, result.reference_temperature, partial(reference_of_parameter, result))
     tell.show(
-        lambda: result.content() | ({"others": [other.content() for other in others]} if others else {}),
+        result.content() | ({"others": [other.content() for other in others]} if others else {}),
         lambda: calibration_blocks(result, known, others, every=every, budget=budget),
     )
     tell.say(f"written to {target}")
@@ -235,7 +235,7 @@ def ellipsoid(
     result = calibrate_table(readings, known=dict(map(_position, positions)), **options)
     target = out or readings.with_suffix(".calibration.json")
     result.calibration.write(target, force=force)
-    tell.show(result.calibration.content, lambda: readings_blocks(result))
+    tell.show(result.calibration.content(), lambda: readings_blocks(result))
     tell.say(f"written to {target}")
     tell.end(result.calibration.outcome.reasons, "not accepted: ")
 

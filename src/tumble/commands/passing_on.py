@@ -1,8 +1,7 @@
-"""Commands that write what is passed on and kept: `report`, `export`, `upload`, `selftest`."""
+"""Commands that write what is passed on: `report`, `export`."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -67,67 +66,3 @@ def export(calibration: Path, to: str, out: Path, force: bool, **given: Any) -> 
     tell.say(f"written to {out}")
     for loss in exported.losses:
         tell.say(f"note: {loss}")
-
-
-@click.command(epilog=ask.examples("tumble upload imu-7/calibration.json --mavlink serial:/dev/ttyACM0:115200"))
-@click.argument("calibration", type=ask.FILE)
-@ask.option("--mavlink", "udp:[HOST:]PORT, tcp:HOST:PORT or serial:DEVICE:BAUD.", metavar="LINK", required=True)
-@ask.option("--backup", "File for the values before.  [default: CALIBRATION.before.params]", type=ask.FILE)
-@click.option("--thermal", is_flag=True, help="Curves over temperature too.")
-@ask.option("--imu", "Of the N-th IMU, from 1, where the calibration does not say which.", metavar="N", type=int)
-@click.option("--magnetometer", is_flag=True, help="Its parameters too, as the autopilot's first one.")
-@click.option("--dry-run", is_flag=True, help="Compare, and write nothing.")
-def upload(
-    calibration: Path,
-    mavlink: str,
-    backup: Path | None,
-    thermal: bool,
-    imu: int | None,
-    magnetometer: bool,
-    dry_run: bool,
-) -> None:
-    """Write CALIBRATION, a calibration file, into PX4 or ArduPilot over MAVLink.
-
-    Refused while it is armed, and where it has other sensors. What it has is kept in a backup file first; what was
-    written is read back, and what cannot be finished is taken back.
-    """
-    from tumble.export.upload import upload as upload_calibration
-
-    done = upload_calibration(
-        calibration,
-        mavlink,
-        backup=backup or calibration.with_name(f"{calibration.stem}.before.params"),
-        thermal=thermal,
-        imu=imu,
-        magnetometer=magnetometer,
-        dry_run=dry_run,
-    )
-    for loss in done.losses:
-        tell.say(f"note: {loss}")
-    for change in done.changes:
-        click.echo(f"{change.name}\t{change.before:.9g}\t{change.after:.9g}")
-    changed = sum(change.before != change.after for change in done.changes)
-    what = "would change" if dry_run else f"changed and read back; values before: {done.backup}"
-    tell.say(f"{done.autopilot}: {changed} of {len(done.changes)} parameters {what}")
-
-
-@click.command(epilog=ask.examples("tumble selftest -o record.json"))
-@ask.out("Write the record, JSON, with versions, machine, figures and hashes.")
-@ask.option("--by", "Who runs it and stands for it; default: the name of the user.", metavar="NAME")
-def selftest(out: Path | None, by: str | None) -> None:
-    """Run the reference cases on this machine and compare them with published values, closed forms and truth."""
-    from tumble.lab.selftest import run_selftest
-    from tumble.views.checks import selftest_table
-    from tumble.views.render.terminal import print_blocks
-
-    if out is not None and out.exists():
-        raise InputError(f"{out}: expected a new file for the record, found one that exists; records are kept")
-    record = run_selftest(by=by, progress=lambda name: tell.say(f"running: {name}"))
-    print_blocks(selftest_table(record))
-    click.echo(f"{record.software} on {record.machine['system']}, {record.date}, run by {record.by}")
-    click.echo(f"loops over samples: {record.machine['loops']}")
-    click.echo("passed" if record.passed else "FAILED")
-    if out is not None:
-        record.write(out)
-        tell.say(f"written to {out}")
-    sys.exit(0 if record.passed else 1)

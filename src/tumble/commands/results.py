@@ -92,13 +92,12 @@ def watch(calibration: Path, source: str, session: Path | None) -> None:
     from tumble.result.calibration import read_calibration
     from tumble.use.watch import Event, WatchedRest
     from tumble.views.checks import field_check_blocks, field_check_data, moved_line, watch_data, watch_line
-    from tumble.views.render.data import print_line
     from tumble.views.render.terminal import print_blocks
 
     def show(events: list[Event]) -> None:
         for event in events:
             if tell.as_json():
-                print_line(watch_data(event))
+                tell.print_json(watch_data(event))
             else:
                 click.echo(watch_line(event))
             for moved in event.moved if isinstance(event, WatchedRest) else ():
@@ -114,7 +113,7 @@ def watch(calibration: Path, source: str, session: Path | None) -> None:
     show(watching.finish())
     found = watching.check()
     if tell.as_json():
-        print_line({"event": "check", **field_check_data(found)})
+        tell.print_json({"event": "check", **field_check_data(found)})
     else:
         print_blocks(*field_check_blocks(found))
     for note in found.notes:
@@ -135,10 +134,10 @@ def compare(first: Path, second: Path, gyro_file: Path | None) -> None:
     Exit status 0: the largest |E_n| and χ² are within chance (probability 0.01 of so many, and 0.001); 1: otherwise.
     """
     from tumble.use.compare import compare_calibrations
-    from tumble.views.checks import comparison_blocks, comparison_data
+    from tumble.views.checks import comparison_blocks
 
     found = compare_calibrations(first, second, gyro=gyro_file)
-    tell.show(lambda: comparison_data(found), lambda: comparison_blocks(found))
+    tell.show(found, lambda: comparison_blocks(found))
     for remark in found.remarks:
         tell.say(f"note: {remark}")
     if found.missing:

@@ -21,11 +21,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import inf, sqrt
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
-from tumble.brief import Brief
+from tumble.brief import Judged
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.result.calibration import Calibration, calibration_from
@@ -59,6 +59,8 @@ class Difference:
     """A parameter of both calibrations, SI; `u` is the standard uncertainty of their difference without what both
     share, None where one of them has none, 0 where both know no more than their prior; `dof` its degrees of freedom,
     None where it is known."""
+
+    json_fields: ClassVar = ("name", "unit", "first", "second", "value", "u", "dof", "e_n")
 
     name: str
     unit: str
@@ -107,10 +109,15 @@ class Difference:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
-class Comparison(Brief):
+class Comparison(Judged):
     """All that two calibrations have in common, in the frame of both. `covariance` (m, m) is that of the differences;
     `chi_square` with its `degrees` of freedom and the `probability` that chance alone exceeds it; all three are None
     without covariances. `missing` are parameters of one calibration only; `remarks` what a user should know."""
+
+    json_fields: ClassVar = (
+        *("verdict", "reasons", "frame", "differences", "covariance", "chi_square", "degrees", "probability"),
+        *("largest_by_chance", "missing", "remarks"),
+    )
 
     frame: str
     differences: tuple[Difference, ...]

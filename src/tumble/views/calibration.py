@@ -135,19 +135,20 @@ def parameter_table(
     several, expanded = bool(calibration.launches), other_factors(parameters)
     passport = any(p.deviation is not None for p in parameters)
 
-    def before(p: Parameter, size: float) -> dict[str, str]:
-        row = {"k": factor(p) if p.u else "", "U (95 %)": with_expanded(p, size)[1]} if expanded else {}
+    def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
+        value, u = cells(p.value, p.u, size)
+        row = {"mean" if several else "value": value, "u (k=1)": u}
+        row |= {"k": factor(p) if p.u else "", "U (95 %)": with_expanded(p, size)[1]} if expanded else {}
         row |= {"run to run": to_digits_of(p.run_to_run, p.u, size)} if several else {}
-        return row | ({"deviation": to_digits_of(p.deviation, p.u, size)} if passport else {})
-
-    def after(p: Parameter, size: float) -> dict[str, str]:
+        row |= {"deviation": to_digits_of(p.deviation, p.u, size)} if passport else {}
+        row |= {"unit": unit}
         if truth is None:
-            return {}
+            return row
         true = truth.get(p.name) if p.u else None
         distance = "" if true is None or not p.u else f"{(p.value - true) / p.u:+z.2f}"
-        return {"truth": to_digits_of(true, p.u, size), "(value − truth)/u": distance}
+        return row | {"truth": to_digits_of(true, p.u, size), "(value − truth)/u": distance}
 
-    return quantity_table(parameters, before, after, headings=("parameter", "mean" if several else "value", "u (k=1)"))
+    return quantity_table(parameters, shown_units(parameters), row)
 
 
 def whole_table(calibration: Calibration) -> Table:
@@ -156,18 +157,16 @@ def whole_table(calibration: Calibration) -> Table:
     parameters = calibration.parameters
     factors, priors = other_factors(parameters), any(p.prior is not None for p in parameters)
 
-    def after(p: Parameter, size: float) -> dict[str, str]:
-        row = {}
+    def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
+        value, u = cells(p.value, p.u, size)
+        row = {"value": value, "u": u, "U (95 %)": with_expanded(p, size)[1], "unit": unit}
         if factors:
-            row = {"k": factor(p), "dof": "" if p.dof is None else f"{p.dof:.0f}" if p.k else f"{p.dof:.1g}"}
+            row |= {"k": factor(p), "dof": "" if p.dof is None else f"{p.dof:.0f}" if p.k else f"{p.dof:.1g}"}
         if priors:
             row |= {"prior": "" if p.prior is None else f"{p.prior / size:.2g}", "learned": percent(p.learned)}
         return row
 
-    def expanded(p: Parameter, size: float) -> dict[str, str]:
-        return {"U (95 %)": with_expanded(p, size)[1]}
-
-    return quantity_table(parameters, expanded, after, headings=("parameter", "value", "u"))
+    return quantity_table(parameters, shown_units(parameters), row)
 
 
 def group_table(calibration: Calibration, *, of_a_page: bool = False) -> Table:

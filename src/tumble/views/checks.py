@@ -11,7 +11,6 @@ import numpy as np
 from tumble.lab.selftest import SelftestRecord
 from tumble.methods.field_check import CHANCE
 from tumble.methods.rest_chain import MovedBias
-from tumble.result.parts import fit_content
 from tumble.sensors.parameters import group_name, group_of, positions_by_group, sensor_kind, shown_in
 from tumble.units import G_STANDARD, engineering, two_digits
 from tumble.use.apply import RestResidual
@@ -54,16 +53,6 @@ def judged_lines(comparison: Comparison) -> list[str]:
             f"probability {probability_text(comparison.probability)}"
         )
     return lines
-
-
-def comparison_data(comparison: Comparison) -> Content:
-    """Differences of two calibrations."""
-    return {
-        **judged(comparison.reasons),
-        "frame": comparison.frame,
-        "parameters": [asdict(d) | {"difference": d.value, "e_n": d.e_n} for d in comparison.differences],
-        **fields(comparison, "covariance chi_square degrees probability largest_by_chance missing remarks"),
-    }
 
 
 # -------------------- check positions --------------------
@@ -158,7 +147,7 @@ def field_check_data(check: FieldCheck) -> Content:
             for name, (change, u) in result.tests.items()
         ],
         **fields(result, "largest limit"),
-        "misfit": fit_content(result.misfit),
+        "misfit": result.misfit,
         "notes": check.notes,
     }
 
@@ -213,7 +202,7 @@ def watch_data(event: Event) -> Content:
         "used": True,
         "learned": judged.learned,
         "biases": [{"name": name, **asdict(test)} for name, test in judged.tests.items()],
-        "misfit": fit_content(judged.misfit),
+        "misfit": judged.misfit,
         "moved": [asdict(each) for each in judged.moved],
     }
 

@@ -19,7 +19,6 @@ from tumble.run.observed import Observed
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS
 from tumble.views.blocks import Block, Items, Table, table
 from tumble.views.render.characters import drawable
-from tumble.views.render.data import Content, fields, judged, rows
 from tumble.views.render.pictures import COLOURS, PAGE, STYLE, drawn, write_picture
 
 if TYPE_CHECKING:
@@ -126,30 +125,6 @@ def _half_sums(observations: Observations) -> list[str]:
             line += f"; gyro half sum {0.5 * (high + low):+z.3f} °/h, half difference {0.5 * abs(high - low):.3f} °/h"
         lines.append(line)
     return lines
-
-
-def inspection_data(observed: Observed) -> Content:
-    """Rests, turns and what was rejected."""
-    segmentation, observations = observed.segmentation, observed.observations
-    shown: Content = {"rests": [], "turns": [], "rejected": segmentation.rejected, "notes": []}
-    if observations is not None:
-        rests, turns = observations.rests, observations.turns
-        celsius = [None] * len(rests) if rests.temperature is None else rests.temperature - ZERO_CELSIUS
-        names, verticals = "file start stop vertical temperature", _verticals(observations)
-        shown["rests"] = rows(names, rests.file, rests.start, rests.stop, verticals, celsius)
-        for kind in ("accel", *(["gyro"] if rests.gyro.shape[1] else [])):
-            u = np.sqrt(np.diagonal(getattr(rests, f"{kind}_covariance"), axis1=1, axis2=2))
-            drift, noise = getattr(rests, f"{kind}_drift"), getattr(rests, f"{kind}_noise")
-            sensors = rows("mean u drift noise", getattr(rests, kind), u, drift, noise)
-            for row, of_kind in zip(shown["rests"], sensors, strict=True):
-                row[kind] = of_kind
-        if turns is not None:
-            columns = turns.first, turns.last, turns.duration, turns.C
-            shown["turns"] = rows("first last duration rotation", *columns)
-        shown["notes"] = observations.notes
-    of_gyros = judged([*observed.faults, *observed.gyro_faults, *observed.gyro_bias_faults])
-    verdicts = judged(observed.faults) | {"gyro": of_gyros}
-    return verdicts | {"rate": observed.rate} | fields(segmentation, "scatter_limit rate_limit") | shown
 
 
 # -------------------- pictures --------------------

@@ -93,6 +93,8 @@ class _Column:
 
 
 def _table_lines(table: Table, width: int) -> Iterator[str]:
+    if not table.columns:
+        return
     by_column = [list(cells) for cells in zip(table.columns, *table.rows, strict=True)]
     columns = [_Column.of(cells, words=i in table.text) for i, cells in enumerate(by_column)]
     if _together(columns) > width:

@@ -194,14 +194,15 @@ def beyond(calibration: Calibration, *, for_customers: bool = False) -> Section 
     further = further_parameters(calibration.parameters)
     priors = any(p.prior is not None for p in further)
 
-    def prior(p: Parameter, size: float) -> dict[str, str]:
-        value = "" if p.prior is None else significant(p.prior / size, 4)
-        return {"prior": value, "learned": percent(p.learned)} if priors else {}
+    def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
+        value, u = cells(p.value, p.u, size)
+        prior = "" if p.prior is None else significant(p.prior / size, 4)
+        shown = {"value": value, "u": u, "k": factor(p), "unit": unit}
+        return shown | ({"prior": prior, "learned": percent(p.learned)} if priors else {})
 
-    shown = quantity_table(further, lambda p, _: {"k": factor(p)}, prior, headings=("parameter", "value", "u"))
     caption = "u is the standard uncertainty, k u the half width of the interval of 95.45 %"
     caption += ", prior a standard deviation, as widened." if priors else "."
-    parameters = replace(shown, caption=caption, dense=True) if further else None
+    parameters = quantity_table(further, shown_units(further), row, caption=caption, dense=True) if further else None
     if for_customers:
         meant = "What a reading has beside bias, scale factors and axes."
         if priors:
