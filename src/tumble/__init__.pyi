@@ -35,7 +35,6 @@ from tumble.lab.registry.store.connect import Registry as Registry
 from tumble.lab.registry.store.connect import open_registry as open_registry
 from tumble.lab.registry.types import Record as Record
 from tumble.lab.selftest import run_selftest as run_selftest
-from tumble.lab.type_spread import KnownLaunches as KnownLaunches
 from tumble.lab.type_spread import TypeSpread as TypeSpread
 from tumble.methods.ellipsoid_fit import EllipsoidFit as EllipsoidFit
 from tumble.methods.ellipsoid_fit import fit_ellipsoid as fit_ellipsoid
@@ -63,6 +62,7 @@ from tumble.reduction.noise.allan_deviation import allan_deviation as allan_devi
 from tumble.reduction.observations import Observations as Observations
 from tumble.result.calibration import Calibration as Calibration
 from tumble.result.calibration import read_calibration as read_calibration
+from tumble.result.launch_variances import LaunchVariances as LaunchVariances
 from tumble.result.parts import Launch as Launch
 from tumble.result.parts import Member as Member
 from tumble.result.parts import Parameter as Parameter

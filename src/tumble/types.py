@@ -18,7 +18,6 @@ from tumble.inference.estimate import ProcessBias as ProcessBias
 from tumble.inference.likelihood import Linearised as Linearised
 from tumble.inference.prediction import Prediction as Prediction
 from tumble.lab.selftest import SelftestRecord as SelftestRecord
-from tumble.lab.type_spread import KnownLaunches as KnownLaunches
 from tumble.methods.ellipsoid_fit import WorstPosition as WorstPosition
 from tumble.methods.field_check import CheckResult as CheckResult
 from tumble.planning.best_positions import Aim as Aim
@@ -55,6 +54,7 @@ from tumble.reduction.turns.moments import OwnAxes as OwnAxes
 from tumble.reduction.turns.turns import TurnReadings as TurnReadings
 from tumble.reduction.turns.turns import Turns as Turns
 from tumble.reduction.turns.turns import TurnSamples as TurnSamples
+from tumble.result.launch_variances import LaunchVariances as LaunchVariances
 from tumble.result.parts import CalibratedDevice as CalibratedDevice
 from tumble.result.parts import CalibratedTemperature as CalibratedTemperature
 from tumble.result.parts import Readings as Readings

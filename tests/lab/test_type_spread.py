@@ -14,19 +14,20 @@ from tumble.errors import InputError
 from tumble.lab.registry.adding import Particulars, add, submission, utc
 from tumble.lab.registry.series import type_spread
 from tumble.lab.registry.store.connect import open_registry
-from tumble.lab.type_spread import KnownLaunches, TypeSpread, pooled
+from tumble.lab.type_spread import TypeSpread, pooled
 from tumble.result.coverage import degrees_of_mean
+from tumble.result.launch_variances import LaunchVariances
 from tumble.result.parts import coverage_factor
 
 NAME = "accel.bias.x"
 
 
-def known(degrees: int, variance: float, noise: float, *, serial: str = "A-1") -> KnownLaunches:
+def known(degrees: int, variance: float, noise: float, *, serial: str = "A-1") -> LaunchVariances:
     logs = frozenset({f"{serial}-{i}" for i in range(degrees + 1)})
-    return KnownLaunches(serial=serial, logs=logs, degrees=degrees, variances={NAME: (variance, noise)})
+    return LaunchVariances(serial=serial, logs=logs, degrees=degrees, variances={NAME: (variance, noise)})
 
 
-def of_type(*launches: KnownLaunches) -> TypeSpread:
+def of_type(*launches: LaunchVariances) -> TypeSpread:
     return TypeSpread(model="BCHE-501", frame="accelerometer", known=launches)
 
 

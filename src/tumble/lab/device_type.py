@@ -37,7 +37,7 @@ import numpy as np
 
 from tumble.inference.prior import Prior
 from tumble.result.calibration import Calibration
-from tumble.result.launch_spread import LaunchSpread, launch_spread
+from tumble.result.launch_variances import LaunchVariances, launch_variances
 from tumble.result.parts import Parameter
 from tumble.sensors.parameters import Variable, limits_of, positions_by_group, to_temperature, variable_of
 from tumble.units import Array
@@ -81,7 +81,7 @@ class Unit:
     usual: Array
     reference: float | None = None
     in_run: Mapping[str, float]
-    launches: LaunchSpread | None = None
+    launches: LaunchVariances | None = None
 
     def at(self, reference: float | None) -> Unit:
         """The same at another temperature in °C, by slopes and curvatures."""
@@ -115,7 +115,7 @@ def unit_of(calibration: Calibration) -> Unit | None:
         serial=calibration.serial,
         in_run={kind: sizes[f"{kind}_in_run"] for kind in ("accel", "gyro") if f"{kind}_in_run" in sizes},
         reference=calibration.reference_temperature,
-        launches=launch_spread(calibration),
+        launches=launch_variances(calibration),
     )
 
 
@@ -126,7 +126,7 @@ def unit_by(
     serial: str,
     in_run: Mapping[str, float],
     reference: float | None = None,
-    launches: LaunchSpread | None = None,
+    launches: LaunchVariances | None = None,
 ) -> Unit:
     """What parameters with a covariance (m, m) say by Eq. (1), without those that are no property of a device."""
     kept = [i for i, p in enumerate(parameters) if p.u and variable_of(p.name) not in _NO_PROPERTY]

@@ -30,7 +30,7 @@ from tumble.recording.session_file import session_from
 from tumble.result.calibration import Calibration
 from tumble.result.correction import reference_of_parameter
 from tumble.result.coverage import by_gravity, degrees_of_mean, shared_gravity
-from tumble.result.launch_spread import LaunchSpread, pooled, spread_of_type
+from tumble.result.launch_variances import LaunchVariances, pooled, variance_of_type
 from tumble.result.parts import CalibratedTemperature, Launch, Parameter, learned_fraction
 from tumble.result.shared_errors import by_priors
 from tumble.result.uncertainty_budget import contributions_of
@@ -66,7 +66,7 @@ def calibrate_launches(
     iterations: int | None = None,
     frame: Frame = "accelerometer",
     terms: Terms = "full",
-    alike: Sequence[LaunchSpread] = (),
+    alike: Sequence[LaunchVariances] = (),
     prior: Prior | None = None,
     progress: Progress = Log.chunks,
 ) -> Calibration:
@@ -91,7 +91,7 @@ def calibrate_launches(
     return mean_of_launches(runs, alike=alike) if len(runs) > 1 else runs[0].calibration
 
 
-def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchSpread] = ()) -> Calibration:
+def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = ()) -> Calibration:
     """One calibration from several sessions of one device by the same method: means with uncertainties, standard
     deviations from launch to launch, mean increments of each iteration, and every launch. With `alike`, the launches of
     other devices of the type, uncertainties are of the instability that all these show together.
@@ -141,7 +141,7 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchSpread] = ())
     instability, unlike = [], []
     for name, each, s in zip(names, members, spread.tolist(), strict=True):
         noise = float(np.mean([(p.u or 0.0) ** 2 for p in each]))
-        both = pooled(s**2, count - 1.0, spread_of_type(others, name, noise))
+        both = pooled(s**2, count - 1.0, variance_of_type(others, name, noise))
         unlike += [name] if both is None else []
         instability.append((s**2, count - 1.0) if both is None else both)
     if alike:

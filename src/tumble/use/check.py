@@ -46,7 +46,7 @@ from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.correction import reference_of_parameter
 from tumble.result.coverage import by_gravity, shared_gravity
-from tumble.result.launch_spread import LaunchSpread, launch_spread
+from tumble.result.launch_variances import LaunchVariances, launch_variances
 from tumble.result.parts import learned_fraction
 from tumble.run.calibrate import grade_of, provenance_of
 from tumble.run.from_estimate import readings_of_session, reference_of, references_of
@@ -124,7 +124,7 @@ def change_text(change: ChangedParameter) -> str:
 
 
 def check_calibration(
-    calibration: Calibration | FilePath, session: Session | FilePath, *, launches: Sequence[LaunchSpread] = ()
+    calibration: Calibration | FilePath, session: Session | FilePath, *, launches: Sequence[LaunchVariances] = ()
 ) -> FieldCheck:
     """Whether a calibration, or that of a file, still holds for its device, by three to five rests in any attitude and
     the turns between them: a `Session` or its folder. With `launches`, as `Registry.launches` has them, it is
@@ -214,9 +214,9 @@ def check_given(calibration: Calibration, session: Session) -> None:
             )
 
 
-def _launches(calibration: Calibration, others: Sequence[LaunchSpread]) -> Sequence[LaunchSpread]:
+def _launches(calibration: Calibration, others: Sequence[LaunchVariances]) -> Sequence[LaunchVariances]:
     """The launches behind a calibration and those of other ones of its device, each once."""
-    own = launch_spread(calibration)
+    own = launch_variances(calibration)
     return others if own is None else (own, *(each for each in others if not each.logs & own.logs))
 
 
@@ -228,7 +228,7 @@ def known_before(
     observations: Observations,
     grade: str,
     data_sheet: Mapping[str, float],
-    launches: Sequence[LaunchSpread] = (),
+    launches: Sequence[LaunchVariances] = (),
 ) -> KnownBefore:
     """Parameters and covariance at the check by the calibration, in the frame `accelerometer`, Eq. (1), of a device of
     which `launches` of other calibrations are known."""

@@ -22,10 +22,11 @@ from tumble.lab.registry.due import records
 from tumble.lab.registry.store import rows
 from tumble.lab.registry.store.connect import Registry
 from tumble.lab.registry.types import Record, State
-from tumble.lab.type_spread import KnownLaunches, TypeSpread, known_launches
+from tumble.lab.type_spread import TypeSpread
 from tumble.recording.session import Site
 from tumble.result.calibration import Calibration, calibration_of
 from tumble.result.coverage import by_gravity
+from tumble.result.launch_variances import LaunchVariances, launch_variances
 from tumble.result.shared_errors import by_priors, of_time_base
 from tumble.use.compare import Comparison, compare_calibrations
 
@@ -162,7 +163,7 @@ def type_spread(registry: Registry, model: str, frame: str = "accelerometer") ->
     tumble.errors.InputError: type 'BCHE-501': expected calibrations of several launches in the registry, found none
     """
     of_type = [record for record in records(registry) if record.model == model]
-    found = _known(registry, of_type, frame, known_launches)
+    found = _known(registry, of_type, frame, launch_variances)
     if not found:
         raise InputError(f"type {model!r}: expected calibrations of several launches in the registry, found none")
     return TypeSpread(model=model, frame=frame, known=found)
@@ -181,7 +182,7 @@ def device_type(registry: Registry, model: str) -> DeviceType:
     return DeviceType(model=model, known=_known(registry, of_type, "accelerometer", known_calibration))
 
 
-def device_launches(registry: Registry, serial: str, frame: str = "accelerometer") -> tuple[KnownLaunches, ...]:
+def device_launches(registry: Registry, serial: str, frame: str = "accelerometer") -> tuple[LaunchVariances, ...]:
     """The launches behind all calibrations of a device that are in force, in a frame; those that cannot be taken to it
     are left out. For `tumble.check_calibration`.
 
@@ -197,7 +198,7 @@ def device_launches(registry: Registry, serial: str, frame: str = "accelerometer
     >>> known.degrees
     1
     """
-    found = _known(registry, records(registry, serial), frame, known_launches)
+    found = _known(registry, records(registry, serial), frame, launch_variances)
     if not found:
         raise InputError(f"device {serial!r}: expected a calibration of several launches in the registry, found none")
     return found

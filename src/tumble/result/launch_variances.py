@@ -1,12 +1,12 @@
-"""How much devices of a type change from launch to launch, by all their calibrations of several launches.
+"""How much the parameters of a device change from launch to launch, by one of its calibrations or by those of its type.
 
 Two launches show the instability of a device with one degree of freedom, for which k is 14. Devices of a type are
 alike: of the calibrations i, with variances s_i² from launch to launch of ν_i degrees of freedom and n_i² the mean
-variance that their launches know of themselves,
+variance of the estimate in one launch,
 
     s_p² = Σ ν_i s_i²/ν_p,   n_p² = Σ ν_i n_i²/ν_p,   ν_p = Σ ν_i
 
-and launches of another device, whose own variance is n², scatter by
+and launches of another device, in which the estimate has the variance n², scatter by
 
     s² = max(s_p² − n_p², 0) + n²,   ν = ν_p (s²/s_p²)²                                                          (1)
 
@@ -22,23 +22,23 @@ from tumble.result.calibration import Calibration
 from tumble.scipy_compiled import special
 
 UNLIKE = 1e-3
-"""Probability below which a device is more unstable than its type."""
+"""Probability by chance below which a device is more unstable than its type."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class LaunchSpread:
-    """Variances from launch to launch behind one calibration.
+class LaunchVariances:
+    """Variances from launch to launch of the launches behind one calibration.
 
-    Parameters
+    Attributes
     ----------
-    serial
-        The device.
-    logs
-        SHA-256 of the logs of its launches.
-    degrees
-        Degrees of freedom, one fewer than there are launches.
-    variances
-        By parameter the variance from launch to launch and the mean variance that launches know of themselves, SI.
+    serial : str
+        Serial number of the device.
+    logs : frozenset of str
+        SHA-256 of the logs of the launches.
+    degrees : int
+        One fewer than there are launches.
+    variances : mapping of str to (float, float)
+        By parameter the variance from launch to launch, and the mean variance of the estimate in one launch, SI.
     """
 
     serial: str
@@ -47,42 +47,42 @@ class LaunchSpread:
     variances: Mapping[str, tuple[float, float]]
 
 
-def launch_spread(calibration: Calibration) -> LaunchSpread | None:
-    """The variances from launch to launch behind a calibration; None unless it is the mean of several launches."""
+def launch_variances(calibration: Calibration) -> LaunchVariances | None:
+    """The variances from launch to launch of a calibration; None unless it has several launches."""
     count = len(calibration.launches)
     if count < 2:
         return None
-    within = [{p.name: (p.u or 0.0) ** 2 for p in launch.parameters} for launch in calibration.launches]
-    return LaunchSpread(
+    own = [{p.name: (p.u or 0.0) ** 2 for p in launch.parameters} for launch in calibration.launches]
+    return LaunchVariances(
         serial=calibration.serial,
         logs=frozenset(launch.log_sha256 for launch in calibration.launches),
         degrees=count - 1,
         variances={
-            p.name: (p.run_to_run**2, sum(each[p.name] for each in within) / count)
+            p.name: (p.run_to_run**2, sum(each[p.name] for each in own) / count)
             for p in calibration.parameters
-            if p.run_to_run is not None and all(p.name in each for each in within)
+            if p.run_to_run is not None and all(p.name in each for each in own)
         },
     )
 
 
-def spread_of_type(spreads: Iterable[LaunchSpread], name: str, noise: float) -> tuple[float, float]:
+def variance_of_type(launches: Iterable[LaunchVariances], name: str, noise: float) -> tuple[float, float]:
     """Variance from launch to launch of a parameter by the launches of other devices, and its degrees of freedom.
 
     Parameters
     ----------
-    spreads
-        The launches of devices of the type.
+    launches
+        Those of other devices of the type.
     name
         The parameter.
     noise
-        Variance that the launches in question know of themselves, SI.
+        Variance of the estimate in one launch of the device in question, SI.
 
     Returns
     -------
     variance, degrees
         Eq. (1); (0, 0) if nothing is known.
     """
-    seen = [(each.degrees, *each.variances[name]) for each in spreads if name in each.variances]
+    seen = [(each.degrees, *each.variances[name]) for each in launches if name in each.variances]
     degrees = sum(count for count, _, _ in seen)
     between = sum(count * variance for count, variance, _ in seen)
     if between <= 0.0:
@@ -93,9 +93,19 @@ def spread_of_type(spreads: Iterable[LaunchSpread], name: str, noise: float) -> 
 
 
 def pooled(variance: float, degrees: float, of_type: tuple[float, float]) -> tuple[float, float] | None:
-    """Pool the variance of a device with that of its type (variance, degrees of freedom).
+    """Pool the variance of a device from launch to launch with that of its type.
 
-    None if the device is more unstable than chance makes one of its type in UNLIKE of all cases.
+    Parameters
+    ----------
+    variance, degrees
+        Of the device, SI, with its degrees of freedom.
+    of_type
+        The same of its type.
+
+    Returns
+    -------
+    variance, degrees
+        Or None if the device is more unstable than its type: by chance in fewer than UNLIKE of all cases.
     """
     type_variance, type_degrees = of_type
     if type_degrees == 0.0:
