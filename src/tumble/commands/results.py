@@ -10,7 +10,7 @@ import click
 from tumble.commands import ask, tell
 
 if TYPE_CHECKING:
-    from tumble.lab.type_spread import KnownLaunches
+    from tumble.result.launch_variances import LaunchVariances
 
 
 @click.command(epilog=ask.examples("tumble verify imu-7/calibration.json check-session"))
@@ -36,9 +36,9 @@ def verify(calibration: Path, readings: Path) -> None:
 @click.argument("session", type=ask.PATH)
 @ask.out("Write the calibration, updated by the check, into this file.")
 @ask.force("Replace an existing file whatever it is.")
-@ask.known_launches("Judge by how much the device changes from launch to launch, by its calibrations in a registry.")
+@ask.registry("Judge by how much the device changes from launch to launch, by its calibrations in a registry.")
 @ask.JSON
-def check(calibration: Path, session: Path, out: Path | None, force: bool, known_launches: str | None) -> None:
+def check(calibration: Path, session: Path, out: Path | None, force: bool, registry: str | None) -> None:
     """Test from a few rests of its device what has changed since CALIBRATION, and by how much.
 
     SESSION has three to five rests in any attitude, and the turns between them.
@@ -50,12 +50,10 @@ def check(calibration: Path, session: Path, out: Path | None, force: bool, known
     from tumble.views.checks import field_check_blocks, field_check_data
 
     described = read_session(session)
-    launches: tuple[KnownLaunches, ...] = ()
-    if known_launches is not None:
-        with ask.opened(known_launches) as opened:
-            from tumble.lab.registry.series import device_launches
-
-            launches = device_launches(opened, described.device.serial)
+    launches: tuple[LaunchVariances, ...] = ()
+    if registry is not None:
+        with ask.opened(registry) as opened:
+            launches = opened.launches(serial=described.device.serial)
     found = check_calibration(calibration, described, launches=launches)
     written = out is not None and found.result.explained
     if out is not None and written:

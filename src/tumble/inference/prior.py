@@ -160,9 +160,7 @@ def _without_usual_sizes(
     return information, information @ estimate.values + (precision - information) @ from_start
 
 
-def _combined(
-    information: Array, shift: Array, prior: Prior, places: Mapping[int, int]
-) -> tuple[Array, Array, Array]:
+def _combined(information: Array, shift: Array, prior: Prior, places: Mapping[int, int]) -> tuple[Array, Array, Array]:
     """Values (m,) and covariance (m, m) by Eq. (1), and S⁻¹ (m, m)."""
     at, of = list(places), list(places.values())
     by_prior, mean = np.zeros_like(information), np.zeros(len(shift))

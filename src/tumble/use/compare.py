@@ -60,7 +60,7 @@ class Difference:
     share, None where one of them has none, 0 where both know no more than their prior; `dof` its degrees of freedom,
     None where it is known."""
 
-    json_fields: ClassVar = ("name", "unit", "first", "second", "value", "u", "dof", "e_n")
+    json_fields: ClassVar[tuple[str, ...]] = ("name", "unit", "first", "second", "value", "u", "dof", "e_n")
 
     name: str
     unit: str

@@ -1,5 +1,5 @@
 """A calibration against another recording: two calibrations side by side, check positions, a field check, readings at
-rest before and after correction; and the cases of a self-test."""
+rest before and after correction."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import asdict
 
 import numpy as np
 
-from tumble.lab.selftest import SelftestRecord
 from tumble.methods.field_check import CHANCE
 from tumble.methods.rest_chain import MovedBias
 from tumble.sensors.parameters import group_name, group_of, positions_by_group, sensor_kind, shown_in
@@ -206,16 +205,3 @@ def watch_data(event: Event) -> Content:
         "moved": [asdict(each) for each in judged.moved],
     }
 
-
-# -------------------- a self-test --------------------
-
-
-def selftest_table(record: SelftestRecord) -> Table:
-    """The cases of a record."""
-    shown = []
-    for case in record.cases:
-        allowed = f"{case.low:g} … {case.high:g}" if case.low > 0.0 else f"≤ {case.high:g}"
-        row = {"case": case.name, "compared with": case.source, "found": f"{case.figure:.3g}"}
-        row |= {"allowed": f"{allowed} {case.unit}".removesuffix(" 1"), "": "passed" if case.passed else "FAILED"}
-        shown.append(row)
-    return table(shown, words=("case", "compared with", ""))
