@@ -68,23 +68,13 @@ from tumble.sensors.model import Block as Block
 from tumble.sensors.model import SensorModel as SensorModel
 from tumble.simulation.session import simulate_session as simulate_session
 from tumble.use.apply import apply_to_session as apply_to_session
-from tumble.use.apply import rest_residuals as rest_residuals
 from tumble.use.check import FieldCheck as FieldCheck
 from tumble.use.check import check_calibration as check_calibration
 from tumble.use.compare import Comparison as Comparison
 from tumble.use.compare import compare_calibrations as compare_calibrations
 from tumble.use.corrector import Corrected as Corrected
 from tumble.use.corrector import Corrector as Corrector
-from tumble.use.mission import Mission as Mission
-from tumble.use.mission import mission as mission
-from tumble.use.verify import Positions as Positions
-from tumble.use.verify import Verification as Verification
-from tumble.use.verify import positions_of as positions_of
-from tumble.use.verify import verify_calibration as verify_calibration
-from tumble.use.watch import Notice as Notice
-from tumble.use.watch import Watch as Watch
-from tumble.use.watch import WatchedRest as WatchedRest
-from tumble.use.watch import watch_session as watch_session
+from tumble.use.stream import check_stream as check_stream
 from tumble.views.report.write import write_report as write_report
 from tumble.views.sheet import write_sheet as write_sheet
 

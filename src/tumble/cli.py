@@ -77,7 +77,7 @@ COMMANDS: Mapping[str, str] = {
     "Before anything is recorded": (
         "planning.programme planning.plan planning.budget planning.require planning.simulate"
     ),
-    "With a calibration": "results.apply results.compare results.verify results.watch results.mission",
+    "With a calibration": "results.apply results.compare",
     "Of other recordings": "calibrate.ellipsoid recordings.noise",
     "Many at once": "many.campaign many.fleet",
 }

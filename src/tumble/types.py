@@ -18,7 +18,8 @@ from tumble.inference.estimate import ProcessBias as ProcessBias
 from tumble.inference.likelihood import Linearised as Linearised
 from tumble.inference.prediction import Prediction as Prediction
 from tumble.methods.ellipsoid_fit import WorstPosition as WorstPosition
-from tumble.methods.field_check import CheckResult as CheckResult
+from tumble.methods.field_check import ChangedParameter as ChangedParameter
+from tumble.methods.field_check import ParameterTest as ParameterTest
 from tumble.planning.best_positions import Aim as Aim
 from tumble.planning.best_positions import Compared as Compared
 from tumble.planning.best_positions import Next as Next
@@ -68,5 +69,5 @@ from tumble.sensors.grades import Spread as Spread
 from tumble.sensors.instrument import Instrument as Instrument
 from tumble.simulation.scenario import Vibration as Vibration
 from tumble.simulation.temperature_profile import TemperatureProfile as TemperatureProfile
-from tumble.use.apply import RestResidual as RestResidual
+from tumble.use.check import CheckedRest as CheckedRest
 from tumble.use.compare import Difference as Difference

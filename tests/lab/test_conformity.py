@@ -17,10 +17,10 @@ from tumble.lab.limits import Limits, parse_limits
 from tumble.lab.registry.adding import Particulars, add, set_limits, submission
 from tumble.lab.registry.series import verdict_of
 from tumble.lab.registry.store.connect import open_registry
+from tumble.lab.report import limits_section
 from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import curve
 from tumble.units import G_STANDARD
-from tumble.views.report.result import limits as section
 
 MADE = warmed(calibration())
 """Rests from −18.5 to 57.25 °C."""
@@ -94,7 +94,7 @@ def test_temperatures_that_are_none_are_refused(given: str) -> None:
 
 def test_the_report_says_between_which_temperatures_limits_hold() -> None:
     cold, given = replace(MADE, rests=()), limits("1 g")
-    shown, unknown = (repr(section(made, given, verdicts(made, given))) for made in (MADE, cold))
+    shown, unknown = (repr(limits_section(given, verdicts(made, given))) for made in (MADE, cold))
     assert "Periodic check: pass, within limits from −18 to 57 °C." in shown
     assert "at °C" in shown
     assert "not measured" in unknown

@@ -17,7 +17,7 @@ import pytest
 from click.testing import CliRunner
 
 from tests.use.test_check import device, seen
-from tumble.bench.watching import LiveSamples, opened
+from tumble.use.listening import LiveSamples, opened
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.methods.field_check import field_check

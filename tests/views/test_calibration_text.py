@@ -351,7 +351,6 @@ def test_anything_with_a_name_a_value_and_a_unit_is_shown_by_one_table() -> None
         Hyperparameter(name="lag", value=12.3, u=2.0, unit="s", words="of the thermometer"),
     ]
 
-
     def row(q: Hyperparameter, size: float, unit: str) -> dict[str, str]:
         value, u = cells(q.value, q.u, size)
         return {"value": value, "u (k=1)": u, "unit": unit, "what it is": q.words}

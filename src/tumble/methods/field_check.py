@@ -49,7 +49,7 @@ from tumble.rotation import unit_vector
 from tumble.scipy_compiled import special
 from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.parameters import limits_of
+from tumble.sensors.parameters import group_name, limits_of, positions_by_group
 from tumble.units import Array
 
 CHANCE = 0.009
@@ -158,6 +158,8 @@ class CheckResult:
         The test of every parameter by its name.
     largest, limit : float
         The largest of |change|/u, and the quantile that it is compared with.
+    unseen : tuple of str
+        Groups of linear parameters that the session does not determine.
     misfit : Fit
         Residuals that no change explains.
     values, covariance : (m,) and (m, m) array
@@ -168,6 +170,7 @@ class CheckResult:
     tests: Mapping[str, ParameterTest]
     largest: float
     limit: float
+    unseen: tuple[str, ...]
     misfit: Fit
     values: Array
     covariance: Array
@@ -302,6 +305,7 @@ def changes_in(
             },
             "largest": largest,
             "limit": limit,
+            "unseen": _unseen(instrument, [names[j] for j in candidates]),
         }
         if largest <= limit or len(free) + len(untested) >= MOST_CHANGES:
             break
@@ -336,6 +340,12 @@ def changes_in(
         values=evidence.values + moved @ z,
         covariance=evidence.covariance + (evidence.by_x * opened) @ evidence.by_x.T - moved @ moved.T,
     )
+
+
+def _unseen(instrument: Instrument, determined: list[str]) -> tuple[str, ...]:
+    """Groups of linear parameters of which none is determined."""
+    linear = positions_by_group(instrument.names[: instrument.linear_count])
+    return tuple(group for group in linear if group not in map(group_name, determined))
 
 
 # -------------------- the information of a session --------------------
@@ -387,7 +397,7 @@ class SessionRows:
 
 
 def _student(normal: Array, inverse_degrees: Array) -> Array:
-    """√(ν/χ²_ν), by which a normal number becomes one of Student's t, from a second normal number (Wilson & Hilferty)."""
+    """√(ν/χ²_ν), which makes Student's t of a normal number, from a second normal number (Wilson & Hilferty)."""
     ninth = 2.0 / 9.0 * inverse_degrees
     return np.asarray(np.maximum(1.0 - ninth + np.sqrt(ninth) * normal, _LEAST_ROOT) ** -1.5)
 

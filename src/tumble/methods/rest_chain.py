@@ -104,8 +104,17 @@ class JudgedRest:
 
 
 class RestChain:
-    """The rests of one power-on, judged one after the other. `prior` is that of the parameters before the first of them, and
-    `drift` what is usual of drifts, by group of parameters, SI per s; false alarms are to be so many `rests_apart`."""
+    """Tests the rests of one power-on, one after the other.
+
+    Parameters
+    ----------
+    prior
+        The prior of the parameters before the first rest.
+    drift
+        Usual size of drifts by group of parameters, SI per s.
+    rests_apart
+        Mean number of rests from one false alarm to the next, at least.
+    """
 
     def __init__(self, prior: CheckPrior, drift: Mapping[str, float], *, rests_apart: float = RESTS_APART) -> None:
         instrument, components = prior.instrument, prior.components
@@ -158,9 +167,17 @@ class RestChain:
         self._begun: list[tuple[int, float]] = [(0, 0.0)] * count
 
     def add(self, observations: Observations, prior: CheckPrior, *, apart: float | None = None) -> JudgedRest:
-        """Judge the next rest, the only one of its observations, `prior` being that of the calibration at its temperature. Its
-        time is that of the rest, s; `apart`, where that does not say it, the seconds since the one before, infinite
-        after another power-on."""
+        """Test the next rest.
+
+        Parameters
+        ----------
+        observations
+            The rest, alone.
+        prior
+            The prior of the parameters by the calibration at the temperature of the rest.
+        apart
+            Time (s) since the rest before, infinite after another power-on. By default the difference of their times.
+        """
         rests = observations.rests
         start, middle = float(rests.start[0]), 0.5 * float(rests.start[0] + rests.stop[0])
         if self._last is not None:  # the processes go on for some time, Eq. (1)
@@ -174,7 +191,9 @@ class RestChain:
             self._Phi, self._mean = F[:, None] * self._Phi, F[:, None] * self._mean
         self._last = middle
         still = replace(prior.components, accel_in_run=0.0, gyro_in_run=0.0)
-        R, d, squares, degrees = SessionRows(observations, replace(prior, components=still)).information(prior.covariance)
+        R, d, squares, degrees = SessionRows(observations, replace(prior, components=still)).information(
+            prior.covariance
+        )
         R = (R @ prior.to_temperature)[:, self._columns]
         G, z, gain, A = measurement_update(R, d - R @ self._x, self._P)
 

@@ -29,6 +29,7 @@ from tumble.result.further import (
     verdicts,
 )
 from tumble.result.parts import Parameter
+from tumble.result.unaided import unaided_lines
 from tumble.run.calibrate import ITERATED_METHODS
 from tumble.sensors.parameters import sensor_kind
 from tumble.units import Array, engineering
@@ -116,6 +117,7 @@ def calibration_blocks(
         lines.append(f"truth: {known if z else 'no parameter was estimated that it has'}")
     if calibration.prediction is not None:
         lines.append(predicted(calibration.prediction))
+    lines += unaided_lines(calibration)
     if decided := decided_by_priors(calibration):
         lines.append(decided)
     if calibration.site is not None and not calibration.site.gravity_is_unit:

@@ -75,12 +75,16 @@ def write_picture(
 
 def svg_of(size: tuple[float, float], draw: Callable[[Figure], None], style: Any, metadata: Any, **saving: Any) -> str:
     """The SVG of a figure of this size in inches that `draw` fills."""
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
-
+    with needs_extra("a figure", "report", "matplotlib"):
+        from matplotlib import rc_context
+        from matplotlib.figure import Figure
     with rc_context(style):
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
+        layout = figure.get_layout_engine()
+        assert layout is not None
+        layout.execute(figure)  # once: savefig would draw the figure twice to lay it out
+        figure.set_layout_engine("none")
         out = io.StringIO()
         figure.savefig(out, format="svg", metadata=metadata, **saving)
     return out.getvalue()

@@ -12,20 +12,18 @@ from functools import reduce
 import numpy as np
 
 from tumble.bench.follow.wishes import Wanted
-from tumble.earth import EARTH_RATE
 from tumble.programme.positions import Programme
 from tumble.recording.session import Session
 from tumble.reduction.blocks.reducer import Reduction
-from tumble.reduction.noise.coloured_noise import fit_coloured_noise
+from tumble.reduction.rests.live import RestsSoFar, mean_so_far
 from tumble.reduction.rests.matching import POSITION_LIMIT, SAME_ATTITUDE, freed_verticals
-from tumble.reduction.rests.segmentation import RestSpan
 from tumble.rotation import onto_body, rotation_matrix, rotation_vector, unit_vector
 from tumble.units import Array
 
-CALM_BLOCKS = 5
-"""Half a second without movement is a rest that begins."""
-_LOOKED_AT = 256
+LATEST_BLOCKS = 5
+"""Half a second: what reads now is the mean of these."""
 SHORTEST_REST = 4.0
+"""s."""
 KNOWN_SECONDS = 300.0
 """For how long gyros of 0.01 °/s carry an attitude to 3°, which is about what a picture shows."""
 OPPOSITE = 0.01
@@ -102,63 +100,45 @@ class Rest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Judged:
-    """A rest as it is now: u of its mean by the accelerometers, m/s², and gyros, rad/s, the largest of the channels'
-    (None without, and while there is too little to tell it from); s that are left to the wanted u; whether it is
-    `enough`, and whether longer would give nothing."""
+    """A rest as it is now: u of its mean by the accelerometers, m/s², and gyros, rad/s (None without, and while there is
+    too little to tell it from); s that are left to the wanted u; whether it is `enough`, and whether longer would give
+    nothing."""
 
-    accel: float | None = None
-    gyro: float | None = None
-    left: float | None = None
-    enough: bool = False
-    nothing_more: bool = False
+    accel: float | None
+    gyro: float | None
+    left: float | None
+    enough: bool
+    nothing_more: bool
 
     @staticmethod
     def of(reduction: Reduction, rest: Rest, wanted: Wanted) -> Judged:
         """u of the mean of a rest against the wanted ones, and what twice the time would leave of it."""
-        if rest.last - rest.first < 10:
-            return Judged()
-        file, seconds = reduction.files[-1], rest.stop - rest.start
-        levels, over, twice = list[float](), 0.0, 0.0
-        for readings, level in ((file.accel, wanted.accel), (file.gyro, wanted.gyro))[
-            : 2 if reduction.gyro_channels else 1
-        ]:
-            series = readings.means[rest.first : rest.last]
-            noise = fit_coloured_noise([series])
-            u, then = (
-                float(np.sqrt(np.diag(noise.covariance_of_mean(k * len(series))).max())) for k in (1.0, 2.0)
-            )  # of the worst channel
-            levels.append(max(u, 1e-12))
-            over, twice = max(over, levels[-1] / level), max(twice, then / levels[-1])
-        left = max(seconds * (over**2 - 1.0), SHORTEST_REST - seconds, 0.0)
-        flat = twice > NOTHING_MORE and seconds > 10.0
-        accel, gyro = (*levels, None)[:2]
-        return Judged(accel=accel, gyro=gyro, left=left, enough=left <= 0.0 or flat, nothing_more=flat)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class StillLimits:
-    """What decides whether a block is calm: scatter of the specific force, m/s², and distance of the rate from its
-    `level` (3,) at rest, rad/s; the level is None while no rest is known."""
-
-    scatter: float
-    rate: float | None
-    level: Array | None
+        mean, seconds = mean_so_far(reduction, rest.first, rest.last), rest.stop - rest.start
+        kinds = [
+            (max(u, 1e-12), twice, level)
+            for u, twice, level in (
+                (mean.accel_u, mean.accel_twice, wanted.accel),
+                (mean.gyro_u, mean.gyro_twice, wanted.gyro),
+            )
+            if u is not None and twice is not None
+        ]
+        left, flat = None, False
+        if kinds:
+            over = max(u / level for u, _, level in kinds)
+            left = max(seconds * (over**2 - 1.0), SHORTEST_REST - seconds, 0.0)
+            flat = seconds > 10.0 and max(twice / u for u, twice, _ in kinds) > NOTHING_MORE
+        return Judged(accel=mean.accel_u, gyro=mean.gyro_u, left=left, enough=left == 0.0 or flat, nothing_more=flat)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Progress:
-    """A session under way: what the log is reduced to; the rests that were found in it last, `spans`, and the limits
-    of a calm block, None while there is too little to find rests in; the block from which on nothing moves, None where
-    something does now; the rests by position, `groups`, the last of which `lasts` or has been left; and how good the
-    last two rests of the last position are."""
+    """A session under way: what the log is reduced to; what of it rests, `so_far`, None while there is too little to
+    find rests in; the rests by position, `groups`; and how good the last two rests of the last position are."""
 
     reduction: Reduction
     blocks: Blocks
-    spans: tuple[RestSpan, ...]
-    limits: StillLimits | None
-    calm_from: int | None
+    so_far: RestsSoFar | None
     groups: list[list[Rest]]
-    lasts: bool
     judged: tuple[Judged, ...]
 
     @property
@@ -167,9 +147,14 @@ class Progress:
         return float(self.blocks.edges[-1])
 
     @property
+    def still(self) -> bool:
+        """Whether nothing moves now."""
+        return self.so_far is not None and self.so_far.still
+
+    @property
     def current(self) -> Rest | None:
         """The rest that lasts, None while there is none."""
-        return self.groups[-1][-1] if self.lasts else None
+        return self.groups[-1][-1] if self.so_far is not None and self.so_far.lasting else None
 
     @property
     def turned(self) -> Array | None:
@@ -177,29 +162,6 @@ class Progress:
         last = self.groups[-1][-1]
         increments = self.blocks.turned(last.last, len(self.blocks), last.rate)
         return None if increments is None else increments.sum(axis=0)
-
-
-def calm_since(blocks: Blocks, limits: StillLimits, calm_from: int = 0, calm_to: int = 0) -> int | None:
-    """The block from which on nothing moves, None if something does now. CALM_BLOCKS are looked at together; of those
-    between `calm_from` and `calm_to` it is known that nothing moves in them."""
-    last = len(blocks)
-    unseen = max(calm_from, calm_to - CALM_BLOCKS + 1)
-    first = last
-    while first > unseen:
-        start = max(unseen, first - _LOOKED_AT)
-        stop = min(first + CALM_BLOCKS - 1, last)
-        if stop - start >= CALM_BLOCKS:
-            windows = np.lib.stride_tricks.sliding_window_view(blocks.force[start:stop], CALM_BLOCKS, axis=0)
-            calm = np.sqrt(windows.var(axis=-1).sum(axis=-1)) <= limits.scatter
-            if blocks.rate is not None and limits.rate is not None and limits.level is not None:
-                rates = np.lib.stride_tricks.sliding_window_view(blocks.rate[start:stop], CALM_BLOCKS, axis=0)
-                off = np.linalg.norm(rates.mean(axis=-1) - limits.level, axis=-1)
-                calm &= off < 1.5 * (limits.rate + 2.0 * EARTH_RATE)
-            if not calm.all():
-                calm_from = start + int(np.flatnonzero(~calm)[-1]) + 1
-                break
-        first = start
-    return calm_from if last - calm_from >= CALM_BLOCKS else None
 
 
 def grouped(blocks: Blocks, rests: list[Rest]) -> list[list[Rest]]:
@@ -247,7 +209,7 @@ def attitude_now(programme: Programme, progress: Progress, index: int, at: int) 
         increments = blocks.turned(before.last, len(blocks), before.rate)
         if increments is not None and progress.now - before.stop < KNOWN_SECONDS:
             return np.asarray(programme.positions[index - 1].matrix @ attitude_after(increments))
-    vertical = unit_vector(blocks.force[-CALM_BLOCKS:].mean(axis=0))
+    vertical = unit_vector(blocks.force[-LATEST_BLOCKS:].mean(axis=0))
     across, cosine = np.cross(vertical, wanted.vertical_b), float(vertical @ wanted.vertical_b)
     sine = float(np.linalg.norm(across))
     if sine < OPPOSITE and cosine < 0.0:

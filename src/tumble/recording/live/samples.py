@@ -1,10 +1,11 @@
-"""The samples that rows are as they come, by the same chain as those of a log that has ended."""
+"""Samples of rows as they come, by the same chain as those of a log that has ended."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -15,6 +16,13 @@ from tumble.recording.rows.gaps import Gap, Grid, is_reading
 from tumble.recording.session import LogSpec
 from tumble.units import Array
 
+SI_LOG: Mapping[str, Any] = {
+    "file": "log.csv",
+    "time": "t",
+    "accel": {"columns": ["ax", "ay", "az"], "unit": "m/s^2"},
+    "gyro": {"columns": ["gx", "gy", "gz"], "unit": "rad/s"},
+}
+"""The table [log] of a source that sends t, ax, ay, az, gx, gy, gz in s, m/s² and rad/s."""
 _HEAD = 100
 
 
@@ -44,9 +52,30 @@ class _ComingRows:
         return f"{self.path}: row {row}" + in_column(column)
 
 
-class Clock:
-    """Makes samples of the rows of a file of a log. The `interval`, s, is learned from the first `head` rows, and None
-    until there are as many; `gaps` is what was bridged or left out."""
+class StreamedSamples:
+    """Samples of the rows of one file of a log, which come piece by piece.
+
+    Times are judged, lost samples bridged and units converted as in a log that is read at once. In pieces of any size
+    the samples are the same.
+
+    Parameters
+    ----------
+    spec
+        The log, as its session describes it.
+    head
+        Rows from which the interval is taken.
+    interval
+        From sample to sample, s. None: the median over the first `head` rows.
+    file
+        Number of the file, from 0.
+
+    Attributes
+    ----------
+    interval : float or None
+        None while fewer than `head` rows have come.
+    gaps : list of Gap
+        What was bridged or left out.
+    """
 
     def __init__(self, spec: LogSpec, *, head: int = _HEAD, interval: float | None = None, file: int = 0) -> None:
         self.head, self.interval, self.gaps = head, interval, list[Gap]()
@@ -54,8 +83,19 @@ class Clock:
         self._coming = _ComingRows(path=Path("what is received"), names=spec.columns)
         self._samples: Iterator[Chunk] | None = None
 
-    def samples(self, rows: Array) -> Chunk | None:
-        """The samples that are known with the next rows; None where there are none, or the interval is not known."""
+    def feed(self, rows: Array) -> Chunk | None:
+        """Add rows (m, columns) as the log has them, and return the samples that are settled with them.
+
+        Returns
+        -------
+        Chunk or None
+            None where no sample is settled. Rows whose times are to be judged by the next are held back.
+
+        Raises
+        ------
+        LogError
+            Where too many rows have wrong times, as when the clock has started anew.
+        """
         spec, waiting = self._spec, self._coming.waiting
         waiting.append(rows)
         if self._samples is None:
