@@ -20,6 +20,7 @@ from tumble.lab.certificate import RELATES, STATES, Certificate, Party, check_ce
 from tumble.lab.conformity import RESULTS, RULE, LimitJudgement, Result, Verdict, verdicts
 from tumble.lab.limits import Limits, limits_of
 from tumble.lab.scope import statement_of_scope, within_scope
+from tumble.lab.views.registry import TONES
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.coverage import expanded
 from tumble.result.further import remarks
@@ -36,7 +37,6 @@ from tumble.views.numbers import (
     to_digits_of,
     units_of_values,
 )
-from tumble.views.registry import TONES
 from tumble.views.report.document import (
     ReportedFile,
     annexes,
@@ -121,7 +121,7 @@ def _in_words(checks: Sequence[Sequence[Verdict]]) -> list[str]:
 def _not_passed(sources: Sequence[ReportedFile], checks: Sequence[Sequence[Verdict]]) -> list[str]:
     """What is not within the limits, each with its file."""
     return [
-        f"{source.file}: {verdict.occasion} check: {'; '.join(verdict.reasons())}"
+        f"{source.file}: {verdict.occasion} check: {'; '.join(verdict.reasons)}"
         for source, judged in zip(sources, checks, strict=True)
         for verdict in judged
         if verdict.result != "pass"
@@ -132,7 +132,7 @@ def limits_section(acceptance: Limits, checks: Sequence[Verdict]) -> Section:
     """The decision rule, and every parameter against the limits of all checks with the verdicts."""
     blocks: list[Block] = [f"{_RULE} Limits hold in the frame “{acceptance.frame}”."]
     for verdict in checks:
-        reasons = f" ({'; '.join(verdict.reasons())})" if verdict.reasons() else ""
+        reasons = f" ({'; '.join(verdict.reasons)})" if verdict.reasons else ""
         over = f", {verdict.over}" if verdict.over else ""
         sentence = f"{_CHECKS[verdict.occasion]}: {verdict.result}{over}{reasons}."
         blocks.append(Text(text=sentence, tone=TONES[verdict.result]))
