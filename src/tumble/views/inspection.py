@@ -6,7 +6,6 @@ In the picture the files of a log stand one after the other.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +20,6 @@ from tumble.views.render.characters import drawable
 from tumble.views.render.pictures import COLOURS, write_picture
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -30,14 +28,8 @@ UPRIGHT = 0.98  # an axis within 11° of the vertical is up or down
 _RESTS, _TURNS = "#e3e8ee", "#f6e3d6"
 """Colours of the spans of rests and turns."""
 
-_NUMBER = 7.0
-"""Height of the number of a rest, points; a digit is 0.65 of it wide."""
-
-_DRAWN = 0.8
-"""The part of a figure's width that readings take, about; the rest is for scale and legend."""
-
-Spans = Sequence[tuple[float, float]]
-"""Start and stop, s."""
+_MOST_NUMBERS = 40
+"""Rests that are numbered in a picture."""
 
 
 def inspection_blocks(observed: Observed) -> list[Block]:
@@ -134,16 +126,17 @@ def plot(observed: Observed, path: Path) -> None:
 
     Raises MissingExtraError without matplotlib, InputError for another ending."""
     files, log = observed.reduction.files, observed.session.log
-    starts = _starts(float(file.edges[-1] - file.edges[0]) for file in files)
+    lasted = [float(file.edges[-1] - file.edges[0]) for file in files]
+    starts = [0.0, *np.cumsum(lasted).tolist()][:-1]
     later = [start - float(file.edges[0]) for start, file in zip(starts, files, strict=True)]
     found = [(r.start + later[r.file], r.stop + later[r.file], r.file) for r in observed.segmentation.rests]
-    rests = [(start, stop) for start, stop, _ in found]
-    turns = [(before[1], after[0]) for before, after in pairwise(found) if before[2] == after[2]]
+    spans = [(start, stop, _RESTS) for start, stop, _ in found]
+    spans += [(before[1], after[0], _TURNS) for before, after in pairwise(found) if before[2] == after[2]]
     panels = [("accel", log.accel, 1.0, "m/s²")] + ([("gyro", log.gyro, DEGREE, "°/s")] if log.gyro else [])
 
     def draw(figure: Figure) -> None:
-        axes_of = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-        for axes, (kind, channels, size, unit) in zip(axes_of, panels, strict=True):
+        all_axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, (kind, channels, size, unit) in zip(all_axes, panels, strict=True):
             assert channels is not None
             for i, column in enumerate(channels.columns):
                 for file, start in zip(files, starts, strict=True):
@@ -151,40 +144,15 @@ def plot(observed: Observed, path: Path) -> None:
                     label = drawable(column) if file is files[0] else None
                     values = getattr(file, kind).means[:, i] / size
                     axes.plot(middle, values, color=COLOURS[i % len(COLOURS)], linewidth=0.8, label=label)
+            for start, stop, colour in spans:
+                axes.axvspan(start, stop, color=colour, linewidth=0.0, zorder=0)
+            axes.margins(x=0.005)
             axes.set_ylabel(unit)
-            _spans(axes, rests, turns)
             axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        _numbers(axes_of[0], rests)
-        axes_of[-1].set_xlabel("time, s")
+        for number in range(0, len(found), math.ceil(len(found) / _MOST_NUMBERS) or 1):
+            above: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "ha": "center", "va": "bottom"}
+            middle = 0.5 * (found[number][0] + found[number][1])
+            all_axes[0].annotate(str(number + 1), (middle, 1.0), fontsize=7.0, **above)
+        all_axes[-1].set_xlabel("time, s")
 
     write_picture(path, "a picture of the recording", (10.0, 5.0), draw)
-
-
-def _starts(lasted: Iterable[float]) -> list[float]:
-    """When each file begins, the files standing one after the other."""
-    return [0.0, *np.cumsum(list(lasted)).tolist()][:-1]
-
-
-def _spans(axes: Axes, rests: Spans, turns: Spans) -> None:
-    """Rests and turns as bands behind the readings."""
-    for spans, colour in ((rests, _RESTS), (turns, _TURNS)):
-        for start, stop in spans:
-            axes.axvspan(start, stop, color=colour, linewidth=0.0, zorder=0)
-    axes.margins(x=0.005)
-
-
-def _numbers(axes: Axes, rests: Spans) -> None:
-    """The number of every rest above it, where there is room beside the one before."""
-    if not rests:
-        return
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    point = (rests[-1][1] - rests[0][0]) / (72.0 * _DRAWN * figure.get_figwidth())
-    taken = -math.inf
-    for number, (start, stop) in enumerate(rests, 1):
-        middle, half = 0.5 * (start + stop), 0.325 * _NUMBER * len(str(number)) * point
-        if middle - half < taken:
-            continue
-        place: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "ha": "center", "va": "bottom"}
-        axes.annotate(str(number), (middle, 1.0), fontsize=_NUMBER, **place)
-        taken = middle + half + 0.4 * _NUMBER * point
