@@ -177,7 +177,7 @@ class Rows:
 
 
 def _in_utc(row: dict[str, Any]) -> dict[str, Any]:
-    return {name: v.replace(tzinfo=UTC) if isinstance(v, datetime) else v for name, v in row.items()}
+    return row | {name: v.replace(tzinfo=UTC) for name, v in row.items() if isinstance(v, datetime)}
 
 
 def _without_zone(values: Mapping[str, Any]) -> dict[str, Any]:
