@@ -15,6 +15,7 @@ import numpy as np
 import polars as pl
 import pytest
 from click.testing import CliRunner
+from tumble.lab.registry.adding import Particulars, read_submission
 
 from tests.support.calibrated import calibration, of_device, warmed
 from tests.support.pages import Page, opened, pdf_text
@@ -24,7 +25,6 @@ from tumble.export import export_calibration
 from tumble.inference.estimate import Outcome
 from tumble.lab.certificate import Party, read_certificate
 from tumble.lab.conformity import judge_value
-from tumble.lab.registry.adding import Particulars, read_submission
 from tumble.lab.report import letterhead, write_certificate
 from tumble.planning.setup import Setup
 from tumble.recording.session import AirConditions, Circumstances
@@ -156,6 +156,36 @@ def test_the_number_is_on_every_page_and_the_first_one_is_the_customers(made: Pa
     assert pages[1].startswith("Annexes")
     assert sum("End of the certificate" in text for text in pages) == 1
     assert "End of the certificate" in pages[-1]
+
+
+def test_html_and_pdf_say_the_same(made: Path) -> None:
+    said, page = pdf_text(made / "c.pdf"), Page.of(made / "c.html")
+    cells = {" ".join(cell.split()) for table in page.tables for row in table for cell in row if cell}
+    assert len(cells) > 150
+    assert [cell for cell in cells if cell not in said] == []
+    for heading in page.headings:
+        assert heading.partition(" ")[2] in said
+
+
+def test_the_pdf_is_for_the_archive(made: Path) -> None:
+    """A4, PDF/A-2b by its own account, all fonts embedded, no link, script or attachment, the calibration's date."""
+    calibration = read_calibration(made / "c.json")
+    with opened(made / "c.pdf") as document:
+        metadata = document.get_xml_metadata()
+        assert "<pdfaid:part>2</pdfaid:part>" in metadata
+        assert "<pdfaid:conformance>B</pdfaid:conformance>" in metadata
+        assert document.embfile_count() == 0
+        assert calibration.serial in document.metadata["title"]
+        created = re.sub(r"\D", "", calibration.provenance["created"].split("+")[0])
+        assert created in re.sub(r"\D", "", document.metadata["creationDate"])
+        fonts = set()
+        for sheet in document:
+            assert [round(side / 72.0 * 25.4) for side in sheet.rect[2:]] == [210, 297]
+            assert not [link for link in sheet.get_links() if "uri" in link or "file" in link]
+            fonts |= {font[0] for font in sheet.get_fonts()}
+        assert fonts
+        assert all(document.extract_font(font)[3] for font in fonts)
+    assert b"/JavaScript" not in (made / "c.pdf").read_bytes()
 
 
 def test_the_values_as_found_stand_beside_those_as_left(made: Path) -> None:

@@ -20,7 +20,6 @@ from tumble.result.parts import Launch, TurnResult
 from tumble.rotation import unit_vector
 from tumble.units import DEGREE, G_STANDARD, Array
 from tumble.views.blocks import Block, Facts, Figure, Section, Table, Text, section, table
-from tumble.views.inspection import overview
 from tumble.views.numbers import NONE, fixed, in_engineering, significant
 from tumble.views.report import figures
 
@@ -101,19 +100,11 @@ def sites(all_of_them: Sequence[RecordedSession]) -> Section | None:
 
 
 def found(recording: RecordedSession, name: str) -> Section | None:
-    """Every rest and every turn against the programme, and, with a `name` of figures, what the sensors read over time
-    and where the vertical was in the body."""
+    """Every rest and every turn against the programme, and, with the `name` of a figure, where the vertical was in
+    the body."""
     if not recording.recorded.rests:
         return None
-    time, sphere, verticals = None, None, recording.verticals()
-    if name and all(rest.accel is not None for rest in recording.recorded.rests):
-        readings = recording.calibration.readings.get("accel")
-        columns = () if readings is None else readings.columns
-        time = Figure(
-            svg=overview(f"{name}-time", recording.recorded.rests, recording.recorded.turns, columns),
-            caption="The recording: mean readings of the accelerometers at its numbered rests, and between them "
-            "the turns, with their angles as the gyros saw them.",
-        )
+    sphere, verticals = None, recording.verticals()
     if name and verticals is not None:
         nominal = np.array([p.vertical_b for p in recording.positions() if p is not None]).reshape(-1, 3)
         gap = figures.farthest_from(verticals) / DEGREE
@@ -124,7 +115,7 @@ def found(recording: RecordedSession, name: str) -> Section | None:
             width=figures.SPHERE,
         )
     said, (rests, turns, *_) = _programme_said(recording), tables_of(recording)
-    return section(recording.titled("Programme and what was found"), said, time, rests, sphere, turns)
+    return section(recording.titled("Programme and what was found"), said, rests, sphere, turns)
 
 
 def tables_of(recording: RecordedSession) -> tuple[Table | None, Table | None, Table | None]:
