@@ -49,21 +49,24 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 
 from tumble.errors import InputError
 from tumble.export.exported import (
+    MAGNETOMETER,
     SINGLE_PRECISION,
     Exported,
-    ExportedParameter,
     commented,
     example,
-    losses_of,
+    left_of_model,
+    notes_of,
     origin,
     session_rate,
     shown,
     triads,
+    worst,
 )
 from tumble.recording.session import AutopilotSensor
 from tumble.result.calibration import Calibration
@@ -87,7 +90,9 @@ LEAST = 0.01
 over."""
 _LETTERS: Mapping[SensorKind, str] = {"accel": "A", "gyro": "G"}
 """What PX4 calls the kinds of sensors that it compensates."""
-_TOLD_APART = tuple(f"{kind}.{what}.{t}" for kind in _LETTERS for what in ("bias", "scale") for t in ("t1", "t2"))
+_OVER_TEMPERATURE = frozenset(
+    f"{kind}.{what}.{t}" for kind in _LETTERS for what in ("bias", "scale") for t in ("t1", "t2")
+)
 """Groups over temperature: held, or not held with a sentence of their own."""
 _NOTHING = 1e-12
 """mg or deg/s: rounding of double precision."""
@@ -191,25 +196,48 @@ ARDUPILOT = Autopilot(
 PILOTS: Mapping[str, Autopilot] = {"px4": PX4, "ardupilot": ARDUPILOT}
 
 
-def parameter_lines(pilot: Autopilot, parameters: Iterable[ExportedParameter]) -> list[str]:
+class Row(NamedTuple):
+    """A parameter of an autopilot, and whether it is a whole number."""
+
+    name: str
+    value: float
+    whole: bool = False
+
+
+def parameter_lines(pilot: Autopilot, rows: Iterable[Row]) -> list[str]:
     """The lines of a file that the autopilot's ground station loads, numbers with as many digits as it takes to read
     them back in single precision."""
     lines = [f"# {pilot.heading[-1]}"] if pilot.heading else []
-    for p in parameters:
-        text = f"{p.value:.0f}" if p.whole else np.format_float_positional(np.float32(p.value), trim="0")
-        lines.append((pilot.whole if p.whole else pilot.real).format(name=p.name, value=text))
+    for name, value, whole in rows:
+        text = f"{value:.0f}" if whole else np.format_float_positional(np.float32(value), trim="0")
+        lines.append((pilot.whole if whole else pilot.real).format(name=name, value=text))
     return lines
 
 
-# -------------------- what is left of a calibration, and how much that loses --------------------
+# -------------------- what an autopilot applies --------------------
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Held:
-    """What an autopilot can hold of a calibration, in single precision: which of its `sensors` it is of, the kinds that
-    are `known`, their offsets (3,), and factors (3,), which gyros have none of: 1. Over temperature, the references of
-    the calibration being temperatures of the target, also how the biases of a kind change, (3, 2), per K and per K²,
-    within the range that was `measured`."""
+    """What an autopilot can hold of a calibration, in single precision.
+
+    Attributes
+    ----------
+    pilot, calibration, imu
+        The autopilot, what is exported, and the number of the IMU that the user gave.
+    sensors
+        The sensors of the autopilot whose parameters are written, by kind.
+    known
+        The models of the calibration, by kind.
+    offset, factor
+        (3,) by kind; the factors of gyros are 1.
+    left
+        What is left of the matrices.
+    slopes
+        (3, 2) by kind: how biases change per K and per K² about the target's reference; empty unless over temperature.
+    measured
+        The range of temperatures in which that was measured.
+    """
 
     pilot: Autopilot
     calibration: Calibration
@@ -218,7 +246,7 @@ class Held:
     known: Mapping[SensorKind, SensorModel]
     offset: Mapping[SensorKind, Array]
     factor: Mapping[SensorKind, Array]
-    losses: tuple[str, ...]
+    left: tuple[str, ...]
     slopes: Mapping[SensorKind, Array]
     measured: Range
 
@@ -229,42 +257,21 @@ class Held:
 
         Raises InputError unless every channel senses its own axis of the frame, X, Y, Z, positive, where other sensors
         than those of the number were recorded, and over temperature where nothing changes with it."""
-        known, losses = triads(calibration, target, needed=()), []
+        known, left, factors = triads(calibration, target, needed=()), list[str](), dict[SensorKind, Array]()
         for kind, model in known.items():
             if (np.argmax(model.matrix, axis=1) != np.arange(3)).any() or (np.diag(model.matrix) <= 0.5).any():
                 raise InputError(
                     f"export to {target}: expected {kind} channels along X, Y, Z in this order, found others; {target} "
                     "has no place for another order or sign: name the columns of the session in that order"
                 )
-            error = model.matrix / np.diag(model.matrix)[:, None] - np.eye(3)
-            misalignment = (
-                f"misalignment of the accelerometers: up to {1e3 * np.abs(error).max():.3g} mrad, in 1 g an error of "
-                f"up to {G_STANDARD * worst(error):.3g} m/s^2"
-            )
-            losses.append(misalignment if kind == "accel" else gyro_matrix_lost(model))
-        most = pilot.most_thermal if thermal else pilot.most
-        if imu is not None and not 1 <= imu <= most:
-            raise InputError(f"--imu: expected a number from 1 to {most} for {target}, found {imu}")
-        for recorded, sensor in calibration.imu.items():
-            if imu not in (None, sensor.number):
-                device = "" if sensor.id is None else f" with the device id {sensor.id}"
-                raise InputError(
-                    f"export to {target}: expected the sensors that were recorded, {recorded} {sensor.number}{device}, "
-                    f"found --imu {imu}; calibrate a recording of IMU {imu}, or leave --imu out"
-                )
-        factors = {
-            kind: 1.0 / np.diag(model.matrix) if kind == "accel" else np.ones(3) for kind, model in known.items()
-        }
-        lost = losses_of(calibration, *losses, held=_TOLD_APART if thermal else (), precision=SINGLE_PRECISION)
+            factors[kind] = 1.0 / np.diag(model.matrix) if kind == "accel" else np.ones(3)
+            left += left_of_model(kind, factors[kind][:, None] * model.matrix - np.eye(3))
+        _check_imu(pilot.most_thermal if thermal else pilot.most, target, calibration, imu)
         slopes, measured = dict[SensorKind, Array](), Range(low=math.nan, high=math.nan)
         if thermal:
             measured = range_of(calibration, target)
             slopes = {kind: coefficients(calibration, kind, "bias") for kind in known}
-            own: dict[str, Array] = {kind: references(calibration, kind) for kind in known}
-            seen: dict[str, tuple[float, ...]] = {}
-            for kinds in ([kind for kind in kinds if kind in own] for kinds in pilot.thermometers):
-                seen |= {kind: len(own[kind]) * (float(np.mean(own[kinds[0]])),) for kind in kinds}  # that of the first
-            calibration = replace(calibration, temperature=replace(calibration.temperature, references=seen))
+            calibration = _at_common_references(pilot, calibration, known)
         return Held(
             pilot=pilot,
             calibration=calibration,
@@ -273,7 +280,7 @@ class Held:
             known=known,
             offset={kind: single(model.bias) for kind, model in known.items()},
             factor={kind: single(factor) for kind, factor in factors.items()},
-            losses=lost,
+            left=tuple(left),
             slopes=slopes,
             measured=measured,
         )
@@ -326,42 +333,48 @@ class Held:
         it_is = shown(worked.true.round(6))
         return f"example {kind}{where}: reading {shown(worked.reading)} becomes {shown(target)}; it is {it_is}"
 
-    def written(
-        self,
-        told: Iterable[str],
-        rows: Iterable[ExportedParameter],
-        more: Iterable[str] = (),
-        last: Iterable[str] = (),
-    ) -> Exported:
-        """The file: what is told and lost as comments, offsets and factors, then those of the magnetometer and the
-        rows; and what is supposed where neither the calibration nor the user says which IMU it is."""
-        parameters, caveats, offset = list[ExportedParameter](), list[str](), self.offset
+    def written(self, remarks: Iterable[str], rows: Iterable[Row], see_to: Iterable[str] = ()) -> Exported:
+        """The file: remarks, examples and notes as comments, offsets and factors, then the parameters of the
+        magnetometer and further rows."""
+        every, offset = list[Row](), self.offset
         for kind in offset:
             parts = [(self.pilot.offset, offset[kind]), (self.pilot.factor, self.factor[kind])]
             for what, values in parts if kind == "accel" else parts[:1]:
-                parameters += _reals([self.name(what.format(axis=axis), kind) for axis in "XYZ"], values)
+                every += _reals([self.name(what.format(axis=axis), kind) for axis in "XYZ"], values)
+        compass, about_it, lost = _compass(self.pilot, self.calibration)
+        notes = notes_of(
+            self.calibration,
+            left=[*(self._left_over_temperature() if self.slopes else []), *self.left],
+            held={MAGNETOMETER} | (_OVER_TEMPERATURE if self.slopes else set()),
+            lacks=["uncertainties and their covariance", *lost],
+            see_to=[*see_to, *self._caveats(), SINGLE_PRECISION],
+        )
+        examples = map(self.example, self.known)
+        comments = [*origin(self.calibration), *remarks, *examples, *about_it, *notes, *self.pilot.heading[:1]]
+        return Exported(
+            content=commented(comments, parameter_lines(self.pilot, [*every, *compass, *rows])), losses=notes
+        )
+
+    def _caveats(self) -> list[str]:
+        """What the user has to see to, whatever the file."""
+        out = []
+        if self.imu is None and not self.calibration.imu:
+            out.append(
+                "the calibration does not say which IMU it is of: these are parameters of the first, --imu N of another"
+            )
         if self.pilot is PX4:
-            changes = {"accelerometer offsets": offset["accel"]} if "accel" in offset else {}
-            changes |= {"accelerometer scales": self.factor["accel"] - 1.0} if "accel" in offset else {}
-            changes |= {"gyro offsets": offset["gyro"]} if "gyro" in offset else {}
+            changes = {f"{kind} offsets": values for kind, values in self.offset.items()}
+            changes |= {"accel scales": self.factor["accel"] - 1.0} if "accel" in self.factor else {}
             if small := [name for name, three in changes.items() if np.linalg.norm(three) <= LEAST]:
-                caveats.append(
+                out.append(
                     "some releases of PX4 ignore corrections shorter than 0.01 (m/s^2, 1, rad/s), as here: "
                     f"{', '.join(small)}; see `sensors status`"
                 )
-        elif "gyro" in offset:
-            caveats.append("gyro offsets are estimated anew at every start unless INS_GYR_CAL is 0")
-        compass, told_of_it, lost = _compass(self.pilot, self.calibration)
-        whose = "the calibration does not say which IMU it is of: these are parameters of the first, --imu N of another"
-        supposed = [whose] if self.imu is None and not self.calibration.imu else []
-        thermal = self.over_temperature() if self.slopes else []
-        every_loss = (*thermal, *more, *self.losses, *lost, *caveats, *last, *supposed)
-        every, examples = (*parameters, *compass, *rows), map(self.example, self.known)
-        comments = [*origin(self.calibration, magnetometer=True), *told, *examples, *told_of_it, *every_loss]
-        file = commented([*comments, *self.pilot.heading[:1]], parameter_lines(self.pilot, every), every_loss)
-        return replace(file, parameters=every, magnetometer=True)
+        elif "gyro" in self.offset:
+            out.append("gyro offsets are estimated anew at every start unless INS_GYR_CAL is 0")
+        return out
 
-    def over_temperature(self) -> list[str]:
+    def _left_over_temperature(self) -> list[str]:
         """What is lost over temperature, and how much of it within the measured range."""
         T, rate, known = self.measured.temperatures(), session_rate(self.calibration), self.known
         span = f"{self.measured.low:.1f} to {self.measured.high:.1f} degC"
@@ -410,23 +423,32 @@ class Held:
         return [*losses, f"outside {span} nothing was measured: the target keeps the offsets of the nearer end"]
 
 
+def _check_imu(most: int, target: str, calibration: Calibration, imu: int | None) -> None:
+    """Raises InputError for a number that the target has no IMU of, or that is not that of the recording."""
+    if imu is not None and not 1 <= imu <= most:
+        raise InputError(f"--imu: expected a number from 1 to {most} for {target}, found {imu}")
+    for recorded, sensor in calibration.imu.items():
+        if imu not in (None, sensor.number):
+            device = "" if sensor.id is None else f" with the device id {sensor.id}"
+            raise InputError(
+                f"export to {target}: expected the sensors that were recorded, {recorded} {sensor.number}{device}, "
+                f"found --imu {imu}; calibrate a recording of IMU {imu}, or leave --imu out"
+            )
+
+
+def _at_common_references(pilot: Autopilot, calibration: Calibration, kinds: Iterable[SensorKind]) -> Calibration:
+    """The calibration with one reference temperature for all sensors that have a thermometer together in the target:
+    that of the first kind."""
+    own: dict[str, Array] = {kind: references(calibration, kind) for kind in kinds}
+    common: dict[str, tuple[float, ...]] = {}
+    for together in ([kind for kind in each if kind in own] for each in pilot.thermometers):
+        common |= {kind: len(own[kind]) * (float(np.mean(own[together[0]])),) for kind in together}
+    return replace(calibration, temperature=replace(calibration.temperature, references=common))
+
+
 def single(values: Array) -> Array:
     """Numbers as single precision keeps them."""
     return np.asarray(values.astype(np.float32), dtype=float)
-
-
-def worst(error: Array) -> float:
-    """The largest relative error |E v| / |v| of any vector."""
-    return float(np.linalg.norm(error, ord=2))
-
-
-def gyro_matrix_lost(model: SensorModel) -> str:
-    """What gyros with nothing but offsets lose."""
-    error = worst(model.matrix - np.eye(3))
-    return (
-        f"scale factors and misalignment of the gyros: an error of up to {100.0 * error:.3g} % of the rate, "
-        f"{np.rad2deg(error * np.deg2rad(100.0)):.3g} deg/s in 100 deg/s"
-    )
 
 
 def said(errors: Mapping[SensorKind, float]) -> str:
@@ -465,22 +487,22 @@ def warm_end(measured: Range) -> float:
 # -------------------- the files --------------------
 
 
-def _at_reference(pilot: Autopilot, target: str, calibration: Calibration, imu: int | None = None) -> Exported:
+def _at_reference(pilot: Autopilot, target: str, calibration: Calibration, *, imu: int | None = None) -> Exported:
     """The file of a calibration, of the IMU of this number, from 1, or of that which was recorded."""
     held = Held.of(pilot, target, calibration, imu)
     ids = {held.name(pilot.id, kind): held.sensors[kind].id for kind in held.known}
     unknown = [name for name, device in ids.items() if device is None] if pilot is PX4 else []
     plural = "ids of these sensors" if len(unknown) > 1 else "id of this sensor"
-    told = [f"{' and '.join(unknown)} have to be the {plural} already"] if unknown else []
-    known = {name: device for name, device in ids.items() if device is not None}
-    return held.written(told, [_whole(name, _device(pilot, device), identity=True) for name, device in known.items()])
+    remarks = [f"{' and '.join(unknown)} have to be the {plural} already"] if unknown else []
+    known = [Row(name, _device(pilot, device), whole=True) for name, device in ids.items() if device is not None]
+    return held.written(remarks, known)
 
 
 px4, ardupilot = partial(_at_reference, PX4, "px4"), partial(_at_reference, ARDUPILOT, "ardupilot")
 
 
 def px4_thermal(
-    calibration: Calibration, imu: int | None = None, sensor_ids: tuple[int, int] | None = None
+    calibration: Calibration, *, imu: int | None = None, sensor_ids: tuple[int, int] | None = None
 ) -> Exported:
     """The .params file of a calibration over temperature; `sensor_ids` are the device ids of accelerometer and gyro,
     and `imu` the number of the IMU, from 1, where the recording has not said them."""
@@ -491,30 +513,30 @@ def px4_thermal(
     ids = {} if None in given.values() else given  # both or none
     names = " and ".join(held.name(PX4.id, kind) for kind in held.slopes)
     at = dict.fromkeys(f"{held.reference(kind):g}" for kind in held.slopes)
-    told = [
+    remarks = [
         f"{names} have to be the ids of these sensors already",
         f"CAL_*OFF and CAL_*SCALE are those at {' and '.join(at)} degC",
     ]
-    rows: list[ExportedParameter] = []
+    rows: list[Row] = []
     for kind, stem in stems.items():
-        rows.append(_whole(f"TC_{_LETTERS[kind]}_ENABLE", 1))
-        rows += [_whole(f"{stem}_ID", _device(PX4, ids[kind] or 0))] if ids else []
+        rows.append(Row(f"TC_{_LETTERS[kind]}_ENABLE", 1, whole=True))
+        rows += [Row(f"{stem}_ID", _device(PX4, ids[kind] or 0), whole=True)] if ids else []
         rows += _reals([f"{stem}_TREF", f"{stem}_TMIN", f"{stem}_TMAX"], held.ends(kind))
         for degree, column in enumerate((np.zeros(3), *held.coefficients(kind).T)):
             rows += _reals([f"{stem}_X{degree}_{axis}" for axis in range(3)], column)
-    jumps = (
-        "PX4 takes up new offsets when the temperature has changed by more than 1 degC: until then an error of up to "
-        f"{said({kind: held.steepest(kind) for kind in held.slopes})}"
-    )
     no_ids = (
         f"{' and '.join(f'{stem}_ID' for stem in stems.values())} are not in this file: set them to {names}, or give "
         "--sensor-ids; without them PX4 compensates nothing"
     )
-    return held.written(told, rows, [jumps], [] if ids else [no_ids])
+    jumps = (
+        "PX4 takes up new offsets when the temperature has changed by more than 1 degC: until then an error of up to "
+        f"{said({kind: held.steepest(kind) for kind in held.slopes})}"
+    )
+    return held.written(remarks, rows, [*([] if ids else [no_ids]), jumps])
 
 
-def ardupilot_thermal(calibration: Calibration, imu: int | None = None) -> Exported:
-    """The .param file of a calibration over temperature; `imu` is the number of the IMU, from 1, where the recording
+def ardupilot_thermal(calibration: Calibration, *, imu: int | None = None) -> Exported:
+    """The .parm file of a calibration over temperature; `imu` is the number of the IMU, from 1, where the recording
     has not said it."""
     held = Held.of(ARDUPILOT, "ardupilot-thermal", calibration, imu, thermal=True)
     numbers = {kind: held.sensors[kind].number for kind in held.slopes}
@@ -525,7 +547,7 @@ def ardupilot_thermal(calibration: Calibration, imu: int | None = None) -> Expor
         )
     names = {kind: f"INS_{ARDUPILOT.words[kind]}{number}_CALTEMP" for kind, number in numbers.items()}
     each, ends = sorted(set(numbers.values())), np.array([held.measured.low, held.measured.high])
-    rows = [_whole(f"INS_TCAL{number}_ENABLE", 1) for number in each]
+    rows = [Row(f"INS_TCAL{number}_ENABLE", 1, whole=True) for number in each]
     for number in each:
         rows += _reals([f"INS_TCAL{number}_TMIN", f"INS_TCAL{number}_TMAX"], ends)
     rows += _reals(list(names.values()), np.array([held.reference(kind) for kind in names]))
@@ -536,8 +558,8 @@ def ardupilot_thermal(calibration: Calibration, imu: int | None = None) -> Expor
     return held.written([f"offsets and scales are those at {held.reference(first):g} degC, {names[first]}"], rows)
 
 
-def _compass(pilot: Autopilot, calibration: Calibration) -> tuple[list[ExportedParameter], list[str], list[str]]:
-    """The parameters of the calibration's magnetometer, what is told of them, and why there are none."""
+def _compass(pilot: Autopilot, calibration: Calibration) -> tuple[list[Row], list[str], list[str]]:
+    """The parameters of the calibration's magnetometer, a remark on them, and why there are none."""
     model, compass = calibration.mag, pilot.compass
     if model is None:
         return [], [], []
@@ -556,29 +578,23 @@ def _compass(pilot: Autopilot, calibration: Calibration) -> tuple[list[ExportedP
         reason = f"its matrix has {shown(diagonal.round(4))} and {shown(across.round(4))}, beyond {low:g} to {high:g}"
         reason += "" if math.isinf(compass.most_across) else f" and {compass.most_across:g}"
     if reason:
-        return [], [], [f"magnetometer: not in this file, for the autopilot takes it for damaged: {reason}"]
+        return [], [], [f"the magnetometer, which the autopilot takes for damaged: {reason}"]
     angle = math.acos(min(1.0, 0.5 * (float(np.trace(R)) - 1.0))) / DEGREE
     values = {compass.offset: offset, compass.factor: diagonal, compass.across: across}
     named = {
         form.format(axis): value for form, three in values.items() for axis, value in zip("XYZ", three, strict=True)
     }
     named |= dict(compass.further)
-    told = (
+    remark = (
         f"magnetometer: taken for the first; {compass.id} has to be that of this sensor already, in the axes that were "
         f"recorded; turned by {angle:.2g} deg so that its matrix is symmetric"
     )
-    return _reals(list(named), np.array(list(named.values())), magnetometer=True), [told], []
+    return _reals(list(named), np.array(list(named.values()))), [remark], []
 
 
-def _reals(names: list[str], values: Array, *, magnetometer: bool = False) -> list[ExportedParameter]:
+def _reals(names: list[str], values: Array) -> list[Row]:
     """Parameters of single precision."""
-    kept = zip(names, single(values).tolist(), strict=True)
-    return [ExportedParameter(name=name, value=value, magnetometer=magnetometer) for name, value in kept]
-
-
-def _whole(name: str, value: int, *, identity: bool = False) -> ExportedParameter:
-    """A parameter that is a whole number."""
-    return ExportedParameter(name=name, value=float(value), whole=True, identity=identity)
+    return [Row(name, value) for name, value in zip(names, single(values).tolist(), strict=True)]
 
 
 def _device(pilot: Autopilot, device: int) -> int:

@@ -22,12 +22,12 @@ Nothing needs a library.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 
 import numpy as np
 
-from tumble.export.exported import UNITS, Exported, example, examples, losses_of, models, numbers, origin, shown
+from tumble.export.exported import UNITS, Exported, example, examples, models, notes_of, numbers, origin, shown
 from tumble.reduction.rests.thermometer import followed
 from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import changing, coefficients, measured_range, own_thermometers, references
@@ -145,14 +145,14 @@ HELD_AT = frozenset(f"{kind}.{what}.{t}" for kind in UNITS for what in ("bias", 
 WHAT: Mapping[SensorKind, str] = {"accel": "true specific force", "gyro": "true angular rate"}
 
 
-def c_header(calibration: Calibration, *, includes: Sequence[str] = (), more: Sequence[str] = ()) -> Exported:
-    """The header of a calibration, with what it includes and more lines at its end."""
+def c_header(calibration: Calibration) -> Exported:
+    """The header of a calibration."""
     known, compensator = models(calibration), calibration.compensator
     warm = bool(changing(calibration)) and calibration.reference_temperature is not None
     lag = compensator.lag if warm else 0.0
     held = HELD | (HELD_AT if warm else frozenset()) | ({"temperature.lag"} if lag else frozenset())
     digits = "the functions in float have 7 digits; use those in double where that matters"
-    losses = (*losses_of(calibration, held=held), digits)
+    losses = notes_of(calibration, held=held, see_to=[digits])
     comments = [*origin(calibration), *_worked(compensator, known)]
     if warm:
         measured = measured_range(calibration)
@@ -179,10 +179,9 @@ def c_header(calibration: Calibration, *, includes: Sequence[str] = (), more: Se
         for kind, model in known.items()
         for single, at in precisions
     ]
-    included = [*(f"#include {file}" for file in includes), ""] if includes else []
-    head = ["#ifndef IMU_CALIBRATION_H", "#define IMU_CALIBRATION_H", "", *included, "/*"]
+    head = ["#ifndef IMU_CALIBRATION_H", "#define IMU_CALIBRATION_H", "", "/*"]
     head += [*(f" * {line}" for line in (*comments, *losses)), " */", ""]
-    return Exported(content="\n".join([*head, *lines, *more, "#endif", ""]).encode(), losses=losses)
+    return Exported(content="\n".join([*head, *lines, "#endif", ""]).encode(), losses=losses)
 
 
 def _sensors_celsius(lag: float) -> Array:

@@ -1,25 +1,4 @@
-"""Parameters of programs on robots.
-
-Fusion, the library of xio Technologies: constants of C for FusionCalibrationInertial, in g and deg/s,
-
-    calibrated = misalignment · (sensitivity ∘ (uncalibrated − offset))
-
-so that with sensitivity 1/Mᵢᵢ and misalignment M⁻¹ diag(M) the whole matrix and the bias are held.
-
-Autoware's node imu_corrector takes offsets, rad/s, off the gyros' readings, and nothing off the accelerometers'.
-
-Source: Fusion, FusionCalibration.h; Autoware, package autoware_imu_corrector, imu_corrector_core.cpp.
-
-The ROS package imu_calib: the file of accelerometer parameters that its node apply_calib reads.
-
-    corrected = SM · raw − bias        SM: nine numbers, row by row
-
-so SM = M⁻¹ and bias = M⁻¹ b. Gyros are not calibrated: the node takes the mean of its first 100 samples for their
-bias.
-
-Source: package imu_calib (D. Koch), README and class AccelCalib.
-
-Kalibr / OpenVINS: the file kalibr_imu_chain.yaml of OpenVINS, whose IMU model "kalibr" is that of Kalibr.
+"""Kalibr / OpenVINS: the file kalibr_imu_chain.yaml of OpenVINS, whose IMU model "kalibr" is that of Kalibr.
 
     a_m = Ta R_IMUtoACC a + b_a
     w_m = Tw R_IMUtoGYRO w + Tg a + b_g        Ta, Tw lower triangular
@@ -37,92 +16,33 @@ calibration"; Rehder et al., Extending Kalibr, ICRA 2016.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.export.autopilots import gyro_matrix_lost
 from tumble.export.exported import (
+    UNITS,
     Exported,
     commented,
     example,
-    examples,
     g_sensitivity,
-    losses_of,
+    notes_of,
     origin,
     shown,
-    still,
     triads,
     yaml_list,
     yaml_number,
 )
+from tumble.files import FilePath
 from tumble.recording.session import Session
+from tumble.recording.session_file import session_from
 from tumble.reduction.noise.filter_values import Densities, densities
 from tumble.result.accepted import WORDS
 from tumble.result.calibration import Calibration
 from tumble.result.parts import SensorsAtRest
 from tumble.run.quiet_samples import longest_rest, noise_panels
-from tumble.sensors.model import SensorKind
-from tumble.units import DEGREE, G_STANDARD, Array
-
-_NAMES: Mapping[SensorKind, tuple[str, float]] = {"accel": ("accelerometer", G_STANDARD), "gyro": ("gyroscope", DEGREE)}
-
-
-def fusion(calibration: Calibration) -> Exported:
-    """The constants of a calibration in C."""
-    known = triads(calibration, "fusion", needed=())
-    losses = losses_of(calibration, precision="Fusion computes in single precision: 7 digits of each number")
-    sizes = {kind: size for kind, (_, size) in _NAMES.items()}
-    comments = [
-        *origin(calibration),
-        "calibrated = misalignment * (sensitivity o (uncalibrated - offset)), in g and deg/s",
-    ]
-    comments += examples(known, "example {kind}: uncalibrated {reading} is {true}", sizes)
-    lines = []
-    for kind, model in known.items():
-        name, size = _NAMES[kind]
-        sensitivity = 1.0 / np.diag(model.matrix)
-        rows = ", ".join(_braced(row) for row in model.inverse() / sensitivity)
-        lines += [
-            f"static const FusionMatrix {name}Misalignment = {{.array = {{{rows}}}}};",
-            f"static const FusionVector {name}Sensitivity = {{.array = {_braced(sensitivity)}}};",
-            f"static const FusionVector {name}Offset = {{.array = {_braced(model.bias / size)}}};",
-        ]
-    text = "\n".join(["/*", *(f" * {line}" for line in (*comments, *losses)), " */", *lines, ""])
-    return Exported(content=text.encode(), losses=tuple(losses))
-
-
-def autoware(calibration: Calibration) -> Exported:
-    """imu_corrector.param.yaml of a calibration."""
-    known = triads(calibration, "autoware", needed=("gyro",))
-    accel = ["everything of the accelerometers: the node takes them as they are"] if "accel" in known else []
-    losses = losses_of(calibration, gyro_matrix_lost(known["gyro"]), *accel)
-    bias = known["gyro"].bias
-    comments = [*origin(calibration), "corrected = raw - offset, rad/s, in the frame of the IMU", *losses]
-    offsets = [f"    angular_velocity_offset_{axis}: {yaml_number(b)}" for axis, b in zip("xyz", bias, strict=True)]
-    return commented(comments, ["/**:", "  ros__parameters:", *offsets], losses)
-
-
-def _braced(values: Array) -> str:
-    """Numbers as an initialiser, in single precision."""
-    return "{" + ", ".join(f"{np.float32(value)!s}f" for value in values) + "}"
-
-
-def ros_imu_calib(calibration: Calibration) -> Exported:
-    """imu_calib.yaml of a calibration."""
-    known = triads(calibration, "ros-imu-calib", needed=("accel",))
-    model, inverse = known["accel"], known["accel"].inverse()
-    gyros = "everything of the gyros: the node takes their bias at start; "
-    losses = losses_of(calibration, *([gyros + gyro_matrix_lost(known["gyro"])] if "gyro" in known else []))
-    comments = [
-        *origin(calibration),
-        "corrected = SM * raw - bias, m/s^2",
-        *examples({"accel": model}, "example: raw {reading} is {true}"),
-        *losses,
-    ]
-    return commented(comments, [f"SM: {yaml_list(inverse)}", f"bias: {yaml_list(inverse @ model.bias)}"], losses)
+from tumble.units import Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -160,8 +80,8 @@ def noise_of_rests(calibration: Calibration) -> NoiseDensities:
         known = [sensors for sensors in rests if sensors is not None]
         if not known or len(known) < len(rests):
             raise InputError(
-                "export: expected --noise with kalibr and only there, found none, nor rests of accelerometers and "
-                "gyros in the calibration; give a session of the device"
+                "export to kalibr: expected --noise, found none, nor rests of accelerometers and gyros in the "
+                "calibration; give a session of the device"
             )
         white = np.median([sensors.noise for sensors in known], axis=0).max()
         walks = np.array([sensors.drift for sensors in known]) ** 2 / (DRIFT_OF_WALK * seconds[:, None])
@@ -175,21 +95,39 @@ def noise_of_rests(calibration: Calibration) -> NoiseDensities:
     return NoiseDensities(accel=found[0], gyro=found[1], rate=calibration.sample_rate, source=source)
 
 
-def kalibr(calibration: Calibration, noise: NoiseDensities | None = None) -> Exported:
-    """The file of a calibration and of the noise densities of its device, by default those of its rests."""
+def kalibr(calibration: Calibration, *, noise: NoiseDensities | Session | FilePath | None = None) -> Exported:
+    """Write the file of a calibration and of the noise densities of its device.
+
+    Parameters
+    ----------
+    calibration
+        Three accelerometers and three gyros, both right-handed.
+    noise
+        The densities, or a session whose longest rest shows them; by default those of the calibration's rests.
+
+    Returns
+    -------
+    Exported
+        YAML below the line `%YAML:1.0`, as OpenCV reads it.
+    """
     known = triads(calibration, "kalibr")
-    noise = noise or noise_of_rests(calibration)
+    if noise is None:
+        noise = noise_of_rests(calibration)
+    elif not isinstance(noise, NoiseDensities):
+        noise = noise_densities(session_from(noise))
     Ta, to_accel = _lower_times_rotation(known["accel"].matrix, "accelerometers")
     Tw, to_gyro = _lower_times_rotation(known["gyro"].matrix @ to_accel.T, "gyros")
     sensitivity = g_sensitivity(calibration)
-    losses = losses_of(
+    biases = " and ".join(f"{shown(known[kind].bias.round(9))} {unit}" for kind, unit in UNITS.items())
+    losses = notes_of(
         calibration,
-        "biases have no place in this file, OpenVINS estimates them while it runs: accelerometers "
-        f"{shown(known['accel'].bias.round(9))} m/s^2, gyros {shown(known['gyro'].bias.round(9))} rad/s",
-        "one noise density for the three axes of a kind: the largest of them",
-        *noise.accel.bounds,
-        *noise.gyro.bounds,
         held={"gyro.g_sensitivity"},
+        lacks=[
+            f"biases, which OpenVINS estimates while it runs: {biases}",
+            "noise of single axes: the largest density of the three is written",
+            "uncertainties and their covariance",
+        ],
+        see_to=[*noise.accel.bounds, *noise.gyro.bounds],
     )
     same_frame = np.allclose(to_accel, np.eye(3), rtol=0.0, atol=1e-12)
     worked = {kind: example(kind, model) for kind, model in known.items()}
@@ -202,7 +140,7 @@ def kalibr(calibration: Calibration, noise: NoiseDensities | None = None) -> Exp
             f"example {kind}: reading {shown(one.reading)} is {shown((to_accel @ one.true).round(9))}"
             for kind, one in worked.items()
         ),
-        *still(sensitivity),
+        *(["the example of the gyros is without acceleration"] if np.any(sensitivity) else []),
         *losses,
     ]
     matrices = {"Tw": Tw, "R_IMUtoGYRO": to_gyro, "Ta": Ta, "R_IMUtoACC": np.eye(3), "Tg": sensitivity @ to_accel.T}
@@ -220,8 +158,7 @@ def kalibr(calibration: Calibration, noise: NoiseDensities | None = None) -> Exp
         '  model: "kalibr"',
         *(line for name, matrix in matrices.items() for line in _matrix(name, matrix)),
     ]
-    exported = commented(comments, lines, losses)
-    return replace(exported, content=b"%YAML:1.0\n" + exported.content)
+    return Exported(content=b"%YAML:1.0\n" + commented(comments, lines), losses=losses)
 
 
 def _lower_times_rotation(matrix: Array, kind: str) -> tuple[Array, Array]:
