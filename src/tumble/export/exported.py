@@ -94,11 +94,6 @@ def examples(
     return lines
 
 
-def commented(comments: Iterable[str], lines: Iterable[str]) -> bytes:
-    """The text of lines below comments that begin with #."""
-    return "\n".join([*(f"# {comment}".rstrip() for comment in comments), *lines, ""]).encode()
-
-
 def models(calibration: Calibration) -> dict[SensorKind, SensorModel]:
     """The models a calibration has, by kind. Raises InputError where it has none."""
     both: dict[SensorKind, SensorModel | None] = {"accel": calibration.accel, "gyro": calibration.gyro}
@@ -230,18 +225,22 @@ def groups_not_held(calibration: Calibration, held: Container[str] = ()) -> list
         errors = sorted(((*_largest(calibration, group), group) for group in lost), key=lambda each: -each[0])
         if not errors:
             continue
-        size, unit = (1e-3 * G_STANDARD, "mg") if kind == "accel" else (DEGREE, "deg/s")
         felt = [each for each in errors if each[0] >= NEGLIGIBLE * u[kind]]
         named = [
-            f"{_plain_words(group)} ({error / size:.3g} {unit} {where})" for error, where, group in felt[:MOST_NAMED]
+            f"{_plain_words(group)} ({in_units(kind, error)} {where})" for error, where, group in felt[:MOST_NAMED]
         ]
         if len(felt) > MOST_NAMED:
-            named.append(f"{len(felt) - MOST_NAMED} more of at most {felt[MOST_NAMED][0] / size:.3g} {unit}")
+            named.append(f"{len(felt) - MOST_NAMED} more of at most {in_units(kind, felt[MOST_NAMED][0])}")
         if len(errors) > len(felt):
             named.append(f"{len(errors) - len(felt)} below a tenth of the standard uncertainty of a reading")
         plural = "group" if len(errors) == 1 else "groups"
         out.append(f"{len(errors)} {plural} of parameters of the {WORDS[kind]}: {', '.join(named)}")
     return out
+
+
+def in_units(kind: SensorKind, error: float) -> str:
+    """An error of accelerometers or gyros, SI, in mg or deg/s."""
+    return f"{error / (1e-3 * G_STANDARD):.3g} mg" if kind == "accel" else f"{error / DEGREE:.3g} deg/s"
 
 
 def _plain_words(group: ParameterGroup) -> str:

@@ -24,16 +24,14 @@ from tumble.errors import InputError
 from tumble.export.exported import (
     UNITS,
     Exported,
-    commented,
     example,
     g_sensitivity,
     notes_of,
     origin,
     shown,
     triads,
-    yaml_list,
-    yaml_number,
 )
+from tumble.export.templates import laid_out
 from tumble.files import FilePath
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
@@ -144,21 +142,9 @@ def kalibr(calibration: Calibration, *, noise: NoiseDensities | Session | FilePa
         *losses,
     ]
     matrices = {"Tw": Tw, "R_IMUtoGYRO": to_gyro, "Ta": Ta, "R_IMUtoACC": np.eye(3), "Tg": sensitivity @ to_accel.T}
-    lines = [
-        "",
-        "imu0:",
-        *_matrix("T_i_b", np.eye(4)),
-        f"  accelerometer_noise_density: {yaml_number(noise.accel.white)}",
-        f"  accelerometer_random_walk: {yaml_number(noise.accel.walk)}",
-        f"  gyroscope_noise_density: {yaml_number(noise.gyro.white)}",
-        f"  gyroscope_random_walk: {yaml_number(noise.gyro.walk)}",
-        "  rostopic: /imu0",
-        "  time_offset: 0.0",
-        *([] if noise.rate is None else [f"  update_rate: {yaml_number(round(noise.rate, 6))}"]),
-        '  model: "kalibr"',
-        *(line for name, matrix in matrices.items() for line in _matrix(name, matrix)),
-    ]
-    return Exported(content=b"%YAML:1.0\n" + commented(comments, lines), losses=losses)
+    rows = {name: matrix.tolist() for name, matrix in matrices.items()}
+    text = laid_out("kalibr_imu_chain.yaml.j2", comments=comments, noise=noise, matrices=rows)
+    return Exported(content=text.encode(), losses=losses)
 
 
 def _lower_times_rotation(matrix: Array, kind: str) -> tuple[Array, Array]:
@@ -172,8 +158,3 @@ def _lower_times_rotation(matrix: Array, kind: str) -> tuple[Array, Array]:
             "no place for: name the columns of the session in another order, or with the other sign"
         )
     return np.tril(lower), rotation
-
-
-def _matrix(name: str, matrix: Array) -> list[str]:
-    """A matrix in YAML, a row a line."""
-    return [f"  {name}:", *(f"    - {yaml_list(row)}" for row in matrix)]

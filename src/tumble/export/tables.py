@@ -23,8 +23,19 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from tumble.export.autopilots import range_of, said, warm_end
-from tumble.export.exported import UNITS, Exported, example, examples, models, not_held, notes_of, numbers, origin
+from tumble.export.autopilots import range_of, warm_end
+from tumble.export.exported import (
+    UNITS,
+    Exported,
+    example,
+    examples,
+    in_units,
+    models,
+    not_held,
+    notes_of,
+    numbers,
+    origin,
+)
 from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import Range, changing, curve, model_at, own_thermometers
 from tumble.sensors.parameters import THERMAL, group_name, variable_of
@@ -80,9 +91,10 @@ def csv_thermal(calibration: Calibration) -> Exported:
             straight = 0.5 * (each.value[1:] + each.value[:-1])
             off = np.abs(straight - curve(calibration, each.name, middle).value).max()
             between[kind] = max(between[kind], float(off))
+    within = " and ".join(in_units(kind, error) for kind, error in between.items())
     losses = notes_of(
         calibration,
-        left=[f"biases on straight lines between the rows are within {said(between)}"],
+        left=[f"biases on straight lines between the rows are within {within}"],
         held={group_name(each.name) for each in curves} | made_of,
         lacks=["parameters that do not change with temperature", "covariances"],
     )

@@ -19,7 +19,7 @@ A template has a front matter of TOML between two lines `+++`, and a body of Jin
     gain: {{ accel.gain | yaml }}
 
 `numbers` are what the file holds, each an expression of the calibration and of those above it; `corrected` is what the
-target makes of a `reading`, both SI (or `reads`, what it makes of a true `vector`). By that the export states in its
+target makes of a `reading`, both SI. By that the export states in its
 comments a worked example and how large the errors are that the target leaves. Expressions and body are Jinja in a
 sandbox: `matrix`, `bias` and `inverse` of the sensors, `counts`, counts a unit of SI, `g_sensitivity`, `force` (zero),
 and the functions of FUNCTIONS.
@@ -35,7 +35,7 @@ and the functions of FUNCTIONS.
     single       true where the target computes in single precision
     notes        what the user has to see to
     [accel], [gyro]
-      numbers, corrected or reads
+      numbers, corrected
       limits     of numbers by name, [lowest, highest]
       zeroed     the target takes off the bias itself: in which words that is said
     [test.accel], [test.gyro]
@@ -94,7 +94,6 @@ class Sensors(_Table):
     numbers: dict[str, str] = {}
     limits: dict[str, list[float]] = {}
     corrected: str = ""
-    reads: str = ""
     zeroed: str = ""
 
 
@@ -192,8 +191,8 @@ class Template:
         """What the target does with the readings of sensors of a model, `counts` a unit of SI, with a g-sensitivity
         `by_force` (3, 3)."""
         sensors = self.front.sensors(kind)
-        if sensors is None or bool(sensors.corrected) == bool(sensors.reads):
-            raise InputError(f"{self.name}: [{kind}]: expected one of corrected and reads, found none or both")
+        if sensors is None:
+            raise InputError(f"{self.name}: [test.{kind}]: expected a table [{kind}] too, found none")
         given = {
             "matrix": model.matrix,
             "bias": model.bias,
@@ -212,17 +211,13 @@ class Template:
                     f"export to {self.name}: expected {name} from {low:g} to {high:g}, found {shown(numbers[name])}"
                     + advice
                 )
-        key, argument = ("corrected", "reading") if sensors.corrected else ("reads", "vector")
-        text = sensors.corrected or sensors.reads
 
-        def at(vector: Array) -> Array:
-            return self._value(f"[{kind}] {key}", text, given | numbers | {argument: vector}, shape=(3,))
+        def at(reading: Array) -> Array:
+            names = given | numbers | {"reading": reading}
+            return self._value(f"[{kind}] corrected", sensors.corrected, names, shape=(3,))
 
         offset = at(np.zeros(3))
         matrix = np.column_stack([at(axis) - offset for axis in np.eye(3)])
-        if sensors.reads:
-            matrix = np.linalg.inv(matrix)
-            offset = -matrix @ offset
         return Correction(numbers=numbers, matrix=matrix, offset=offset)
 
     def check(self) -> None:
@@ -254,7 +249,7 @@ class Template:
         from jinja2 import TemplateSyntaxError
 
         try:
-            return _environment().from_string(self.body).render(names)
+            return str(_environment().from_string(self.body).render(names))
         except Exception as error:
             found = " ".join(str(error).split()) or type(error).__name__
             at = f", line {self.line + error.lineno}" if isinstance(error, TemplateSyntaxError) else ""
@@ -357,6 +352,12 @@ FUNCTIONS: Mapping[str, Callable[..., Array]] = {
 """Functions of expressions."""
 
 
+def laid_out(layout: str, **names: Any) -> str:
+    """The text of a file of `layouts/` with these names."""
+    body = Path(__file__).with_name("layouts").joinpath(layout).read_text(encoding="utf-8")
+    return str(_environment().from_string(body).render(names))
+
+
 @cache
 def _environment() -> SandboxedEnvironment:
     from jinja2 import StrictUndefined
@@ -370,7 +371,7 @@ def _environment() -> SandboxedEnvironment:
 
     made = Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True)
     made.globals |= FUNCTIONS
-    made.filters |= {"json": _as_json, "yaml": _as_yaml, "identifier": identifier}
+    made.filters |= {"json": _as_json, "yaml": _as_yaml, "identifier": identifier, "float32": _as_float32}
     return made
 
 
@@ -380,6 +381,11 @@ def _as_json(value: Any, indent: int | None = None) -> str:
 
 def _as_yaml(value: Any) -> str:
     return yaml_list(np.array(value)) if isinstance(value, list) else yaml_number(value)
+
+
+def _as_float32(value: float) -> str:
+    """A number with as many digits as it takes to read it back in single precision, without an exponent."""
+    return np.format_float_positional(np.float32(value), trim="0")
 
 
 def identifier(text: str) -> str:
