@@ -91,7 +91,7 @@ def target(name: str) -> Target:
     file = TEMPLATES / f"{name}.tmpl"
     if name and Path(name).name == name and file.is_file():
         return _of_template(file, name)
-    brought = load("exports", name, (Target, Path))
+    brought: Target | Path | None = load("exports", name, (Target, Path))
     if brought is None:
         advice = did_you_mean(name, targets())
         raise InputError(f"export: expected one of {', '.join(targets())}, found {name!r}{advice}")

@@ -225,7 +225,7 @@ def _triads(pilot: Autopilot, target: str, calibration: Calibration, imu: int | 
                 f"found --imu {imu}; calibrate a recording of IMU {imu}, or leave --imu out"
             )
     for kind, model in known.items():
-        sensor, over_temperature = calibration.imu.get(kind), dict[str, Any]()
+        recorded_as, over_temperature = calibration.imu.get(kind), dict[str, Any]()
         if thermal:
             together = next(kinds for kinds in pilot.thermometers if kind in kinds)
             reference = float(np.mean(references(calibration, next(each for each in together if each in known))))
@@ -240,8 +240,8 @@ def _triads(pilot: Autopilot, target: str, calibration: Calibration, imu: int | 
             Triad(
                 kind=kind,
                 model=model,
-                number=(imu or 1) if sensor is None else sensor.number,
-                id=None if sensor is None else sensor.id,
+                number=(imu or 1) if recorded_as is None else recorded_as.number,
+                id=None if recorded_as is None else recorded_as.id,
                 offset=model.bias,
                 factor=1.0 / np.diag(model.matrix) if kind == "accel" else np.ones(3),
                 **over_temperature,
@@ -392,7 +392,8 @@ def _ardupilot(target: str, calibration: Calibration, *, imu: int | None = None)
         last = max(each.number for each in applied)
         if last > LAST_COMPENSATED:
             raise InputError(
-                f"export to {target}: expected one of the first {LAST_COMPENSATED} IMUs, found a recording of IMU {last}"
+                f"export to {target}: expected one of the first {LAST_COMPENSATED} IMUs, found a recording of IMU "
+                f"{last}"
             )
         remarks.append(f"offsets and scales are those at {applied[0].reference:g} degC, INS_*_CALTEMP")
         see_to.append(_outside(applied))

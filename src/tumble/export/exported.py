@@ -42,7 +42,7 @@ USUAL_RATE = 100.0 * DEGREE
 """rad/s, where a calibration does not say how fast its turns were."""
 NEGLIGIBLE = 0.1
 """Of the standard uncertainty of a reading: it adds less than √(1 + 0.1²) − 1 = 0.5 % to that."""
-MOST_NAMED = 3
+MOST_NAMED = 2
 """Groups of a kind of sensors that are named with their errors; all others have a common bound."""
 WARMER, HOUR = 10.0, 3600.0
 """K and s over which changes are stated."""
@@ -200,9 +200,10 @@ def notes_of(
     tuple of str
         The notes, with the largest errors in physical units.
     """
-    lost = [*groups_not_held(calibration, held), *lacks]
+    lost = [*lacks]
     if calibration.mag is not None and MAGNETOMETER not in held:
         lost.append("matrix and bias of the magnetometer")
+    lost += groups_not_held(calibration, held)
     first, last = "; ".join(left), "; ".join(see_to)
     return tuple(note for note in (first, f"{place} {'; '.join(lost)}" if lost else "", last) if note)
 
@@ -214,27 +215,23 @@ def not_held(calibration: Calibration, held: Container[str] = ()) -> tuple[str, 
 
 def groups_not_held(calibration: Calibration, held: Container[str] = ()) -> list[str]:
     """The groups of parameters beyond the linear model that a calibration has and a target does not hold: of each kind
-    of sensors how many there are, the largest with their errors, and how large the others are at most."""
-    kinds = [kind for kind, model in (("accel", calibration.accel), ("gyro", calibration.gyro)) if model is not None]
-    known = calibration.prediction
+    of sensors the largest with their errors, and how many others there are and how large they are at most. Errors far
+    below the uncertainty of a reading are not named."""
+    known, out = calibration.prediction, []
     u = {"accel": 0.0 if known is None else known.force_u, "gyro": 0.0 if known is None else known.rate_u or 0.0}
     present = positions_by_group(p.name for p in calibration.parameters)
-    out = []
-    for kind in kinds:
+    models_of: dict[SensorKind, SensorModel | None] = {"accel": calibration.accel, "gyro": calibration.gyro}
+    for kind, model in models_of.items():
         lost = [g for g in groups() if g.kind == kind and not g.linear and g.name in present and g.name not in held]
-        errors = sorted(((*_largest(calibration, group), group) for group in lost), key=lambda each: -each[0])
-        if not errors:
+        if model is None or not lost:
             continue
-        felt = [each for each in errors if each[0] >= NEGLIGIBLE * u[kind]]
-        named = [
-            f"{_plain_words(group)} ({in_units(kind, error)} {where})" for error, where, group in felt[:MOST_NAMED]
-        ]
-        if len(felt) > MOST_NAMED:
-            named.append(f"{len(felt) - MOST_NAMED} more of at most {in_units(kind, felt[MOST_NAMED][0])}")
-        if len(errors) > len(felt):
-            named.append(f"{len(errors) - len(felt)} below a tenth of the standard uncertainty of a reading")
-        plural = "group" if len(errors) == 1 else "groups"
-        out.append(f"{len(errors)} {plural} of parameters of the {WORDS[kind]}: {', '.join(named)}")
+        errors = sorted(((*_largest(calibration, group), group) for group in lost), key=lambda each: -each[0])
+        named = [each for each in errors[:MOST_NAMED] if each[0] >= NEGLIGIBLE * u[kind]]
+        words = [f"{_plain_words(group)} ({in_units(kind, error)} {where})" for error, where, group in named]
+        if others := errors[len(named) :]:
+            plural = "group" if len(others) == 1 else "groups"
+            words.append(f"{len(others)} {'more ' if named else ''}{plural} of at most {in_units(kind, others[0][0])}")
+        out.append(f"of the {WORDS[kind]} {' and '.join(filter(None, [', '.join(words[:-1]), words[-1]]))}")
     return out
 
 
