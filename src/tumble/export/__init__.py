@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from tumble.errors import InputError, did_you_mean
 from tumble.plugins import entry_points_of, load
@@ -91,7 +91,7 @@ def target(name: str) -> Target:
     file = TEMPLATES / f"{name}.tmpl"
     if name and Path(name).name == name and file.is_file():
         return _of_template(file, name)
-    brought: Target | Path | None = load("exports", name, (Target, Path))
+    brought = cast("Target | Path | None", load("exports", name, (Target, Path)))
     if brought is None:
         advice = did_you_mean(name, targets())
         raise InputError(f"export: expected one of {', '.join(targets())}, found {name!r}{advice}")
