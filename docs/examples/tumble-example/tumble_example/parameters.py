@@ -1,6 +1,7 @@
 """A group of parameters: each accelerometer by the product of the forces along body X and Y."""
 
 import numpy as np
+
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import FUNCTIONS, PAIRS, PRODUCTS, ParameterGroup
 from tumble.units import Array

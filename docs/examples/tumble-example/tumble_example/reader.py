@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
+
 from tumble.recording.formats import TIME, Message, Reader, triads_of
 
 MAGIC = b"SLOWFLY1"
