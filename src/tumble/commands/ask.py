@@ -94,9 +94,9 @@ def together(*options: _Option) -> _Option:
 
 def programmes_like(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[str]:
     """The built-in programmes that begin with what was typed, for the tab key."""
-    from tumble.programme.positions import BUILT_IN
+    from tumble.programme.positions import programmes
 
-    return [name for name in BUILT_IN if name.startswith(typed)]
+    return [name for name in programmes() if name.startswith(typed)]
 
 
 def _grades_like(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[str]:

@@ -1,9 +1,9 @@
 """The database of a registry: its tables, what is asked of them, and the transactions of readers and writers.
 
 A device is its serial number; it has no table of its own, since there is nothing to say about a device that could not
-change. A calibration has the columns by which records are searched and listed, and the text of its file. Triggers
-refuse that a row is changed or deleted. A change of the tables takes another name of one of them, by which a database
-of another version is recognised.
+change. A calibration has the columns by which records are searched and listed, and the text of its file. Times are in
+UTC, without a zone. Triggers refuse that a row is changed or deleted. A change of the tables takes another name of one
+of them, by which a database of another version is recognised.
 
 Writers come one after the other: SQLite's BEGIN IMMEDIATE, an advisory lock on PostgreSQL. A plain BEGIN on SQLite
 takes the lock only at the first write, and what was read before it may be stale by then. A reader sees one state of the
@@ -12,7 +12,6 @@ database from its first query to its last and waits for nobody.
 
 from __future__ import annotations
 
-import os
 import sqlite3
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
@@ -20,7 +19,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 from sqlalchemy import (
     URL,
@@ -28,7 +26,6 @@ from sqlalchemy import (
     ColumnElement,
     Connection,
     DateTime,
-    Dialect,
     Engine,
     ForeignKey,
     Index,
@@ -37,7 +34,6 @@ from sqlalchemy import (
     String,
     Table,
     Text,
-    TypeDecorator,
     create_engine,
     event,
     insert,
@@ -59,20 +55,6 @@ _PLACE = "expected a file or postgresql://USER@HOST/NAME"
 _REFUSED = "a registry is added to, never changed"
 
 
-class Utc(TypeDecorator[datetime]):
-    """A time with its zone, kept in UTC without one."""
-
-    impl, cache_ok = DateTime, True
-
-    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002
-        """As the database keeps it."""
-        return None if value is None else value.astimezone(UTC).replace(tzinfo=None)
-
-    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002
-        """As it is read."""
-        return None if value is None else value.replace(tzinfo=UTC)
-
-
 TABLES = MetaData()
 
 LIMITS = Table(
@@ -82,7 +64,7 @@ LIMITS = Table(
     Column("model", Text, nullable=False, index=True),
     Column("file", Text, nullable=False),  # the TOML file
     Column("systematic", Text),  # the calibration file it names
-    Column("added", Utc, nullable=False),
+    Column("added", DateTime, nullable=False),
     sqlite_autoincrement=True,
 )
 
@@ -95,12 +77,12 @@ CALIBRATION = Table(
     Column("model", Text),
     Column("method", Text, nullable=False),
     Column("frame", Text, nullable=False),
-    Column("performed", Utc, nullable=False),
+    Column("performed", DateTime, nullable=False),
     Column("occasion", String(16), nullable=False),  # incoming, periodic
     Column("state", String(16), nullable=False),  # as-found, as-left, unchanged
     Column("limits", ForeignKey("limits.number")),  # that were in force
     Column("verdict", String(24)),  # by them
-    Column("added", Utc, nullable=False),
+    Column("added", DateTime, nullable=False),
     Column("file", Text, nullable=False),  # the whole calibration file
     Index("calibration_of_device", "serial", "performed", "number"),
     sqlite_autoincrement=True,
@@ -162,7 +144,7 @@ class Rows:
     def _records(self, *conditions: ColumnElement[bool]) -> list[Record]:
         columns = [column for column in CALIBRATION.c if column.name != "file"]
         query = select(*columns).where(*conditions).order_by(CALIBRATION.c.number)
-        return [Record(**row._asdict()) for row in self.connection.execute(query)]
+        return [Record(**_in_utc(row._asdict())) for row in self.connection.execute(query)]
 
     def file(self, number: int) -> str:
         """The text of the calibration file of a record."""
@@ -172,14 +154,14 @@ class Rows:
     def add(self, values: Mapping[str, Any], logs: set[str]) -> Record:
         """A new record with the values of its columns, and the logs (SHA-256) it stands on."""
         added = insert(CALIBRATION).returning(CALIBRATION.c.number)
-        number = int(self.connection.execute(added, values).scalar_one())
+        number = int(self.connection.execute(added, _without_zone(values)).scalar_one())
         if logs:
             self.connection.execute(insert(LOGS), [{"sha256": log, "calibration": number} for log in sorted(logs)])
         return self.records(number=number)[0]
 
     def limits(self) -> list[LimitsRecord]:
         """All limits of all types by number; the last ones of a type are in force."""
-        rows = [row._asdict() for row in self.connection.execute(select(LIMITS).order_by(LIMITS.c.number))]
+        rows = [_in_utc(row._asdict()) for row in self.connection.execute(select(LIMITS).order_by(LIMITS.c.number))]
         last = {row["model"]: row["number"] for row in rows}
         return [LimitsRecord(**row, in_force=last[row["model"]] == row["number"]) for row in rows]
 
@@ -190,8 +172,18 @@ class Rows:
     def add_limits(self, model: str, file: str, systematic: str | None) -> LimitsRecord:
         """New limits of a type, in force from now on."""
         values = {"model": model, "file": file, "systematic": systematic, "added": datetime.now(UTC)}
-        self.connection.execute(insert(LIMITS), values)
+        self.connection.execute(insert(LIMITS), _without_zone(values))
         return self.limits()[-1]
+
+
+def _in_utc(row: dict[str, Any]) -> dict[str, Any]:
+    return row | {name: v.replace(tzinfo=UTC) for name, v in row.items() if isinstance(v, datetime)}
+
+
+def _without_zone(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        name: v.astimezone(UTC).replace(tzinfo=None) if isinstance(v, datetime) else v for name, v in values.items()
+    }
 
 
 # -------------------- where it is --------------------
@@ -210,10 +202,6 @@ def connected(place: str, create: bool) -> Database:
             raise InputError(f"{file}: expected a registry, found no such file; `tumble registry add` makes one")
         if new and not file.parent.is_dir():
             raise InputError(f"{file}: expected a folder for the registry, found no {file.parent}; make it first")
-        beside = (file.with_name(file.name + ending) for ending in ("-wal", "-journal"))
-        if not create and not os.access(file.parent, os.W_OK) and not any(each.exists() for each in beside):
-            # where nothing can be written nobody does while it is read; SQLite would make files beside it
-            url = url.set(database=f"file:{quote(str(file.resolve()))}", query={"immutable": "1", "uri": "true"})
     database = Database(name=name, engine=_engine(url, name))
     try:
         with database.reading() as rows:

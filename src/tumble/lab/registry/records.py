@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import date, datetime
-from typing import TYPE_CHECKING, ClassVar, Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 from tumble.lab.limits import Limits, Occasion, parse_limits
-
-if TYPE_CHECKING:
-    from tumble.lab.registry.trend import Forecast
 
 State = Literal["as-found", "as-left", "unchanged"]
 STATES: tuple[State, ...] = get_args(State)
@@ -76,6 +73,19 @@ class LimitsRecord:
     def parsed(self) -> Limits:
         """The limits as they judge."""
         return parse_limits(self.file, self.systematic, f"limits {self.number}")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Forecast:
+    """When a parameter is `expected` to meet a `limit` (SI), at the `earliest` and at the `latest` (95.45 %); None for
+    a latest time beyond 50 years."""
+
+    name: str
+    unit: str
+    limit: float
+    expected: datetime
+    earliest: datetime
+    latest: datetime | None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

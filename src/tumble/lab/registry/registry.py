@@ -21,7 +21,7 @@ from tumble.errors import InputError, needs_extra
 from tumble.files import FilePath
 from tumble.lab.conformity import Verdict, verdict_at
 from tumble.lab.limits import Limits, Occasion, read_limits
-from tumble.lab.registry.records import Due, LimitsRecord, Record, State
+from tumble.lab.registry.records import Due, Forecast, LimitsRecord, Record, State
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_of, text_and_name
 from tumble.result.launch_variances import LaunchVariances, launch_variances
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from tumble.lab.datasheet import Datasheet
     from tumble.lab.device_type import Unit
     from tumble.lab.registry.database import Database
-    from tumble.lab.registry.trend import Forecast, Trend
+    from tumble.lab.registry.trend import Trend
 
 
 @contextmanager

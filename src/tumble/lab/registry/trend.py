@@ -50,7 +50,7 @@ import numpy as np
 
 from tumble.lab.conformity import Result, judge_value
 from tumble.lab.limits import Limits
-from tumble.lab.registry.records import Record, State
+from tumble.lab.registry.records import Forecast, Record, State
 from tumble.methods.least_squares import scatter_of
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import apart, by_gravity
@@ -129,19 +129,6 @@ class Change(Difference):
     earlier: int
     later: int
     adjustment: bool
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Forecast:
-    """When a parameter is `expected` to meet a `limit` (SI), at the `earliest` and at the `latest` (95.45 %); None for
-    a latest time beyond HORIZON."""
-
-    name: str
-    unit: str
-    limit: float
-    expected: datetime
-    earliest: datetime
-    latest: datetime | None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
