@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from tests.support.calibrated import HEXAD, calibration
-from tumble.result.parts import Parameter
 from tumble.result.unaided import unaided, unaided_lines
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.units import G_STANDARD, Array

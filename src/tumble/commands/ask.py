@@ -153,6 +153,15 @@ JSON = click.option(
 )
 EVERY = click.option("--all", "every", is_flag=True, help="Show every parameter and every table.")
 CERTIFICATE = option("--certificate", "TOML file with laboratory, customer, number: of a certificate.", type=FILE)
+
+
+def registry_place(**settings: Any) -> _Option:
+    """Where the registry is that is read or added to."""
+    says = "The registry: an SQLite file or postgresql://USER@HOST/NAME."
+    return option("--registry/place", says, metavar="FILE|URL", envvar="TUMBLE_REGISTRY", show_envvar=True, **settings)
+
+
+REGISTRY = registry_place()
 GRAVITY = option("--gravity", "Measured gravity, m/s²; default: normal gravity.", type=float)
 LATITUDE = option("--latitude", "Of the place, ° north.", type=float, metavar="DEGREES")
 SERIAL = option("--serial", "Serial number of the device; default: the name of FOLDER or LOG.", metavar="NUMBER")

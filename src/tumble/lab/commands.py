@@ -20,14 +20,7 @@ if TYPE_CHECKING:
     from tumble.views.blocks import Block
 
 _DAY: dict[str, Any] = {"type": click.DateTime(["%Y-%m-%d"]), "metavar": "YYYY-MM-DD"}
-_PLACE = ask.option(
-    "--registry/place",
-    "An SQLite file or postgresql://USER@HOST/NAME.",
-    metavar="FILE|URL",
-    envvar="TUMBLE_REGISTRY",
-    show_envvar=True,
-    required=True,
-)
+_PLACE = ask.registry_place(required=True)
 
 
 def _number(ctx: click.Context, parameter: click.Parameter, text: str | None) -> int | None:

@@ -30,7 +30,8 @@ the iteration (3); Laird & Ware, Biometrics 38 (1982) 963, the model.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -149,11 +150,6 @@ def unit_by(
     )
 
 
-def latest(units: Iterable[Unit]) -> list[Unit]:
-    """Of units in the order of their calibrations, each by the last one."""
-    return list({unit.serial: unit for unit in units}.values())
-
-
 def in_run_sizes(units: Sequence[Unit], kind: str) -> Array:
     """The standard deviations of the in-run biases of the accelerometers or gyros of units, SI."""
     return np.array([unit.in_run[kind] for unit in units if unit.in_run.get(kind, 0.0) > 0.0])
@@ -185,7 +181,8 @@ def prior_of(units: Sequence[Unit], model: str) -> Prior:
     Returns
     -------
     prior
-        Of the parameters that at least FEWEST_UNITS units have; of none if there are fewer units.
+        Of the parameters that at least FEWEST_UNITS units have, and that the type narrows more than the grade; of none
+        if there are fewer units.
     """
     words = f"{len(units)} other units of the type {model!r}"
     if len(units) < FEWEST_UNITS:
@@ -193,11 +190,9 @@ def prior_of(units: Sequence[Unit], model: str) -> Prior:
         return Prior(words=words, names=(), mean=nothing, covariance=np.zeros((0, 0)), degrees=nothing)
     reference = mean_temperature(units)
     units = [unit.at(reference) for unit in units]
-    counts: dict[str, int] = {}
-    for unit in units:
-        counts |= {name: counts.get(name, 0) + 1 for name in unit.names}
-    names = tuple(name for name, count in counts.items() if count >= FEWEST_UNITS)
-    usual = np.array([min(u.usual[u.names.index(name)] for u in units if name in u.names) for name in names])
+    counts = Counter(name for unit in units for name in unit.names)
+    names = tuple(name for name in counts if counts[name] >= FEWEST_UNITS)
+    usual = np.array([max(u.usual[u.names.index(name)] for u in units if name in u.names) for name in names])
     size = usual**-0.5  # parameters in units of their usual sizes
     seen = [_of_names(unit, names) for unit in units]
     information = np.array([data * np.outer(size, size) for data, _ in seen])
@@ -205,13 +200,15 @@ def prior_of(units: Sequence[Unit], model: str) -> Prior:
     variances, degrees = _variances(information, shift, list(positions_by_group(names).values()))
     mean, M, _, _ = _mean(information, shift, variances)
     launches = np.array([(run_to_run(units, name) or 0.0) ** 2 for name in names])
+    covariance = (M + np.diag(variances)) * np.outer(size, size) + np.diag(launches)
+    kept = np.flatnonzero(np.diag(covariance) < size**2)  # the grade says as much of the others
     sizes = {kind: in_run_sizes(units, kind) for kind in ("accel", "gyro")}
     return Prior(
         words=words,
-        names=names,
-        mean=mean * size,
-        covariance=(M + np.diag(variances)) * np.outer(size, size) + np.diag(launches),
-        degrees=degrees,
+        names=tuple(names[i] for i in kept),
+        mean=(mean * size)[kept],
+        covariance=covariance[np.ix_(kept, kept)],
+        degrees=degrees[kept],
         reference=reference,
         in_run={kind: float(np.exp(np.log(s).mean())) for kind, s in sizes.items() if len(s) >= FEWEST_UNITS},
     )

@@ -71,9 +71,9 @@ _NOTES = (
 def write_chart(path: Path, found: Trend) -> None:
     """Write the control chart of a device.
 
-    Raises InputError for another ending than .html, MissingExtraError without jinja2 and matplotlib."""
+    Raises InputError for another ending than .html, MissingExtraError without matplotlib."""
     ending_in(path, ".html")
-    with needs_extra("a control chart", "report", "jinja2", "matplotlib"):
+    with needs_extra("a control chart", "report", "matplotlib"):
         from tumble.views.render.pages import page
 
         text = page(_document(found))

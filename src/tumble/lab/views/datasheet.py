@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from tumble.errors import needs_extra
 from tumble.files import ending_in, whole_file
 from tumble.lab.datasheet import Datasheet, DatasheetRow
 from tumble.result.further import KINDS
 from tumble.sensors.parameters import shown_in
 from tumble.views.blocks import Block, Document, Facts, Part, Table, Text, section
 from tumble.views.numbers import quantity_table
+from tumble.views.render.pages import page
 
 _MEANING = (
     "Min, typical (mean) and max of the units by their own recordings; s is the standard deviation between them, of "
@@ -66,8 +66,7 @@ def _cells(row: DatasheetRow, size: float, unit: str) -> dict[str, str]:
 
 
 def write_datasheet(sheet: Datasheet, out: Path, created: str) -> None:
-    """Write a data sheet, `created` at a time in ISO 8601, as a page. Raises InputError for another ending than .html,
-    MissingExtraError without the extra."""
+    """Write a data sheet, `created` at a time (ISO 8601), as a page. Raises InputError for another ending than .html."""
     ending_in(out, ".html")
     sections = tuple(section(each.caption, replace(each, caption="")) for each in _tables(sheet))
     document = Document(
@@ -81,9 +80,5 @@ def write_datasheet(sheet: Datasheet, out: Path, created: str) -> None:
         statements=(_MEANING,),
         closing="End of the data sheet",
     )
-    with needs_extra("a data sheet as a page", "report", "jinja2"):
-        from tumble.views.render.pages import page
-
-        content = page(document)
     with whole_file(out) as temporary:
-        temporary.write_text(content, encoding="utf-8")
+        temporary.write_text(page(document), encoding="utf-8")
