@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -267,29 +266,7 @@ def test_a_common_error_of_the_time_base_hides_no_step_of_a_scale_factor() -> No
         assert alone.u == pytest.approx(np.hypot(20e-6, 1.2e-6) * np.sqrt(2.0))
 
 
-@pytest.mark.parametrize("pair", [of_common_gravity, of_common_time_base])
-def test_a_step_of_40_ppm_under_a_common_error_of_20_ppm_ends_compare_and_trend_with_1(
-    pair: Callable[[float], tuple[Calibration, Calibration]], tmp_path: Path
-) -> None:
-    """From files: the scale factor is known to 1.2 ppm but for what both share. Without the step both end with 0."""
-    for moved, status in ((40e-6, 1), (0.0, 0)):
-        place = str(tmp_path / f"{status}.sqlite")
-        words = ["compare"]
-        for i, made in enumerate(pair(moved)):
-            path = tmp_path / f"{status}-{i}.json"
-            replace(made, provenance={**made.provenance, "log_sha256": f"{i:064x}"}).write(path)
-            words.append(str(path))
-            added = ["registry", "add", str(path), "--date", f"202{i}-03-01", "--registry", place]
-            assert CliRunner().invoke(main, added).exit_code == 0
-        assert CliRunner().invoke(main, words).exit_code == status
-        trend = CliRunner().invoke(main, ["registry", "trend", "A-0007", "--registry", place])
-        assert trend.exit_code == status
-        name = "accel.scale.x" if pair is of_common_gravity else "gyro.scale.y"
-        said = f"changed: {name}\n" if status else ""
-        assert trend.stderr == said
-
-
-@pytest.mark.parametrize("sigmas", [0.0, 2.5, 3.6, 5.0, -3.6])
+@pytest.mark.parametrize("sigmas", [0.0, 2.5, -3.6])
 def test_compare_and_the_registry_give_a_change_one_sign_one_number_and_one_verdict(
     sigmas: float, tmp_path: Path
 ) -> None:

@@ -79,8 +79,8 @@ class Corrected:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Ranges:
-    """Calibrated ranges: lowest and highest `temperature`, °C, largest `rate`, rad/s, and largest specific `force`, m/s²;
-    infinite where they are not known."""
+    """Calibrated ranges: lowest and highest `temperature`, °C, largest `rate`, rad/s, and `force`, m/s²; infinite where
+    they are not known."""
 
     temperature: tuple[float, float] = (-inf, inf)
     rate: float = inf
@@ -170,8 +170,8 @@ class Stream:
         return int(self._state[2][2])
 
     def add(self, accel: Array, gyro: Array | None, time: Array | None, celsius: Array | None) -> Corrected:
-        """Add readings (N, n) and (N, m), stamps (N,), by default of a regular clock, and temperatures (N, T), where lost
-        ones are not a number; return the samples that are corrected with them."""
+        """Add readings (N, n) and (N, m), stamps (N,), by default of a regular clock, and temperatures (N, T), not a
+        number where they are lost; return the samples that are corrected with them."""
         count = len(accel)
         if count + 1 > len(self._out[0]):
             widths = (each.shape[1] for each in self._out)
@@ -451,8 +451,8 @@ def white_noise(given: Calibration) -> dict[str, Array]:
 
 
 def derivative(instrument: Instrument, values: Array, warmer: float) -> Array:
-    """Derivative ∂K/∂θ (n, 15, m) of the coefficients of accelerometers and gyros, at a temperature `warmer` K above the
-    reference, on which that of slopes, curvatures and hysteresis depends."""
+    """Derivative ∂K/∂θ (n, 15, m) of the coefficients of accelerometers and gyros at a temperature `warmer` K above the
+    reference, on which those by slopes, curvatures and hysteresis depend."""
     D = instrument.linearised(values)[1].copy()
     by = {"temperature": warmer, "temperature²": warmer**2, "hysteresis": float(warmer != 0.0)}
     for own, base, variable in instrument.changes:
