@@ -17,7 +17,6 @@ from tumble.inference.estimate import Judgement as Judgement
 from tumble.inference.estimate import ProcessBias as ProcessBias
 from tumble.inference.likelihood import Linearised as Linearised
 from tumble.inference.prediction import Prediction as Prediction
-from tumble.lab.selftest import SelftestRecord as SelftestRecord
 from tumble.methods.ellipsoid_fit import WorstPosition as WorstPosition
 from tumble.methods.field_check import ChangedParameter as ChangedParameter
 from tumble.methods.field_check import ParameterTest as ParameterTest

@@ -12,6 +12,9 @@ import pytest
 from click.testing import CliRunner
 from scipy.optimize import brentq
 from scipy.stats import chi2, norm, t
+from tumble.lab.registry.adding import add_calibration
+from tumble.lab.registry.series import device_type
+from tumble.lab.registry.store.connect import open_registry
 
 import tumble
 from tumble.cli import main
@@ -19,9 +22,6 @@ from tumble.inference.estimate import Estimate
 from tumble.inference.joint import joint
 from tumble.lab.datasheet import tolerance_factor
 from tumble.lab.device_type import DeviceType, KnownCalibration, with_type
-from tumble.lab.registry.adding import add_calibration
-from tumble.lab.registry.series import device_type
-from tumble.lab.registry.store.connect import open_registry
 from tumble.planning.best_positions import plan
 from tumble.planning.bounds import stated
 from tumble.planning.setup import Setup, with_all_groups

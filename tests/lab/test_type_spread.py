@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import stats
-
-from tests.support.registry_files import content, digest
-from tumble.errors import InputError
 from tumble.lab.registry.adding import Particulars, add, submission, utc
 from tumble.lab.registry.series import type_spread
 from tumble.lab.registry.store.connect import open_registry
 from tumble.lab.type_spread import TypeSpread, pooled
+
+from tests.support.registry_files import content, digest
+from tumble.errors import InputError
 from tumble.result.coverage import degrees_of_mean
 from tumble.result.launch_variances import LaunchVariances
 from tumble.result.parts import coverage_factor

@@ -21,7 +21,7 @@ from tumble.inference.prediction import Prediction
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import Calibration, read_calibration
-from tumble.result.further import decided_by_priors, group_lines, predicted, verdicts
+from tumble.result.further import decided_by_priors, group_lines, verdicts
 from tumble.result.parts import Parameter
 from tumble.run.calibrate import calibrate
 from tumble.run.launches import Run, mean_of_launches
@@ -92,8 +92,7 @@ def test_the_statement_on_increments_is_beside_them_and_only_there(by_method: di
     said = " ".join(printed(calibration_blocks(by_method["sequential"])).split())
     assert WHAT_AN_INCREMENT_SAYS in said
     assert said.index("mean increment of") < said.index(WHAT_AN_INCREMENT_SAYS)
-    staged = printed(calibration_blocks(replace(by_method["scalar"], method="staged")))
-    assert "increment" not in staged
+    assert "increment" not in printed(calibration_blocks(replace(by_method["scalar"], method="joint")))
 
 
 def test_the_methods_differ_by_what_is_printed(by_method: dict[str, Calibration]) -> None:
@@ -257,13 +256,6 @@ def test_a_value_that_rounds_to_zero_has_no_sign() -> None:
     assert rounded(-0.004, 0.12) == ("0.00", "0.12")
     assert rounded(-3.0, 120.0) == ("0", "120")
     assert [two_digits(value) for value in (2.98, 0.05, 78.0, 996.0)] == ["3.0", "0.050", "78", "1000"]
-
-
-def test_what_corrected_readings_are_known_to_is_said(full: Calibration) -> None:
-    said = "corrected specific force at 1 g: u 1.7 µg; corrected rate at 23 °/s: u 0.40 °/h"
-    assert said in lines_of(calibration_blocks(full))
-    assert full.prediction is not None
-    assert predicted(replace(full.prediction, rate_u=None, at_rate=None)) == said.partition(";")[0]
 
 
 def test_a_prior_that_decides_u_is_named_with_the_rests_that_would_settle_it(full: Calibration) -> None:

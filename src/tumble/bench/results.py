@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tumble.errors import CalibrationError
-from tumble.export import FORMATS, FROM_THE_CALIBRATION_ALONE, export_calibration
+from tumble.export import export_calibration, target, targets
 from tumble.files import whole_file
 from tumble.sensors.parameters import group_name
 from tumble.units import rounded
@@ -40,7 +40,7 @@ def shown(calibration: Calibration) -> dict[str, Any]:
         "reasons": list(calibration.outcome.reasons),
         "parameters": rows,
         "files": [CALIBRATION_FILE],
-        "formats": list(FROM_THE_CALIBRATION_ALONE),
+        "formats": [name for name in targets() if not target(name).needs],
         "registered": "",
     }
 
@@ -101,7 +101,7 @@ def report_of(folder: Path, stopped: threading.Event) -> str:
 def exported(folder: Path, to: str) -> str:
     """Write a calibration as another program reads it, beside it; the name of the file."""
     content = export_calibration(folder / CALIBRATION_FILE, to).content
-    name = f"export-{to}{FORMATS[to].ending}"
+    name = f"export-{to}{target(to).ending}"
     with whole_file(folder / name) as temporary:
         temporary.write_bytes(content)
     return name

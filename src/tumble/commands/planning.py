@@ -88,7 +88,10 @@ def plan(
         raise click.UsageError("--registry: expected with --model and --model with it, found one of them")
     if model is not None and recordings is not None:
         raise click.UsageError("--model: expected none with --over-temperature, found one")
-    device_type = None if type_registry is None or model is None else ask.type_in(type_registry, model)
+    prior = None
+    if type_registry is not None and model is not None:
+        with ask.opened(type_registry) as opened:
+            prior = opened.prior(model)
     if attitudes:
         setup = replace(setup, programme=from_attitudes(attitudes))
     if recordings is not None:
@@ -118,11 +121,11 @@ def plan(
     aim = Aim(letter=criterion, wanted=wanted_of(wanted, None, setup) if wanted else {}, gyros=not accel_only)
     with tell.working("planning") as progress:
         turns = TurnTable.of(axes, step)
-        found = plan(setup, positions=positions, aim=aim, table=turns, progress=progress, device_type=device_type)
+        found = plan(setup, positions=positions, aim=aim, table=turns, progress=progress, prior=prior)
     reasons = short_of(found.bound, aim, found.setup)
     tell.show(lambda: plan_data(found, reasons), lambda: plan_blocks(found, aim))
-    if device_type is not None:
-        tell.say(f"note: with all groups, by {device_type.units} units of the type {model!r} as a prior")
+    if prior is not None:
+        tell.say(f"note: with all groups, by {prior.words} as a prior")
     tell.end(reasons)
 
 

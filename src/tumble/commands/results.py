@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 @ask.option("--session", "Session that describes columns and units of a stream that does not send SI.", type=ask.PATH)
 @ask.out("Write the calibration, updated by the check, into this file.")
 @ask.force("Replace an existing file whatever it is.")
-@ask.known_launches("Judge by how much the device changes from launch to launch, by its calibrations in a registry.")
+@ask.registry("Judge by how much the device changes from launch to launch, by its calibrations in a registry.")
 @ask.JSON
 def check(
     calibration: Path,
@@ -37,7 +37,7 @@ def check(
     session: Path | None,
     out: Path | None,
     force: bool,
-    known_launches: str | None,
+    registry: str | None,
 ) -> None:
     """Test whether CALIBRATION still holds for its device, and what has changed.
 
@@ -57,11 +57,11 @@ def check(
         raise InputError("check: expected READINGS or --listen SOURCE, found both or none of them")
     if listen is None and session is not None:
         raise InputError("check: expected --session with --listen alone, found it with READINGS")
-    if listen is not None and (out is not None or known_launches is not None):
-        raise InputError("check: expected --out and --known-launches with READINGS alone, found one with --listen")
+    if listen is not None and (out is not None or registry is not None):
+        raise InputError("check: expected --out and --registry with READINGS alone, found one with --listen")
     if listen is None:
         assert readings is not None
-        launches = () if known_launches is None else _launches(known_launches, readings)
+        launches = () if registry is None else _launches(registry, readings)
         found = check_calibration(calibration, readings, launches=launches)
     else:
         found = check_stream(calibration, listen, session=session, show=_show)
@@ -83,9 +83,7 @@ def _launches(place: str, readings: Path) -> tuple[LaunchVariances, ...]:
     from tumble.recording.session_file import read_session
 
     with ask.opened(place) as opened:
-        from tumble.lab.registry.series import device_launches
-
-        return device_launches(opened, read_session(readings).device.serial)
+        return opened.launches(serial=read_session(readings).device.serial)
 
 
 def _show(event: Event) -> None:

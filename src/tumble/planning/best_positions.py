@@ -31,7 +31,8 @@ from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.inference.elimination import eliminate
 from tumble.inference.estimate import DETERMINED
-from tumble.planning.bounds import Bound, TypePrior, begun, bound, instrument_of, stated, view, whitened
+from tumble.inference.prior import Prior
+from tumble.planning.bounds import Bound, begun, bound, instrument_of, stated, view, whitened
 from tumble.planning.itinerary import itinerary_of
 from tumble.planning.reachable_attitudes import ANY, Places, TurnTable, Ways
 from tumble.planning.setup import Setup, check_setup, with_all_groups
@@ -377,12 +378,12 @@ def plan(
     aim: Aim = Aim(),
     table: TurnTable = ANY,
     progress: Progress = lambda _done, _all: None,
-    device_type: TypePrior | None = None,
+    prior: Prior | None = None,
 ) -> PlanResult:
     """The least uncertainty that the programme of a set-up allows, and the best next positions on a table; with
     `positions` the best programme of so many that is found, beside those of the literature, its search told to
-    `progress`. With a `device_type`, as `tumble.device_type` has it of a registry, what `calibrate` will state is with
-    its units as a prior. Raises InputError for values that make no sense, and where there is no noise.
+    `progress`. With a `prior`, such as `Registry.prior` makes of a type, what `calibrate` will state is with it.
+    Raises InputError for values that make no sense, and where there is no noise.
 
     >>> import tumble
     >>> setup = tumble.Setup.of(rest=120.0)
@@ -395,11 +396,11 @@ def plan(
         return PlanResult(
             setup=setup,
             bound=bound(setup, gyros=aim.gyros),
-            whole=stated(with_all_groups(setup), gyros=aim.gyros, device_type=device_type),
+            whole=stated(with_all_groups(setup), gyros=aim.gyros, prior=prior),
             following=next_positions(setup, aim, table),
             programmes=(),
         )
     setup = replace(setup, programme=optimised(setup, positions, aim, table, progress))
     rows = compared(setup, (setup.programme, *map(built_in, COMPARED)), aim)
-    whole = stated(with_all_groups(setup), gyros=aim.gyros, device_type=device_type)
+    whole = stated(with_all_groups(setup), gyros=aim.gyros, prior=prior)
     return PlanResult(setup=setup, bound=rows[0].bound, whole=whole, following=(), programmes=rows)

@@ -12,7 +12,7 @@ What `calibrate` will state (`stated`) is more: it does not know the noise nor h
 instrument (`tumble.planning.expected_sizes`), it has the time base of the log, and of this the ends of the rests belong
 to the turns.
 
-Other units of the device's type may say what is usual of a parameter instead (`TypePrior`): then `calibrate` has them
+Other units of the device's type may say what is usual of a parameter instead (`Prior`): then `calibrate` has them
 beside the recording, and how large the groups are need not be found out.
 
 Groups of parameters beyond the linear model (`Setup.further`) have priors, the spreads of the set-up. What is said of
@@ -26,9 +26,7 @@ combination of unit length that is determined worst. For accelerometers alone th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -41,6 +39,7 @@ from tumble.inference.hyperparameters import Components
 from tumble.inference.in_run import InRun, mean_along
 from tumble.inference.likelihood import Linearised, Point, Problem
 from tumble.inference.linearisation import linearised
+from tumble.inference.prior import Prior
 from tumble.inference.sources import by_time_base, clocked
 from tumble.inference.step import joining, tell, whitened_rows, with_own
 from tumble.inference.turns_about import TurnsAbout, own_axes, warms
@@ -121,24 +120,19 @@ def bound_of(course: Itinerary, setup: Setup, *, gyros: bool = True) -> Bound:
     return bound_by(view(course, setup, gyros=gyros), setup.turn_rate)
 
 
-class TypePrior(Protocol):
-    """What other units of a type say of the next one."""
-
-    def prior(self, names: Sequence[str]) -> tuple[list[int], Array]:
-        """Of these parameters the places (k,) of those of which they say anything, and the covariance (k, k) of what a
-        unit differs by from what they expect, SI. Raises InputError where the units are too few."""
-        ...
-
-
-def stated(setup: Setup, *, gyros: bool = True, device_type: TypePrior | None = None) -> Bound:
+def stated(setup: Setup, *, gyros: bool = True, prior: Prior | None = None) -> Bound:
     """The same with what `calibrate` does not know of a recording by a set-up's programme: what it will state on the
-    average over instruments, or with what others of its type say. Raises InputError."""
+    average over instruments, or with a prior. Raises InputError."""
     course = itinerary_of(setup).as_logged(setup.ramp, USUAL.margin_of(setup.rest))
     seen = view(course, setup, gyros=gyros)
     seen, by_type = expected(seen), None
-    if device_type is not None:
+    if prior is not None:
         problem = seen.problem
-        places, covariance = device_type.prior(problem.instrument.names)
+        known = prior.places(problem.instrument.names)
+        if not known:
+            raise InputError(f"prior: expected one of the instrument's parameters, found none by {prior.words}")
+        places, of = list(known), list(known.values())
+        covariance = prior.covariance[np.ix_(of, of)]
         by_type = np.zeros((len(places), len(problem.instrument.names)))
         by_type[:, places] = np.linalg.inv(np.linalg.cholesky(covariance))
         size, usual = problem.measured[1].copy(), problem.usual[1].copy()

@@ -67,7 +67,7 @@ class Difference:
         Degrees of freedom of `u`; None means infinite.
     """
 
-    json_fields: ClassVar = ("name", "unit", "first", "second", "value", "u", "dof", "e_n")
+    json_fields: ClassVar[tuple[str, ...]] = ("name", "unit", "first", "second", "value", "u", "dof", "e_n")
 
     name: str
     unit: str

@@ -1,4 +1,4 @@
-"""What a check and a comparison of calibrations show; and the cases of a self-test."""
+"""What a check and a comparison of calibrations show."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 
 from tumble.inference.estimate import Fit
-from tumble.lab.selftest import SelftestRecord
 from tumble.methods.field_check import CHANCE, ParameterTest
 from tumble.methods.rest_chain import MovedBias
 from tumble.sensors.parameters import group_name, group_of, sensor_kind, shown_in
@@ -157,17 +156,3 @@ def _with_sigmas(value: float, unit: str, sigmas: float | None) -> str:
 def moved_line(moved: MovedBias) -> str:
     """A sentence that says by how much a bias has moved, and since when."""
     return f"{change_text(moved)}; since about {moved.since:.1f} s, rest {moved.rest + 1}"
-
-
-# -------------------- a self-test --------------------
-
-
-def selftest_table(record: SelftestRecord) -> Table:
-    """The cases of a record."""
-    shown = []
-    for case in record.cases:
-        allowed = f"{case.low:g} … {case.high:g}" if case.low > 0.0 else f"≤ {case.high:g}"
-        row = {"case": case.name, "compared with": case.source, "found": f"{case.figure:.3g}"}
-        row |= {"allowed": f"{allowed} {case.unit}".removesuffix(" 1"), "": "passed" if case.passed else "FAILED"}
-        shown.append(row)
-    return table(shown, words=("case", "compared with", ""))

@@ -20,15 +20,6 @@ NONE = "—"
 """What a page shows where there is no number."""
 
 
-class WithUncertainty(Protocol):
-    """What has a value and a standard uncertainty, SI; u is None where it is not known."""
-
-    @property
-    def value(self) -> float: ...
-    @property
-    def u(self) -> float | None: ...
-
-
 class Named(Protocol):
     """What has the name of a parameter."""
 
@@ -36,16 +27,22 @@ class Named(Protocol):
     def name(self) -> str: ...
 
 
-class Quantity(WithUncertainty, Named, Protocol):
-    """What has a unit too: a parameter of a calibration or of a registry."""
+class Quantity(Named, Protocol):
+    """What has a value and a unit too, SI: a parameter of a calibration or of a registry."""
 
+    @property
+    def value(self) -> float: ...
     @property
     def unit(self) -> str: ...
 
 
-class Estimated(WithUncertainty, Protocol):
-    """What has the degrees of freedom of its u."""
+class Estimated(Protocol):
+    """A value with its standard uncertainty, SI, and the degrees of freedom of this, as far as they are known."""
 
+    @property
+    def value(self) -> float: ...
+    @property
+    def u(self) -> float | None: ...
     @property
     def dof(self) -> float | None: ...
 
