@@ -197,9 +197,9 @@ class Bench:
 
 
 @contextmanager
-def served(station: Station) -> Iterator[str]:
+def served(station: Station, port: int = 0) -> Iterator[str]:
     """The link to the page of a station."""
-    with socket.create_server(("127.0.0.1", 0)) as bound:
+    with socket.create_server(("127.0.0.1", port)) as bound:
         port = bound.getsockname()[1]
         app = app_of(station, Access(host="127.0.0.1", port=port, token=TOKEN))
         config = uvicorn.Config(app, http=Connection, log_level="warning", timeout_graceful_shutdown=1)
