@@ -95,7 +95,7 @@ def test_a_full_disk_is_said_and_what_is_lost_is_whole_lines(folder: Path, monke
     assert "No space left" in str(recorder.trouble)
     disk.room = 1 << 20
     recorder.append(rows[3])
-    assert recorder.trouble is None  # nothing is lost that memory had room for
+    assert not recorder.trouble  # nothing is lost that memory had room for
     disk.room = 10
     for line in rows[4:12]:
         recorder.append(line)
@@ -161,8 +161,8 @@ def recorded(folder: Path, source: object, sent: Callable[[], None], until: int)
 
 
 def test_rows_are_recorded_as_they_come_whatever_their_times_are(folder: Path) -> None:
-    """Three that agree on a wrong time, one that leaps, rows that are exchanged or come twice, a clock that starts anew:
-    the log has every row."""
+    """Three that agree on a wrong time, one that leaps, some that are exchanged, a clock that starts anew: the log has
+    every row."""
     wrong = {100: 900.5, 101: 900.51, 102: 900.52, 150: 1e308, 200: 2.02, 201: 2.01, 300: 2.99}
     rows = [row(k, wrong.get(k)) for k in range(1, 1001)] + [row(k) for k in range(1, 50)]
     out, into = os.pipe()
@@ -229,6 +229,7 @@ def test_a_replay_is_the_log_to_the_byte_and_keeps_its_pace(folder: Path, tmp_pa
     assert time.monotonic() - started > 0.1  # never faster than asked
     recorded(copy, Replay(folder, 8.0), lambda: None, 200 - len(log_of(copy)) + 1)
     assert (copy / "log.csv").read_text() == text
+
 
 RECORDS = """
 import sys

@@ -153,9 +153,7 @@ def test_answers_have_a_strict_policy_and_bad_requests_are_refused(page: Page) -
 # -------------------- what strangers may do --------------------
 
 
-def test_buttons_answer_while_a_calibration_is_made(
-    bench: Bench, page: Page, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_buttons_answer_while_a_calibration_is_made(bench: Bench, page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     ends = threading.Event()
 
     def calibrated(*_: object) -> None:

@@ -9,6 +9,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -123,10 +124,10 @@ def test_tcp_connections_one_after_the_other(monkeypatch: pytest.MonkeyPatch) ->
     assert parser.refused == 2  # the rows that were cut
 
 
-def test_serial_line_with_garbage_half_lines_and_a_pulled_cable(tmp_path: object) -> None:
-    link, (master, slave), parser = f"{tmp_path}/tty", pty.openpty(), lines()
-    os.symlink(os.ttyname(slave), link)
-    source = Serial(link, 115200)
+def test_serial_line_with_garbage_half_lines_and_a_pulled_cable(tmp_path: Path) -> None:
+    link, (master, slave), parser = tmp_path / "tty", pty.openpty(), lines()
+    link.symlink_to(os.ttyname(slave))
+    source = Serial(str(link), 115200)
     whole = f"{row(2)}\r\n{row(3)}\n{row(4)}\n".encode()
     os.write(master, row(1)[4:].encode() + b"\n\xff\xf0\x80\n" + whole + row(5)[:11].encode())
     assert received(source, 3, parser) == [row(2), row(3), row(4)]
@@ -135,8 +136,8 @@ def test_serial_line_with_garbage_half_lines_and_a_pulled_cable(tmp_path: object
     assert received(source, 1, parser, until=lambda: source.trouble is not None) == []
     assert "is gone" in str(source.trouble)
     master, slave = pty.openpty()
-    os.unlink(link)
-    os.symlink(os.ttyname(slave), link)
+    link.unlink()
+    link.symlink_to(os.ttyname(slave))
     assert received(source, 1, parser, until=lambda: source.trouble is None) == []
     os.write(master, sent(6, 7))
     assert received(source, 2, parser) == [row(6), row(7)]
@@ -189,7 +190,17 @@ def test_mavlink_says_which_extra_it_needs(monkeypatch: pytest.MonkeyPatch) -> N
 
 @pytest.mark.parametrize(
     "listen",
-    ["", "udp:x", "udp:²", "tcp:70000", "serial:/dev/ttyX", "serial:/dev/ttyX:²", "replay:nowhere@0x", "simulator", "file:"],
+    [
+        "",
+        "udp:x",
+        "udp:²",
+        "tcp:70000",
+        "serial:/dev/ttyX",
+        "serial:/dev/ttyX:²",
+        "replay:nowhere@0x",
+        "simulator",
+        "file:",
+    ],
 )
 def test_a_source_that_is_none_is_refused(listen: str) -> None:
     with pytest.raises(InputError):

@@ -131,8 +131,8 @@ def test_a_reduction_stays_as_it_was_while_the_log_grows(session: Recording) -> 
 
 
 def test_rests_show_while_they_last(session: Recording) -> None:
-    """Half a second after the beginning of a rest to its end it is the last that lasts; those before it are the rests of
-    a calibration."""
+    """From half a second after its beginning to its end a rest is the last, and lasts; those before it are the rests
+    of a calibration."""
     found = find_rests(fed(chunks(session, [])).now(), ACCEL, GYRO).rests
     assert len(found) == 9
     for k, rest in enumerate(found):
@@ -141,8 +141,7 @@ def test_rests_show_while_they_last(session: Recording) -> None:
             so_far = rests_so_far(reduction, ACCEL, GYRO)
             assert so_far is not None or time < 3.0
             if so_far is not None:
-                assert so_far.still and so_far.lasting
-                assert len(so_far.rests) == k + 1
+                assert (so_far.still, so_far.lasting, len(so_far.rests)) == (True, True, k + 1)
                 np.testing.assert_allclose([span.start for span in so_far.rests], starts(found, k), atol=0.6)
         if k < 8:
             moving = rests_so_far(fed(chunks(session, [], stop=round((rest.stop + 1.0) * RATE))).now(), ACCEL, GYRO)

@@ -44,8 +44,8 @@ AXES = {"N": np.array([1.0, 0.0, 0.0]), "U": np.array([0.0, 1.0, 0.0]), "E": np.
 
 
 class Unit:
-    """A unit of the grade "mems" on a table that is turned: each `line` is its next sample, the reading at the middle of
-    an interval. Turns go smoothly up to RATE and down again; positions are up to OFF away."""
+    """A unit of the grade "mems" on a table: each `line` is its next sample, the reading at the middle of an interval.
+    Turns go smoothly up to RATE and down again; positions are up to OFF away."""
 
     def __init__(self, programme: str, *, temperature: bool = False) -> None:
         self.programme, self._rng = built_in(programme), np.random.default_rng(1)

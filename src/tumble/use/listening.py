@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tumble.recording.live.samples import SI_LOG, StreamedSamples
 from tumble.errors import InputError
 from tumble.recording.live.lines import Lines
+from tumble.recording.live.samples import SI_LOG, StreamedSamples
 from tumble.recording.live.sources import Ended, LineSource, source_of
 from tumble.recording.log import Chunk, open_log
 from tumble.recording.session import Session

@@ -108,9 +108,7 @@ def estimate_so_far(
 # -------------------- what the page shows of it --------------------
 
 
-def _shown(
-    task: Task, reduction: Reduction, until: float, excluded: tuple[Exclusion, ...]
-) -> EstimateShown:
+def _shown(task: Task, reduction: Reduction, until: float, excluded: tuple[Exclusion, ...]) -> EstimateShown:
     """An estimate for the page, from the rests that begin before the time `until`, s."""
     began = time.thread_time()
     session, wanted = task.session, task.wanted

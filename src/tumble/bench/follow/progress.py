@@ -1,6 +1,6 @@
-"""Where the operator is: the rests so far, how good the last one is, the positions they are, and the turn under way.
+"""How far a session is: its rests by position, how good the last one is, and the turn since.
 
-All of it follows from the blocks of the log and what is left out of it, so that a page that is started again says the
+All of it follows from the blocks of the log and what is left out of it, so that a page that is started again shows the
 same.
 """
 
@@ -100,9 +100,19 @@ class Rest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Judged:
-    """A rest as it is now: u of its mean by the accelerometers, m/s², and gyros, rad/s (None without, and while there is
-    too little to tell it from); s that are left to the wanted u; whether it is `enough`, and whether longer would give
-    nothing."""
+    """How good a rest is so far.
+
+    Attributes
+    ----------
+    accel, gyro
+        Standard uncertainty of the mean, m/s² and rad/s. None without such sensors and while the rest is too short.
+    left
+        Time to the wanted uncertainty if the noise is white, s.
+    enough
+        Whether the wanted uncertainty is reached, or a longer rest would not reach it.
+    nothing_more
+        Whether a longer rest hardly lowers the uncertainty.
+    """
 
     accel: float | None
     gyro: float | None
@@ -132,8 +142,19 @@ class Judged:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Progress:
-    """A session under way: what the log is reduced to; what of it rests, `so_far`, None while there is too little to
-    find rests in; the rests by position, `groups`; and how good the last two rests of the last position are."""
+    """A session that is being recorded.
+
+    Attributes
+    ----------
+    reduction, blocks
+        The reduction of the log so far, and its blocks in the body.
+    so_far
+        Its rests. None while the log is too short to find any.
+    groups
+        The rests by position, in the order of time.
+    judged
+        How good the last two rests of the last position are.
+    """
 
     reduction: Reduction
     blocks: Blocks

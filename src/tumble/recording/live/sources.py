@@ -48,15 +48,24 @@ class Ended(Exception):  # noqa: N818
 
 
 class LineSource:
-    """Something that sends lines. `begins_anew`: whether it sends everything from its beginning when it is opened again;
-    `trouble`: what interrupts it."""
+    """Source of lines.
+
+    Attributes
+    ----------
+    name : str
+        As the page shows it.
+    begins_anew : bool
+        Whether it sends everything from its beginning each time it is opened.
+    trouble : str or None
+        What interrupts it.
+    """
 
     name = ""
     begins_anew = False
     trouble: str | None = None
 
     def read(self, timeout: float) -> bytes:
-        """What has come, nothing after `timeout` s without. Raises Ended."""
+        """Return what has come, b"" after `timeout` s without any. Raises Ended."""
         raise NotImplementedError
 
     def hurry(self, rows: int) -> None:
