@@ -122,7 +122,7 @@ class Judged:
 
     @staticmethod
     def of(reduction: Reduction, rest: Rest, wanted: Wanted) -> Judged:
-        """u of the mean of a rest against the wanted ones, and what twice the time would leave of it."""
+        """Compare the uncertainty of the mean of a rest with the wanted one."""
         mean, seconds = mean_so_far(reduction, rest.first, rest.last), rest.stop - rest.start
         kinds = [
             (max(u, 1e-12), twice, level)
@@ -186,7 +186,7 @@ class Progress:
 
 
 def grouped(blocks: Blocks, rests: list[Rest]) -> list[list[Rest]]:
-    """Rests without a turn between them together: one position. Without gyros, those of one vertical."""
+    """Group the rests between which nothing was turned: one position. Without gyros, those of one vertical."""
     groups: list[list[Rest]] = []
     for rest in rests:
         apart = np.inf
@@ -208,22 +208,24 @@ def grouped(blocks: Blocks, rests: list[Rest]) -> list[list[Rest]]:
 
 
 def verticals(rests: list[Rest], programme: Programme, gravity: float) -> Array:
-    """Verticals (N, 3) in the body, freed from bias by the positions of a programme."""
+    """Verticals (N, 3) in the body, corrected for the bias that the positions of a programme show."""
     expected = np.array([position.vertical_b for position in programme.positions])
     return freed_verticals(np.array([rest.force for rest in rests]).reshape(-1, 3), expected, gravity)
 
 
 def nearest_positions(programme: Programme, units: Array) -> list[int | None]:
-    """Which position of a programme in any order each vertical (N, 3) is; None where it is none."""
+    """Position of a programme without an order that each vertical (N, 3) belongs to, or None."""
     cosines = units @ np.array([position.vertical_b for position in programme.positions]).T
     near = cosines.max(axis=1) >= np.cos(POSITION_LIMIT)
     return [int(k) if is_near else None for k, is_near in zip(np.argmax(cosines, axis=1), near, strict=True)]
 
 
 def attitude_now(programme: Programme, progress: Progress, index: int, at: int) -> Array | None:
-    """Body → geographic (3, 3) now, of a unit that is to be in position `index` of a programme, its `at`-th, from 0:
-    from the position before by what the gyros read since. In any order, without gyros, or long after it, the attitude
-    nearest to that position with the vertical as it is read; None where that is none."""
+    """Attitude now, body → geographic (3, 3), of a unit on its way into position `index` of a programme, its `at`-th.
+
+    In a programme with an order it is that of the position before, turned by what the gyros have read since. Without
+    an order, without gyros, or long after that position, it is the attitude nearest to the position that has the
+    vertical of the present reading. None if there is no nearest one."""
     blocks, groups, wanted = progress.blocks, progress.groups, programme.positions[index]
     if programme.ordered and index and 0 < at <= len(groups):
         before = groups[at - 1][-1]
