@@ -17,7 +17,6 @@ import pytest
 from click.testing import CliRunner
 
 from tests.use.test_check import device, seen
-from tumble.use.listening import LiveSamples, opened
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.methods.field_check import field_check
@@ -34,6 +33,7 @@ from tumble.simulation.session import simulate_session
 from tumble.simulation.temperature_profile import temperature_profile
 from tumble.units import DEGREE, Array
 from tumble.use.check import known_before
+from tumble.use.listening import LiveSamples, opened
 from tumble.use.watch import LONGEST, Event, Notice, Watch, WatchedRest, watch_session, watched
 
 MG = 9.80665e-3

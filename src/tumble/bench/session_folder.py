@@ -101,7 +101,7 @@ def begin_next(folder: Path, serial: str) -> Path:
 
 
 def leave_out(folder: Path, one: Exclusion | None, instead_of: Exclusion | None = None) -> None:
-    """Write a table [[exclude]] at the end of session.toml, and remove one that was added before, `instead_of`. Whatever
+    """Write a table [[exclude]] at the end of session.toml, and remove `instead_of`, which was added before. Whatever
     else is in the file stays as it is."""
     path = folder / SESSION_FILE
     text, old, new = text_of_document(path), *("" if each is None else _table(each) for each in (instead_of, one))

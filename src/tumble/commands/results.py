@@ -87,9 +87,9 @@ def watch(calibration: Path, source: str, session: Path | None) -> None:
 
     Exit status 0: no change is shown; 1: something has changed.
     """
-    from tumble.use.listening import opened
     from tumble.recording.session_file import read_session
     from tumble.result.calibration import read_calibration
+    from tumble.use.listening import opened
     from tumble.use.watch import Event, WatchedRest
     from tumble.views.checks import field_check_blocks, field_check_data, moved_line, watch_data, watch_line
     from tumble.views.render.data import print_line
