@@ -29,7 +29,7 @@ from typing import Any
 
 from tumble.documents import whole_number
 from tumble.errors import InputError, needs_extra
-from tumble.recording.session import LogSpec
+from tumble.recording.session import LogSpec, Session
 from tumble.recording.session_file import read_session
 from tumble.units import G_STANDARD
 
@@ -48,24 +48,25 @@ class Ended(Exception):  # noqa: N818
 
 
 class LineSource:
-    """Source of lines.
+    """Something that sends lines.
 
     Attributes
     ----------
-    name : str
-        As the page shows it.
     begins_anew : bool
-        Whether it sends everything from its beginning each time it is opened.
+        Whether it sends everything from its beginning when it is opened again.
     trouble : str or None
         What interrupts it.
+    session : Session or None
+        Describes the lines, of a session that is replayed.
     """
 
     name = ""
     begins_anew = False
     trouble: str | None = None
+    session: Session | None = None
 
     def read(self, timeout: float) -> bytes:
-        """Return what has come, b"" after `timeout` s without any. Raises Ended."""
+        """What has come, nothing after `timeout` s without. Raises Ended."""
         raise NotImplementedError
 
     def hurry(self, rows: int) -> None:
@@ -298,7 +299,8 @@ class Replay(LineSource):
 
     def __init__(self, folder: Path, speed: float) -> None:
         self.name, self._speed = f"replay:{folder.name}@{speed:g}x", speed
-        log = read_session(folder).log
+        self.session = read_session(folder)
+        log = self.session.log
         file = log.files[0]
         if len(log.files) > 1 or not isinstance(file, Path) or log.clock:
             raise InputError(
