@@ -113,7 +113,7 @@ def test_a_type_checker_accepts_right_calls(tmp_path: Path) -> None:
         "import numpy as np\n"
         "import polars as pl\n"
         "import tumble\n"
-        "a: tumble.Calibration = tumble.calibrate(Path('session'), method='staged')\n"
+        "a: tumble.Calibration = tumble.calibrate(Path('session'), method='ellipsoid')\n"
         "b = tumble.calibrate(accel=np.ones((9, 3)), gyro=pl.DataFrame(), rate=100.0, latitude=1.0)\n"
         "p: tumble.Parameter = b['accel.bias.x']\n"
         "v: tumble.FieldCheck = tumble.check_calibration('a.json', 'check')\n"
@@ -409,10 +409,10 @@ import multiprocessing, sys
 import tumble
 
 def again(_):
-    return repr(tumble.calibrate(sys.argv[1], method="staged"))
+    return repr(tumble.calibrate(sys.argv[1], method="joint"))
 
 if __name__ == "__main__":
-    tumble.calibrate(sys.argv[1], method="staged")
+    tumble.calibrate(sys.argv[1], method="joint")
     with multiprocessing.get_context("fork").Pool(1) as pool:
         pool.map(again, [0])
 """

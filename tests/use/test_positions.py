@@ -74,7 +74,7 @@ def calibrated(own: Observations) -> tuple[Calibration, Estimate]:
     )
     made = Calibration(
         device=CalibratedDevice(serial="S"),
-        method="staged",
+        method="scalar",
         frame="accelerometer",
         parameters=parameters,
         covariance=estimate.covariance,
