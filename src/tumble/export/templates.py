@@ -234,15 +234,18 @@ class Template:
 
     def _value(self, where: str, text: str, names: Mapping[str, Any], shape: tuple[int, ...] | None = None) -> Array:
         """The value of an expression. Raises InputError, one line, where it has none."""
+        from jinja2 import Undefined
+
         try:
-            value = np.asarray(_environment().compile_expression(text, undefined_to_none=False)(**names))
+            found = _environment().compile_expression(text, undefined_to_none=False)(**names)
+            value = np.asarray(str(found) if isinstance(found, Undefined) else found)  # whose text is an error
             if not np.issubdtype(value.dtype, np.number) or not np.all(np.isfinite(value)):
                 raise ValueError("no finite numbers")
             if shape is not None and value.shape != shape:
                 raise ValueError(f"an array of the shape {value.shape}")
         except Exception as error:  # of Jinja, of NumPy, of arithmetic
-            found = " ".join(str(error).split()) or type(error).__name__
-            raise InputError(f"{self.name}: {where}: expected an expression with a value, found {found}") from None
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(f"{self.name}: {where}: expected an expression with a value, found {reason}") from None
         return value
 
     def _rendered(self, **names: Any) -> str:
@@ -376,7 +379,7 @@ def _environment() -> SandboxedEnvironment:
 
 
 def _as_json(value: Any, indent: int | None = None) -> str:
-    return json.dumps(value, indent=indent, allow_nan=False)
+    return json.dumps(value, indent=indent, allow_nan=False, default=str)  # of what is undefined: an error
 
 
 def _as_yaml(value: Any) -> str:
