@@ -48,7 +48,15 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The example, installed into a folder."""
     folder, source = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("source") / "example"
     shutil.copytree(EXAMPLE, source)  # which building writes into
-    words: list[str | Path] = ["--quiet", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "--target", folder, source]
+    words: list[str | Path] = [
+        "--quiet",
+        "--no-deps",
+        "--no-build-isolation",
+        "--disable-pip-version-check",
+        "--target",
+        folder,
+        source,
+    ]
     subprocess.run([sys.executable, "-m", "pip", "install", *words], check=True)
     return folder
 
