@@ -74,9 +74,7 @@ COMMANDS: Mapping[str, str] = {
     "Most used": (
         "recordings.new recordings.inspect calibrate.calibrate results.check passing_on.export passing_on.report"
     ),
-    "Before anything is recorded": (
-        "planning.programme planning.plan planning.budget planning.require planning.simulate"
-    ),
+    "Before anything is recorded": "planning.programme planning.plan planning.simulate",
     "With a calibration": "results.apply results.compare results.verify results.watch results.mission",
     "Of other recordings": "calibrate.ellipsoid recordings.noise",
     "Many at once": "many.campaign many.fleet",
