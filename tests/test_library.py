@@ -116,7 +116,7 @@ def test_a_type_checker_accepts_right_calls(tmp_path: Path) -> None:
         "a: tumble.Calibration = tumble.calibrate(Path('session'), method='staged')\n"
         "b = tumble.calibrate(accel=np.ones((9, 3)), gyro=pl.DataFrame(), rate=100.0, latitude=1.0)\n"
         "p: tumble.Parameter = b['accel.bias.x']\n"
-        "v: tumble.Verification = tumble.verify_calibration('a.json', 'check')\n"
+        "v: tumble.FieldCheck = tumble.check_calibration('a.json', 'check')\n"
         "c: tumble.Comparison = tumble.compare_calibrations(a, 'b.json')\n"
         "f: pl.DataFrame = a.to_polars()\n"
         "print(a.outcome.accepted, a.table(), p.value, v.reasons, c.agree, f)\n",
@@ -144,7 +144,6 @@ CALLS = {
     "export": "export_calibration",
     "fleet": "fleet",
     "inspect": "inspect_session",
-    "mission": "mission",
     "new": "new_session",
     "noise": "noise",
     "plan": "plan",
@@ -154,15 +153,13 @@ CALLS = {
     "require": "require",
     "selftest": "run_selftest",
     "simulate": "simulate_session",
-    "verify": "verify_calibration",
 }
-"""The public call behind every command but `bench`, which serves a page until it is stopped, and `watch`, which feeds
-`tumble.Watch` until its source ends."""
+"""The public call behind every command but `bench`, which serves a page until it is stopped."""
 
 
 def test_every_command_is_a_public_call() -> None:
     context = click.Context(main)
-    assert sorted(CALLS) == sorted({*main.list_commands(context)} - {"bench", "watch"})
+    assert sorted(CALLS) == sorted({*main.list_commands(context)} - {"bench"})
     for name, call in CALLS.items():
         assert call in tumble.__all__
         command = main.get_command(context, name)

@@ -648,9 +648,9 @@ def test_results_are_printed_as_data(sessions: Path) -> None:
     compared = json.loads(run("compare", file, file, "--json").stdout)
     assert compared["verdict"] == "accepted"
     assert {each["value"] for each in compared["differences"]} == {0.0}
-    verified = json.loads(run("verify", file, sessions / "one", "--json").stdout)
-    assert verified["verdict"] == "accepted"
-    assert len(verified["positions"]) == len(observed["rests"])
+    checked = json.loads(run("check", file, sessions / "one", "--json").stdout)
+    assert (checked["verdict"], checked["left_out"]) == ("accepted", True)
+    assert len(checked["rests"]) == len(observed["rests"])
 
 
 def test_quiet_leaves_results_reasons_and_errors(sessions: Path) -> None:
