@@ -20,9 +20,9 @@ over columns are vector instructions.
 from __future__ import annotations
 
 import numpy as np
+import scipy
 
 from tumble.inference import elimination_kernels as kernels
-from tumble.scipy_compiled import lapack
 from tumble.units import Array, IntArray
 
 ROUNDING = 1e-10
@@ -49,7 +49,9 @@ def eliminate(
     (N, r, _), t, d, columns = rest.shape, turn.shape[1], factor.shape[1], factor.shape[2]
     work = np.zeros((d + r + t, columns + -columns % kernels.LANES))  # whole lanes
     kept, length, parts = np.empty((N * (d + r + t), len(triangle)), order="F"), np.zeros(2 * d), np.zeros(len(work))
-    count = kernels.eliminate_rests(rest, turn, link, factor, ROUNDING * ROUNDING, work, begins.copy(), kept, length, parts)
+    count = kernels.eliminate_rests(
+        rest, turn, link, factor, ROUNDING * ROUNDING, work, begins.copy(), kept, length, parts
+    )
     fold(kept[:count], triangle)
 
 
@@ -108,7 +110,8 @@ def fold(rows: Array, triangle: Array, triangular: bool = False) -> None:
     """Fold rows (n, p + 1) into an upper triangle (p + 1, p + 1), by LAPACK; `triangular` ones cost a third."""
     if len(rows):
         block = min(WIDE_BLOCK if len(triangle) > WIDE else BLOCK, len(triangle))
-        triangle[:] = lapack.dtpqrt(len(rows) if triangular else 0, block, triangle, rows, overwrite_a=1)[0]
+        folded = scipy.linalg.lapack.dtpqrt(len(rows) if triangular else 0, block, triangle, rows, overwrite_a=1)
+        triangle[:] = folded[0]
 
 
 def given_unknowns(rows: Array, by: Array, first: IntArray) -> Array:

@@ -53,6 +53,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate
@@ -62,7 +63,6 @@ from tumble.lab.type_spread import KnownLaunches, known_launches
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Parameter
-from tumble.scipy_compiled import special
 from tumble.sensors.parameters import (
     Variable,
     group_name,
@@ -244,7 +244,7 @@ class TypeParameter:
 
     def chance(self, value: float, variance: float) -> float:
         """How probable it is that a unit of the type, recorded with this variance, differs as much."""
-        return 2.0 * float(self.weights @ special.ndtr(-abs(value) / np.sqrt(variance + self.variances)))
+        return 2.0 * float(self.weights @ scipy.special.ndtr(-abs(value) / np.sqrt(variance + self.variances)))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -389,7 +389,7 @@ def _of_group(
     degrees = np.array([len(y) - 1.0 for y in values])
     apart = sum(each.max() for each in likelihoods) - together.max()
     correction = 1.0 + (np.sum(1.0 / degrees) - 1.0 / degrees.sum()) / max(3.0 * (len(group) - 1.0), 1.0)
-    differ = len(group) > 1 and special.chdtrc(len(group) - 1, 2.0 * apart / correction) < CONTRADICTS
+    differ = len(group) > 1 and scipy.special.chdtrc(len(group) - 1, 2.0 * apart / correction) < CONTRADICTS
     for i, name in enumerate(group):
         likelihood = likelihoods[i] if differ else together
         prior = 0.5 * np.log(information[i] if differ else np.sum(information, axis=0)) + theta

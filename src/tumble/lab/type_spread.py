@@ -20,8 +20,9 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
+import scipy
+
 from tumble.result.calibration import Calibration
-from tumble.scipy_compiled import special
 
 UNLIKE = 1e-3
 """A device is not like its type where chance makes it as unstable less often."""
@@ -97,6 +98,6 @@ def pooled(own: float, degrees: float, alike: tuple[float, float]) -> tuple[floa
     variance, known = alike
     if known == 0.0:
         return own, degrees
-    if special.fdtrc(degrees, known, own / variance) < UNLIKE:
+    if scipy.special.fdtrc(degrees, known, own / variance) < UNLIKE:
         return None
     return (degrees * own + known * variance) / (degrees + known), degrees + known

@@ -33,6 +33,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import scipy
 
 from tumble.inference.estimate import DETERMINED, Fit
 from tumble.inference.hyperparameters import Components
@@ -44,7 +45,6 @@ from tumble.inference.step import solve, tell
 from tumble.inference.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
-from tumble.scipy_compiled import special
 from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import limits_of
@@ -214,7 +214,7 @@ def changes_in(
         largest = float(np.abs(t[candidates]).max(initial=0.0))
         alone = alone or {
             "tests": {names[j]: (float(t[j] * u[j]), float(u[j])) for j in candidates},
-            "detectable": {names[j]: float((limit + special.ndtri(POWER)) * u[j]) for j in candidates},
+            "detectable": {names[j]: float((limit + scipy.special.ndtri(POWER)) * u[j]) for j in candidates},
             "largest": largest,
             "limit": limit,
         }

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any, Protocol, Self
 
 import numpy as np
+import scipy
 
 from tumble.brief import Brief
 from tumble.errors import InputError
@@ -33,7 +34,6 @@ from tumble.result.coverage import UNLEARNED, apart, expanded_of, welch_satterth
 from tumble.result.file import text_of
 from tumble.result.further import remarks as remarks_of
 from tumble.result.shared_errors import shared_errors
-from tumble.scipy_compiled import special
 from tumble.units import Array
 from tumble.use.foreign import IMU_TK, KALIBR, foreign_calibration
 
@@ -103,7 +103,7 @@ class Difference:
         """How probable chance alone makes so large a difference; None where there is no E_n number."""
         if self.e_n is None or not self.u:
             return None
-        return float(2.0 * special.stdtr(inf if self.dof is None else self.dof, -abs(self.value) / self.u))
+        return float(2.0 * scipy.special.stdtr(inf if self.dof is None else self.dof, -abs(self.value) / self.u))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
@@ -227,8 +227,8 @@ def _chi_square(
     rank = int(np.linalg.matrix_rank(correlation, hermitian=True))
     chi_square = max(0.0, float(scaled @ np.linalg.pinv(correlation, hermitian=True) @ scaled))
     if fewest is None:
-        return chi_square, rank, float(special.chdtrc(rank, chi_square))
-    return chi_square, rank, float(special.fdtrc(rank, fewest, chi_square / rank))
+        return chi_square, rank, float(scipy.special.chdtrc(rank, chi_square))
+    return chi_square, rank, float(scipy.special.fdtrc(rank, fewest, chi_square / rank))
 
 
 def _remarks(first: Calibration, second: Calibration, frame: str) -> Iterator[str]:

@@ -33,6 +33,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import scipy
 
 from tumble.brief import Brief
 from tumble.errors import CalibrationError, InputError
@@ -49,7 +50,6 @@ from tumble.run.calibrate import grade_of
 from tumble.run.case import Verticals, verticals_of
 from tumble.run.observed import Observed, inspect_session
 from tumble.run.readings_table import read_table
-from tumble.scipy_compiled import special
 from tumble.sensors.frames import Convention, frame_of, triad_axes
 from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument, functions
@@ -226,7 +226,7 @@ def verify_calibration(calibration: Calibration | FilePath, check: Positions | S
     def limit(degrees: float) -> float:
         """What the largest of so many ratios exceeds in CHANCE of all cases."""
         tail = 1.0 - 0.5 * CHANCE / len(difference)
-        return float(special.ndtri(tail) if np.isinf(degrees) else special.stdtrit(degrees, tail))
+        return float(scipy.special.ndtri(tail) if np.isinf(degrees) else scipy.special.stdtrit(degrees, tail))
 
     if calibration.provenance.get("log_sha256") == positions.sha256:  # the calibration's own: each is left out in turn
         untold = _untold(calibration, names, J)
@@ -255,9 +255,9 @@ def verify_calibration(calibration: Calibration | FilePath, check: Positions | S
         V = np.diag(variance) + by_gravity + J @ (seen.parameter_covariance + np.diag(turned_on)) @ J.T
         N, square = len(difference), float(difference @ np.linalg.solve(V, difference))
         if fit.scatter == 0.0 or np.isinf(fit.degrees):
-            by_turn_on = square < float(special.chdtri(N, CHANCE))
+            by_turn_on = square < float(scipy.special.chdtri(N, CHANCE))
         else:
-            by_turn_on = square / N < float(special.fdtri(N, fit.degrees, 1.0 - CHANCE))
+            by_turn_on = square / N < float(scipy.special.fdtri(N, fit.degrees, 1.0 - CHANCE))
     return Verification(
         labels=positions.labels,
         difference=difference,

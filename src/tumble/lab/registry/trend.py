@@ -47,18 +47,18 @@ from datetime import datetime, timedelta
 from itertools import pairwise
 
 import numpy as np
+import scipy
 
 from tumble.lab.registry.series import Series, SeriesPoint
 from tumble.lab.registry.types import Forecast
 from tumble.methods.least_squares import scatter_of
 from tumble.result.coverage import apart, shared_gravity
 from tumble.result.shared_errors import shared_time_base
-from tumble.scipy_compiled import special
 from tumble.units import Array
 from tumble.use.compare import Difference
 
 YEAR = timedelta(days=365.25)
-COVERED = float(special.ndtr(2.0))
+COVERED = 0.5 + 0.5 * math.erf(2.0 / math.sqrt(2.0))
 """One-sided probability of two standard deviations of a normal distribution."""
 
 
@@ -214,7 +214,7 @@ def _instability_and_drift(points: Sequence[SeriesPoint]) -> tuple[float | None,
         per_year=float(values[-1]),
         u=u,
         degrees=degrees,
-        expanded=float(special.stdtrit(degrees, COVERED)) * u if degrees > 0 else None,
+        expanded=float(scipy.special.stdtrit(degrees, COVERED)) * u if degrees > 0 else None,
         level=float(values[last]),
         level_u=math.sqrt(float(covariance[last, last] + mean @ mean)),
         level_with_drift=float(covariance[last, -1]),
