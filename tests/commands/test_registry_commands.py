@@ -209,7 +209,7 @@ def test_the_extra_is_named_where_it_is_missing(folder: Path) -> None:
     code = "import sys; sys.modules['sqlalchemy'] = None\nfrom tumble.cli import main; main(['registry', 'list'])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=folder)
     assert done.returncode == 2
-    said = "tumble: the registry needs sqlalchemy; install it with: pip install 'tumble[registry]'\n"
+    said = "tumble: the registry needs sqlalchemy; install it with: pip install 'tumble[lab]'\n"
     assert done.stderr == said
     assert json.loads((folder / "new.json").read_text())["format"] == 1
 

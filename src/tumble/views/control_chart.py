@@ -77,7 +77,7 @@ def write_chart(path: Path, found: Monitored) -> None:
 
     Raises InputError for another ending than .html and .svg, MissingExtraError without matplotlib."""
     ending = ending_in(path, *FORMATS)
-    with needs_extra("a control chart", "report", "jinja2", "matplotlib", "typst"):
+    with needs_extra("a control chart", "lab", "jinja2", "matplotlib", "typst"):
         text = _svg(found) if ending == ".svg" else _page(found)
     with whole_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

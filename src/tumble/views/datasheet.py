@@ -133,7 +133,7 @@ def write_datasheet(sheet: Datasheet, out: Path, created: str) -> None:
             statements=(_EXPLAINED,),
             closing="End of the data sheet",
         )
-        with needs_extra("a data sheet as a page", "report", "jinja2", "matplotlib", "typst"):
+        with needs_extra("a data sheet as a page", "lab", "jinja2", "matplotlib", "typst"):
             from tumble.views.render.pages import written
 
             content = written(document, ending)

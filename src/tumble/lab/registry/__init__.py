@@ -12,5 +12,5 @@ a record of its own that supersedes another, and the database itself refuses upd
     due        the records of a device; when which device is to be calibrated again
     exchange   export and import as JSON lines
 
-Needs the extra `tumble[registry]`.
+Needs the extra `tumble[lab]`.
 """

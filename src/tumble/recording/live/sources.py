@@ -236,7 +236,7 @@ class Mavlink(LineSource):
     unordered = True
 
     def __init__(self, where: str) -> None:
-        with needs_extra("MAVLink", "bench", "pymavlink"):
+        with needs_extra("MAVLink", "formats", "pymavlink"):
             from pymavlink import mavutil
         self.name = f"mavlink:{where}"
         kind, _, rest = where.partition(":")

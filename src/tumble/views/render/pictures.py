@@ -63,7 +63,7 @@ def write_picture(
 
     Raises MissingExtraError, saying `what` it is, without matplotlib, InputError for another ending."""
     ending = ending_in(path, ".svg", ".png", ".pdf")
-    with needs_extra(what, "report", "matplotlib"):
+    with needs_extra(what, "lab", "matplotlib"):
         from matplotlib import rc_context
         from matplotlib.figure import Figure
     with rc_context(style):

@@ -2,7 +2,7 @@
 
     calibration files → document (sections of blocks: plain text, numbers, pictures) → page (HTML) or pdf (PDF/A)
 
-The content is put together once; the templates only show it. Needs the extra `tumble[report]`.
+The content is put together once; the templates only show it. Needs the extra `tumble[lab]`.
 
     document     the order of the sections, the first page, what a certificate adds
     result       parameters, limits, several calibrations, correlations, iterations

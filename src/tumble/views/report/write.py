@@ -30,7 +30,7 @@ def write_report(
     acceptance limits of the file `limits`. With the file `certificate` it is the certificate of one calibration, whose
     limits that file names.
 
-    Raises InputError for files that cannot be used, MissingExtraError without the extra `tumble[report]`.
+    Raises InputError for files that cannot be used, MissingExtraError without the extra `tumble[lab]`.
 
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
@@ -49,7 +49,7 @@ def write_report(
     if limits is not None:
         acceptance = limits_of(Path(limits))
     as_found = None if stated is None or stated.as_found is None else read_calibration(stated.as_found)
-    with needs_extra("a report", "report", "jinja2", "matplotlib", "typst"):
+    with needs_extra("a report", "lab", "jinja2", "matplotlib", "typst"):
         from tumble.views.render.pages import written
         from tumble.views.report.document import as_certified, document, not_accepted
 

@@ -126,7 +126,7 @@ def _connected(place: str | None, create: bool) -> Registry:
 
 def extra_named() -> AbstractContextManager[None]:
     """Where a library of the extra is missing, what to install."""
-    return needs_extra("the registry", "registry", *_LIBRARIES)
+    return needs_extra("the registry", "lab", *_LIBRARIES)
 
 
 def _url(place: str | None) -> URL:
