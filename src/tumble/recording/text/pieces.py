@@ -37,35 +37,40 @@ def opened(path: Path, encoding: str = "utf-8") -> io.BufferedIOBase:
 
     Raises LogError for an archive that holds more than one of its size can of a log, here or while it is read."""
     ending = path.suffix.lower()
-    zstd = _zstandard(path) if ending == ".zst" else None
-    stream: io.BufferedIOBase = path.open("rb")
+    stream: io.BufferedIOBase
     if ending in (".gz", ".zst"):
-        size, limit, stated = path.stat().st_size, largest_unpacked(path), 0
-        with stream as file:
-            if ending == ".gz":  # the last member says how many bytes it holds, to 4 GB, where it is whole
-                file.seek(max(size - 4, 0))
-                last = int.from_bytes(file.read(4), "little")
-                stated = last if last <= _DEFLATE_RATIO * size else 0
-            else:
-                with suppress(zstd.ZstdError):  # the first frame may say so
-                    stated = zstd.get_frame_info(file.read(_HEADER_BYTES)).decompressed_size or 0
+        packed, damaged, stated = _gzip(path) if ending == ".gz" else _zstandard(path)
+        limit = largest_unpacked(path)
         if stated > limit:
             raise _too_large(path, limit, f"{_megabytes(stated)} stated")
-        packed, damaged = (
-            (gzip.GzipFile(path), zlib.error) if ending == ".gz" else (zstd.ZstdFile(path), zstd.ZstdError)
-        )
         stream = io.BufferedReader(_Limited(packed, damaged, path, limit))
+    else:
+        stream = path.open("rb")
     return stream if encoding == "utf-8" else _Recoded(stream, encoding)
 
 
-def _zstandard(path: Path) -> Any:
-    """The module that unpacks Zstandard. Raises MissingExtraError before Python 3.14 without the extra `formats`."""
+def _gzip(path: Path) -> tuple[Any, type[Exception], int]:
+    """What unpacks gzip, its error, and how many bytes the last member says it holds, to 4 GB, where it is whole."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        file.seek(max(size - 4, 0))
+        last = int.from_bytes(file.read(4), "little")
+    return gzip.GzipFile(path), zlib.error, last if last <= _DEFLATE_RATIO * size else 0
+
+
+def _zstandard(path: Path) -> tuple[Any, type[Exception], int]:
+    """What unpacks Zstandard, its error, and how many bytes the first frame says it holds, if it does.
+
+    Raises MissingExtraError before Python 3.14 without the extra `formats`."""
     if sys.version_info >= (3, 14):
         from compression import zstd
     else:
         with needs_extra(f"{path}: a file compressed by Zstandard", "formats", "backports"):
             from backports import zstd
-    return zstd
+    stated = 0
+    with path.open("rb") as file, suppress(zstd.ZstdError):
+        stated = zstd.get_frame_info(file.read(_HEADER_BYTES)).decompressed_size or 0
+    return zstd.ZstdFile(path), zstd.ZstdError, stated
 
 
 class _Recoded(io.BufferedIOBase):
