@@ -50,9 +50,8 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 start = time.perf_counter()
 child = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 _, status, usage = os.wait4(child.pid, 0)
-print(
-    os.waitstatus_to_exitcode(status), time.perf_counter() - start, usage.ru_maxrss / 1024, usage.ru_utime + usage.ru_stime
-)
+busy = usage.ru_utime + usage.ru_stime
+print(os.waitstatus_to_exitcode(status), time.perf_counter() - start, usage.ru_maxrss / 1024, busy)
 """
 """Runs a command from a small process: a child's peak memory counts from what its parent had. Its modules are not
 compiled anew, as pip leaves them. Prints exit status, seconds by the clock, peak MB and seconds of the processor."""

@@ -1,4 +1,4 @@
-"""Processor time of the maximum of the joint likelihood, of its integral, and of a longer session, each against its target.
+"""Processor time of the maximum of the joint likelihood, of its integral, and of a longer session, against targets.
 
 The set-up of the turntable paper (15 rests, 14 turns), from observations, one thread: with the 21 parameters of the
 linear model and with all groups. A longer session is the programme ten times over. Figures are medians over sessions.
