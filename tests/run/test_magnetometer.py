@@ -20,7 +20,7 @@ from tumble.recording.log import open_log
 from tumble.recording.session_file import read_session, write_session
 from tumble.reduction.blocks.reducer import reduce_log
 from tumble.result.calibration import Calibration, read_calibration
-from tumble.run.calibrate import Method, calibrate
+from tumble.run.calibrate import calibrate
 from tumble.run.launches import Run, mean_of_launches
 from tumble.run.magnetometer import NAMES
 from tumble.units import Array
