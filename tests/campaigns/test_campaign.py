@@ -214,7 +214,7 @@ def test_a_plot_without_matplotlib_says_what_to_install(tmp_path: Path, monkeypa
     counts: dict[str, Any] = dict.fromkeys(COUNTS, 1)
     line = SummaryLine(point={}, method="joint", group="accel.bias", unit="m/s^2", **counts, **FIGURES)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'tumble\[report\]'"):
+    with pytest.raises(MissingExtraError, match=r"pip install 'tumble\[lab\]'"):
         plot([line], tmp_path / "rms.svg")
 
 

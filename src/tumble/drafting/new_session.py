@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from tumble.diagnosis.turn_likelihood import WIDTHS, Widths
-from tumble.drafting.containers.archives import sheets_of, unzipped
-from tumble.drafting.detection import files_of, found_log
+from tumble.drafting.columns import found_log
+from tumble.drafting.conclusions import weighed
+from tumble.drafting.containers import files_of, unzipped
 from tumble.drafting.draft import Draft, session_text
 from tumble.drafting.found_log import HEAD_ROWS, SAMPLE_ROWS, FoundLog
-from tumble.drafting.hypotheses.weighed import weighed
 from tumble.drafting.mended import mended
 from tumble.drafting.sensors_apart import log_of_recording
 from tumble.errors import InputError, LogError
@@ -116,7 +116,6 @@ def written_session(
     if given.sample_rate is not None and not 0.0 < given.sample_rate < 1e9:
         raise InputError(f"--sample-rate: expected a positive number, found {given.sample_rate:g}")
     files = [inner for file in files for inner in unzipped(file, folder)]
-    files = [sheet for file in files for sheet in sheets_of(file, folder)]
     imu: Mapping[str, AutopilotSensor] = {}
     if not (recordings := [file for file in files if is_recording(file) or file.is_dir()]):
         log = found_log(files, folder, given.columns)

@@ -12,10 +12,9 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from tumble.drafting.dialects.named_values import json_lines, named_values, several_lines
-from tumble.drafting.dialects.sentences import novatel, sentences
-from tumble.drafting.dialects.spelling import LEAST_NUMBERS, Columns, Spelling, copied, listed, most_common, spelt_alike
-from tumble.errors import InputError
+from tumble.drafting.named_values import json_lines, named_values, several_lines
+from tumble.drafting.sentences import sentences
+from tumble.drafting.spelling import LEAST_NUMBERS, Columns, Spelling, copied, listed, most_common, spelt_alike
 from tumble.files import OutputFolder
 from tumble.recording.columns.patterns import is_unit
 from tumble.recording.text.dialect import Dialect, encoding_of
@@ -109,7 +108,6 @@ def thousands(lines: Sequence[str]) -> Spelling | None:
 
 DIALECTS: tuple[Callable[[Sequence[str]], Spelling | None], ...] = (
     sentences,
-    novatel,
     json_lines,
     several_lines,
     list_cells,
@@ -122,16 +120,13 @@ DIALECTS: tuple[Callable[[Sequence[str]], Spelling | None], ...] = (
 """Each is asked in this order, with the first lines of a file, for their spelling."""
 
 
-def respelled(file: Path, seen: bytes, folder: OutputFolder) -> tuple[list[Path], str] | None:
-    """The copy of a text log in a folder, and what there is to say of it; None for one that can be read as it is.
+def respelled(file: Path, seen: bytes, folder: OutputFolder) -> tuple[Path, str] | None:
+    """The copy of a text log in a folder as a table, and a remark on it; None for one that can be read as it is.
     `seen`: the first bytes of the file."""
     encoding = encoding_of(seen)
     text = seen.decode(encoding, errors="replace")
     lines = re.split("[\r\n]+", text)[:-1][:_SEEN_LINES]
-    try:
-        spelling = next((spelling for dialect in DIALECTS if (spelling := dialect(lines)) is not None), None)
-    except InputError as error:
-        raise InputError(f"{file}: {error}") from None
+    spelling = next((spelling for dialect in DIALECTS if (spelling := dialect(lines)) is not None), None)
     if spelling is None and text.count("\r") > 2 and "\n" not in text:
         spelling = Spelling(values=lambda line: [line], said="lines that end in a carriage return")
     if spelling is None:
@@ -142,5 +137,5 @@ def respelled(file: Path, seen: bytes, folder: OutputFolder) -> tuple[list[Path]
         values = of_line(line)
         return None if values is None else ("", ",".join(values) or line.replace(",", " "))
 
-    target = copied(file, encoding, folder, lambda _: names, row)
-    return target, f"text: {spelling.said}: copied to {target[0].name} as a table"
+    (table,) = copied(file, encoding, folder, lambda _: names, row)
+    return table, f"text: {spelling.said}: copied to {table.name} as a table"

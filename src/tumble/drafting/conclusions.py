@@ -12,7 +12,7 @@ import numpy as np
 
 from tumble.diagnosis.turn_likelihood import WIDTHS, Widths, columns_said
 from tumble.drafting.draft import Draft
-from tumble.drafting.hypotheses.cost import Hypothesis, Shown, ranked, readings, shown_by
+from tumble.drafting.hypotheses import Hypothesis, Shown, ranked, readings, shown_by
 from tumble.errors import TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO
 from tumble.recording.columns.scales import ONE, PER, KnownScale

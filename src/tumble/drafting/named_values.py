@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
-from tumble.drafting.dialects.spelling import LONGEST_LINE, Spelling, listed, spelt_alike
+from tumble.drafting.spelling import LONGEST_LINE, Spelling, listed, spelt_alike
 from tumble.recording.text.dialect import Dialect, is_clock
 
 # A word is looked at from its first letter, and once: a line of nothing but letters takes no longer than another one.
