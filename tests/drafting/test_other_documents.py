@@ -13,7 +13,7 @@ import polars as pl
 import pytest
 
 from tests.support.corpus import documents as d
-from tumble.drafting.containers.archives import sheets_of
+from tumble.drafting.containers import sheets_of
 from tumble.drafting.detection import found_log
 from tumble.drafting.new_session import new_session
 from tumble.errors import InputError, MissingExtraError

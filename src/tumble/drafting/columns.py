@@ -23,7 +23,7 @@ from tumble.drafting.several_sensors import split_by_header, split_by_sensor
 from tumble.drafting.times import times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
-from tumble.recording.columns.names import ACCEL, GYRO, columns_by_name, is_no_sensor, time_unit, unit_of_name
+from tumble.recording.columns.names import ACCEL, columns_by_name, is_no_sensor, time_unit, unit_of_name
 from tumble.recording.columns.numbers import columns_by_data, time_by_data
 from tumble.recording.log_source import readable
 from tumble.recording.readers import ENDINGS, source_of
@@ -142,25 +142,21 @@ def _numeric(log: FoundLog) -> list[str]:
 
 
 def _by_data(log: FoundLog) -> FoundLog:
-    """A log whose accelerometers, and gyros unless they are named, are told by their numbers, if they can be. Columns
-    whose names say that they are something else are left aside; gx, gy and gz may be no gyros."""
+    """A log whose accelerometers, and gyros unless they are named, are identified by their numbers, if they can be.
+
+    Columns whose names say that they are something else are left aside."""
     known, names, numeric = log.columns, list(log.names), _numeric(log)
-    named = {kind: sensors for kind, sensors in known.triads.items() if kind != ACCEL}
-    for beside in (named, {kind: sensors for kind, sensors in named.items() if kind != GYRO}):
-        taken = {column for sensors in beside.values() for column in sensors.columns} | {known.time}
-        free = [n for n in numeric if n not in taken and names.count(n) == 1 and not is_no_sensor(n)]
-        read = log.read(free) if len(free) >= 3 else np.empty((0, len(free)))
-        every = np.full((samples_in(read), len(names)), np.nan)
-        every[:, [names.index(name) for name in free]] = read[: len(every)]
-        told = columns_by_data(names, every)
-        if ACCEL in told.columns.triads:
-            found = told.columns.triads.items()
-            triads = {kind: replace(s, unit=unit_of_name(kind, s.columns[0])) for kind, s in found}
-            time = known.time or told.columns.time
-            return log.with_columns(told.said(beside), triads=triads | beside, time=time, others=(), times=())
-        if GYRO not in named:
-            break
-    return log
+    taken = {column for sensors in known.triads.values() for column in sensors.columns} | {known.time}
+    free = [name for name in numeric if name not in taken and not is_no_sensor(name)]
+    read = log.read(free) if len(free) >= 3 else np.empty((0, len(free)))
+    every = np.full((samples_in(read), len(names)), np.nan)
+    every[:, [names.index(name) for name in free]] = read[: len(every)]
+    told = columns_by_data(names, every)
+    if ACCEL not in told.columns.triads:
+        return log
+    triads = {kind: replace(s, unit=unit_of_name(kind, s.columns[0])) for kind, s in told.columns.triads.items()}
+    time = known.time or told.columns.time
+    return log.with_columns(told.said(known.triads), triads=triads | known.triads, time=time, others=(), times=())
 
 
 def _with_finest_time(log: FoundLog) -> FoundLog:

@@ -40,7 +40,7 @@ from tumble.earth import EARTH_RATE
 from tumble.errors import TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO
 from tumble.recording.columns.numbers import MIDDLES
-from tumble.recording.columns.scales import CANDIDATES, FASTEST, NEAR, ON_NO_SHEET, KnownScale, off_table
+from tumble.recording.columns.scales import CANDIDATES, FASTEST, NEAR, ON_NO_SHEET, ONE, KnownScale, off_table
 from tumble.recording.log import open_log
 from tumble.reduction.blocks.reducer import Reduction, reduce_log
 from tumble.reduction.blocks.tuning import USUAL, Tuning
@@ -54,6 +54,8 @@ from tumble.units import ACCEL_UNITS, DEGREE, DEGREE_PER_HOUR, G_STANDARD, GYRO_
 _TRIAD = Block(kind="accel", axes=np.eye(3))
 _CLIPPED, _BELOW = 3, 0.97
 _NO_OFFSET, _LEAST_SINGULAR, _ALIKE = 0.3, 0.05, 0.05
+_MOVING = 0.2
+"""What the median magnitude of accelerometers that are never at rest may be off gravity, part of it."""
 _UNEVEN, _STEPS_TO_CENTRE = 0.01, 4
 """What readings of one g differ by from attitude to attitude, part of it, beside their offsets."""
 _USUAL = 0.8
@@ -81,6 +83,8 @@ _LARGEST_BIAS, _LARGEST_NOISE = 20.0 * DEGREE, 0.17 * DEGREE
 """rad/s: of small gyros, and how they scatter in a second."""
 _BEYOND = 0.25
 """Standard deviation of ln of what is read beyond these."""
+_AT_MOST = 12.0
+"""What that costs: the device may have moved without its accelerometers showing it."""
 SHORT_REST = 0.6
 """s: rests are no shorter, at the median."""
 _ON_A_TABLE = 0.015
@@ -142,7 +146,7 @@ def shown_by(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> Shown
         opened = open_log(session)
         reduction = reduce_log(opened, session.accel_block, session.gyro_block, progress(opened))
     except (TumbleError, np.linalg.LinAlgError):
-        return Shown(rate=draft.rate, length=draft.magnitude, length_u=widths.offset)
+        return Shown(rate=draft.rate, length=draft.magnitude, length_u=_MOVING)
     trials = [_with_windows(reduction, factor, draft.magnitude, widths) for factor in factors]
     counts = {ASSUMED_RATE * factor: trial.rests for factor, trial in zip(factors, trials, strict=True)}
     most = max(trials, key=lambda t: (max((p.unturned - p.least for p in t.profiles), default=0.0), t.rests))
@@ -159,7 +163,7 @@ def _with_windows(reduction: Reduction, factor: float, magnitude: float, widths:
     if max(max(-c.minimum, c.maximum) for c in channels) < LARGEST_SQUARED:
         spans = find_rests(replace(reduction, tuning=tuning), _TRIAD, None).rests
     if not spans:
-        return Shown(rate=reduction.rate, length=magnitude, length_u=widths.offset)
+        return Shown(rate=reduction.rate, length=magnitude, length_u=_MOVING)
     accel = [files[s.file].accel.means[s.first : s.last] for s in spans]
     gyro = [files[s.file].gyro.means[s.first : s.last] for s in spans]
     length, length_u, zero, gravity = length_and_zero(np.array([blocks.mean(axis=0) for blocks in accel]), widths)
@@ -270,8 +274,8 @@ class Hypothesis:
 def ranked(shown: Shown, draft: Draft, widths: Widths = WIDTHS) -> list[Hypothesis]:
     """All hypotheses of a log that shows this, the cheapest first."""
     deviation = math.hypot(widths.scale, shown.length_u)
-    accels = list(_assumed(ACCEL, draft, cost_of_any(deviation), widths))
-    gyros = list(_assumed(GYRO, draft, cost_of_any(widths.scale), widths)) if GYRO in draft.triads else []
+    accels = list(_assumed(ACCEL, draft, cost_of_any(deviation)))
+    gyros = list(_assumed(GYRO, draft, cost_of_any(widths.scale))) if GYRO in draft.triads else []
     if not shown.profiles:  # what counts are worth nothing tells
         counted = sum(math.exp(-0.5 * cost) for gyro, cost in gyros if gyro.unit is None and gyro.known)
         gyros = [(gyro, cost) for gyro, cost in gyros if gyro.unit is not None]
@@ -328,20 +332,23 @@ def _with_gyros(
             yield times, found, cost
 
 
-def _assumed(kind: str, draft: Draft, unknown: float, widths: Widths) -> Iterator[tuple[KnownScale, float]]:
-    """Units and counts of sensors with what they assume: of those whose name says a unit that alone, or of gyros,
-    rarely, another; of those whose name says that they are raw, counts sooner. Counts of no data sheet may be any."""
+def _assumed(kind: str, draft: Draft, unknown: float) -> Iterator[tuple[KnownScale, float]]:
+    """Units and counts that sensors may have, and what each assumes.
+
+    A unit in a name is believed; of sensors whose name says that they are raw, counts are likelier. Counts of no data
+    sheet may have any scale, which costs `unknown`."""
     units, name = {ACCEL: ACCEL_UNITS, GYRO: GYRO_UNITS}[kind], draft.unit(kind)
-    raw = name is not None and units[name].kind == "raw"
-    for candidate in (*CANDIDATES[kind], ON_NO_SHEET):
-        share = candidate.shares[draft.whole[kind]]
-        if raw or name is None:
-            share *= _RAW_IN_A_UNIT if raw and candidate.unit is not None else 1.0
+    if name is not None and units[name].kind != "raw":
+        one = ONE[kind] / units[name].factor
+        increment = units[name].kind == "increment"
+        yield KnownScale(value=one, unit=name, shares=(1.0, 1.0), increment=increment), 0.0
+    elif name == "V":
+        yield ON_NO_SHEET, 0.0
+    else:
+        for candidate in (*CANDIDATES[kind], ON_NO_SHEET):
+            share = candidate.shares[draft.whole[kind]]
+            share *= _RAW_IN_A_UNIT if name is not None and candidate.unit is not None else 1.0
             yield candidate, -2.0 * math.log(share) + (0.0 if candidate.known else unknown)
-        elif candidate.unit == name:
-            yield candidate, 0.0
-        elif kind == GYRO and candidate.unit is not None:
-            yield candidate, -2.0 * math.log(share * widths.named_wrongly)
 
 
 def readings(
@@ -356,10 +363,11 @@ def readings(
     out = []
     if gyro.unit is not None and bias * one > _LARGEST_BIAS:
         words = f"at rest they read {bias:.3g}, which in {gyro.unit} would be {bias * one / DEGREE:.3g} °/s"
-        out.append(((math.log(bias * one / _LARGEST_BIAS) / _BEYOND) ** 2, words))
+        out.append((min((math.log(bias * one / _LARGEST_BIAS) / _BEYOND) ** 2, _AT_MOST), words))
     if on_table and noise * one > _LARGEST_NOISE:
         words = f"at rest they scatter by {noise:.2g} in a second, which in {gyro.said} would be "
-        out.append(((math.log(noise * one / _LARGEST_NOISE) / _BEYOND) ** 2, f"{words}{noise * one / DEGREE:.2g} °/s"))
+        cost = min((math.log(noise * one / _LARGEST_NOISE) / _BEYOND) ** 2, _AT_MOST)
+        out.append((cost, f"{words}{noise * one / DEGREE:.2g} °/s"))
     if draft.largest * one > FASTEST:
         out.append(
             (_TOO_FAST, f"no gyro reads the {draft.largest * one / DEGREE:.4g} °/s that they would in {gyro.said}")

@@ -157,6 +157,11 @@ def _of_log(log: FoundLog, rate: float | None) -> Draft:
     triads = {kind: known.triads[kind] for kind in (ACCEL, GYRO) if kind in known.triads}
     read = {kind: log.read(sensors.columns, rows=HEAD_ROWS) for kind, sensors in triads.items()}
     magnitude = _magnitude(log, triads[ACCEL])
+    if magnitude == 0.0:
+        raise LogError(
+            f"{log.files[0]}: {', '.join(triads[ACCEL].columns)}: expected readings, found none in the first "
+            f"{len(read[ACCEL])} rows"
+        )
     files = [str(file.resolve()) for file in log.files]
     table: dict[str, Any] = {"file": files[0] if len(files) == 1 else files, **log.keys, **times.keys}
     for kind, sensors in triads.items():
@@ -267,27 +272,20 @@ def _thermometers(log: FoundLog, columns: Sequence[str]) -> tuple[dict[str, Any]
 
 
 def _magnitude(log: FoundLog, sensors: Sensors) -> float:
-    """The median magnitude of what sensors read in the first rows. Raises LogError where they read nothing."""
+    """The median magnitude of what sensors read in the first rows; 0 where they read nothing."""
     read = np.linalg.norm(log.read(sensors.columns, rows=HEAD_ROWS), axis=1)
-    median = float(np.nanmedian(read)) if np.isfinite(read).any() else 0.0
-    if median == 0.0:
-        raise LogError(
-            f"{log.files[0]}: {', '.join(sensors.columns)}: expected readings, found none in the first {len(read)} rows"
-        )
-    return median
+    return float(np.nanmedian(read)) if np.isfinite(read).any() else 0.0
 
 
 def _magnetometer(log: FoundLog, sensors: Sensors | None) -> tuple[dict[str, Any] | None, list[str]]:
     """The table [log.magnetometer]: the unit by name, or the one in which the field is one on Earth."""
     if sensors is None:
         return None, []
-    if not np.isfinite(log.read(sensors.columns, rows=HEAD_ROWS)).all(axis=1).any():
-        return None, [f"magnetometers: {', '.join(sensors.columns)} are left out; they have no readings"]
-    field = _magnitude(log, sensors)
-    likely = [unit for unit, (low, high) in _FIELDS.items() if low <= field <= high]
-    unit = sensors.unit or next(iter(likely), None)
-    named = ", ".join(sensors.columns)
+    field, named = _magnitude(log, sensors), ", ".join(sensors.columns)
+    unit = sensors.unit or next((unit for unit, (low, high) in _FIELDS.items() if low <= field <= high), None)
+    if field == 0.0:
+        return None, [f"magnetometers: {named} are left out; they have no readings"]
     if unit is None:
         return None, [f"magnetometers: {named} are left out; their magnitude of {field:.6g} is no field on Earth"]
-    said = f"magnetometers: {named} in {unit}, as a comment in the file: take the # away to calibrate them too"
-    return {"columns": list(sensors.columns), "unit": unit}, [said]
+    remark = f"magnetometers: {named} in {unit}, as a comment in the file: take the # away to calibrate them too"
+    return {"columns": list(sensors.columns), "unit": unit}, [remark]
