@@ -10,7 +10,7 @@ import pytest
 
 from tumble.diagnosis.turn_likelihood import WIDTHS
 from tumble.drafting.named_values import cells
-from tumble.drafting.respelled import respelled
+from tumble.drafting.dialects import as_table
 from tumble.drafting.draft import Draft
 from tumble.drafting.found_log import samples_in
 from tumble.drafting.hypotheses import Shown, length_and_zero, ranked
@@ -160,7 +160,7 @@ def test_a_clock_may_be_one_of_twelve_hours() -> None:
 def test_rows_come_out_of_what_is_about_them(lines: list[str], copied: str, tmp_path: Path) -> None:
     log = tmp_path / "log.txt"
     log.write_text("\n".join([*lines, ""]))
-    found = respelled(log, log.read_bytes(), OutputFolder(tmp_path / "session"))
+    found = as_table(log, log.read_bytes(), OutputFolder(tmp_path / "session"))
     assert found is not None
     assert found[0].read_text() == copied
 

@@ -15,9 +15,9 @@ import numpy as np
 import polars as pl
 
 from tumble.drafting.containers import check_is_text
+from tumble.drafting.dialects import as_table
 from tumble.drafting.found_log import LONGEST, SAMPLE_ROWS, FoundLog, Stated, samples_in
 from tumble.drafting.mended import nanoseconds_of
-from tumble.drafting.respelled import respelled
 from tumble.drafting.sensors_apart import are_sensors_apart, of_sensors_apart
 from tumble.drafting.several_sensors import split_by_header, split_by_sensor
 from tumble.drafting.times import times_of_column
@@ -95,7 +95,7 @@ def _found(file: Path, folder: OutputFolder) -> list[FoundLog]:
     check_is_text(file, seen)
     if parts := split_by_header(file, seen, folder):
         return [log for part in parts for log in _found(part, folder)]
-    if (copied := respelled(file, seen, folder)) is not None:
+    if (copied := as_table(file, seen, folder)) is not None:
         part, remark = copied
         return [replace(log, said=(remark, *log.said)) for log in _found(part, folder)]
     dialect_and_top = dialect_of(seen)

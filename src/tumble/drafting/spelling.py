@@ -1,14 +1,14 @@
-"""How the lines of a text log that is no table are spelled: the columns they have, and the values of a line; and the
-copy of a log, line by line, as a table, or as several."""
+"""Spellings of text logs that are no table: the names of their columns and the values of a line; and copies of such
+logs as tables, line by line."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, TypeVar
+from typing import IO
 
 from tumble.errors import InputError
 from tumble.files import OutputFolder, plain_name, whole_file
@@ -19,57 +19,43 @@ LEAST_NUMBERS = 3
 LONGEST_LINE = 4096
 MOST_SENSORS = 20
 _SHARE = 0.8
-T = TypeVar("T", bound=Hashable)
-Columns = tuple[tuple[str, ...], str]
-"""The names of columns, none where lines have none, and how their spelling is called."""
+
+Row = tuple[tuple[str, ...], Sequence[str]]
+"""The names of the columns of a line, none where it names none, and its values."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Spelling:
-    """Names of the columns, none where the lines have none; the values of a line, none where it is no row, and None
-    where it is to be left out; and how it is called."""
+    """How the lines of a log are spelled: what that is called, the names of the columns, if any, and the values of a
+    line, an empty list for a line that is no row, None for one that is left out."""
 
+    title: str
     names: tuple[str, ...] = ()
     values: Callable[[str], Sequence[str] | None]
-    said: str
-
-
-def most_common(of_lines: Iterable[T | None], lines: Sequence[str]) -> T | None:
-    """What most lines that are not empty have in common, if it is in two at least."""
-    counts = Counter(item for item in of_lines if item)
-    if not counts:
-        return None
-    item, count = counts.most_common(1)[0]
-    return item if count > max(_SHARE * sum(bool(line.strip()) for line in lines), 1) else None
 
 
 def spelt_alike(
-    lines: Sequence[str],
-    row: Callable[[str], tuple[T, Sequence[str]] | None],
-    columns: Callable[[T], Columns | None],
-    *,
-    below_names: bool = False,
+    lines: Sequence[str], row: Callable[[str], Row | None], title: str, *, header: bool = False
 ) -> Spelling | None:
-    """The spelling of lines of which `row` gives what they have in common, and their values, None of one that is no
-    row; and `columns` the names. None where most lines have nothing in common. A first line `below_names` is left
-    out."""
-    common = most_common((read[0] if (read := row(line)) else None for line in lines), lines)
-    named = None if common is None else columns(common)
-    if named is None:
+    """The spelling of lines most of which `row` reads with the same names, and as many values; None of others.
+
+    The first line is left out where it is a `header`."""
+    rows = [read for line in lines if (read := row(line)) is not None]
+    counts = Counter((names, len(values)) for names, values in rows)
+    if not counts:
+        return None
+    (names, width), count = counts.most_common(1)[0]
+    filled = sum(bool(line.strip()) for line in lines)
+    if (width < LEAST_NUMBERS and names) or count <= max(_SHARE * filled, 1):
         return None
 
     def values(line: str) -> Sequence[str] | None:
         read = row(line)
-        if read is not None and read[0] == common:
+        if read is not None and (read[0], len(read[1])) == (names, width):
             return read[1]
-        return None if below_names and line == lines[0] else []
+        return None if header and line == lines[0] else []
 
-    return Spelling(names=named[0], values=values, said=named[1])
-
-
-def listed(said: str) -> Callable[[tuple[str, ...]], Columns | None]:
-    """Names as they are, where they are enough for readings, in a spelling that is called so."""
-    return lambda names: (names, f"{said} ({', '.join(names)})") if len(names) >= LEAST_NUMBERS else None
+    return Spelling(title=f"{title} ({', '.join(names)})" if names else title, names=names, values=values)
 
 
 def copied(
@@ -79,8 +65,10 @@ def copied(
     names: Callable[[str], str],
     row: Callable[[int, str], tuple[str, str] | None],
 ) -> list[Path]:
-    """The copies of a text log in a folder, a CSV file for each sensor, below the `names` of its columns; `row` gives
-    the sensor of a line, an empty word where there is one file alone, and its values, None where it is no row."""
+    """Copy a text log into a folder, a CSV file for each sensor below the `names` of its columns.
+
+    `row` gives the sensor of a line by its number, an empty word where there is one file alone, and its values; None
+    for a line that is left out."""
     files: dict[str, Path] = {}
     outs: dict[str, IO[bytes]] = {}
     with ExitStack() as stack, readable(file), opened(file, encoding) as stream:

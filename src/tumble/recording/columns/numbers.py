@@ -57,6 +57,8 @@ _MOVES, _JUMPS, _FEWEST_MOVES = 0.05, 0.3, 20
 """Of gravity: changes of it from block to block that show gyros, those from which a position was skipped, and how
 many of them tell."""
 
+_MOVED = 0.01
+"""Of gravity: what each accelerometer of a body that is never at rest scatters by, at least."""
 _ONE_WAY = 0.05
 """Of the steps of a sensor half fall, whatever it is of: 1 of 20 and less by chance once in 50,000 times."""
 
@@ -164,7 +166,8 @@ def _hypotheses(names: Sequence[str], read: Array, columns: Sequence[int]) -> li
 def _of_gravity_alone(names: Sequence[str], read: Array, columns: Sequence[int]) -> dict[str, Sensors]:
     """Sensors of a log that is never at rest, and has three or six columns beside times and constants: accelerometers
     are the three, in a unit, whose median length is that of gravity, gyros the others; none where that is not clear."""
-    varying = [j for j in columns if np.nanstd(read[:, j]) > 0.0 and np.isfinite(read[:, j]).mean() > 0.5]
+    filled = [j for j in columns if np.isfinite(read[:, j]).mean() > 0.5]
+    varying = [j for j in filled if np.nanstd(read[:, j]) > 0.0]
     runs = [tuple(varying[k : k + 3]) for k in range(0, len(varying), 3)]
     if len(varying) not in (3, 6) or any(run[2] - run[0] != 2 for run in runs) or len(read) < _FEWEST_ROWS:
         return {}
@@ -172,7 +175,11 @@ def _of_gravity_alone(names: Sequence[str], read: Array, columns: Sequence[int])
         return {}
     lengths = [float(np.nanmedian(np.linalg.norm(read[:, run], axis=1))) for run in runs]
     units = [c.value for c in CANDIDATES[ACCEL] if c.unit is not None and not c.increment]
-    like = [min(abs(np.log(max(length, 1e-300) / unit)) for unit in units) < NEAR for length in lengths]
+    least = [float(np.nanstd(read[:, run], axis=0).min()) for run in runs]
+    like = [
+        scatter > _MOVED * length and min(abs(np.log(length / unit)) for unit in units) < NEAR
+        for scatter, length in zip(least, lengths, strict=True)
+    ]
     if like.count(True) != 1:
         return {}
     in_order_of = sorted(range(len(runs)), key=lambda k: not like[k])

@@ -130,8 +130,10 @@ def step_in_deg_s(read: Array) -> float | None:
     for step in sorted(_STEPS, reverse=True):
         counts = (a / step for a in apart)
         unlikely = sum(map(len, apart)) * np.log(step / (2.0 * rounding))
-        if rounding < _ROUNDED * step and unlikely > _BY_CHANCE and all(
-            np.mean(np.abs(count - count.round()) <= rounding / step) >= _SHARE for count in counts
+        if (
+            rounding < _ROUNDED * step
+            and unlikely > _BY_CHANCE
+            and all(np.mean(np.abs(count - count.round()) <= rounding / step) >= _SHARE for count in counts)
         ):
             return step
     return None

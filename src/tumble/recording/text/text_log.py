@@ -163,8 +163,12 @@ class TextLog:
                     for line in piece.decode("utf-8", errors="replace").splitlines():
                         with suppress(csv.Error):
                             cells = self.cells(line)
-                            rows += [cells] if len(cells) == len(self.names) and not self.dialect.is_comment(line) else []
-                    yield pl.DataFrame(rows, schema=dict.fromkeys(self.names, pl.String), orient="row").with_columns(point)
+                            rows += (
+                                [cells] if len(cells) == len(self.names) and not self.dialect.is_comment(line) else []
+                            )
+                    yield pl.DataFrame(rows, schema=dict.fromkeys(self.names, pl.String), orient="row").with_columns(
+                        point
+                    )
 
     def pieces(self) -> Iterator[bytes]:
         """The rows in pieces of whole lines that are parsed alike whatever the dialect."""

@@ -1,0 +1,168 @@
+"""Text logs that are no table of numbers, copied as one into the session's folder: a function for each dialect, which
+recognises it in the first lines of a log.
+
+Lines that name their values are in `named_values`; here are sentences with a checksum, and rows whose cells are more
+than numbers: lists of three, numbers with their unit, marks between thousands, brackets about a row, a clock before it.
+A line that a dialect does not read is copied as it is, for the reader to report.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from functools import reduce
+from pathlib import Path
+
+from tumble.drafting.named_values import json_lines, named_values, several_lines
+from tumble.drafting.spelling import LEAST_NUMBERS, Row, Spelling, copied, spelt_alike
+from tumble.files import OutputFolder
+from tumble.recording.columns.patterns import is_unit
+from tumble.recording.text.dialect import Dialect, encoding_of
+
+_LIST = re.compile(r"[\[(]([^\[\]()]*)[\])]")
+_MEASURED = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*)?")
+_THOUSANDS = re.compile("(?<=\\d)['’\u00a0\u202f](?=\\d{3}(?!\\d))")
+_QUOTED_THOUSANDS = re.compile(r'"(-?\d{1,3}(?:,\d{3})+(?:\.\d*)?)"')
+_BRACKETED = re.compile(r"\s*[\[({][-+.\d][^\[\](){}:]*[\])}]\s*[,;]?\s*")
+_MONITORED = re.compile(r"\s*(\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\s*->\s*(.*)")
+_SEEN_LINES = 200
+
+_MAG = tuple(f"Mag{axis} [gauss]" for axis in "XYZ")
+_INERTIAL = (*(f"Accel{axis} [m/s^2]" for axis in "XYZ"), *(f"Gyro{axis} [rad/s]" for axis in "XYZ"))
+_FIELDS = {
+    "VNYMR": ("Yaw", "Pitch", "Roll", *_MAG, *_INERTIAL),
+    "VNQMR": ("Qx", "Qy", "Qz", "Qw", *_MAG, *_INERTIAL),
+    "VNIMU": (*_MAG, *_INERTIAL, "Temperature [degC]", "Pressure [kPa]"),
+    "VNMAR": (*_MAG, *_INERTIAL),
+}
+"""Fields of VectorNav's sentences (reference of the VN-100, asynchronous output); others have none."""
+
+
+def sentences(lines: Sequence[str]) -> Spelling | None:
+    """Sentences with a checksum, `$VNYMR,…*6D`; a damaged one is no row."""
+    kinds = Counter(line.strip()[1:].partition(",")[0] for line in lines if line.lstrip().startswith("$"))
+    kind = max(kinds, key=lambda name: kinds[name], default="")
+
+    def row(line: str) -> Row | None:
+        body, _, check = line.strip().removeprefix("$").partition("*")
+        whole = line.lstrip().startswith("$") and check.upper() == f"{reduce(lambda c, b: c ^ b, body.encode(), 0):02X}"
+        name, *values = body.split(",")
+        fields = _FIELDS.get(name, ())
+        fits = whole and name == kind and len(values) >= LEAST_NUMBERS and len(fields) in (0, len(values))
+        return (fields, values) if fits else None
+
+    return spelt_alike(lines, row, f"sentences ${kind}")
+
+
+def list_cells(lines: Sequence[str]) -> Spelling | None:
+    """Rows with lists of three numbers, `0.01,"[0.1, 0.2, 9.8]","[0. 0. 0.]"`, as programs in Python write them."""
+    above = Dialect().cells(lines[0]) if lines else []
+
+    def row(line: str) -> Row | None:
+        cells = Dialect().cells(line)
+        parts = [_LIST.sub(r"\1", c).replace(",", " ").split() if _LIST.fullmatch(c) else [c] for c in cells]
+        if len(cells) != len(above) or {len(part) for part in parts} not in ({3}, {1, 3}):
+            return None
+        axes = {1: ("",), 3: ("_x", "_y", "_z")}
+        names = tuple(name + axis for name, part in zip(above, parts, strict=True) for axis in axes[len(part)])
+        return names, [number for part in parts for number in part]
+
+    return spelt_alike(lines, row, "lists of three numbers", header=True)
+
+
+def units_in_cells(lines: Sequence[str]) -> Spelling | None:
+    """Rows with a unit behind three numbers at least, `0.01 s, 0.1 g, -0.2 g, 0.98 g, 1.2°/s, …`."""
+
+    def by(dialect: Dialect) -> Spelling | None:
+        above = dialect.cells(lines[0]) if lines else []
+
+        def row(line: str) -> Row | None:
+            measured = [_MEASURED.fullmatch(cell) for cell in dialect.cells(line)]
+            units = [(m[2] or "") if m else "?" for m in measured]
+            known = all(not unit or is_unit(unit) for unit in units) and sum(map(bool, units)) >= LEAST_NUMBERS
+            if not known or len(units) != len(above):
+                return None
+            pairs = zip(above, units, strict=True)
+            names = tuple(f"{name} [{unit}]" if unit and not {"[", "("} & {*name} else name for name, unit in pairs)
+            return names, [m[1] for m in measured if m]
+
+        return spelt_alike(lines, row, "a unit behind every number", header=True)
+
+    return next((spelling for mark in ",;\t" if (spelling := by(Dialect(delimiter=mark))) is not None), None)
+
+
+def in_brackets(lines: Sequence[str]) -> Spelling | None:
+    """Rows in brackets."""
+
+    def row(line: str) -> Row | None:
+        return ((), [line.strip(" \t,;[](){}")]) if _BRACKETED.fullmatch(line) else None
+
+    return spelt_alike(lines, row, "rows in brackets")
+
+
+def behind_a_clock(lines: Sequence[str]) -> Spelling | None:
+    """Rows behind the clock of a serial monitor, `13:02:11.345 -> 0.1,…`, which becomes the first column."""
+
+    def row(line: str) -> Row | None:
+        monitored = _MONITORED.fullmatch(line)
+        if monitored is None:
+            return None
+        clock, rest = monitored.groups()
+        delimiter = next((mark for mark in "\t;," if mark in rest), " ")
+        return (), [f"{clock if rest[:1] in '+-.0123456789' else 'clock'}{delimiter}{rest}"]
+
+    return spelt_alike(lines, row, "rows behind the clock of a serial monitor")
+
+
+def thousands(lines: Sequence[str]) -> Spelling | None:
+    """Numbers with marks between their thousands, 1'000 or "1,000"."""
+
+    def plain(line: str) -> str:
+        return _QUOTED_THOUSANDS.sub(lambda number: number[1].replace(",", ""), _THOUSANDS.sub("", line))
+
+    if sum(plain(line) != line for line in lines) <= 1:
+        return None
+    return Spelling(values=lambda line: [plain(line)], title="marks between thousands, as in 1'000")
+
+
+DIALECTS: tuple[Callable[[Sequence[str]], Spelling | None], ...] = (
+    sentences, json_lines, several_lines, list_cells, units_in_cells, named_values,
+    in_brackets, behind_a_clock, thousands,
+)  # fmt: skip
+"""In the order in which they are tried."""
+
+
+def as_table(file: Path, start: bytes, folder: OutputFolder) -> tuple[Path, str] | None:
+    """Copy a text log of one of the dialects into a folder as a table.
+
+    Parameters
+    ----------
+    file
+        The log.
+    start
+        Its first bytes.
+    folder
+        Where the copy is written.
+
+    Returns
+    -------
+    tuple or None
+        The copy and a sentence about it; None for a log that can be read as it is.
+    """
+    encoding = encoding_of(start)
+    text = start.decode(encoding, errors="replace")
+    lines = re.split("[\r\n]+", text)[:-1][:_SEEN_LINES]
+    spelling = next((spelling for dialect in DIALECTS if (spelling := dialect(lines)) is not None), None)
+    if spelling is None and text.count("\r") > 2 and "\n" not in text:
+        spelling = Spelling(values=lambda line: [line], title="lines that end in a carriage return")
+    if spelling is None:
+        return None
+    values_of_line, names = spelling.values, ",".join(spelling.names)
+
+    def row(_number: int, line: str) -> tuple[str, str] | None:
+        values = values_of_line(line)
+        return None if values is None else ("", ",".join(values) or line.replace(",", " "))
+
+    (table,) = copied(file, encoding, folder, lambda _: names, row)
+    return table, f"text: {spelling.title}: copied to {table.name} as a table"
