@@ -100,10 +100,6 @@ CASES: dict[str, Case] = {
     "names end with a comma": Case(write=d.ends_with_comma("names"), said=(GOOD,)),
     "rows end with a comma": Case(write=d.ends_with_comma("rows"), said=(GOOD,)),
     "a table of R": Case(write=d.of_r, said=("blanks", GOOD)),
-    "lists in cells": Case(write=d.lists_in_cells, said=("lists of three numbers (time, accel_x",)),
-    "units in cells": Case(
-        write=d.units_in_cells, said=("a unit behind every number (time [s], ax [g]", GOOD), worth=(G, DEG)
-    ),
     "carriage returns": Case(write=d.carriage_returns, said=("carriage return: copied to log.csv", "semicolons")),
     "key=value": Case(
         write=d.printed("t={t} ax={a[0]:.7g} ay={a[1]:.7g} az={a[2]:.7g} gx={g[0]:.7g} gy={g[1]:.7g} gz={g[2]:.7g}"),

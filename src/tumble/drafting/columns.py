@@ -191,7 +191,7 @@ def _with_time(log: FoundLog) -> FoundLog:
     """A log whose time, if no name says which column it is, is one that grows as times do."""
     if log.columns.time is not None:
         return log
-    known = {log.columns.counter, *(c for triad in log.columns.triads.values() for c in triad.columns)}
+    known = {c for triad in log.columns.triads.values() for c in triad.columns}
     names = [name for name in _numeric(log) if name not in known]
     time = time_by_data(names, log.read(names, rows=LONGEST // 10)) if names else None
     if time is None:

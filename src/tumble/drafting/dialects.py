@@ -1,9 +1,9 @@
 """Text logs that are no table of numbers, copied as one into the session's folder: a function for each dialect, which
 recognises it in the first lines of a log.
 
-Lines that name their values are in `named_values`; here are sentences with a checksum, and rows whose cells are more
-than numbers: lists of three, numbers with their unit, marks between thousands, brackets about a row, a clock before it.
-A line that a dialect does not read is copied as it is, for the reader to report.
+Lines that name their values are in `named_values`; here are sentences with a checksum, rows in brackets or behind the
+clock of a serial monitor, and marks between thousands. A line that a dialect does not read is copied as it is, for the
+reader to report.
 """
 
 from __future__ import annotations
@@ -17,11 +17,8 @@ from pathlib import Path
 from tumble.drafting.named_values import json_lines, named_values, several_lines
 from tumble.drafting.spelling import LEAST_NUMBERS, Row, Spelling, copied, spelt_alike
 from tumble.files import OutputFolder
-from tumble.recording.columns.patterns import is_unit
-from tumble.recording.text.dialect import Dialect, encoding_of
+from tumble.recording.text.dialect import encoding_of
 
-_LIST = re.compile(r"[\[(]([^\[\]()]*)[\])]")
-_MEASURED = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*)?")
 _THOUSANDS = re.compile("(?<=\\d)['’\u00a0\u202f](?=\\d{3}(?!\\d))")
 _QUOTED_THOUSANDS = re.compile(r'"(-?\d{1,3}(?:,\d{3})+(?:\.\d*)?)"')
 _BRACKETED = re.compile(r"\s*[\[({][-+.\d][^\[\](){}:]*[\])}]\s*[,;]?\s*")
@@ -53,43 +50,6 @@ def sentences(lines: Sequence[str]) -> Spelling | None:
         return (fields, values) if fits else None
 
     return spelt_alike(lines, row, f"sentences ${kind}")
-
-
-def list_cells(lines: Sequence[str]) -> Spelling | None:
-    """Rows with lists of three numbers, `0.01,"[0.1, 0.2, 9.8]","[0. 0. 0.]"`, as programs in Python write them."""
-    above = Dialect().cells(lines[0]) if lines else []
-
-    def row(line: str) -> Row | None:
-        cells = Dialect().cells(line)
-        parts = [_LIST.sub(r"\1", c).replace(",", " ").split() if _LIST.fullmatch(c) else [c] for c in cells]
-        if len(cells) != len(above) or {len(part) for part in parts} not in ({3}, {1, 3}):
-            return None
-        axes = {1: ("",), 3: ("_x", "_y", "_z")}
-        names = tuple(name + axis for name, part in zip(above, parts, strict=True) for axis in axes[len(part)])
-        return names, [number for part in parts for number in part]
-
-    return spelt_alike(lines, row, "lists of three numbers", header=True)
-
-
-def units_in_cells(lines: Sequence[str]) -> Spelling | None:
-    """Rows with a unit behind three numbers at least, `0.01 s, 0.1 g, -0.2 g, 0.98 g, 1.2°/s, …`."""
-
-    def by(dialect: Dialect) -> Spelling | None:
-        above = dialect.cells(lines[0]) if lines else []
-
-        def row(line: str) -> Row | None:
-            measured = [_MEASURED.fullmatch(cell) for cell in dialect.cells(line)]
-            units = [(m[2] or "") if m else "?" for m in measured]
-            known = all(not unit or is_unit(unit) for unit in units) and sum(map(bool, units)) >= LEAST_NUMBERS
-            if not known or len(units) != len(above):
-                return None
-            pairs = zip(above, units, strict=True)
-            names = tuple(f"{name} [{unit}]" if unit and not {"[", "("} & {*name} else name for name, unit in pairs)
-            return names, [m[1] for m in measured if m]
-
-        return spelt_alike(lines, row, "a unit behind every number", header=True)
-
-    return next((spelling for mark in ",;\t" if (spelling := by(Dialect(delimiter=mark))) is not None), None)
 
 
 def in_brackets(lines: Sequence[str]) -> Spelling | None:
@@ -127,8 +87,7 @@ def thousands(lines: Sequence[str]) -> Spelling | None:
 
 
 DIALECTS: tuple[Callable[[Sequence[str]], Spelling | None], ...] = (
-    sentences, json_lines, several_lines, list_cells, units_in_cells, named_values,
-    in_brackets, behind_a_clock, thousands,
+    sentences, json_lines, several_lines, named_values, in_brackets, behind_a_clock, thousands,
 )  # fmt: skip
 """In the order in which they are tried."""
 

@@ -1,6 +1,6 @@
-"""What a session file cannot say about a log is mended in a copy of it, in the session's folder: numbers of 16 bits
-that were read without their sign, times in ticks or in seconds and nanoseconds, samples that a counter shows to be
-missing, rows that are no samples, and positions that follow each other without a turn between them.
+"""Copies of logs, in the session's folder, in which is mended what a session file cannot say: numbers of 16 bits that
+were read without their sign, times in ticks, intervals or seconds and nanoseconds, clocks that start anew, rows that
+are no samples, and positions that follow each other without a turn between them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 import polars as pl
 
 from tumble.drafting.found_log import LONGEST, SAMPLE_ROWS, FoundLog, samples_in
-from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column, times_without_column
+from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
 from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, time_unit
@@ -145,7 +145,7 @@ def _rows_that_are_samples(log: FoundLog) -> list[Mend]:
 
 def _time(log: FoundLog, rate: float | None) -> tuple[list[str], bool, list[Mend]]:
     """The columns of the time, whether the steps make a column TIME of them, s, and what is mended."""
-    column, counter, interval = log.columns.time, log.columns.counter, log.columns.interval
+    column, interval = log.columns.time, log.columns.interval
     if rate is not None and column is not None:
         return [column], False, []
     if rate is None and column is None and interval is not None and len(log.files) == 1:
@@ -157,13 +157,7 @@ def _time(log: FoundLog, rate: float | None) -> tuple[list[str], bool, list[Mend
             said = f"time: none, but column {interval!r} has the intervals between samples, in {unit}: added up"
             return [interval], True, [(said, lambda read: _seconds(interval, TIME_UNITS[unit])(added(read)))]
     if column is None:
-        counts = np.empty(0) if counter is None else np.diff(log.read([counter])[:, 0])
-        counts = counts[np.isfinite(counts)]
-        if counter is None or not len(counts) or counts.min() < 1.0 or np.median(counts) != 1.0 or counts.max() == 1.0:
-            return [], False, []
-        said = f"time: none, but column {counter!r} counts the samples and shows some to be missing"
-        per_second = rate or times_without_column(None, log.remarks).rate
-        return [counter], True, [(said, _seconds(counter, 1.0 / per_second))]
+        return [], False, []
     nanoseconds = nanoseconds_of(log)
     if nanoseconds is not None:
         said = f"time: columns {column!r} and {nanoseconds!r}, seconds and nanoseconds, added"

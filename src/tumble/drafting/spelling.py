@@ -34,12 +34,8 @@ class Spelling:
     values: Callable[[str], Sequence[str] | None]
 
 
-def spelt_alike(
-    lines: Sequence[str], row: Callable[[str], Row | None], title: str, *, header: bool = False
-) -> Spelling | None:
-    """The spelling of lines most of which `row` reads with the same names, and as many values; None of others.
-
-    The first line is left out where it is a `header`."""
+def spelt_alike(lines: Sequence[str], row: Callable[[str], Row | None], title: str) -> Spelling | None:
+    """The spelling of lines most of which `row` reads with the same names, and as many values; None of others."""
     rows = [read for line in lines if (read := row(line)) is not None]
     counts = Counter((names, len(values)) for names, values in rows)
     if not counts:
@@ -49,11 +45,9 @@ def spelt_alike(
     if (width < LEAST_NUMBERS and names) or count <= max(_SHARE * filled, 1):
         return None
 
-    def values(line: str) -> Sequence[str] | None:
+    def values(line: str) -> Sequence[str]:
         read = row(line)
-        if read is not None and (read[0], len(read[1])) == (names, width):
-            return read[1]
-        return None if header and line == lines[0] else []
+        return read[1] if read is not None and (read[0], len(read[1])) == (names, width) else []
 
     return Spelling(title=f"{title} ({', '.join(names)})" if names else title, names=names, values=values)
 

@@ -14,7 +14,6 @@ from functools import lru_cache
 from tumble.recording.columns.patterns import (
     ACCEL,
     ALL_UNITS,
-    COUNTER,
     GYRO,
     INTERVAL,
     MAGNETOMETER,
@@ -60,7 +59,7 @@ class Sensors:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Columns:
     """The columns found in a table: the time with its unit (None where the name does not say), one triad of each kind,
-    the `temperatures` as [log.temperature] has them, and a column that counts the samples. `others` are the names of
+    and the `temperatures` as [log.temperature] has them. `others` are the names of
     triads of the same kinds, and of thermometers, that were not taken, `times` those of all times, `interval` that of
     the times from sample to sample."""
 
@@ -69,7 +68,6 @@ class Columns:
     triads: Mapping[str, Sensors]
     temperatures: tuple[str, ...] = ()
     others: tuple[str, ...] = ()
-    counter: str | None = None
     times: tuple[str, ...] = ()
     interval: str | None = None
 
@@ -115,7 +113,6 @@ def columns_by_name(names: Iterable[str]) -> Columns:
     return Columns(
         time=time,
         time_unit=None if time is None else time_unit(time),
-        counter=_best(COUNTER, [name for name in free if name != time]),
         triads=triads,
         temperatures=temperatures,
         others=(*others, *(name for name in warm if name not in temperatures)),

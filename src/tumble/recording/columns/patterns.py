@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "mag", "time"
-INTERVAL, COUNTER, OTHER = "interval", "counter", "other"
-"""Times from the sample before; numbers of samples; and what is no sensor that can be calibrated."""
+INTERVAL, OTHER = "interval", "other"
+"""Times from the sample before, and what is no sensor that can be calibrated."""
 SENSOR_KINDS = (ACCEL, GYRO, MAGNETOMETER)
 
 LIKELY = 4.0
@@ -148,10 +148,6 @@ PATTERNS: tuple[Pattern, ...] = (
     ),
     _row(INTERVAL, 8.0, r"(^|_)(d_?t|delta_?t|delta_?time|time_?delta|(sample_?)?interval)(_[munµ]?s(ec)?)?$"),
     _row(
-        COUNTER, 8.0,
-        r"(^|_)(packet_?counter|counter|cnt|n_samples|samples?|sample_?(no|number|index)|index|idx|row|seq)$",
-    ),
-    _row(
         OTHER, 8.0,
         r"quat|attitude|orientation|euler|roll|pitch|yaw|heading|grav|user|(^|_)(lin|lacc)|mag|compass|variance|bias|"
         r"drift|(^|_)calib(_|$)|(^|_)(lat|lon|lng|alt|depth|height|position|location|pos)|vel(ocity)?(_|$)|press|baro|"
@@ -204,7 +200,8 @@ _WORDS: tuple[tuple[str, str], ...] = (
     # what is measured
     (r"угл\w*\.?[\s_]*скор\w*|кутов\w*[\s_]*швидк\w*|гироскоп\w*|гіроскоп\w*|\bдус\b", " gyro "),
     (r"角速度|陀螺仪?|角速率", " gyro "),
-    (r"winkelgeschw\w*|winkelrate|drehrate\w*|drehgeschw\w*|(?<![^\W_])dreh(?![^\W_])|gyroskop\w*|kreisel\w*", " gyro "),
+    (r"winkelgeschw\w*|winkelrate|drehrate\w*|drehgeschw\w*|gyroskop\w*|kreisel\w*", " gyro "),
+    (r"(?<![^\W_])dreh(?![^\W_])", " gyro "),
     (r"vitesse[\s_]*angulaire|velocidad[\s_]*angular|rate[\s_]*of[\s_]*turn|rotation[\s_]*rate", " gyro "),
     (r"(?<![^\W_])giro(sc[oó]pio?s?|scop[ei])?(?![^\W_\d]{2})", " gyro "),
     (r"ускор\w*|акселер\w*|прискор\w*|кажущ\w*", " acc "),
