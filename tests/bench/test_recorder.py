@@ -24,7 +24,17 @@ from tumble.bench.session_folder import MOTIONCAL_LOG, begin, begin_next, leave_
 from tumble.errors import InputError, MissingExtraError
 from tumble.recording.live.lines import MOTIONCAL_COLUMNS, Lines, Row, numbers_in
 from tumble.recording.live.samples import SI_LOG, StreamedSamples
-from tumble.recording.live.sources import GrowingFile, Mavlink, Replay, Serial, StandardInput, Tcp, Udp, line_of, source_of
+from tumble.recording.live.sources import (
+    GrowingFile,
+    Mavlink,
+    Replay,
+    Serial,
+    StandardInput,
+    Tcp,
+    Udp,
+    line_of,
+    source_of,
+)
 from tumble.recording.log import open_log
 from tumble.recording.session import Exclusion
 from tumble.recording.session_file import read_session

@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from tumble.export.counts import FIRMWARE, board_angles, board_matrix
 
 from tests.support.calibrated import calibration
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import export_calibration
-from tumble.export.counts import FIRMWARE, board_angles, board_matrix
 from tumble.result.calibration import Calibration
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import SensorModel

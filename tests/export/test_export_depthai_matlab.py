@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tumble.export.json_files import part_name
 
 from tests.support.calibrated import calibration
 from tumble.export import export_calibration
-from tumble.export.json_files import part_name
 from tumble.units import Array
 
 TRUE = {"accel": np.array([[0.5, -1.0, 9.7], [9.8, 0.1, 0.0]]), "gyro": np.array([[0.1, -0.2, 0.3], [3.0, 0.0, 1.0]])}

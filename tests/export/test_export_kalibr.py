@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from tumble.export.robots import noise_densities
 
 from tests.support.calibrated import FRAMES, calibration
 from tests.support.exports import NOISE
 from tumble.errors import InputError
 from tumble.export import export_calibration
-from tumble.export.robots import noise_densities
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.reduction.noise.allan_deviation import allan_deviation

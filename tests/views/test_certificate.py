@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from datetime import date, datetime, timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ import numpy as np
 import polars as pl
 import pytest
 from click.testing import CliRunner
-from tumble.lab.registry.adding import Particulars, read_submission
 
 from tests.support.calibrated import calibration, of_device, warmed
 from tests.support.pages import Page, opened, pdf_text
@@ -480,7 +479,6 @@ def test_the_date_is_that_of_the_log_where_its_times_are_absolute() -> None:
 def test_a_session_states_its_circumstances_and_the_file_keeps_them(tmp_path: Path) -> None:
     path = files(tmp_path)
     assert read_calibration(path).circumstances == RECORDED
-    assert read_submission(path, Particulars()).performed.date() == date(2025, 3, 4)
 
 
 # -------------------- the picture of a recording --------------------

@@ -146,7 +146,7 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
         instability.append((s**2, count - 1.0) if both is None else both)
     if alike:
         pooled_with = (
-            f"instability from launch to launch: by all launches of the type {first.model} in the registry, "
+            f"instability from launch to launch: by all launches of the type {first.model}, "
             f"{sum(each.degrees for each in alike)} degrees of freedom",
             *([f"more unstable than the type, and by these launches alone: {', '.join(unlike)}"] if unlike else []),
         )
