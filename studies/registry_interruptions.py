@@ -57,7 +57,7 @@ def calibrations(seed: int) -> Iterator[Calibration]:
             "accel": None,
             "gyro": None,
             "outcome": {"accepted": True, "reasons": []},
-            "notes": ["x" * 20_000],
+            "notes": ["x" * 9_000, "y" * 9_000],
             "provenance": {"log_sha256": f"{seed}-{i}", "created": "2026-01-01"},
         }
         yield calibration_of(json.dumps(content), f"{seed}-{i}")
