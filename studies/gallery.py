@@ -65,7 +65,7 @@ def residuals(axes: Axes, calibration: tumble.Calibration) -> None:
 def parameters(axes: Axes, session: Path, calibration: tumble.Calibration) -> None:
     """The scale factors by two methods, with their expanded uncertainty, about those of the first"""
     names = [f"{kind}.scale.{axis}" for kind in ("accel", "gyro") for axis in "xyz"]
-    for shift, method in ((-0.1, "joint"), (0.1, "staged")):
+    for shift, method in ((-0.1, "joint"), (0.1, "ellipsoid")):
         found = tumble.calibrate(session, method=method)
         differences = [found[name].value - calibration[name].value for name in names]
         expanded = [(found[name].k or 0.0) * (found[name].u or 0.0) for name in names]

@@ -29,8 +29,7 @@ from tumble.campaigns.engine import run
 from tumble.campaigns.summary import SummaryLine, summary
 from tumble.campaigns.trial import stream
 from tumble.documents import validated
-from tumble.planning.budget import GROUPS, UNITS
-from tumble.planning.setup import Setup
+from tumble.planning.setup import GROUPS, UNITS, Setup
 from tumble.run.calibrate import ITERATED_METHODS, METHODS
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import scenario_of
@@ -40,13 +39,12 @@ STORED = Path(__file__).with_suffix(".json")
 TABLES = (0.1, 0.5, 1.0, 2.0, 5.0)
 """Largest errors of table and mounting about each axis, degrees."""
 
-ON_TABLE = ("joint", "staged", "scalar", "sequential", "ellipsoid")
-BY_HAND = ("joint", "staged", "ellipsoid")
+ON_TABLE = ("joint", "scalar", "sequential", "ellipsoid")
+BY_HAND = ("joint", "ellipsoid")
 POSITIONS = 20
 
 NEEDS: Mapping[str, tuple[str, str]] = {
     "joint": ("rests in nine attitudes or more; turns between them", "all parameters"),
-    "staged": ("rests in nine attitudes or more; turns between them", "all parameters"),
     "scalar": ("the positions and known turns of a programme like `rough-table`; triads", "all parameters"),
     "sequential": ("the same", "all parameters"),
     "ellipsoid": ("rests in nine attitudes or more; no gyros", "accelerometers"),

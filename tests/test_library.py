@@ -113,7 +113,7 @@ def test_a_type_checker_accepts_right_calls(tmp_path: Path) -> None:
         "import numpy as np\n"
         "import polars as pl\n"
         "import tumble\n"
-        "a: tumble.Calibration = tumble.calibrate(Path('session'), method='staged')\n"
+        "a: tumble.Calibration = tumble.calibrate(Path('session'), method='ellipsoid')\n"
         "b = tumble.calibrate(accel=np.ones((9, 3)), gyro=pl.DataFrame(), rate=100.0, latitude=1.0)\n"
         "p: tumble.Parameter = b['accel.bias.x']\n"
         "v: tumble.FieldCheck = tumble.check_calibration('a.json', 'check')\n"
@@ -135,7 +135,6 @@ def test_type_checkers_see_the_names_where_they_are() -> None:
 
 CALLS = {
     "apply": "apply_to_session",
-    "budget": "budget",
     "calibrate": "calibrate_launches",
     "campaign": "campaign",
     "check": "check_calibration",
@@ -150,7 +149,6 @@ CALLS = {
     "programme": "programme_of",
     "registry": "open_registry",
     "report": "write_report",
-    "require": "require",
     "selftest": "run_selftest",
     "simulate": "simulate_session",
 }
@@ -389,7 +387,7 @@ def test_errors_name_arguments_to_callers_and_options_at_the_command_line() -> N
 
 
 def test_results_show_themselves_in_a_line(calibration: tumble.Calibration) -> None:
-    for result in (calibration, tumble.Setup.of(), tumble.budget(tumble.Setup.of()), calibration.outcome):
+    for result in (calibration, tumble.Setup.of(), tumble.plan(tumble.Setup.of()), calibration.outcome):
         assert len(repr(result)) < 700
 
 
@@ -411,10 +409,10 @@ import multiprocessing, sys
 import tumble
 
 def again(_):
-    return repr(tumble.calibrate(sys.argv[1], method="staged"))
+    return repr(tumble.calibrate(sys.argv[1], method="joint"))
 
 if __name__ == "__main__":
-    tumble.calibrate(sys.argv[1], method="staged")
+    tumble.calibrate(sys.argv[1], method="joint")
     with multiprocessing.get_context("fork").Pool(1) as pool:
         pool.map(again, [0])
 """

@@ -1,4 +1,4 @@
-"""TOML and JSON as users give them, and words of data as a message can show them.
+"""TOML and JSON as users give them, results as JSON, and words of data as a message can show them.
 
 What a parser says of a document becomes one line; so do numbers of thousands of digits and hundreds of brackets, which
 are no error of the syntax. No character that moves the cursor of a terminal or turns the direction of writing round is

@@ -20,8 +20,8 @@ from tumble.inference.prior import Prior, with_prior
 from tumble.lab.datasheet import tolerance_factor
 from tumble.lab.device_type import Unit, prior_of, unit_by
 from tumble.lab.registry.registry import open_registry
-from tumble.planning.best_positions import plan
 from tumble.planning.bounds import stated
+from tumble.planning.plan import plan
 from tumble.planning.setup import Setup, with_all_groups
 from tumble.reduction.observations import Observations
 from tumble.result.parts import Parameter
@@ -231,7 +231,7 @@ def test_a_plan_expects_the_u_that_calibrate_has_of_a_unit_of_the_type(units: li
         truth = {**units[number - 20][2]}
         observations = simulate_observations(replace(scenario, truth=truth), np.random.default_rng(number))
         made.append(with_prior(joint(observations), observations, prior)[0])
-    planned, usual = plan(setup, prior=prior).whole, plan(setup).whole
+    planned, usual = stated(setup, prior=prior), stated(setup)
     for group, places in positions_by_group(made[0].names).items():
         u = np.sqrt(np.mean([each.u[places] ** 2 for each in made]))
         assert 0.7 < planned.rms(group) / u < 1.3, group

@@ -13,10 +13,10 @@ import tumble
 from tests.export.test_export_c import gcc
 from tests.export.test_export_larger_model import run
 from tests.support.calibrated import calibration, session_of, warmed
-from tests.support.exports import THERMAL, beside
+from tests.support.exports import FORMATS, TEXT, THERMAL, beside
 from tests.use.test_applied_model import larger, read, truth
 from tumble.errors import CalibrationError, InputError
-from tumble.export import FORMATS, export_calibration
+from tumble.export import export_calibration
 from tumble.inference.estimate import Outcome
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, read_calibration
@@ -51,7 +51,7 @@ def test_a_half_is_exported_by_every_format_that_can_hold_it_and_the_other_is_na
     exported = export_calibration(made, to, **beside(to))
     assert exported.losses[0].startswith(ABSENT[kind])
     if to != "mat":
-        text = exported.content.decode("utf-8" if FORMATS[to].text else "latin-1")
+        text = exported.content.decode("utf-8" if to in TEXT else "latin-1")
         assert ABSENT[kind] in text
         refused = made.gyro if kind == "accel" else made.accel
         assert refused is not None

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.staged import staged
 from tumble.errors import CalibrationError, InputError
 from tumble.inference.estimate import Estimate, Outcome
-from tumble.methods.staged import staged
 from tumble.programme.positions import programme
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
@@ -74,7 +74,7 @@ def calibrated(own: Observations) -> tuple[Calibration, Estimate]:
     )
     made = Calibration(
         device=CalibratedDevice(serial="S"),
-        method="staged",
+        method="scalar",
         frame="accelerometer",
         parameters=parameters,
         covariance=estimate.covariance,

@@ -30,7 +30,7 @@ from tumble.recording.session import AirConditions, Circumstances
 from tumble.recording.session_file import session_of
 from tumble.result.calibration import read_calibration
 from tumble.result.coverage import expanded
-from tumble.result.further import left_by_matrix
+from tumble.result.further import left_by_matrix, recorded_on
 from tumble.result.parts import Launch, Parameter
 from tumble.run.calibrate import calibrate
 from tumble.run.observed import inspect_session
@@ -479,6 +479,7 @@ def test_the_date_is_that_of_the_log_where_its_times_are_absolute() -> None:
 def test_a_session_states_its_circumstances_and_the_file_keeps_them(tmp_path: Path) -> None:
     path = files(tmp_path)
     assert read_calibration(path).circumstances == RECORDED
+    assert recorded_on(read_calibration(path)) == [RECORDED.date]
 
 
 # -------------------- the picture of a recording --------------------

@@ -13,8 +13,7 @@ The algebraic fit of Li & Griffiths gives the ellipsoid without a start (`quadri
 Geometric fit: least squares on |M⁻¹(y − b)| − m with the covariances of the readings as weights, Gauss–Newton from the
 algebraic fit. In programmes that surround the sphere it changes the values by a hundredth of their uncertainties; it is
 there for weights, robustness and covariance. Of n sensors a reading says n − 2 things, y − b − m M t/|t| with the two
-directions projected out in which t may turn (`sphere_rows`); for a triad that is the same. The method `staged` has its
-accelerometers from these rows.
+directions projected out in which t may turn (`sphere_rows`); for a triad that is the same.
 
 Readings one after another of a triad that is waved about err alike in neighbours, by noise with a memory and by what
 the model does not have, so that their number says nothing of u. Whole blocks of them are then left out in turn (the
@@ -38,6 +37,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from tumble.brief import Brief
 from tumble.diagnosis.observability import Refusal, undetermined
@@ -46,7 +46,6 @@ from tumble.inference.estimate import Fit
 from tumble.methods.least_squares import Solution, as_normal, least_squares, sigmas, with_scatter
 from tumble.methods.quadric import fit_many
 from tumble.rotation import unit_vector
-from tumble.scipy_compiled import special
 from tumble.sensors.model import Block, SensorModel, beyond_turning, to_accelerometer_frame
 from tumble.units import Array, BoolArray, IntArray
 
@@ -346,7 +345,7 @@ def _worst_position(task: _Task, found: EllipsoidFit | None, used: BoolArray) ->
         others = used & (np.arange(len(used)) != i)
         fit = _fitted(task, others)
         if fit is not None:
-            ratio = special.fdtri(fit.degrees, fit.degrees, 1.0 - RIVAL_CHANCE)
+            ratio = scipy.special.fdtri(fit.degrees, fit.degrees, 1.0 - RIVAL_CHANCE)
             alike = np.isfinite(without) & others & (without**2 < ratio * without[i] ** 2)
             rivals = tuple(np.flatnonzero(alike).tolist())
             judged.append(WorstPosition(position=i, sigmas=float(fit.sigmas[i]), scatter=fit.scatter, rivals=rivals))
