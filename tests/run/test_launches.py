@@ -168,7 +168,7 @@ def test_launches_of_the_type_make_two_launches_better_known(runs: list[Run]) ->
         assert (q.value, q.run_to_run) == (p.value, p.run_to_run)
         assert (expanded(q) or 0.0) <= (expanded(p) or 0.0) * (1.0 + 1e-9)
         assert (unchanged.u, unchanged.dof) == (p.u, p.dof)
-    assert "by all launches of the type mems in the registry, 50 degrees of freedom" in better.notes[-1]
+    assert "by all launches of its type in the registry, 50 degrees of freedom" in better.notes[-1]
 
 
 def test_a_registry_is_for_several_launches_or_one_session(folders: list[Path]) -> None:
