@@ -49,7 +49,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("setuptools", minversion="70.1")  # from which on it builds wheels by itself
     folder, source = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("source") / "example"
     shutil.copytree(EXAMPLE, source)  # which building writes into
-    words = "--quiet --no-deps --no-build-isolation --disable-pip-version-check --target".split()
+    words = ["--quiet", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "--target"]
     subprocess.run([sys.executable, "-m", "pip", "install", *words, folder, source], check=True)
     return folder
 
