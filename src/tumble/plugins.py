@@ -6,6 +6,8 @@
     tumble.readers        a `Reader` of recordings (`tumble.recording.formats`)
     tumble.programmes     the attitude codes of the positions in order (`tumble.programme.positions`)
     tumble.parameters     a `ParameterGroup` (`tumble.sensors.parameters`)
+    tumble.knowledge      a context manager that opens a `Knowledge` at a place (`tumble.commands.ask`)
+    tumble.reports        a function that writes a report of calibrations by a file of its own: limits, certificate
 
 What tumble has under a name of its own comes first. Entry points are looked up only for other names, and where a list
 is asked for; an object is imported when it is used. `lab` and `bench` bring their commands and exports in this way too.
@@ -21,7 +23,7 @@ from tumble.errors import InputError
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-Kind = Literal["commands", "exports", "readers", "programmes", "parameters"]
+Kind = Literal["commands", "exports", "readers", "programmes", "parameters", "reports", "knowledge"]
 T = TypeVar("T")
 
 

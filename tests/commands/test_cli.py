@@ -231,10 +231,11 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["programme", "--attitude", "NUX"], 'expected three of N S E W U D, where body X, Y, Z point, found "NUX"'),
         (["programme", "nine", "--rest", "-1"], "rest: expected a positive number"),
         (["programme", "nine", "-o", "x.xyz"], "expected a file that ends in .html, .pdf or .svg"),
-        (["plan", "--table-error", "-1"], "expected 0 or more"),
-        (["plan", "--rest", "nan"], "expected more than 0"),
-        (["plan", "cube-14", "--method", "sequential"], "take the programme rough-table or the"),
-        (["plan", "--want", "accel.scale=3furlong"], "expected a number and one of ppm, %"),
+        (["budget", "--table-error", "-1"], "expected 0 or more"),
+        (["budget", "--rest", "nan"], "expected more than 0"),
+        (["budget", "--programme", "cube-14", "--method", "sequential"], "take the programme rough-table or the"),
+        (["require"], "expected --want GROUP=VALUE or --relative PERCENT, found neither"),
+        (["require", "--want", "accel.scale=3furlong"], "expected a number and one of ppm, %"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )  # fmt: skip
@@ -640,15 +641,16 @@ def test_results_are_printed_as_data(sessions: Path) -> None:
     done = run("calibrate", sessions / "one", "--terms", "linear", "--json")
     assert json.loads(done.stdout) == json.loads((sessions / "one/calibration.json").read_text(encoding="utf-8"))
     seen = json.loads(run("inspect", sessions / "one", "--json").stdout)
-    assert [rest["start"] for rest in seen["rests"]] == [rest["start"] for rest in json.loads(done.stdout)["rests"]]
-    assert len(seen["turns"]) == len(seen["rests"]) - 1
+    observed = seen["observations"]
+    assert [rest["start"] for rest in observed["rests"]] == [rest["start"] for rest in json.loads(done.stdout)["rests"]]
+    assert len(observed["turns"]) == len(observed["rests"]) - 1
     file = sessions / "one/calibration.json"
     compared = json.loads(run("compare", file, file, "--json").stdout)
     assert compared["verdict"] == "accepted"
-    assert {p["difference"] for p in compared["parameters"]} == {0.0}
-    verified = json.loads(run("verify", file, sessions / "one", "--json").stdout)
-    assert verified["verdict"] == "accepted"
-    assert len(verified["positions"]) == len(seen["rests"])
+    assert {each["value"] for each in compared["differences"]} == {0.0}
+    checked = json.loads(run("check", file, sessions / "one", "--json").stdout)
+    assert (checked["verdict"], checked["left_out"]) == ("accepted", True)
+    assert len(checked["rests"]) == len(observed["rests"])
 
 
 def test_quiet_leaves_results_reasons_and_errors(sessions: Path) -> None:

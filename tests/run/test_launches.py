@@ -12,11 +12,11 @@ from click.testing import CliRunner
 
 from tumble.cli import main
 from tumble.errors import InputError
-from tumble.lab.type_spread import KnownLaunches, TypeSpread
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import read_calibration
 from tumble.result.coverage import expanded
+from tumble.result.launch_variances import LaunchVariances
 from tumble.result.parts import CalibratedTemperature, Parameter
 from tumble.run.calibrate import calibrate
 from tumble.run.launches import Run, mean_of_launches
@@ -160,11 +160,10 @@ def test_launches_of_the_type_make_two_launches_better_known(runs: list[Run]) ->
         n: np.mean([(run.calibration[n].u or 0.0) ** 2 for run in runs[:2]]) for n in (p.name for p in alone.parameters)
     }
     variances = {p.name: ((p.run_to_run or 0.0) ** 2, float(noise[p.name])) for p in alone.parameters}
-    known = KnownLaunches(serial="other", logs=frozenset({"a", "b"}), degrees=50, variances=variances)
+    known = LaunchVariances(serial="other", logs=frozenset({"a", "b"}), degrees=50, variances=variances)
     own = replace(known, logs=frozenset({runs[0].calibration.provenance["log_sha256"]}))
-    alike = TypeSpread(model="mems", frame="accelerometer", known=(known,))
-    better = mean_of_launches(runs[:2], alike=alike)
-    same = mean_of_launches(runs[:2], alike=replace(alike, known=(own,)))
+    better = mean_of_launches(runs[:2], alike=(known,))
+    same = mean_of_launches(runs[:2], alike=(own,))
     for p, q, unchanged in zip(alone.parameters, better.parameters, same.parameters, strict=True):
         assert (q.value, q.run_to_run) == (p.value, p.run_to_run)
         assert (expanded(q) or 0.0) <= (expanded(p) or 0.0) * (1.0 + 1e-9)
@@ -172,11 +171,11 @@ def test_launches_of_the_type_make_two_launches_better_known(runs: list[Run]) ->
     assert "by all launches of the type mems in the registry, 50 degrees of freedom" in better.notes[-1]
 
 
-def test_launches_of_the_type_are_for_several_launches(folders: list[Path]) -> None:
-    for words in ([folders[0]], [folders[0], folders[1], "--together", "-o", "out.json"]):
-        result = CliRunner().invoke(main, ["calibrate", *map(str, words), "--known-launches", "r.sqlite"])
-        assert result.exit_code == 2
-        assert "--known-launches: expected several launches" in result.stderr
+def test_a_registry_is_for_several_launches_or_one_session(folders: list[Path]) -> None:
+    words = [folders[0], folders[1], "--together", "-o", "out.json", "--registry", "r.sqlite"]
+    result = CliRunner().invoke(main, ["calibrate", *map(str, words)])
+    assert result.exit_code == 2
+    assert "--registry: expected several launches, or one session" in result.stderr
 
 
 def test_what_launches_do_not_share_is_not_that_of_the_first(runs: list[Run]) -> None:

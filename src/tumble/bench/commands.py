@@ -1,4 +1,4 @@
-"""The command `bench`."""
+"""The command `bench`, which the entry point group `tumble.commands` brings in."""
 
 from __future__ import annotations
 
@@ -17,14 +17,9 @@ from tumble.commands import ask, tell
         "tumble bench new --listen serial:/dev/ttyUSB0:115200 --serial A-7 --latitude 56.84",
     )
 )
-@click.argument("sessions", metavar="SESSION...", type=ask.PATH, nargs=-1, required=True)
-@ask.option(
-    "--listen",
-    "What to record: udp:5005, serial:/dev/ttyUSB0:115200, replay:FOLDER@20x …; again: for the next SESSION.",
-    metavar="SOURCE",
-    multiple=True,
-)
-@ask.option("--serial/serials", "Of a new SESSION; again: for the next SESSION.", metavar="NUMBER", multiple=True)
+@click.argument("session", type=ask.PATH)
+@ask.option("--listen", "What to record: udp:5005, serial:/dev/ttyUSB0:115200, replay:FOLDER@20x …", metavar="SOURCE")
+@ask.option("--serial", "Of a new SESSION.", metavar="NUMBER")
 @ask.LATITUDE
 @ask.GRAVITY
 @ask.programme("Of a new session; default: free positions.")
@@ -35,8 +30,8 @@ from tumble.commands import ask, tell
 @ask.option("--port", "0: any that is free.", 8422, type=click.IntRange(0, 65535))
 @click.option("--browser", is_flag=True, help="Open the page.")
 def bench(
-    sessions: tuple[Path, ...],
-    listen: tuple[str, ...],
+    session: Path,
+    listen: str | None,
     latitude: float | None,
     gravity: float | None,
     place: str | None,
@@ -48,13 +43,12 @@ def bench(
     """The live page: follow a recording, say what to do next, and calibrate at the end.
 
     SESSION is a folder with session.toml, or a new one for a source that is recorded. Without --listen the log that
-    another program writes there is followed. Several are several benches, each with a page of its own, and a list of
-    them.
+    another program writes there is followed.
     """
-    from tumble.bench.station import stations_of
+    from tumble.bench.station import station_of
     from tumble.bench.web.serve import serve
 
-    told = {"latitude_deg": latitude, "gravity": gravity}
-    site = {key: value for key, value in told.items() if value is not None}
-    stations = partial(stations_of, sessions, listen, site=site, registry=place, **options)
-    serve(stations, folders=sessions, host=host, port=port, browser=browser, say=tell.warn)
+    given = {"latitude_deg": latitude, "gravity": gravity}
+    site = {key: value for key, value in given.items() if value is not None}
+    station = partial(station_of, session, listen, site=site, registry=place, **options)
+    serve(station, folder=session, host=host, port=port, browser=browser, say=tell.warn)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +16,33 @@ _IDS = ask.Numbers("the numbers in CAL_ACC0_ID and CAL_GYRO0_ID with a comma bet
 _COUNTS = ask.Numbers("counts a g and a deg/s with a comma between", count=2, above=0.0)
 
 
-@click.command(epilog=ask.examples("tumble report imu-7/calibration.json -o imu-7.pdf --limits limits.toml"))
+@click.command(
+    epilog=ask.examples(
+        "tumble report imu-7/calibration.json -o imu-7.html",
+        "tumble report imu-7/calibration.json -o imu-7.pdf --certificate certificate.toml",
+    )
+)
 @click.argument("calibrations", metavar="CALIBRATION...", type=ask.FILE, nargs=-1, required=True)
-@ask.out("File to write: .html, or .pdf for the archive.", required=True)
+@ask.out("File to write: .html; of a certificate also .pdf.", required=True)
 @ask.option("--limits", "Acceptance limits (TOML): judge every parameter by them.", type=ask.FILE)
 @ask.CERTIFICATE
 def report(calibrations: tuple[Path, ...], out: Path, limits: Path | None, certificate: Path | None) -> None:
-    """Report of a calibration, or of several of one device, in one file that needs nothing else."""
+    """Report of a calibration, or of several of one device: a page that needs nothing else and prints well."""
+    from types import FunctionType
+
+    from tumble.plugins import load
     from tumble.views.report.write import write_report
 
-    reasons = write_report(calibrations, out, limits=limits, certificate=certificate)
+    if limits is not None and certificate is not None:
+        raise InputError("--limits: expected none with --certificate, whose file names the limits, found one")
+    write, file = write_report, limits or certificate
+    if file is not None:  # what the laboratory adds
+        kind = "limits" if limits is not None else "certificate"
+        found = load("reports", kind, FunctionType)
+        if found is None:
+            raise InputError(f"--{kind}: expected the reports of `tumble.lab`, found none; install tumble anew")
+        write = partial(found, **{kind: file})
+    reasons = write(calibrations, out)
     tell.say(f"written to {out}")
     tell.end(reasons, "not accepted: ")
 

@@ -49,13 +49,13 @@ def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: 
 def inspect(session: Path, picture: Path | None) -> None:
     """Show the rests and turns found in SESSION, and what was rejected and why."""
     from tumble.run.observed import inspect_session
-    from tumble.views.inspection import inspection_blocks, inspection_data, plot
+    from tumble.views.inspection import inspection_blocks, plot
 
     observed = inspect_session(session, progress=tell.with_progress)
     if picture is not None:
         plot(observed, picture)
         tell.say(f"written to {picture}")
-    tell.show(lambda: inspection_data(observed), lambda: inspection_blocks(observed))
+    tell.show(observed, lambda: inspection_blocks(observed))
     for fault in (*observed.faults, *observed.gyro_faults, *observed.gyro_bias_faults):
         tell.warn(f"fault: {fault}")
     sys.exit(1 if observed.faults else 0)
@@ -92,7 +92,7 @@ def noise(
 
     from tumble.drafting.new_session import new_session
     from tumble.run.quiet_samples import is_session, noise
-    from tumble.views.noise import noise_blocks, noise_data, plot
+    from tumble.views.noise import noise_blocks, plot
 
     if all(map(is_session, recordings)):
         found = noise(*recordings)
@@ -114,4 +114,4 @@ def noise(
     if picture is not None:
         plot(found.panels, picture)
         tell.say(f"written to {picture}")
-    tell.show(lambda: noise_data(found), lambda: noise_blocks(found, filters=filters))
+    tell.show(found, lambda: noise_blocks(found, filters=filters))

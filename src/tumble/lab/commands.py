@@ -1,11 +1,9 @@
-"""The commands `registry`, devices, launches, calibrations and limits over years, and `selftest`."""
+"""The commands of the laboratory: `registry` and `selftest`."""
 
 from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable
-from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,19 +15,25 @@ from tumble.errors import InputError
 if TYPE_CHECKING:
     from datetime import datetime
 
-    from tumble.lab.registry.store.connect import Registry
-    from tumble.lab.registry.types import Record
-
+    from tumble.lab.registry.records import Record
+    from tumble.lab.registry.registry import Registry
+    from tumble.views.blocks import Block
 
 _DAY: dict[str, Any] = {"type": click.DateTime(["%Y-%m-%d"]), "metavar": "YYYY-MM-DD"}
+_PLACE = ask.registry_place(required=True)
 
 
 def _number(ctx: click.Context, parameter: click.Parameter, text: str | None) -> int | None:
     """The number of a record, such as a database can hold."""
     if text is not None and not re.fullmatch(r"0*[1-9][0-9]{0,17}", text):
-        said = "expected the number of a record as `tumble registry list` shows it"
-        raise click.BadParameter(f"{said}, found {text!r}", ctx, parameter)
+        expected = "expected the number of a record as `tumble registry list` shows it"
+        raise click.BadParameter(f"{expected}, found {text!r}", ctx, parameter)
     return None if text is None else int(text)
+
+
+def _new_file(out: Path | None, what: str) -> None:
+    if out is not None and out.exists():
+        raise InputError(f"{out}: expected a new file for the {what}, found one that exists")
 
 
 @click.group(epilog=ask.examples("tumble registry add imu-7/calibration.json", "tumble registry due"))
@@ -37,266 +41,202 @@ def registry() -> None:
     """Devices, launches, calibrations and acceptance limits over years. Records are added, never changed."""
 
 
-def _command(name: str, *, opens: bool = True) -> Callable[[Callable[..., None]], click.Command]:
-    """A command of the registry, which it gets `opened`, or its `place` where that may be made first; with a line for
-    the extra where it is missing."""
-
-    def made(function: Callable[..., None]) -> click.Command:
-        @wraps(function)
-        def in_registry(*args: Any, place: str | None, **options: Any) -> None:
-            from tumble.lab.registry.store.connect import extra_named
-
-            with extra_named():
-                from tumble.lab.registry.store.connect import open_registry
-
-                if not opens:
-                    function(*args, place=place, **options)
-                    return
-                with open_registry(place) as opened:
-                    function(*args, opened=opened, **options)
-
-        return registry.command(name)(ask.REGISTRY(in_registry))
-
-    return made
-
-
-def _whole_new_file(out: Path, what: str, lines: Callable[[], Any]) -> None:
-    from tumble.files import whole_file
-
-    if out.exists():
-        raise InputError(f"{out}: expected a new file for the {what}, found one that exists")
-    with whole_file(out) as temporary, temporary.open("w", encoding="utf-8") as file:
-        file.writelines(lines())
-    tell.say(f"written to {out}")
-
-
-@_command("add", opens=False)
+@registry.command
 @click.argument("calibration", type=ask.FILE)
 @ask.option("--check/occasion", "Default: incoming the first time.", type=click.Choice(["incoming", "periodic"]))
-@ask.option("--state", "Before or after an adjustment, if there is one.", type=click.Choice(["as-found", "as-left"]))
+@ask.option(
+    "--state",
+    "Before or after an adjustment; default: without one.",
+    "unchanged",
+    type=click.Choice(["as-found", "as-left", "unchanged"]),
+)
 @ask.option("--date/day", "When it was performed; default: when recorded, or the file made.", **_DAY)
-@ask.option("--supersedes", "The record that this one corrects.", metavar="NUMBER", callback=_number)
-@ask.option("--reason", "Why it is corrected.")
+@_PLACE
 @ask.JSON
 @ask.EVERY
-def add(
-    calibration: Path, day: datetime | None, state: Any, every: bool, place: str | None, **particulars: Any
-) -> None:
+def add(calibration: Path, day: datetime | None, every: bool, place: str, **particulars: Any) -> None:
     """Add a CALIBRATION file, judge it by the limits in force, and say so. Exit status 1 if it does not pass."""
-    from datetime import UTC
+    from datetime import UTC, datetime
 
-    from tumble.lab.registry.adding import Particulars, read_submission
-    from tumble.lab.registry.adding import add as add_to
-    from tumble.lab.registry.store.connect import open_registry
+    from tumble.lab.registry.registry import open_registry
 
-    performed = None if day is None else day.replace(tzinfo=UTC)
-    stated = Particulars(performed=performed, state=state or "unchanged", **particulars)
-    submission = read_submission(calibration, stated)
+    begun, performed = datetime.now(UTC), None if day is None else day.replace(tzinfo=UTC)
     with open_registry(place, create=True) as opened:
-        added = add_to(opened, submission)
-        said = "added as" if added.new else "the same calibration is there already:"
-        tell.say(f"{said} record {added.record.number} in {opened.name}")
-        passed = _print_record(opened, added.record, every)
+        record = opened.add_calibration(calibration, performed=performed, **particulars)
+        said = "added as" if record.added >= begun else "the same calibration is there already:"
+        tell.say(f"{said} record {record.number} in {opened.name}")
+        passed = _show_record(opened, record, every)
     sys.exit(0 if passed else 1)
 
 
-def _print_record(opened: Registry, record: Record, every: bool) -> bool:
-    """Print a record with the verdict on it, and whether it passes."""
-    from tumble.lab.registry.series import calibration_in, verdict_of
-    from tumble.views.registry import record_blocks, record_data
+def _show_record(opened: Registry, record: Record, every: bool) -> bool:
+    """Print a record with the verdict on it. Returns whether it passes."""
+    from tumble.lab.registry.registry import logs_of
+    from tumble.lab.views.registry import record_blocks
 
-    verdict, calibration = verdict_of(opened, record), calibration_in(opened, record, record.frame)
-    tell.show(
-        lambda: record_data(record, calibration, verdict),
-        lambda: record_blocks(record, calibration, verdict, every=every),
-    )
+    verdict, calibration = opened.verdict(record), opened.calibration(record)
+    logs = [{"session": session, "log_sha256": log} for session, log in logs_of(calibration)]
+    content = {"record": record, "launches": logs, "parameters": calibration.parameters, "acceptance": verdict}
+    tell.show(content, lambda: record_blocks(record, calibration, verdict, every=every))
     if verdict is None or verdict.result == "pass":
         return True
-    for reason in verdict.reasons():
+    for reason in verdict.reasons:
         tell.warn(f"{verdict.occasion} check: {reason}")
     return False
 
 
-@_command("list")
+@registry.command("list")
 @click.argument("serial", required=False)
+@_PLACE
 @ask.JSON
-def list_(serial: str | None, opened: Registry) -> None:
+def list_(serial: str | None, place: str) -> None:
     """All devices with their latest record, or the records of the device SERIAL."""
-    from tumble.lab.registry.due import due as due_of
-    from tumble.lab.registry.due import records
-    from tumble.views.registry_lists import device_table, devices_data, record_table
+    from tumble.lab.registry.registry import open_registry
+    from tumble.lab.views.registry import device_table, record_table
 
-    if serial is not None:
-        found = records(opened, serial)
-        tell.show(lambda: {"records": found}, lambda: [record_table(found)])
-        return
-    latest = sorted(due_of(opened), key=lambda item: item.record.serial)
-    tell.show(lambda: devices_data(latest), lambda: [device_table(latest)])
+    with open_registry(place) as opened:
+        records = opened.records(serial)
+    tell.show({"records": records}, lambda: [device_table(records) if serial is None else record_table(records)])
 
 
-@_command("show")
-@click.argument("number", callback=_number)
-@ask.out("Write the calibration file of the record, as it was added.")
+@registry.command
+@click.argument("number", callback=_number, required=False)
+@ask.option("--type/model", "Instead of a record: the data sheet of a device type by its units.", metavar="MODEL")
+@ask.out("Write the calibration file of the record, as it was added, or the data sheet (.html).")
+@_PLACE
 @ask.JSON
 @ask.EVERY
-def show_(number: int, out: Path | None, every: bool, opened: Registry) -> None:
-    """The record NUMBER with the verdict on each parameter. Exit status 1 if it does not pass."""
-    from tumble.lab.registry.store.rows import file_of, record_of
+def show(number: int | None, model: str | None, out: Path | None, every: bool, place: str) -> None:
+    """The record NUMBER with the verdict on each parameter, or what the units of a type are like.
 
-    with opened.reading() as connection:
-        record, text = record_of(connection, number), file_of(connection, number)
-    if out is not None:
-        _whole_new_file(out, "calibration", lambda: [text])
-    passed = _print_record(opened, record, every)
+    Exit status 1 if the record does not pass."""
+    from tumble.files import whole_file
+    from tumble.lab.registry.registry import open_registry
+
+    if (number is None) == (model is None):
+        raise click.UsageError("show: expected the NUMBER of a record or --type MODEL, found none of them or both")
+    with open_registry(place) as opened:
+        if model is not None:
+            _show_datasheet(opened, model, out)
+            return
+        record = opened.record(number or 0)
+        if out is not None:
+            _new_file(out, "calibration")
+            with whole_file(out) as temporary:
+                temporary.write_text(opened.file(record), encoding="utf-8")
+            tell.say(f"written to {out}")
+        passed = _show_record(opened, record, every)
     sys.exit(0 if passed else 1)
 
 
-@_command("trend")
+def _show_datasheet(opened: Registry, model: str, out: Path | None) -> None:
+    from datetime import UTC, datetime
+
+    from tumble.lab.views.datasheet import datasheet_blocks, write_datasheet
+
+    sheet = opened.datasheet(model)
+    if out is not None:
+        write_datasheet(sheet, out, datetime.now(UTC).isoformat(timespec="seconds"))
+        tell.say(f"written to {out}")
+    tell.show(sheet, lambda: datasheet_blocks(sheet))
+
+
+@registry.command
 @click.argument("serial")
 @click.argument("parameter", required=False)
-@ask.out("Draw control charts into this .html or .svg; needs matplotlib.")
+@ask.out("Draw a control chart into this .html; needs matplotlib.")
+@_PLACE
 @ask.JSON
 @ask.EVERY
-def trend(serial: str, parameter: str | None, out: Path | None, every: bool, opened: Registry) -> None:
+def trend(serial: str, parameter: str | None, out: Path | None, every: bool, place: str) -> None:
     """Every parameter of the device SERIAL over its calibrations, or one PARAMETER in every calibration.
 
     Exit status 1 if the device has changed since the calibration before by more than chance makes, in a parameter or
     in all together, as `tumble compare` says it of both.
     """
-    from tumble.lab.registry.monitor import monitored
-    from tumble.views.registry import history_blocks, trend_blocks, trend_data
+    from tumble.lab.registry.registry import open_registry
+    from tumble.lab.views.registry import history_blocks, trend_blocks
 
-    found = monitored(opened, serial, parameter)
+    with open_registry(place) as opened:
+        found = opened.trend(serial, parameter)
     if out is not None:
-        from tumble.views.control_chart import write_chart
+        from tumble.lab.views.control_chart import write_chart
 
         write_chart(out, found)
         tell.say(f"written to {out}")
-    tell.show(
-        lambda: trend_data(found),
-        lambda: trend_blocks(found, every=every) if parameter is None else history_blocks(found),
-    )
-    changed = found.changed()
-    if changed:
-        tell.say(f"changed: {', '.join(changed)}")
-    sys.exit(1 if changed else 0)
+    tell.show(found, lambda: trend_blocks(found, every=every) if parameter is None else history_blocks(found))
+    if found.changed:
+        tell.say(f"changed: {', '.join(found.changed)}")
+    sys.exit(1 if found.changed else 0)
 
 
-@_command("limits", opens=False)
+@registry.command
 @click.argument("model", required=False)
 @click.argument("file", type=ask.FILE, required=False)
+@_PLACE
 @ask.JSON
-def limits(model: str | None, file: Path | None, place: str | None) -> None:
+def limits(model: str | None, file: Path | None, place: str) -> None:
     """Put the acceptance limits of FILE (TOML) in force for the device type MODEL.
 
     Without FILE those of MODEL are shown, without MODEL those of all types are listed.
     """
-    from tumble.lab.limits import read_limits
-    from tumble.lab.registry.adding import set_limits
-    from tumble.lab.registry.store.connect import open_registry
-    from tumble.lab.registry.store.rows import every_limits
-    from tumble.views.registry import limits_blocks
-    from tumble.views.registry_lists import limits_data, limits_table
-
-    given = None if file is None else read_limits(file)
-    with open_registry(place, create=given is not None) as opened:
-        if model is not None and given is not None:
-            record, new = set_limits(opened, model, *given)
-            said = "in force for" if new else "were in force already for"
-            tell.say(f"limits {record.number} {said} {record.model} in {opened.name}")
-            return
-        with opened.reading() as connection:
-            every = every_limits(connection)
-    in_force = {each.model: each for each in every}
-    if model is not None and model not in in_force:
-        raise InputError(f"type {model!r}: expected a device type with limits, found none for it")
-    tell.show(
-        lambda: limits_data(every if model is None else [in_force[model]], in_force),
-        lambda: [limits_table(every, in_force)] if model is None else limits_blocks(in_force[model]),
-    )
-
-
-@_command("due")
-@ask.option("--on/day", "As on this day; default: today.", **_DAY)
-@ask.JSON
-def due(day: datetime | None, opened: Registry) -> None:
-    """What is to be calibrated again, and when: by the calendar, or before where a drift may meet a limit.
-
-    The most urgent first. Exit status 1 if anything is overdue.
-    """
-    from datetime import UTC, date, datetime
-
-    from tumble.lab.registry.due import due as due_of
-    from tumble.views.registry_lists import due_data, due_table
-
-    today = datetime.now(UTC).date() if day is None else day.date()
-    found = due_of(opened)
-    tell.show(lambda: due_data(found, today), lambda: [due_table(found, today)])
-    overdue = [item.record.serial for item in found if (item.day or date.max) < today]
-    tell.end([f"overdue: {', '.join(overdue)}"] if overdue else [])
-
-
-@_command("datasheet")
-@click.argument("model")
-@ask.out("File to write: .md, .html or .pdf; default: the terminal.")
-@ask.JSON
-def datasheet(model: str, out: Path | None, opened: Registry) -> None:
-    """What the units of the type MODEL are like: min, typical, max and tolerance intervals of every parameter."""
     from datetime import UTC, datetime
 
-    from tumble.lab.datasheet import datasheet as datasheet_of
-    from tumble.views.datasheet import datasheet_blocks, datasheet_data, write_datasheet
+    from tumble.lab.registry.registry import open_registry
+    from tumble.lab.views.registry import limits_blocks, limits_table
 
-    sheet = datasheet_of(opened, model)
-    if out is None:
-        tell.show(lambda: datasheet_data(sheet), lambda: datasheet_blocks(sheet))
-        return
-    write_datasheet(sheet, out, datetime.now(UTC).isoformat(timespec="seconds"))
-    tell.say(f"written to {out}")
+    begun = datetime.now(UTC)
+    with open_registry(place, create=file is not None) as opened:
+        if model is not None and file is not None:
+            record = opened.set_limits(model, file)
+            said = "in force for" if record.added >= begun else "were in force already for"
+            tell.say(f"limits {record.number} {said} {model} in {opened.name}")
+            return
+        every = opened.limits()
+    shown = [each for each in every if model is None or (each.model == model and each.in_force)]
+    if model is not None and not shown:
+        raise InputError(f"type {model!r}: expected a device type with limits, found none for it")
 
+    def blocks() -> list[Block]:
+        return [limits_table(shown)] if model is None else limits_blocks(shown[0])
 
-@_command("export")
-@ask.out("File to write; default: standard output.")
-def export(out: Path | None, opened: Registry) -> None:
-    """Everything in the registry as JSON lines."""
-    from tumble.lab.registry.exchange import export_lines
-
-    if out is not None:
-        _whole_new_file(out, "export", lambda: (f"{line}\n" for line in export_lines(opened)))
-        return
-    for line in export_lines(opened):
-        click.echo(line)
+    tell.show({"limits": shown}, blocks)
 
 
-@_command("import", opens=False)
-@click.argument("file", type=ask.FILE)
-def import_(file: Path, place: str | None) -> None:
-    """Add what FILE, an export, holds and the registry does not; nothing of a file that is no whole export."""
-    from tumble.lab.registry.exchange import import_export, read_export
-    from tumble.lab.registry.store.connect import open_registry
+@registry.command
+@ask.option("--on/day", "As on this day; default: today.", **_DAY)
+@_PLACE
+@ask.JSON
+def due(day: datetime | None, place: str) -> None:
+    """What is to be calibrated again, and when: by the calendar, or before where a drift may meet a limit.
 
-    export = read_export(file)
-    with open_registry(place, create=True) as opened:
-        done = import_export(opened, export)
-        tell.say(f"{done.added} calibrations added to {opened.name}, {done.known} were there already")
+    A device that failed its latest check is withdrawn until it is calibrated again. The most urgent first. Exit status
+    1 if anything is withdrawn or overdue.
+    """
+    from tumble.lab.registry.registry import open_registry
+    from tumble.lab.views.registry import due_table
+
+    with open_registry(place) as opened:
+        items = opened.due(None if day is None else day.date())
+    tell.show({"devices": items}, lambda: [due_table(items)])
+    for word, of in (("withdrawn", [i for i in items if i.withdrawn]), ("overdue", [i for i in items if i.overdue])):
+        if of:
+            tell.warn(f"{word}: {', '.join(item.record.serial for item in of)}")
+    sys.exit(1 if any(item.withdrawn or item.overdue for item in items) else 0)
 
 
 @click.command(epilog=ask.examples("tumble selftest -o record.json"))
 @ask.out("Write the record, JSON, with versions, machine, figures and hashes.")
 @ask.option("--by", "Who runs it and stands for it; default: the name of the user.", metavar="NAME")
+@ask.JSON
 def selftest(out: Path | None, by: str | None) -> None:
     """Run the reference cases on this machine and compare them with published values, closed forms and truth."""
     from tumble.lab.selftest import run_selftest
-    from tumble.views.checks import selftest_table
-    from tumble.views.render.terminal import print_blocks
+    from tumble.lab.views.selftest import selftest_blocks
 
-    if out is not None and out.exists():
-        raise InputError(f"{out}: expected a new file for the record, found one that exists; records are kept")
+    _new_file(out, "record")
     record = run_selftest(by=by, progress=lambda name: tell.say(f"running: {name}"))
-    print_blocks(selftest_table(record))
-    click.echo(f"{record.software} on {record.machine['system']}, {record.date}, run by {record.by}")
-    click.echo(f"loops over samples: {record.machine['loops']}")
-    click.echo("passed" if record.passed else "FAILED")
+    tell.show(record, lambda: selftest_blocks(record))
     if out is not None:
         record.write(out)
         tell.say(f"written to {out}")
