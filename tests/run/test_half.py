@@ -123,7 +123,7 @@ def spoiled(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
     return tumble.calibrate(folder)
 
 
-def test_bad_gyros_leave_the_accelerometers_to_check_and_report(spoiled: Calibration, tmp_path: Path) -> None:
+def test_bad_gyros_leave_the_accelerometers_to_check_report_and_register(spoiled: Calibration, tmp_path: Path) -> None:
     assert (spoiled.outcome.accel.accepted, spoiled.outcome.gyro.accepted) == (True, False)
     clean = tumble.simulate_session(tmp_path / "s", tumble.Setup.of(grade="mems", positions=6), seed=1, launch=2)
     spoiled.write(tmp_path / "calibration.json")
@@ -135,6 +135,8 @@ def test_bad_gyros_leave_the_accelerometers_to_check_and_report(spoiled: Calibra
     assert checked.notes[0].startswith(ABSENT["accel"])
     assert checked.updated is not None
     assert checked.updated.absent[0].startswith(ABSENT["accel"])
+    with tumble.open_registry(tmp_path / "r.sqlite", create=True) as registry:
+        registry.add_calibration(tmp_path / "calibration.json")
     tumble.write_report([tmp_path / "calibration.json"], tmp_path / "r.html")
     assert "accelerometers: accepted with scatter; gyros: not accepted" in (tmp_path / "r.html").read_text()
 
