@@ -65,7 +65,7 @@ def residuals(axes: Axes, calibration: tumble.Calibration) -> None:
 def parameters(axes: Axes, session: Path, calibration: tumble.Calibration) -> None:
     """The scale factors by two methods, with their expanded uncertainty, about those of the first"""
     names = [f"{kind}.scale.{axis}" for kind in ("accel", "gyro") for axis in "xyz"]
-    for shift, method in ((-0.1, "joint"), (0.1, "staged")):
+    for shift, method in ((-0.1, "joint"), (0.1, "ellipsoid")):
         found = tumble.calibrate(session, method=method)
         differences = [found[name].value - calibration[name].value for name in names]
         expanded = [(found[name].k or 0.0) * (found[name].u or 0.0) for name in names]
@@ -78,20 +78,20 @@ def parameters(axes: Axes, session: Path, calibration: tumble.Calibration) -> No
 
 def check(axes: Axes, second: Path, calibration: tumble.Calibration) -> None:
     """Whether the calibration holds in another launch"""
-    found = tumble.verify_calibration(calibration, second)
-    number = np.arange(1, len(found.labels) + 1)
-    axes.axhspan(-found.limit, found.limit, color="0.93", linewidth=0)
-    axes.plot(number, found.difference / found.u, "o")
-    axes.set(xlabel="check position", ylabel="Δg / u")
+    found = tumble.check_calibration(calibration, second)
+    axes.axhspan(-found.rest_limit, found.rest_limit, color="0.93", linewidth=0)
+    axes.plot(range(1, len(found.rests) + 1), [rest.sigmas for rest in found.rests], "o")
+    axes.set(xlabel="rest of the second launch", ylabel="(g − |f|) / u")
 
 
 def corrected(axes: Axes, second: Path, calibration: tumble.Calibration) -> None:
     """What the correction does to a recording"""
-    rests = tumble.rest_residuals(calibration, second)
-    number = np.arange(1, len(rests) + 1)
-    axes.plot(number, [1e3 * rest.before for rest in rests], "o", label="as recorded")
-    axes.plot(number, [1e3 * rest.after for rest in rests], "o", label="corrected")
-    axes.set(xlabel="rest of the second launch", ylabel="|f| − g, mm/s²")
+    observations, found = tumble.inspect_session(second).observations, tumble.check_calibration(calibration, second)
+    before = observations.site.gravity - np.linalg.norm(observations.rests.accel, axis=1)
+    number = np.arange(1, len(found.rests) + 1)
+    axes.plot(number, 1e3 * before, "o", label="as recorded")
+    axes.plot(number, [1e3 * rest.difference for rest in found.rests], "o", label="corrected")
+    axes.set(xlabel="rest of the second launch", ylabel="g − |f|, mm/s²")
     axes.legend(frameon=False, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))
 
 

@@ -1,4 +1,4 @@
-"""The estimate after each rest, made beside everything else, and what the page shows of it."""
+"""The estimate after each rest, computed in a thread of its own, as the page shows it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.bench.follow.rests import Progress
+from tumble.bench.follow.progress import Progress
 from tumble.bench.follow.wishes import Task
 from tumble.bench.state import EstimateShown, GroupShown
 from tumble.inference.estimate import FIT_SIGMAS, Estimate
@@ -21,8 +21,8 @@ from tumble.recording.session import Exclusion, Session
 from tumble.reduction.blocks.reducer import Reduction
 from tumble.reduction.observations import observe
 from tumble.reduction.rests.blemishes import without_blemishes
-from tumble.reduction.rests.matching import Match, without_numbered
-from tumble.reduction.rests.segmentation import RestSpan
+from tumble.reduction.rests.matching import Match, without_numbered, without_times
+from tumble.reduction.rests.segmentation import RestSpan, find_rests
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import group_name, positions_by_group, shown_in, usual_sizes
 from tumble.units import G_STANDARD, Array
@@ -40,13 +40,12 @@ _NO_ESTIMATE: EstimateShown = {
 
 
 class Estimates:
-    """Has estimates of a task made by a `worker`, one at a time. `shown` is the last one for the page, None before the
-    first."""
+    """Computes estimates of a task with a `worker`, one at a time. `shown` is the latest, None before the first."""
 
     def __init__(self, task: Task, worker: Executor) -> None:
         self.shown: EstimateShown | None = None
         self._task, self._worker = task, worker
-        self._made_of: tuple[tuple[int, ...], int] = (), 0
+        self._made_of = 0, 0
         self._future: Future[EstimateShown] | None = None
 
     @property
@@ -54,7 +53,7 @@ class Estimates:
         return self._future is not None
 
     def take(self) -> None:
-        """Take the one that was being made, if it is done. One that has failed is said; the next is made as ever."""
+        """Take over the estimate that was being computed, if it is done. After a failure the page shows the error."""
         if self._future is None or not self._future.done():
             return
         done, self._future = self._future, None
@@ -64,32 +63,41 @@ class Estimates:
             return
         log.error("an estimate has failed", exc_info=error)
         cause = f"the estimate has failed ({type(error).__name__}: {error}); the recording goes on"
-        self.shown = {**_NO_ESTIMATE, "rests": len(self._made_of[0]), "cause": " ".join(cause.split())}
+        self.shown = {**_NO_ESTIMATE, "rests": self._made_of[0], "cause": " ".join(cause.split())}
 
     def ask(self, progress: Progress, excluded: tuple[Exclusion, ...]) -> None:
-        """Have one made when there is another rest to make it from."""
+        """Begin another estimate if there is another rest."""
         if self._future is not None:
             return
-        spans, current = progress.spans, progress.current
-        if current is not None and spans and spans[-1].last > current.first and not progress.judged[-1].enough:
-            spans = spans[:-1]
-        made_of = tuple(span.first for span in spans), len(excluded)
-        if made_of == self._made_of or len(spans) < 2:
+        rests = [rest for group in progress.groups for rest in group]
+        unfinished = progress.current if progress.current is not None and not progress.judged[-1].enough else None
+        settled = rests[:-1] if unfinished is not None else rests
+        made_of = len(settled), len(excluded)
+        if made_of == self._made_of or len(settled) < 2:
             return
         self._made_of = made_of
-        self._future = self._worker.submit(_shown, self._task, progress.reduction, spans, excluded)
+        until = np.inf if unfinished is None else unfinished.start
+        self._future = self._worker.submit(_shown, self._task, progress.reduction, until, excluded)
+
+
+def settled_rests(
+    session: Session, reduction: Reduction, until: float, excluded: tuple[Exclusion, ...]
+) -> tuple[RestSpan, ...]:
+    """Find the rests that a calibration would use, of those that begin before the time `until`, s."""
+    found = find_rests(reduction, session.accel_block, session.gyro_block)
+    return tuple(span for span in without_times(reduction, found, excluded).rests if span.start < until)
 
 
 def estimate_so_far(
     session: Session, grade: str, reduction: Reduction, spans: tuple[RestSpan, ...], excluded: tuple[Exclusion, ...]
 ) -> Estimate | None:
-    """The joint estimate from these rests and the turns between them; None where they are too few."""
+    """Joint estimate from these rests and the turns between them. None from fewer than two rests."""
     numbered = tuple(one for one in excluded if one.rest is not None and one.rest <= len(spans))
     _, match = without_numbered(reduction, Match(rests=spans, programme=None, position=None), numbered)
     if len(match.rests) < 2:
         return None
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        seen = observe(without_blemishes(reduction), match, session.accel_block, session.gyro_block, session.site)
+        seen = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
         for usual in (usual_sizes(grade, session.device.prior), {}):  # few rests bear the linear model alone
             with contextlib.suppress(np.linalg.LinAlgError):
                 return joint(replace(seen, usual=usual), quick=True)
@@ -99,18 +107,17 @@ def estimate_so_far(
 # -------------------- what the page shows of it --------------------
 
 
-def _shown(
-    task: Task, reduction: Reduction, spans: tuple[RestSpan, ...], excluded: tuple[Exclusion, ...]
-) -> EstimateShown:
-    """An estimate for the page."""
+def _shown(task: Task, reduction: Reduction, until: float, excluded: tuple[Exclusion, ...]) -> EstimateShown:
+    """Compute an estimate for the page from the rests that begin before the time `until`, s."""
     began = time.thread_time()
     session, wanted = task.session, task.wanted
+    reduction = without_blemishes(reduction)
+    spans = settled_rests(session, reduction, until, excluded)
     estimate = estimate_so_far(session, task.grade, reduction, spans, excluded)
     if estimate is None:
         return {**_NO_ESTIMATE, "rests": len(spans)}
 
-    # what of the wishes is reached, by group in the order of the parameters, other groups passed over: the largest u in
-    # the unit in which `tumble calibrate` shows it, and whether the data tell all of the group
+    # groups of which an uncertainty is wanted, in the units of `tumble calibrate`
     groups: list[GroupShown] = []
     for group, rows in positions_by_group(estimate.names).items():
         if (aim := wanted.group.get(group)) is None:
@@ -160,9 +167,11 @@ def _shown(
 
 
 def _gains(estimate: Estimate, wanted: Mapping[str, float], block: Block, rest_u: float, gravity: float) -> Array:
-    """What a further rest with the vertical along each of DIRECTIONS (26,) leaves of the accelerometers' u over the
-    wanted ones (root mean square), from what is measured so far: its reading has the length of gravity, which is one
-    row of the covariance of the estimate, without what its turn would tell of the gyros."""
+    """Part of the accelerometers' uncertainty that a further rest would leave.
+
+    The vertical is along each of DIRECTIONS (26,), and the uncertainties are relative to the wanted ones (root mean
+    square). The length of the rest's mean is gravity: one scalar observation, by which the covariance of the estimate
+    is updated. What the turn to it would tell of the gyros is left out."""
     rows = [estimate.names.index(name) for name in block.names]
     C = estimate.covariance[np.ix_(rows, rows)]
     weight = np.array([wanted.get(group_name(name), np.inf) for name in block.names])
