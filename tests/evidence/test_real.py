@@ -21,6 +21,8 @@ from evidence.real.run import content_of, found_from
 from evidence.real.scores import FEWEST, folds, prediction, repeatability
 from tests.support import ROOT
 
+pytestmark = pytest.mark.weekly
+
 PAGE = ROOT / "docs" / "evidence" / "real.md"
 GRAVITY = 9.81
 
