@@ -12,6 +12,9 @@ The directive `public` describes public names of the library from their docstrin
 
     ```{public} calibrate read_calibration
     ```
+
+When the site is built, `checked` looks at the pages themselves: no raw table, nothing loaded from elsewhere, every public
+name described.
 """
 
 from __future__ import annotations
@@ -19,15 +22,19 @@ from __future__ import annotations
 import inspect
 import re
 from dataclasses import is_dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
+from sphinx.errors import SphinxError
 from sphinx.util.docutils import SphinxDirective
 from sphinx.util.typing import ExtensionMetadata
 
 TAG = re.compile(r"\s*\\tag\{([^}]*)\}")
+ACCENT = re.compile(r"<munderover>(\s*<m[a-z]+>[^<]*</m[a-z]+>)(\s*<m.*?)(\s*<mo stretchy=\"false\">[^<]*</mo>)\s*</munderover>", re.S)
+"""An accent with an index, which docutils writes below the letter."""
 
 
 class Made(SphinxDirective):
@@ -70,6 +77,7 @@ def mathml(source: str, *, block: bool) -> str:
     """A formula as MathML; of a block with a \\tag{n} the number stands at the right."""
     numbers = TAG.findall(source)
     markup = tex2mathml(TAG.sub("", source).strip(), as_block=block)
+    markup = ACCENT.sub(r"<msub><mover>\1\3</mover>\2</msub>", markup)
     number = f'<span class="number">({numbers[0]})</span>' if numbers else ""
     anchor = f' id="eq-{numbers[0]}"' if numbers else ""
     return f'<div class="formula"{anchor}><div>{markup}</div>{number}</div>\n' if block else markup
@@ -105,12 +113,37 @@ def shortened(app: Sphinx, what: str, name: str, obj: Any, options: Any, signatu
     return signature, returned
 
 
+RAW = re.compile(r"\|\s*:?-{3,}|<p>\s*\||<!-- (?:figure|table|end)|&lt;!-- ")
+"""What a built page has where a table or a comment of its source was not understood."""
+LOADED = re.compile(r"""<(?:script|img|iframe|link)\b[^>]*?(?:src|href)=["']?(?:https?:)?//""")
+
+
+def checked(app: Sphinx, exception: Exception | None) -> None:
+    """Fail if a built page has a raw table, loads something from elsewhere, or lacks a public name."""
+    if exception is not None or app.builder.name != "html":
+        return
+    import tumble
+
+    faults = []
+    for path in sorted(Path(app.outdir).rglob("*.html")):
+        text = path.read_text(encoding="utf-8")
+        shown = re.sub(r"<(pre|code)\b.*?</\1>", "", text, flags=re.S)
+        faults += [f"{path.name}: raw text {found[0]!r}" for found in RAW.finditer(shown)]
+        faults += [f"{path.name}: loaded from elsewhere, {found[0]!r}" for found in LOADED.finditer(text)]
+    described = (Path(app.outdir) / "reference/api.html").read_text(encoding="utf-8")
+    names = sorted(set(tumble.__all__) - {"__version__"})
+    faults += [f"api.html: {name} is not described" for name in names if f'id="tumble.{name}"' not in described]
+    if faults:
+        raise SphinxError("\n".join(faults))
+
+
 def setup(app: Sphinx) -> ExtensionMetadata:
     """Register all of it."""
     app.add_html_math_renderer("mathml", (visit_inline, None), (visit_block, None))
     app.config.html_math_renderer = "mathml"
     app.connect("autodoc-process-docstring", moduli, priority=1000)
     app.connect("autodoc-process-signature", shortened)
+    app.connect("build-finished", checked)
     app.add_directive("made", Made)
     app.add_directive("public", Public)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
