@@ -28,7 +28,7 @@ lint: .venv/test
 	$(BIN)/lint-imports
 
 docs: .venv/test
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	$(BIN)/sphinx-build -q -E -W -n --keep-going docs site
 	@echo "site/index.html"
 
 kernels: .venv/test

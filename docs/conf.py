@@ -34,7 +34,8 @@ suppress_warnings = ["myst.header"]  # README and changelog are included below a
 default_role = "code"  # in docstrings single backticks are code
 autodoc_preserve_defaults = True
 autodoc_member_order = "bysource"
-autodoc_typehints = "none"  # types are in the signatures of `tumble/__init__.pyi`; sections of docstrings say them in words
+autodoc_typehints = "none"  # the sections of docstrings say types in words
+highlight_language = "text"
 numpydoc_show_class_members = False
 numpydoc_xref_param_type = False
 

@@ -61,7 +61,7 @@ def command_section(path: tuple[str, ...], command: click.Command) -> str:
 
 
 def paragraphs(text: str) -> str:
-    """The description of a command; words in capitals are its arguments, what is in double quotes or has dashes code."""
+    """The description of a command, paragraph by paragraph."""
     plain = re.sub(r"\n *\b\n", "\n", text.replace("\b", "")).strip()
     return "\n\n".join(literal(" ".join(part.split())) for part in re.split(r"\n\s*\n", plain))
 
@@ -101,23 +101,17 @@ def grades() -> str:
     from tumble.units import G_STANDARD
     from tumble.views.numbers import in_engineering
 
-    rows = []
+    rows, white = [], []
     for name, grade in GRADES.items():
-        noise = grade.noise
-        sizes = [
-            *((value, unit) for value, unit in zip(
-                (grade.accel.bias, grade.accel.scale, grade.accel.axis, noise.accel_instability),
-                ("m/s^2", "1", "rad", "m/s^2"), strict=True)),
-            *((value, unit) for value, unit in zip(
-                (grade.gyro.bias, grade.gyro.scale, grade.gyro.axis, noise.gyro_instability),
-                ("rad/s", "1", "rad", "rad/s"), strict=True)),
-        ]  # fmt: skip
+        noise, accel, gyro = grade.noise, grade.accel, grade.gyro
+        sizes = (
+            (accel.bias, "m/s^2"), (accel.scale, "1"), (accel.axis, "rad"), (noise.accel_instability, "m/s^2"),
+            (gyro.bias, "rad/s"), (gyro.scale, "1"), (gyro.axis, "rad"), (noise.gyro_instability, "rad/s"),
+        )  # fmt: skip
         rows.append([name, *(in_engineering(unit, value, 2) for value, unit in sizes)])
+        densities = 1e6 * noise.accel_white / G_STANDARD, 60.0 * np.degrees(noise.gyro_white)
+        white.append([name, f"{densities[0]:.3g} µg/√Hz", f"{densities[1]:.3g} °/√h"])
     head = ["grade", "accel. bias", "scale", "axes", "in-run", "gyro bias", "scale", "axes", "in-run"]
-    white = [
-        [name, f"{1e6 * grade.noise.accel_white / G_STANDARD:.3g} µg/√Hz", f"{60 * np.degrees(grade.noise.gyro_white):.3g} °/√h"]
-        for name, grade in GRADES.items()
-    ]
     return table(head, rows) + "\n\n" + table(["grade", "white noise, accelerometers", "gyros"], white)
 
 
@@ -141,17 +135,18 @@ def usual(group: Any, grade: str) -> str:
     if not value:
         return "–"
     size, unit = coarsest(group.shown, value) if group.shown else engineering(group.unit, value)
-    return f"{value / size:.2g} {unit}" if value / size < 100.0 else f"{value / size:.0f} {unit}"
+    digits = ".0f" if value / size >= 100.0 else ".2g"
+    return f"{value / size:{digits}}\N{NO-BREAK SPACE}{unit}"
 
 
 def thresholds() -> str:
     """The thresholds of the reduction: value, meaning, reason."""
     from tumble.reduction.blocks.tuning import USUAL
 
-    rows = [
-        [f"`{each.name}`", "{value:.3g} {unit}".format(**each.metadata).strip(), each.metadata["words"], each.metadata["why"]]
-        for each in fields(USUAL)
-    ]
+    rows = []
+    for each in fields(USUAL):
+        value = "{value:.3g} {unit}".format(**each.metadata).strip()
+        rows.append([f"`{each.name}`", value, each.metadata["words"], each.metadata["why"]])
     return table(["threshold", "value", "meaning", "reason"], rows)
 
 

@@ -28,7 +28,7 @@ from typing import Any, cast
 import numpy as np
 
 from evidence import programs as benchmark
-from evidence.run import JUDGES, RESULTS, Results
+from evidence.run import RESULTS, Results
 from evidence.score import GROUPS, USABLE, Row, Score, as_expected, by, score_of
 from evidence.simulated.kinds import KINDS, Kind, seed_of
 
@@ -225,7 +225,7 @@ def useless_table(results: Results, kinds: Sequence[Kind]) -> str:
     for program, rows in by(results.rows, "program").items():
         able = useless(rows, expected)
         lines.append([program, f"{len(able)}", f"{sum(row.verdict == 'accepted' for row in able)}"])
-    return table(["program", "N", "calibrated without a word"], lines)
+    return table(["program", "N", "calibrated without a remark"], lines)
 
 
 def useless(rows: Sequence[Row], expected: Mapping[str, str]) -> list[Row]:

@@ -49,7 +49,7 @@ def test_the_sdist_holds_what_its_tests_need(tmp_path: Path) -> None:
     for folder in ("src", "tests", "docs", "studies", "benchmarks"):
         here = {path.relative_to(ROOT).as_posix() for path in (ROOT / folder).rglob("*.py")}
         assert here <= names, f"{folder}: {sorted(here - names)}"
-    assert {"pyproject.toml", "mkdocs.yml", "README.md", "CHANGELOG.md", "LICENSE", "CITATION.cff", "Makefile"} <= names
+    assert {"pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE", "CITATION.cff", "Makefile"} <= names
     assert "hatch_build.py" in names
     assert not [name for name in names if "__pycache__" in name or name.startswith("dist/") or name.endswith(".so")]
 
