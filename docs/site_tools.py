@@ -124,8 +124,8 @@ def shortened(
     return signature, returned
 
 
-RAW = re.compile(r"\|\s*:?-{3,}|<p>\s*\||&lt;!-- ")
-"""What a built page has where a table or a comment of its source was not understood."""
+RAW = re.compile(r"\|\s*:?[-–—]+:?\s*\||^(?:[ \t]|<\w+>)*\|.*\|(?:[ \t]|</\w+>)*$|&lt;!-- ", re.M)
+"""What a built page has where a table or a comment of its source was not understood (dashes become long ones)."""
 LOADED = re.compile(r"""<(?:script|img|iframe|link)\b[^>]*?(?:src|href)=["']?(?:https?:)?//""")
 
 
