@@ -239,7 +239,12 @@ def departures() -> str:
 
 
 def exports() -> str:
-    """A line for each export format, as the program lists them."""
-    from tumble.export import FORMATS
+    """The exports that are templates: what they are for, their formula and its source."""
+    from tumble.export import TEMPLATES
+    from tumble.export.templates import read_template
 
-    return table(["format"], [[f"`{name}`"] for name in FORMATS])
+    rows = []
+    for path in sorted(TEMPLATES.glob("*.tmpl")):
+        front = read_template(path, path.stem).front
+        rows.append([f"`{path.stem}`", front.about, front.formula, front.source])
+    return table(["`--to`", "for", "formula", "source"], rows)
