@@ -17,8 +17,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from tests.support.staged import staged
 from tumble.inference.joint import joint
-from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes, programme
 from tumble.reduction.observations import Observations

@@ -1,7 +1,7 @@
 """The paper's accuracy formulas: what errors of table, mounting and sensors do to each estimate, one function each.
 
 They are numbered as in Vodicheva & Parysheva (Giroskopiya i Navigatsiya 27, 2(105), 2019), with the corrections of the
-turntable method (§ are its sections). The program does without them: its budget differentiates the methods themselves
+turntable method (§ are its sections). The program differentiates the methods themselves instead
 (`tumble.planning.error_propagation`). Here they are held against simulations and the published numbers
 (tests/planning/test_accuracy.py, studies/formulas_against_simulation.py).
 

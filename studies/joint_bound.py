@@ -21,6 +21,7 @@ import numpy as np
 from formulas_against_simulation import DEVICE
 from stored import shown, store
 
+from tests.support.staged import staged
 from tumble.inference.estimate import Estimate
 from tumble.inference.fits import TOTAL
 from tumble.inference.hyperparameters import Components
@@ -30,9 +31,7 @@ from tumble.inference.linearisation import linearise
 from tumble.inference.step import solve
 from tumble.inference.turns_about import TurnsAbout
 from tumble.methods.paper.four_stages import scalar, sequential
-from tumble.methods.staged import staged
-from tumble.planning.budget import GROUPS
-from tumble.planning.setup import Setup
+from tumble.planning.setup import GROUPS, Setup
 from tumble.reduction.observations import Observations
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import Scenario, itinerary, scenario_of

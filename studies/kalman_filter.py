@@ -33,10 +33,10 @@ from itertools import pairwise
 import numpy as np
 from paper_device import INSTABILITY
 
+from tests.support.staged import staged
 from tumble.earth import earth_rate
 from tumble.inference.joint import joint
 from tumble.methods.paper.gyros import triad
-from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.recording.session import Site

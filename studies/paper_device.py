@@ -154,7 +154,7 @@ def rotations(launches: simulation.Launches, gyro: SensorModel) -> Array:
     T = len(launches.truth)
     matrix, bias = np.broadcast_to(gyro.matrix, (T, 3, 3)), np.broadcast_to(gyro.bias, (T, 3))
     found = simulation.Found(S_a=matrix, b_a=bias, S_g=matrix, b_g=bias)
-    return simulation.integrated(launches, found, with_columns=False)[0]
+    return simulation.integrated(launches, found)
 
 
 def values_of(accel: SensorModel, gyro: SensorModel) -> Array:

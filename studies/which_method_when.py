@@ -29,8 +29,7 @@ from tumble.campaigns.engine import run
 from tumble.campaigns.summary import SummaryLine, summary
 from tumble.campaigns.trial import stream
 from tumble.documents import validated
-from tumble.planning.budget import GROUPS, UNITS
-from tumble.planning.setup import Setup
+from tumble.planning.setup import GROUPS, UNITS, Setup
 from tumble.run.calibrate import ITERATED_METHODS, METHODS
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import scenario_of

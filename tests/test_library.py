@@ -135,7 +135,6 @@ def test_type_checkers_see_the_names_where_they_are() -> None:
 
 CALLS = {
     "apply": "apply_to_session",
-    "budget": "budget",
     "calibrate": "calibrate_launches",
     "campaign": "campaign",
     "check": "check_calibration",
@@ -151,7 +150,6 @@ CALLS = {
     "programme": "programme_of",
     "registry": "open_registry",
     "report": "write_report",
-    "require": "require",
     "selftest": "run_selftest",
     "simulate": "simulate_session",
     "upload": "upload",
@@ -393,7 +391,7 @@ def test_errors_name_arguments_to_callers_and_options_at_the_command_line() -> N
 
 
 def test_results_show_themselves_in_a_line(calibration: tumble.Calibration) -> None:
-    for result in (calibration, tumble.Setup.of(), tumble.budget(tumble.Setup.of()), calibration.outcome):
+    for result in (calibration, tumble.Setup.of(), tumble.plan(tumble.Setup.of()), calibration.outcome):
         assert len(repr(result)) < 700
 
 

@@ -41,14 +41,8 @@ from tumble.lab.type_spread import KnownLaunches as KnownLaunches
 from tumble.lab.type_spread import TypeSpread as TypeSpread
 from tumble.methods.ellipsoid_fit import EllipsoidFit as EllipsoidFit
 from tumble.methods.ellipsoid_fit import fit_ellipsoid as fit_ellipsoid
-from tumble.planning.best_positions import PlanResult as PlanResult
-from tumble.planning.best_positions import plan as plan
-from tumble.planning.bounds import Bound as Bound
-from tumble.planning.bounds import bound as bound
-from tumble.planning.budget import Budget as Budget
-from tumble.planning.budget import budget as budget
-from tumble.planning.requirements import Requirements as Requirements
-from tumble.planning.requirements import require as require
+from tumble.planning.plan import Plan as Plan
+from tumble.planning.plan import plan as plan
 from tumble.planning.setup import Setup as Setup
 from tumble.programme.positions import Programme as Programme
 from tumble.programme.positions import programme_of as programme_of

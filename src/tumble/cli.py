@@ -73,9 +73,7 @@ COMMANDS: Mapping[str, str] = {
         "recordings.new recordings.inspect calibrate.calibrate calibrate.ellipsoid results.verify results.check "
         "results.watch results.compare results.apply results.mission recordings.noise recordings.bench"
     ),
-    "Before anything is recorded": (
-        "planning.programme planning.plan planning.budget planning.require planning.simulate"
-    ),
+    "Before anything is recorded": ("planning.programme planning.plan planning.simulate"),
     "To pass on and to keep": "passing_on.report passing_on.export passing_on.upload registry.registry",
     "Many at once": "many.campaign many.fleet",
     "This installation": "passing_on.selftest",

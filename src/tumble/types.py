@@ -22,12 +22,10 @@ from tumble.lab.selftest import SelftestRecord as SelftestRecord
 from tumble.lab.type_spread import KnownLaunches as KnownLaunches
 from tumble.methods.ellipsoid_fit import WorstPosition as WorstPosition
 from tumble.methods.field_check import CheckResult as CheckResult
-from tumble.planning.best_positions import Aim as Aim
-from tumble.planning.best_positions import Compared as Compared
-from tumble.planning.best_positions import Next as Next
-from tumble.planning.budget import BudgetRow as BudgetRow
-from tumble.planning.reachable_attitudes import TurnTable as TurnTable
-from tumble.planning.requirements import Requirement as Requirement
+from tumble.planning.next_positions import NextPosition as NextPosition
+from tumble.planning.next_positions import TurnTable as TurnTable
+from tumble.planning.plan import PlannedGroup as PlannedGroup
+from tumble.planning.plan import Requirement as Requirement
 from tumble.programme.positions import Move as Move
 from tumble.programme.positions import Position as Position
 from tumble.recording.log_source import LogSource as LogSource

@@ -1,4 +1,4 @@
-"""The commands that plan a calibration: tumble programme, budget and require."""
+"""The commands before a calibration: tumble programme and plan."""
 
 from __future__ import annotations
 
@@ -65,94 +65,23 @@ def test_a_programme_that_does_not_exist_is_refused(arguments: tuple[str, ...]) 
     assert len(result.stderr.strip().splitlines()) == 1
 
 
-def test_the_budget_has_a_row_for_every_method_pass_and_group() -> None:
-    result = run("budget", "--grade", "navigation", "--terms", "linear")
-    assert result.exit_code == 0, result.stderr
-    rows = [line.split()[:3] for line in result.stdout.splitlines()[1:] if line.strip()]
-    assert len({tuple(row) for row in rows}) == (1 + 3 * 2) * 6
-
-
-def test_the_budget_is_that_of_the_default_method_with_all_terms() -> None:
-    result = run("budget", "--json")
-    rows = json.loads(result.stdout)["rows"]
-    assert {row["method"] for row in rows} == {"joint"}
-    assert [row["error"] for row in rows] == [row["bound"] for row in rows]
-    assert next(row for row in rows if row["group"] == "accel.scale")["error"] == pytest.approx(5.07e-6, rel=0.01)
-
-
 def test_a_better_table_makes_the_first_pass_of_the_sequential_method_better() -> None:
+    words = ("plan", "--method", "sequential", "--iterations", "1", "--noiseless", "--json")
     rough, fine = (
-        run(
-            "budget",
-            "--method",
-            "sequential",
-            "--iterations",
-            "1",
-            "--noiseless",
-            "--table-error",
-            e,
-            "--mounting-error",
-            e,
-        )
-        for e in ("2", "0.2")
+        json.loads(run(*words, "--table-error", e, "--mounting-error", e).stdout)["groups"] for e in ("2", "0.2")
     )
-    share = [
-        float(next(line for line in r.stdout.splitlines() if "accel.scale" in line).split("%")[0].split()[-1])
-        for r in (rough, fine)
-    ]
-    assert share[0] == pytest.approx(10.0 * share[1], rel=0.1)
+    assert rough[1]["group"] == "accel.scale"
+    assert rough[1]["u"] == pytest.approx(10.0 * fine[1]["u"], rel=0.1)
 
 
-def test_what_no_table_can_give_is_named_with_exit_status_1() -> None:
-    wanted = ("--want", "accel.scale=3ppm")
-    result = run("require", *wanted, "--want", "gyro.bias=0.0001 °/h", "--method", "sequential")
-    assert result.exit_code == 1
-    assert "no table" in result.stdout
-    assert "instability" in result.stdout
-    feasible = run("require", *wanted, "--method", "sequential")
-    assert feasible.exit_code == 0
-    assert "table within ±" in feasible.stdout
-    default = run("require", *wanted)
-    assert default.exit_code == 1
-    assert "expected an accuracy of at least 4." in default.stdout
-
-
-@pytest.mark.parametrize(
-    "arguments", [(), ("--want", "accel.scale"), ("--want", "accel.scael=1ppm"), ("--relative", "-1")]
-)
-def test_a_requirement_that_cannot_be_read_is_refused(arguments: tuple[str, ...]) -> None:
-    result = run("require", *arguments)
-    assert result.exit_code == 2
-    assert len(result.stderr.strip().splitlines()) == 1
-
-
-def test_plans_and_requirements_are_data_too() -> None:
-    plan = json.loads(run("plan", "--grade", "mems", "--json").stdout)
-    assert plan["bound"]["rank"] == plan["bound"]["of"] == len(plan["parameters"]) == 21
-    assert all(p["u"] <= p["u_with_all_groups"] * 2.0 for p in plan["parameters"])
-    assert plan["positions"][1]["turn"]["angle"] == pytest.approx(np.pi)
-    budget = json.loads(run("budget", "--grade", "mems", "--method", "staged", "--json").stdout)
-    assert {row["method"] for row in budget["rows"]} == {"staged"}
-    assert all(row["bound"] < row["error"] * 1.5 for row in budget["rows"])
-    require = json.loads(run("require", "--want", "accel.scale=100ppm", "--grade", "mems", "--json").stdout)
-    assert require["verdict"] == require["rows"][0]["verdict"] == "accepted"
-    assert require["rows"][0]["wanted"] == pytest.approx(1e-4)
-
-
-def test_plans_over_temperature_are_data_too() -> None:
-    words = "plan --grade mems --programme rough-table --over-temperature -20/4,20,60 --want accel.bias=1ug --json"
-    result = run(*words.split())
-    plan = json.loads(result.stdout)
-    assert result.exit_code == 1
-    assert plan["reasons"][0].startswith("accel.bias: expected 1 µg (rms) from -20.0 to 60.0 °C".replace("-", "−"))
-    assert [(each["name"], each["rests"]) for each in plan["recordings"]] == [("-20/4", 4), ("20", 15), ("60", 15)]
-    assert plan["duration"] == pytest.approx(
-        sum(each[part] for each in plan["recordings"] for part in ("change", "soak", "recording"))
-    )
-    of = {p["name"]: p for p in plan["parameters"]}
-    assert of["accel.bias.x.t1"]["unit"] == "m/s^2/K"
-    assert of["accel.bias.x"]["u"] < min(of["accel.bias.x"]["u_low"], of["accel.bias.x"]["u_high"])
-    assert plan["recordings"][0]["alone"]["gyro.scale"] is None
+def test_plans_are_data() -> None:
+    plan = json.loads(run("plan", "--grade", "mems", "--want", "accel.scale=300ppm", "--json").stdout)
+    assert plan["verdict"] == "accepted"
+    assert plan["rank"] == 21
+    assert plan["setup"]["programme"]["moves"][0]["angle"] == pytest.approx(np.pi)
+    assert plan["requirements"][0]["wanted"] == pytest.approx(3e-4)
+    assert plan["requirements"][0]["rest"] > 0.0
+    assert len(plan["following"]) == 5
 
 
 class Terminal(io.StringIO):

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.staged import estimate_accelerometers
 from tumble.diagnosis.linear_model import moved_by
 from tumble.methods.ellipsoid import ellipsoid
-from tumble.methods.staged import estimate_accelerometers
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
@@ -66,7 +66,7 @@ def test_a_group_left_out_moves_the_fit_by_as_much_as_is_said(observed: Observat
 def test_the_paper_s_methods_do_not_accept_in_silence_what_is_not_linear(tmp_path: Path) -> None:
     """Quadratic terms and g-sensitivity of usual size: the turns contradict 21 parameters, and their size is said."""
     folder = simulate_session(tmp_path / "whole", Setup.of(grade="navigation", sample_rate=20.0, terms="full"), seed=2)
-    for method in ("staged", "sequential"):
+    for method in ("scalar", "sequential"):
         found = calibrate(folder, method=method)
         assert found.outcome.verdict != "accepted"
         assert all(said.startswith("by the method joint, ") for said in found.outcome.remarks)
@@ -98,7 +98,7 @@ def test_the_ellipsoid_method_has_in_u_what_it_leaves_out() -> None:
 def test_a_linear_instrument_is_accepted_by_all_of_them(tmp_path: Path) -> None:
     """The note stands: nothing in a session tells a bias from what is quadratic with faces up and down alone."""
     folder = simulate_session(tmp_path / "linear", Setup.of(grade="navigation", sample_rate=20.0), seed=3)
-    for method in ("staged", "scalar", "ellipsoid"):
+    for method in ("sequential", "scalar", "ellipsoid"):
         found = calibrate(folder, method=method, terms="linear")
         assert found.outcome.verdict == "accepted"
         assert any(note.startswith("not in the model: quadratic") for note in found.notes)

@@ -27,10 +27,10 @@ from tests.methods.test_staged import (
     unit,
 )
 from tests.support.paper_variants import angle_astride
+from tests.support.staged import staged
 from tumble.earth import earth_rate
 from tumble.methods.paper.accelerometers import angle_between, bias_and_scale
 from tumble.methods.paper.gyros import triad
-from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.run.calibrate import calibrate

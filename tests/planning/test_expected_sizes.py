@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.formula_setup import bound
 from tumble.inference.joint import joint
-from tumble.planning.bounds import bound, stated
+from tumble.planning.bounds import stated
 from tumble.planning.expected_sizes import _expected_scatter, _expected_size
 from tumble.planning.setup import Setup
 from tumble.recording.session import USUAL_CLOCK_U
@@ -35,12 +36,12 @@ def test_a_group_is_expected_no_smaller_than_usual_and_no_larger_than_its_prior(
 ) -> None:
     """Half of the prior of λ² is 1, the other half e^{2|z|} with z of the standard deviation ln k, cut off at four."""
     within, sizes = np.log(too_small), np.full(3, usual)
-    found = _expected_size(sizes, (1.0 - learned) * sizes[None] ** 2, within)
+    found = _expected_size(sizes, (1.0 - learned) * sizes**2, within)
     p = np.linspace(0.0, 4.0, 4001)
     prior = np.average(np.exp(2.0 * within * p), weights=np.exp(-0.5 * p**2))
     assert np.all(found >= 1.0 - 1e-6)
     assert np.all(found**2 <= (0.5 + 0.5 * prior) * 1.02)
-    np.testing.assert_allclose(_expected_size(sizes, sizes[None] ** 2, within) ** 2, 0.5 + 0.5 * prior, rtol=0.02)
+    np.testing.assert_allclose(_expected_size(sizes, sizes**2, within) ** 2, 0.5 + 0.5 * prior, rtol=0.02)
 
 
 @pytest.mark.parametrize("grade", ["mems", "navigation"])

@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.formula_setup import bound_of
 from tumble.earth import earth_rate
 from tumble.inference.hyperparameters import CORRELATION_TIME
-from tumble.planning.bounds import bound_of
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.setup import Setup
 from tumble.rotation import axes_matrix, rotation_matrix, rotation_vector
@@ -177,8 +177,7 @@ def cross(v: Array) -> Array:
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
-@pytest.mark.parametrize("grade", ["navigation", "mems"])
-@pytest.mark.parametrize("velocity", [False, True], ids=["linear", "with velocities"])
+@pytest.mark.parametrize(("grade", "velocity"), [("navigation", False), ("mems", True)])
 def test_the_bound_is_the_inverse_of_the_dense_information(grade: str, velocity: bool) -> None:
     """To 2 % of every u, with in-run instability as documented."""
     setup = Setup.of(grade=grade, programme="rough-table", gravity_u=0.0)

@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from tests.support.staged import staged
 from tumble.cli import main
 from tumble.errors import InputError
-from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.programme.positions import BUILT_IN, attitude, from_attitudes, programme
 from tumble.reduction.observations import Observations

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tumble.inference.joint import joint
-from tumble.planning.bounds import bound
+from tumble.planning.plan import plan
 from tumble.planning.setup import Setup
 from tumble.result.calibration import read_calibration
 from tumble.run.calibrate import calibrate
@@ -87,12 +87,11 @@ def test_it_is_estimated() -> None:
     assert finding.prior == SIZE
 
 
-def test_it_is_in_the_bound() -> None:
-    found = bound(Setup.of(programme="cube-26", terms="full"))
-    assert set(NAMES) < set(found.names)
-    finding = next(one for one in found.further if one.name == NAME)
-    assert min(finding.learned) > 0.9
-    assert found.rms(NAME) < 0.2 * SIZE
+def test_it_is_planned() -> None:
+    found = plan(Setup.of(programme="cube-26")).group(NAME)
+    assert tuple(found.parameters) == tuple(NAMES)
+    assert found.spread == SIZE
+    assert found.u < 0.2 * SIZE
 
 
 def test_it_is_in_file_table_and_report(tmp_path: Path) -> None:

@@ -14,8 +14,6 @@ import numpy as np
 import numpy.typing as npt
 import polars as pl
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tumble.earth import earth_rate, normal_gravity
 from tumble.errors import InputError
@@ -26,7 +24,7 @@ from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import GRADES, NoiseModel
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
-from tumble.simulation.scenario import Scenario, Vibration, draw_parameters, itinerary, scenario_of
+from tumble.simulation.scenario import Scenario, Vibration, draw_parameters, itinerary
 from tumble.simulation.session import simulate_session, vibration_of, write_simulation
 from tumble.units import DEGREE, Array
 
@@ -164,9 +162,9 @@ def test_samples_are_means_over_their_intervals(setup: Setup, vibration: Vibrati
     made = scenario(setup, vibration=vibration, perfect=True)
     found = run(made)
     fs = setup.sample_rate
-    for i in (0, 3):
+    for i in (3,):
         first, last = math.floor(found.rests[i, 1] * fs), math.floor(found.rests[i + 1, 0] * fs)
-        for sample in (first, first + 1, (first + last) // 2, last - 1, last):
+        for sample in (first, (first + last) // 2, last):
             force, rate = fine_means(made, found, i, sample)
             np.testing.assert_allclose(found.accel[sample], force, atol=1e-11)
             np.testing.assert_allclose(found.gyro[sample], rate, atol=1e-11)
@@ -237,7 +235,7 @@ def test_closure_would_show_a_microradian_of_latitude() -> None:
 # -------------------- the course --------------------
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_gyros_see_programmed_turns_in_the_programmed_direction(seed: int) -> None:
     """Lᵀn is constant in a turn about n, so the integral of the body rate gives the signed angle."""
     made = scenario(replace(SHORT, sample_rate=20.0), perfect=True)
@@ -253,7 +251,7 @@ def test_gyros_see_programmed_turns_in_the_programmed_direction(seed: int) -> No
 
 
 def test_turns_beyond_180_degrees_go_on_in_their_direction() -> None:
-    moves = np.array([run(scenario(), seed).moves[0] for seed in range(40)])
+    moves = np.array([itinerary(scenario(), np.random.default_rng(seed)).moves[0] for seed in range(40)])
     angles = np.linalg.norm(moves, axis=1)
     assert (moves[:, 0] > 0.0).all()
     assert 10 <= (angles > math.pi).sum() <= 30
@@ -284,24 +282,12 @@ def test_a_cube_stands_in_any_order_and_azimuth() -> None:
 
 
 def test_hand_held_positions_have_any_orientation() -> None:
-    found = run(scenario(replace(SHORT, by_hand=400, sample_rate=5.0)))
+    found = itinerary(scenario(replace(SHORT, by_hand=400)), np.random.default_rng(1))
     for axis in range(3):  # each component of a random direction is uniform on −1…1: mean 0, variance 1/3
         u = found.attitudes[:, 1, axis]
         assert abs(u.mean()) < 5 * math.sqrt(1 / 3 / 400)
         assert abs((u**2).mean() - 1 / 3) < 5 * math.sqrt(4 / 45 / 400)
     assert np.linalg.norm(found.moves, axis=1).max() <= math.pi
-
-
-@given(st.lists(st.floats(-math.pi / 3**0.5, math.pi / 3**0.5), min_size=3, max_size=3))
-def test_rotation_vectors_are_recovered_up_to_half_a_turn(vector: list[float]) -> None:
-    np.testing.assert_allclose(rotation_vector(rotation_matrix(np.array(vector))), vector, atol=1e-14)
-
-
-@pytest.mark.parametrize("off", [0.0, 1e-15, 1e-12, 1e-8, 1e-4])
-def test_rotation_vectors_are_accurate_near_half_a_turn(off: float) -> None:
-    axis = np.array([0.36, -0.48, 0.8])
-    found = rotation_vector(rotation_matrix((math.pi - off) * axis))
-    assert min(np.linalg.norm(found - (math.pi - off) * s * axis) for s in (1, -1)) < 5e-15
 
 
 def test_rests_last_as_long_as_asked_and_moves_as_their_angles_need() -> None:
@@ -338,16 +324,16 @@ def test_white_noise_has_its_density() -> None:
 
 def test_instability_without_a_correlation_time_is_a_bias_for_a_rest_and_the_move_after_it() -> None:
     noise = NoiseModel(accel_instability=2e-3, gyro_instability=3e-4, instability_time=0.0)
-    made = scenario(replace(SHORT, by_hand=300, sample_rate=5.0, noise=noise))
+    made = scenario(replace(SHORT, by_hand=60, sample_rate=5.0, noise=noise))
     found, quiet = run(made), run(made.changed(noise=QUIET))
-    first = np.array([inside(found, i, 5.0).start for i in range(300)])
+    first = np.array([inside(found, i, 5.0).start for i in range(60)])
     for noisy, clean, sigma in ((found.accel, quiet.accel, 2e-3), (found.gyro, quiet.gyro, 3e-4)):
         drawn = (noisy - clean)[first]
         held = np.repeat(drawn, np.diff(np.append(first, len(noisy))), axis=0)
         np.testing.assert_allclose(noisy - clean, held, atol=1e-14)
         z = drawn / sigma
-        assert np.abs((z**2).mean(axis=0) - 1.0).max() < 5 * math.sqrt(2 / 300)
-        assert np.abs(z.mean(axis=0)).max() < 5 / math.sqrt(300)
+        assert np.abs((z**2).mean(axis=0) - 1.0).max() < 5 * math.sqrt(2 / 60)
+        assert np.abs(z.mean(axis=0)).max() < 5 / math.sqrt(60)
 
 
 def test_in_run_biases_stay_for_a_rest_and_go_straight_to_the_next() -> None:
@@ -375,14 +361,6 @@ def test_sessions_without_in_run_bias_do_not_depend_on_its_correlation_time() ->
     np.testing.assert_array_equal(first.gyro, second.gyro)
 
 
-def test_noise_leaves_attitudes_and_times_as_they_are() -> None:
-    noisy = run(scenario(replace(SHORT, noise=GRADES["mems"].noise)))
-    quiet = run(scenario())
-    np.testing.assert_array_equal(noisy.attitudes, quiet.attitudes)
-    np.testing.assert_array_equal(noisy.rests, quiet.rests)
-    assert np.abs(noisy.accel - quiet.accel).min(axis=0).max() > 0.0
-
-
 # -------------------- grades --------------------
 
 
@@ -396,17 +374,6 @@ def test_drawn_parameters_have_the_spreads_of_their_grade(grade: str) -> None:
             values = [v for d in draws for k, v in d.items() if k.startswith(f"{kind}.{what}")]
             spread = getattr(getattr(GRADES[grade], kind), what)
             assert abs(np.mean(np.square(values)) / spread**2 - 1.0) < 5 * math.sqrt(2 / len(values))
-
-
-def test_grades_go_from_the_best_to_the_worst() -> None:
-    for kind in ("accel", "gyro"):
-        for what in ("bias", "scale", "axis"):
-            spreads = [getattr(getattr(grade, kind), what) for grade in GRADES.values()]
-            assert spreads == sorted(spreads)
-        for what in ("white", "instability"):
-            levels = [getattr(grade.noise, f"{kind}_{what}") for grade in GRADES.values()]
-            assert levels == sorted(levels)
-            assert levels[0] > 0.0
 
 
 # -------------------- folders --------------------
@@ -501,26 +468,6 @@ def test_a_session_reads_back_as_the_scenario_it_was_made_of(tmp_path: Path) -> 
     assert session.gyro_block is not None
     assert session.accel_block.names + session.gyro_block.names == tuple(made.truth)
     np.testing.assert_allclose(session.accel_block.axes, TETRAD, rtol=1e-15)
-
-
-def test_a_request_is_met_in_its_own_units() -> None:
-    request = Setup.of(
-        rest=7.0,
-        rate_deg_s=30.0,
-        sample_rate=50.0,
-        table_error_deg=0.5,
-        mounting_error_deg=0.25,
-        latitude_deg=-30,
-    )
-    made = scenario_of(request, np.random.default_rng(0), serial="S")
-    rests = itinerary(made, np.random.default_rng(0)).rests
-    np.testing.assert_allclose(rests[:, 1] - rests[:, 0], 7.0, rtol=1e-12)
-    assert made.setup.sample_rate == 50.0
-    assert made.profile.rate == pytest.approx(math.pi / 6)
-    assert made.setup.table_error == pytest.approx(math.pi / 360)
-    assert made.setup.mounting_error == pytest.approx(math.pi / 720)
-    assert made.site.latitude == pytest.approx(-math.pi / 6)
-    assert made.setup.noise == GRADES["navigation"].noise
 
 
 # -------------------- bad input --------------------

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.staged import staged
 from tumble.inference.estimate import Estimate
 from tumble.inference.joint import joint
-from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.recording.session import Site

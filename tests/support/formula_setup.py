@@ -1,4 +1,4 @@
-"""What the tests of accuracy formulas, budget and requirements share: a set-up, and the nonlinear simulation.
+"""What the tests of plans and of accuracy formulas share: a set-up, the bound, and the nonlinear simulation.
 
 The simulation is that of `studies/formulas_against_simulation.py`: exact sensors and readings, TRIAD, integrated
 turns; it uses none of the formulas.
@@ -14,8 +14,10 @@ import numpy as np
 
 from tests.support import study
 from tumble.earth import normal_gravity
-from tumble.planning.budget import MEMBERS, pipeline_of
-from tumble.planning.setup import NAMES, Setup
+from tumble.planning.bounds import Bound, bound_by, view
+from tumble.planning.itinerary import Itinerary, itinerary_of
+from tumble.planning.pass_errors import PassErrors
+from tumble.planning.setup import MEMBERS, NAMES, Setup
 from tumble.programme.positions import programme
 from tumble.sensors.grades import NoiseModel, spread_of
 from tumble.units import ARCSEC, DEGREE
@@ -38,13 +40,23 @@ NINE = np.array([position.matrix for position in programme("nine").positions])
 SEED = 20190211
 
 
+def bound_of(course: Itinerary, setup: Setup, *, gyros: bool = True) -> Bound:
+    """The Cramér–Rao bound of a course: the covariance of the joint likelihood with known noise and time base."""
+    return bound_by(view(course, setup, gyros=gyros), setup.turn_rate)
+
+
+def bound(setup: Setup, *, gyros: bool = True) -> Bound:
+    """The same of the programme of a set-up."""
+    return bound_of(itinerary_of(setup), setup, gyros=gyros)
+
+
 def indirect_coefficients(setup: Setup) -> dict[str, tuple[float, float]]:
     """c₁ (per rad) and c₂ (per rad²) of "gyro.scale" and "gyro.axis": relative errors c₁ σ after the first pass of the
     indirect method with the programme's matrix and c₂ σ² after the second, when σ, rad, is the rms error per axis of
     the mounting and of the positions each, and accelerometers and gyro biases are perfect. §7.
 
     They depend on the ratio of scale-factor to axis errors in `setup.gyro`: axis angles suffer from scale factors."""
-    pipeline = pipeline_of(replace(setup, table_error=math.sqrt(3.0), mounting_error=math.sqrt(3.0)), "scalar")
+    pipeline = PassErrors.of(replace(setup, table_error=math.sqrt(3.0), mounting_error=math.sqrt(3.0)), "scalar")
     once, twice = pipeline.by_table + pipeline.by_mounting, pipeline.twice[2]
     out = {}
     for group in ("gyro.scale", "gyro.axis"):

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from tests.support.staged import staged
 from tumble.cli import main
 from tumble.errors import CalibrationError, InputError
 from tumble.inference.estimate import Estimate, Outcome
-from tumble.methods.staged import staged
 from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
 from tumble.recording.session import Site

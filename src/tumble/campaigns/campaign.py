@@ -5,7 +5,7 @@
     seed = 1
     trials = 200                 of every point of the grid
     [grid]                       a value, or a list of them; every combination is a point of the grid
-    method = ["staged", "scalar"]
+    method = ["joint", "scalar"]
     table_error_deg = [0.5, 1, 2]
 
 Trial i belongs to point i mod P of the P points, so that all are about equally far at any time. All methods of a trial

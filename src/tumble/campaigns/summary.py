@@ -207,7 +207,7 @@ def campaign(
 
     >>> import tumble
     >>> from pathlib import Path
-    >>> _ = Path("campaign.toml").write_text('seed = 1\\ntrials = 2\\n[grid]\\nmethod = "staged"\\ngrade = "mems"\\n')
+    >>> _ = Path("campaign.toml").write_text('seed = 1\\ntrials = 2\\n[grid]\\nmethod = "joint"\\ngrade = "mems"\\n')
     >>> tumble.campaign("campaign.toml", "results", serial=True).rows.name
     'rows.parquet'
     """

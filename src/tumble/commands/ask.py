@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from tumble.drafting.new_session import Given
     from tumble.lab.device_type import DeviceType
     from tumble.lab.registry.store.connect import Registry
-    from tumble.planning.error_propagation import BudgetedMethod
     from tumble.planning.setup import Setup
 
 _Command = Callable[..., None]
@@ -61,9 +60,7 @@ class Numbers(click.ParamType[tuple[Any, ...]]):
 PATH = _NamedPath(path_type=Path)
 FILE = _NamedPath(path_type=Path, dir_okay=False)
 FOLDER = _NamedPath(path_type=Path, file_okay=False)
-METHOD_NAMES = ["joint", "staged", "sequential", "scalar", "ellipsoid"]
-BUDGETED_METHODS: list[BudgetedMethod] = ["staged", "sequential", "scalar"]
-"""Methods whose errors are known before anything is measured."""
+METHOD_NAMES = ["joint", "sequential", "scalar", "ellipsoid"]
 NUMBERS = Numbers("numbers with commas between them")
 FRAMES = ["accelerometer", "case", "paper", "symmetric"]
 AS_JSON = "tumble.json"
@@ -123,11 +120,10 @@ def grade(default: str | None = usual_setup.GRADE, says: str = "") -> _Option:
     return option("--grade", f"navigation, tactical, mems or consumer{says}.", default, shell_complete=_grades_like)
 
 
-def terms(default: str | None = "linear") -> _Option:
+def terms(default: str) -> _Option:
     """The groups of parameters that the instrument has."""
     says = "Groups of parameters: all (full), or bias, scale factor and axis angles alone (linear)."
-    further = "" if default else " Default: full for joint, linear for the others."
-    return option("--terms", says + further, default, type=click.Choice(["full", "linear"]))
+    return option("--terms", says, default, type=click.Choice(["full", "linear"]))
 
 
 def frame(frames: list[str] = FRAMES) -> _Option:
@@ -197,24 +193,21 @@ PACE = together(
 )
 
 
-def setup(default_terms: str | None) -> _Option:
-    """The options that describe a set-up before anything is measured."""
-    return together(
-        programme("Built-in programme.", usual_setup.PROGRAMME),
-        grade(),
-        TABLE_ERROR,
-        MOUNTING_ERROR,
-        PACE,
-        SITE_LATITUDE,
-        GRAVITY,
-        option("--gravity-u", "Its uncertainty, m/s².", usual_setup.GRAVITY_U, type=float),
-        terms(default_terms),
-        NOISELESS,
-    )
+SETUP = together(
+    grade(),
+    TABLE_ERROR,
+    MOUNTING_ERROR,
+    PACE,
+    SITE_LATITUDE,
+    GRAVITY,
+    option("--gravity-u", "Its uncertainty, m/s².", usual_setup.GRAVITY_U, type=float),
+    NOISELESS,
+)
+"""What describes a set-up on a table before anything is measured."""
 
 
 def setup_of(options: dict[str, Any]) -> Setup:
-    """A set-up from the options of `setup` and of `simulate`, which leaves some out and has others."""
+    """A set-up from the options of SETUP, or of `simulate`, which leaves some out and has others."""
     from tumble.planning.setup import Setup
 
     named = {"turn_rate": "rate_deg_s", "table_error": "table_error_deg", "mounting_error": "mounting_error_deg"}

@@ -1,10 +1,9 @@
 """Ellipsoid method: the accelerometers alone, from the rest means of any log in any orientation, or a table of them.
 
 The rest means lie on an ellipsoid (`tumble.methods.ellipsoid_fit`); their covariances are the weights, and a scatter
-between rests is estimated on top. Where the rests are good this is stage 1 of the method `staged`, to a small part
-of u. What differs: it starts from the algebraic fit, not from nominal sensors, so that errors of any size are found;
-a bad rest is left out of the fit, and named, instead of bending it; positions that cannot determine all nine
-parameters are refused as a whole. Gyros, turns, Earth's rate and programme are not used.
+between rests is estimated on top. The fit starts from the algebraic one, not from nominal sensors, so that errors of
+any size are found; a bad rest is left out of the fit, and named, instead of bending it; positions that cannot
+determine all nine parameters are refused as a whole. Gyros, turns, Earth's rate and programme are not used.
 
 Rests alone hardly tell a quadratic term from a bias. So groups beyond the linear model whose usual size is known are
 in the result as nothing within that size, and in the covariance (`tumble.diagnosis.linear_model`); the values of bias,
@@ -36,7 +35,7 @@ def ellipsoid(observations: Observations) -> Estimate:
     block, rests, site = observations.accel_block, observations.rests, observations.site
     if block.size != 3:
         raise InputError(
-            f"method ellipsoid: expected three accelerometers, found {block.size}; take the method staged, which also "
+            f"method ellipsoid: expected three accelerometers, found {block.size}; take the method joint, which also "
             "uses what they say of each other"
         )
     found = fit_ellipsoid(

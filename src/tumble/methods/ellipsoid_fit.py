@@ -13,8 +13,7 @@ The algebraic fit of Li & Griffiths gives the ellipsoid without a start (`quadri
 Geometric fit: least squares on |M⁻¹(y − b)| − m with the covariances of the readings as weights, Gauss–Newton from the
 algebraic fit. In programmes that surround the sphere it changes the values by a hundredth of their uncertainties; it is
 there for weights, robustness and covariance. Of n sensors a reading says n − 2 things, y − b − m M t/|t| with the two
-directions projected out in which t may turn (`sphere_rows`); for a triad that is the same. The method `staged` has its
-accelerometers from these rows.
+directions projected out in which t may turn (`sphere_rows`); for a triad that is the same.
 
 Readings one after another of a triad that is waved about err alike in neighbours, by noise with a memory and by what
 the model does not have, so that their number says nothing of u. Whole blocks of them are then left out in turn (the

@@ -1,33 +1,26 @@
-"""The best a programme allows: the Cramér–Rao bound of the joint likelihood, before anything is measured.
+"""What `calibrate` will state of a recording that has not been made: the one answer for every question of planning.
 
-The rows are those of `tumble.inference.likelihood`, taken at perfect sensors and at the attitudes of the programme,
-which are eliminated: so the bound is the covariance that `joint` would state for an exact programme if it knew the
-noise. What a log has of it: the rests, with white noise, the moves between them, all of which the log has, and in-run
-instability, the standard deviation of a Gauss–Markov process (`tumble.inference.in_run`) that is the bias of a sensor;
-what is said of a bias is said of its mean over the session. A move goes about one axis at a constant rate; the body
-turns about a fixed axis in inertial space (`tumble.planning.steady_turns`). Errors of table and mounting are not in the
-bound: the attitudes are unknowns, and where they are a degree or two off it changes by parts of a thousand.
+The rows are those of `tumble.inference.likelihood`, linearised at perfect sensors and at the attitudes of the
+programme, which are unknowns and are eliminated. With the white noise of the instrument, with its in-run biases as
+Gauss–Markov processes (`tumble.inference.in_run`), of which a bias is the mean over the session, and with the usual
+sizes of the groups beyond the linear model as priors, the covariance is the Cramér–Rao bound of the joint likelihood.
+`stated` adds what `calibrate` does not know of a recording:
 
-What `calibrate` will state (`stated`) is more: it does not know the noise nor how large further groups are in this
-instrument (`tumble.planning.expected_sizes`), it has the time base of the log, and of this the ends of the rests belong
-to the turns.
+* the noise and the sizes of groups in this instrument (`tumble.planning.expected_sizes`);
+* the time base, which is common to all gyro scale factors;
+* where the rests end: the segmentation leaves their margins to the turns.
 
-Other units of the device's type may say what is usual of a parameter instead (`TypePrior`): then `calibrate` has them
-beside the recording, and how large the groups are need not be found out.
+All moves between rests are in the log, about one axis each at a constant rate (`tumble.planning.steady_turns`). Errors
+of table and mounting are not in the answer, as the attitudes are unknowns: a degree changes it by parts of a thousand.
 
-Groups of parameters beyond the linear model (`Setup.further`) have priors, the spreads of the set-up. What is said of
-combinations is said of the linear parameters, whatever the others are within their priors; of a group, what the
-programme finds out about it: the learned fraction 1 − u²/s² of each parameter, s being its prior.
-
-How well the parameters are seen together is judged in natural units, biases as parts of gravity and of the rate of the
-turns, scale-factor errors as they are, angles in rad: `condition` is that of the whitened Jacobian, `worst` the
-combination of unit length that is determined worst. For accelerometers alone that is the matrix H of Eq. (13).
+Sources. With C the covariance and Σ_i W_iᵀW_i its inverse, the information of each source i, the part of source i is
+C W_iᵀW_i C, and the parts add up to C. A prior of size s of parameter j is W = e_jᵀ/s.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -36,19 +29,18 @@ from tumble.brief import Brief
 from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.inference.elimination import fold
-from tumble.inference.estimate import GroupFinding
 from tumble.inference.hyperparameters import Components
 from tumble.inference.in_run import InRun, mean_along
 from tumble.inference.likelihood import Linearised, Point, Problem
 from tumble.inference.linearisation import linearised
 from tumble.inference.sources import by_time_base, clocked
-from tumble.inference.step import joining, tell, whitened_rows, with_own
-from tumble.inference.turns_about import TurnsAbout, own_axes, warms
+from tumble.inference.step import joining, tell, whitened_rows
+from tumble.inference.turns_about import TurnsAbout
 from tumble.methods.least_squares import least_squares
 from tumble.planning.expected_sizes import expected
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.setup import ACCEL, GYRO, Setup, check_setup
-from tumble.planning.steady_turns import inertial_turns, steady_moments, white_turns
+from tumble.planning.steady_turns import inertial_turns, steady_samples, white_turns
 from tumble.recording.session import Site
 from tumble.reduction.blocks.tuning import USUAL
 from tumble.reduction.observations import Observations
@@ -59,31 +51,33 @@ from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import positions_by_group
 from tumble.units import Array, BoolArray
 
+NOISE, GRAVITY, CLOCK, TYPE = "noise and in-run biases", "gravity of the site", "time base of the log", "device type"
+"""Names of sources; those of groups of parameters are the names of the groups."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Bound(Brief):
-    """Least possible covariance (m, m) of the parameters, SI, in the order of `names`, of which the first `linear`
-    are those of the linear model. `observable` marks the parameters that are determined, and only these mean
-    anything; those of further groups are by their priors at least, and `further` says what the programme adds.
-    `null` (q, linear) are the combinations that are not determined, `worst` (linear,) the unit combination
-    determined worst and `worst_u` how well, both in natural units, whose sizes in SI are `natural` (linear,).
-    `condition` is infinite where a combination is not determined."""
+    """Expected covariance of a calibration, SI, of parameters `names` (m), the first `linear` of the linear model.
+
+    `observable` (m,) says which are determined; those of further groups always are, by their priors. `null` (q, linear)
+    are the combinations of linear parameters that are not, of unit length in natural units: biases as parts of gravity
+    and of the rate of the turns, angles in rad. `condition` is that of the whitened Jacobian of the linear parameters
+    in these units, infinite where a combination is not determined; of accelerometers alone it is the condition of H,
+    Eq. (13) of the turntable paper. `sources` are variances (m,) by source, which add up to those of the parameters.
+    """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     linear: int
     covariance: Array
     observable: BoolArray
-    natural: Array
     null: Array
     condition: float
-    worst: Array
-    worst_u: float
-    further: tuple[GroupFinding, ...]
+    sources: Mapping[str, Array]
 
     @property
     def u(self) -> Array:
-        """Least standard uncertainties (m,), SI; infinite where a parameter is not determined."""
+        """Standard uncertainties (m,), SI; infinite where a parameter is not determined."""
         return np.where(self.observable, np.sqrt(np.diag(self.covariance)), np.inf)
 
     @property
@@ -92,59 +86,44 @@ class Bound(Brief):
         return self.linear - len(self.null)
 
     def rms(self, group: str) -> float:
-        """Root mean square of the u of a group such as "accel.bias", SI; infinite where one of it is not determined.
-        Raises KeyError for a group that is not there."""
+        """Root mean square of u over a group such as "accel.bias", SI. Raises KeyError for a group that is not
+        there."""
         return float(np.sqrt(np.mean(self.u[positions_by_group(self.names)[group]] ** 2)))
-
-    @property
-    def groups(self) -> tuple[str, ...]:
-        """The kinds of linear parameters there are, in order."""
-        return tuple(positions_by_group(self.names[: self.linear]))
-
-
-def bound(setup: Setup, *, gyros: bool = True) -> Bound:
-    """The bound of a set-up's programme, with gyros and all moves, or of accelerometers alone.
-
-    Raises InputError for values that make no sense, and where there is no noise.
-
-    >>> import tumble
-    >>> setup = tumble.Setup.of(rest=120.0)
-    >>> found = tumble.bound(setup)
-    >>> found.rank == len(found.names)
-    True
-    """
-    return bound_of(itinerary_of(setup), setup, gyros=gyros)
-
-
-def bound_of(course: Itinerary, setup: Setup, *, gyros: bool = True) -> Bound:
-    """The bound of an itinerary; of the set-up, all but programme, table and mounting counts. Raises InputError."""
-    return bound_by(view(course, setup, gyros=gyros), setup.turn_rate)
 
 
 class TypePrior(Protocol):
-    """What other units of a type say of the next one."""
+    """What other units of a device type say of the next one."""
 
     def prior(self, names: Sequence[str]) -> tuple[list[int], Array]:
-        """Of these parameters the places (k,) of those of which they say anything, and the covariance (k, k) of what a
-        unit differs by from what they expect, SI. Raises InputError where the units are too few."""
+        """Places (k,) of the parameters of these names about which something is said, and the covariance (k, k), SI, of
+        a unit's difference from its expectation. Raises InputError where the units are too few."""
         ...
 
 
 def stated(setup: Setup, *, gyros: bool = True, device_type: TypePrior | None = None) -> Bound:
-    """The same with what `calibrate` does not know of a recording by a set-up's programme: what it will state on the
-    average over instruments, or with what others of its type say. Raises InputError."""
+    """What `calibrate` will state of a recording by a set-up's programme, on the average over instruments.
+
+    Parameters
+    ----------
+    setup
+        The instrument, whose groups beyond the linear model are those of `setup.further`, programme and site.
+    gyros
+        Whether gyros are calibrated, or accelerometers alone.
+    device_type
+        Other units, as a prior in place of the usual sizes.
+
+    Raises
+    ------
+    InputError
+        For values that make no sense, and where there is no noise.
+    """
     course = itinerary_of(setup).as_logged(setup.ramp, USUAL.margin_of(setup.rest))
-    seen = view(course, setup, gyros=gyros)
-    seen, by_type = expected(seen), None
+    seen, by_type = expected(view(course, setup, gyros=gyros)), None
     if device_type is not None:
         problem = seen.problem
         places, covariance = device_type.prior(problem.instrument.names)
         by_type = np.zeros((len(places), len(problem.instrument.names)))
         by_type[:, places] = np.linalg.inv(np.linalg.cholesky(covariance))
-        size, usual = problem.measured[1].copy(), problem.usual[1].copy()
-        size[1 + np.array(places)] = usual[1 + np.array(places)] = np.sqrt(np.diag(covariance))
-        problem = replace(problem, measured=(problem.measured[0], size), usual=(problem.usual[0], usual))
-        seen = replace(seen, problem=problem)
     return bound_by(seen, setup.turn_rate, setup.clock_u, by_type)
 
 
@@ -153,17 +132,26 @@ def instrument_of(setup: Setup, gyros: bool) -> Instrument:
     return Instrument.of(ACCEL, GYRO if gyros else None, tuple(setup.further))
 
 
-# What the likelihood sees of it
-
-
 def bound_by(seen: Linearised, rate: float, clock_u: float = 0.0, by_type: Array | None = None) -> Bound:
-    """What rows at the true parameters say, of turns at a rate, rad/s, that gives biases of gyros their natural unit,
-    with a time base of this relative standard uncertainty, and with whitened rows (k, m) of what the device's type says
-    in the place of the usual sizes of those parameters.
+    """The covariance of the parameters that a linearised likelihood of one session gives.
 
-    The covariance of the linear parameters, whatever gravity and the others are: with the columns of these first, the
-    triangle of all is R = (F X; 0 L), and L that of the linear ones. Gravity that is exact has no column."""
-    problem, instrument, q = seen.problem, seen.problem.instrument, len(seen.problem.own_known)
+    Parameters
+    ----------
+    seen
+        Rows at the true parameters, with their noise.
+    rate
+        Rate of the turns, rad/s: the natural unit of gyro biases.
+    clock_u
+        Relative standard uncertainty of the time base.
+    by_type : (k, m)
+        Whitened rows about the parameters from other units, in place of the usual sizes of these parameters.
+
+    Notes
+    -----
+    With the columns of the linear parameters last, the triangle of all unknowns is R = (F X; 0 L), and L that of the
+    linear ones, whatever the others are. Gravity that is exact has no column.
+    """
+    problem, instrument = seen.problem, seen.problem.instrument
     linear, m = instrument.linear_count, len(instrument.names)
     spread, own = problem.spread[:linear], slice(1, 1 + linear)
     told = tell(problem, seen.rows, seen.noise.weights(seen.components))
@@ -171,84 +159,63 @@ def bound_by(seen: Linearised, rate: float, clock_u: float = 0.0, by_type: Array
     size[own] = 0.0
     if by_type is not None:
         size[1:][by_type.any(axis=0)] = 0.0
-    triangle = np.diag(np.append(np.divide(1.0, size, out=np.zeros(1 + m), where=size > 0.0), 0.0))
-    for session, residual in zip(told.sessions, seen.rows.own, strict=True):
-        fold(with_own(problem.own_known, session, residual)[q:, q:], triangle, triangular=True)
-    if by_type is not None:
-        fold(np.pad(by_type, ((0, 0), (1, 1))), triangle)
+    prior = np.diag(np.divide(1.0, size, out=np.zeros(1 + m), where=size > 0.0))
+    rows = np.zeros((0, 1 + m)) if by_type is None else np.pad(by_type, ((0, 0), (1, 0)))
+    triangle = np.diag(np.append(np.diag(prior), 0.0))
+    fold(told.sessions[0], triangle, triangular=True)
+    if len(rows):
+        fold(np.pad(rows, ((0, 0), (0, 1))), triangle)
     triangle = triangle[:-1, :-1]
     others = np.setdiff1d(np.flatnonzero(triangle.any(axis=0)), np.arange(1, 1 + linear))
     R, k = np.asarray(np.linalg.qr(np.hstack([triangle[:, others], triangle[:, own]]), mode="r")), len(others)
     L = R[k : k + linear, k:]
     solution = least_squares(L, np.zeros(len(L)), spread)
-    known = np.hstack([solution.gain, spread[:, None] * solution.null.T])
-    root = np.zeros((1 + m, known.shape[1] + k))
-    root[own, : known.shape[1]] = known
-    root[others] = np.hstack([-np.linalg.solve(R[:k, :k], R[:k, k:]) @ known, np.linalg.inv(R[:k, :k])])
-
-    # with the time base, of sensors that read rates and forces, no increments; and the biases of one session the
-    # means over it
-    clock = by_time_base(instrument.names, clocked(clock_u, {"accel": False, "gyro": False}))
-    more = np.zeros((len(root), 0))
-    if told.process is not None and len(problem.parts) == 1:
-        by, noise = mean_along(told)
-        biases, more = 1 + problem.biases, np.zeros((len(root), len(by)))
-        root[biases] += by[:, :-1] @ root
-        value, vectors = np.linalg.eigh(np.einsum("ibd,icd->bc", noise, noise))
-        more[biases] = vectors * np.sqrt(np.maximum(value, 0.0))
-    root = np.column_stack([root[1:], more[1:], clock])
-    covariance = root @ root.T
+    determined = np.hstack([solution.gain, spread[:, None] * solution.null.T])
+    root = np.zeros((1 + m, determined.shape[1] + k))
+    root[own, : determined.shape[1]] = determined
+    root[others] = np.hstack([-np.linalg.solve(R[:k, :k], R[:k, k:]) @ determined, np.linalg.inv(R[:k, :k])])
 
     natural_sizes = {"m/s^2": problem.observations.site.gravity, "rad/s": rate, "1": 1.0, "rad": 1.0}
     natural = np.array([natural_sizes[unit] for unit in instrument.units[:linear]])
-    direction, length, _ = np.linalg.svd(root[:linear] / natural[:, None])
+    length = np.linalg.svd(root[own] / natural[:, None], compute_uv=False)
     null = solution.null * spread / natural
     null /= np.linalg.norm(null, axis=1, keepdims=True)
-    worst = null[0] if len(null) else direction[:, 0]
-    sizes, usual, variance = problem.measured[1][1:], problem.usual[1][1:], np.diag(covariance)
+
+    # biases are means over the session of their processes
+    mean, wander = np.eye(1 + m), np.zeros((1 + m, 1 + m))
+    if told.process is not None:
+        by, noise = mean_along(told)
+        mean[1 + problem.biases] += by[:, :-1]
+        wander[np.ix_(1 + problem.biases, 1 + problem.biases)] = np.einsum("ibd,icd->bc", noise, noise)
+    # sensors that read rates and forces have the time base in their scale factors; increments would not
+    clock = by_time_base(instrument.names, clocked(clock_u, {"accel": False, "gyro": False}))
+    gain = mean @ root @ root.T
+    covariance = (gain @ mean.T + wander)[1:, 1:] + np.outer(clock, clock)
+    parts = {GRAVITY: prior[:1], TYPE: rows, **{name: prior[1:][own] for name, own in instrument.members.items()}}
+    sources = {name: ((gain @ W.T)[1:] ** 2).sum(axis=1) for name, W in parts.items()} | {CLOCK: clock**2}
     return Bound(
         names=instrument.names,
         units=instrument.units,
         linear=linear,
         covariance=covariance,
         observable=np.append(solution.observable, np.ones(m - linear, dtype=bool)),
-        natural=natural,
         null=null,
         condition=np.inf if len(null) else float(length[0]) / max(float(length[-1]), np.finfo(float).tiny),
-        worst=worst * np.sign(worst[np.argmax(np.abs(worst))]),
-        worst_u=np.inf if len(null) else float(length[0]),
-        further=tuple(
-            GroupFinding.of(name, usual[members], sizes[members], variance[members])
-            for name, members in instrument.members.items()
-        ),
+        sources={NOISE: np.maximum(np.diag(covariance) - sum(sources.values()), 0.0), **sources},
     )
 
 
-def whitened(seen: Linearised) -> tuple[Array, Array, int]:
-    """The whitened rows of the rests (N, r + n, d + p + 1), n = d − 3 being the states of in-run biases, and those
-    that join each to the next (N − 1, t + n, 2d + p + 1), its turn and the steps of the states, see
-    `tumble.inference.elimination`. The last n of a rest are zero: they are for where a chain begins (`begun`)."""
+def whitened(seen: Linearised) -> tuple[Array, Array]:
+    """Whitened rows as `tumble.inference.elimination` takes them: those of the rests (N, r + n, d + p + 1), with
+    d = 3 + n unknowns each, and those that join each rest to the next (N − 1, t + n, 2d + p + 1). The last n rows of
+    the first rest say that a chain begins with its n in-run biases as a stationary process has them; of others they
+    are zero."""
     process = InRun.of(seen.problem, seen.components) if seen.components.wanders else None
     rest, turn = whitened_rows(seen.problem, seen.rows, seen.noise.weights(seen.components), process)
     n = 0 if process is None else seen.problem.sensors
-    return np.pad(rest, ((0, 0), (0, n), (0, 0))), joining(seen.problem, turn, process)[:-1], n
-
-
-def begun(rest: Array, states: int) -> Array:
-    """The rows of rests (..., r + n, d + p + 1) of `whitened` where a chain begins with each: its n states are
-    those of a stationary process."""
-    out = rest.copy()
-    out[..., rest.shape[-2] - states :, 3 : 3 + states] = np.eye(states)
-    return out
-
-
-def view(course: Itinerary, setup: Setup, *, gyros: bool) -> Linearised:
-    """The rows at perfect sensors and the attitudes of the course. Raises InputError."""
-    instrument = instrument_of(setup, gyros)
-    observations, about = observed(course, setup, instrument)
-    problem = Problem.of(observations, instrument=instrument, usual=setup.further)
-    point = Point(values=np.zeros(len(instrument.names)), gravity=setup.gravity, attitudes=course.attitudes)
-    return linearised(problem, point, about, components_of(setup.noise))
+    rest = np.pad(rest, ((0, 0), (0, n), (0, 0)))
+    rest[0, rest.shape[1] - n :, 3 : 3 + n] = np.eye(n)
+    return rest, joining(seen.problem, turn, process)[:-1]
 
 
 SHORTEST_TIME = 1e-3
@@ -263,32 +230,26 @@ def components_of(noise: NoiseModel) -> Components:
     )
 
 
-def observed(course: Itinerary, setup: Setup, instrument: Instrument) -> tuple[Observations, TurnsAbout | None]:
-    """What perfect sensors observe on a course, with the covariances of white noise, and its turns about the parameters
-    of an instrument, where it has gyros. Raises InputError for values that make no sense, and where there is no
-    noise."""
-    check_setup(setup, 1)
-    noise, gyros = setup.noise, instrument.gyro is not None
+def view(course: Itinerary, setup: Setup, *, gyros: bool) -> Linearised:
+    """The likelihood of a course, linearised at perfect sensors and its attitudes, with white noise and in-run biases.
+    Raises InputError for values that make no sense, and where there is no noise."""
+    check_setup(setup)
+    noise = setup.noise
     for sensors, level in (
         ("accelerometers", noise.accel_white + noise.accel_instability),
         ("gyros", noise.gyro_white),
     ):
         if level == 0.0 and (gyros or sensors == "accelerometers"):
             raise InputError(f"noise: expected {sensors} with noise, found none; without it there is no bound")
-    earth, g = np.array(earth_rate(setup.latitude)), setup.gravity
-    turns = about = None
-    first, seconds = course.first, course.seconds
+    instrument, turns, samples, about = instrument_of(setup, gyros), None, None, None
+    earth, g, first = np.array(earth_rate(setup.latitude)), setup.gravity, course.first
     if gyros and len(first) > 0:
-        start, end, still = course.attitudes[first], course.attitudes[first + 1], course.still[first]
-        vector = inertial_turns(start, end, course.moves[first], seconds, setup.latitude)
-        moments, grown = steady_moments(vector, seconds, start, setup, own_axes(instrument), still)
-        ends = (g * start[:, 1], g * end[:, 1]), (earth @ start, earth @ end)
-        exact = (instrument.all_coefficients(np.zeros(len(instrument.names))), 0.0)
-        growing = grown if warms(instrument) else None
-        about = TurnsAbout.from_moments(moments, instrument.accel, exact, (np.eye(3), np.eye(3)), ends, growing)
-        T = seconds + 2.0 * still
+        start, still, T = course.attitudes[first], course.still[first], course.seconds
+        vector = inertial_turns(start, course.attitudes[first + 1], course.moves[first], T, setup.latitude)
+        samples = steady_samples(vector, T, start, setup, still)
+        T = T + 2.0 * still
         rotation = (noise.gyro_white**2 * T + TURN_FLOOR**2)[:, None, None] * np.eye(3)
-        turns = white_turns(first, T, rotation, noise.accel_white**2 * T + VELOCITY_FLOOR**2, moments)
+        turns = white_turns(first, T, rotation, noise.accel_white**2 * T + VELOCITY_FLOOR**2)
     observations = Observations(
         accel_block=ACCEL,
         gyro_block=instrument.gyro,
@@ -300,6 +261,11 @@ def observed(course: Itinerary, setup: Setup, instrument: Instrument) -> tuple[O
             densities=(noise.accel_white, noise.gyro_white),
         ),
         turns=turns,
+        turn_samples=samples,
         usual=setup.further,
     )
-    return observations, about
+    point = Point(values=np.zeros(len(instrument.names)), gravity=g, attitudes=course.attitudes)
+    if turns is not None:
+        about = TurnsAbout.of(observations, instrument, point.values)
+    problem = Problem.of(observations, instrument=instrument, usual=setup.further)
+    return linearised(problem, point, about, components_of(noise))

@@ -1,10 +1,8 @@
-"""Where a device rests and how it gets there, and when: as a programme has it, and as a simulated session does."""
+"""Where a device rests, how it gets there, and when: of a programme, and of a simulated session."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -12,16 +10,16 @@ from tumble.planning.setup import Setup
 from tumble.rotation import rotation_vector
 from tumble.units import Array, BoolArray, IntArray
 
-NO_TIME = 1e-6
-"""s: of a turn that takes none."""
-
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Itinerary:
-    """Attitudes (N, 3, 3), body → geographic, of the rests in order, when these begin and end, `rests` (N, 2), s, and
-    the `moves` between them (N − 1, 3), rotation vectors, geographic, rad. Those that are `turned` (N − 1,) are turns
-    of the log, of which nothing moves for so long after they begin and before they end, `still` (N − 1,), s.
-    `positions` says which of its programme each rest is in, where it is of one."""
+    """Rests in order, and the moves between them.
+
+    `attitudes` (N, 3, 3), body → geographic, and start and stop of the `rests` (N, 2), s; `moves` (N − 1, 3) between
+    them, rotation vectors, geographic, rad. `turned` (N − 1,) says which moves are turns of the log, and `still`
+    (N − 1,) is the time at each of their ends in which nothing moves, s. `positions` are the places of the rests in a
+    programme.
+    """
 
     attitudes: Array
     rests: Array
@@ -32,8 +30,8 @@ class Itinerary:
 
     @staticmethod
     def through(attitudes: Array, moves: Array, setup: Setup) -> Itinerary:
-        """That through attitudes by moves with the rests of a set-up and at its rate; where nothing moves the log has
-        no turn."""
+        """The itinerary through attitudes by moves, with the rests and the rate of a set-up; where nothing moves there
+        is no turn."""
         seconds = np.linalg.norm(moves, axis=1) / setup.turn_rate
         start = setup.rest * np.arange(len(attitudes)) + np.append(0.0, np.cumsum(seconds))
         return Itinerary(
@@ -51,9 +49,9 @@ class Itinerary:
 
     @property
     def seconds(self) -> Array:
-        """How long the turns (K,) take from where they begin to move, s."""
+        """Duration of the motion of the turns (K,), s."""
         k = self.first
-        return np.asarray(np.maximum(self.rests[k + 1, 0] - self.rests[k, 1] - 2.0 * self.still[k], NO_TIME))
+        return np.asarray(self.rests[k + 1, 0] - self.rests[k, 1] - 2.0 * self.still[k])
 
     @property
     def middle(self) -> float:
@@ -61,35 +59,22 @@ class Itinerary:
         return float(self.rests.mean())
 
     def as_logged(self, ramp: float, margin: float) -> Itinerary:
-        """The same as a log has it: turns are reached and left in a ramp, s, and the segmentation cuts a margin, s, off
+        """The same as a log shows it: turns begin and end with a ramp, s, and the segmentation cuts a margin, s, off
         both ends of every rest, which belongs to the turn."""
         later = np.append(0.0, ramp * np.cumsum(self.turned))
-        rests = self.rests + later[:, None] + [margin, -margin]
         return Itinerary(
             attitudes=self.attitudes,
-            rests=rests,
+            rests=self.rests + later[:, None] + [margin, -margin],
             moves=self.moves,
             turned=self.turned,
             still=np.where(self.turned, self.still + 0.5 * ramp + margin, 0.0),
             positions=self.positions,
         )
 
-    @staticmethod
-    def joined(several: Sequence[Itinerary]) -> Itinerary:
-        """Those of several sessions as one, without a turn from one to the next; each keeps its own times."""
-        every: dict[str, list[Any]] = {name: [] for name in ("attitudes", "rests", "moves", "turned", "still")}
-        for one in several:
-            for name, parts in every.items():
-                if parts and name in ("moves", "turned", "still"):
-                    parts.append(np.zeros((1, *parts[0].shape[1:]), dtype=parts[0].dtype))
-                parts.append(getattr(one, name))
-        fields: dict[str, Any] = {name: np.concatenate(parts) for name, parts in every.items()}
-        return Itinerary(**fields)
-
 
 def itinerary_of(setup: Setup) -> Itinerary:
-    """The positions of a set-up's programme in the order listed, with the programme's turns and, where any move will
-    do, the shortest, all at the rate of the set-up."""
+    """The positions of a set-up's programme in the order listed, with the programme's turns, and the shortest move
+    where any will do, all at the rate of the set-up."""
     attitudes = np.array([position.matrix for position in setup.programme.positions])
     shortest = rotation_vector(attitudes[1:] @ np.swapaxes(attitudes[:-1], 1, 2))
     moves = [

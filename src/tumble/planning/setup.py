@@ -1,10 +1,12 @@
-"""What is known of a calibration before it is made: the one description from which budgets, bounds, plans,
-requirements, simulated sessions and the cells of campaigns are made.
+"""What is known of a calibration before it is made.
+
+A `Setup` describes the instrument, the programme on a table or the positions by hand, and the site. Plans, simulated
+sessions and the cells of campaigns are made of it.
 
     setup = Setup.of(grade="mems", programme="nine", rest=20.0)      in the words of the command line
     setup = replace(setup, table_error=0.1 * DEGREE)                 in SI
 
-What is usual stands in `tumble.usual_setup` alone.
+All defaults are those of `tumble.usual_setup`.
 """
 
 from __future__ import annotations
@@ -27,31 +29,35 @@ from tumble.recording.session import USUAL_CLOCK_U
 from tumble.sensors.grades import GRADES, NoiseModel, Spread
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import Terms, named_group, quantity_of, usual_sizes
+from tumble.sensors.parameters import Terms, group_of, positions_by_group, quantity_of, usual_sizes
 from tumble.units import DEGREE
 
 ACCEL, GYRO = (Block(kind=kind, axes=np.eye(3)) for kind in ("accel", "gyro"))
 """The triads of a set-up, along the body axes."""
-
 NAMES = ACCEL.names + GYRO.names
 """The 21 parameters of the linear model, in the order of the calibration file."""
+MEMBERS = {group: np.array(members) for group, members in positions_by_group(NAMES).items()}
+"""Indices of the parameters of each group of the linear model."""
+GROUPS = tuple(MEMBERS)
+"""The groups of the linear model, in the order of the calibration file."""
+UNITS = {group: group_of(group).unit for group in GROUPS}
+"""Their SI units."""
 
 _programme = cache(built_in)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Setup(Brief):
-    """An instrument, a programme on a table, or so many rests `by_hand` in any attitude instead of it, and
-    a site.
+    """An instrument, the programme it goes through on a table, and the site; all in SI and radians.
 
-    `table_error`, `mounting_error`: every position, and the whole launch, off by up to so much, rad, uniform within ±
-    about each axis; they do not apply by hand. `rest`: duration of a rest, s, the first of which lasts `first_rest` at
-    least; `turn_rate`, rad/s, reached and left in `ramp`, s; `sample_rate`, Hz. `noise`, and the spreads `accel` and
-    `gyro` of the parameters before calibration, are those of a `tumble.sensors.grades.Grade`; `instrument` is what
-    the instrument is called, and the start of a simulated one's serial number. `further` are the groups of parameters
-    that it has beyond the linear model, with their standard deviations over instruments, SI, which are the priors too.
-    `latitude`, rad; `height`, m; `gravity`, m/s², with its standard uncertainty `gravity_u`
-    (`earth.NORMAL_GRAVITY_U` if it is not measured); `clock_u`, the relative standard uncertainty of the time base."""
+    `by_hand` is a number of positions in any attitude, by hand, in place of the programme. `table_error` and
+    `mounting_error` are the largest errors of every position and of the whole launch, uniform within ± about each axis;
+    they do not apply by hand. The first rest lasts `first_rest` at least; turns reach and leave their rate in `ramp`.
+    `accel` and `gyro` are standard deviations of the linear parameters over instruments, and `further` those of the
+    groups that the instrument has beyond the linear model, which are the priors too. `gravity_u` is the standard
+    uncertainty of gravity (`earth.NORMAL_GRAVITY_U` if it is not measured), `clock_u` the relative one of the time
+    base. `instrument` is a grade, or the name of an instrument of one's own.
+    """
 
     programme: Programme = field(default_factory=lambda: _programme(usual_setup.PROGRAMME))
     by_hand: int | None = None
@@ -91,14 +97,19 @@ class Setup(Brief):
         instability_time: float = usual_setup.INSTABILITY_TIME,
         terms: Terms = "linear",
     ) -> Setup:
-        """The set-up of a built-in programme or, if `positions` is given, of so many positions by hand, with an
-        instrument of a grade whose noise is multiplied by `noise_factor` and whose in-run biases have the correlation
-        time `instability_time`, s, in the words and units of the command line.
-        What is None is usual on a table or by hand; gravity then is normal gravity. With the `terms` "full" the
-        instrument has all groups of parameters, of the usual spread of its grade.
+        """The set-up of a built-in programme, or of so many positions by hand, in the units of the command line.
 
-        Raises InputError, one line, for a grade or programme that does not exist, and for no latitude.
+        Parameters are those of `Setup`; those that are None are usual on a table, or with `positions` by hand.
+        `noise_factor` multiplies the noise of the grade, whose in-run biases have the correlation time
+        `instability_time`, s. With the `terms` "full" the instrument has all groups of parameters, of usual sizes.
 
+        Raises
+        ------
+        InputError
+            For a grade or programme that does not exist, and for a latitude that is none.
+
+        Examples
+        --------
         >>> Setup.of(grade="mems", positions=30).rest
         5.0
         """
@@ -128,21 +139,19 @@ class Setup(Brief):
 
 
 def time_of(programme: Programme, setup: Setup) -> float:
-    """How long a programme takes on the table of a set-up, s."""
+    """Duration of a programme on the table of a set-up, s."""
     return duration(programme, rest=setup.rest, rate=setup.turn_rate, move=usual_setup.MOVE)
 
 
 def with_all_groups(setup: Setup) -> Setup:
-    """A set-up whose instrument has all groups of parameters, of the usual spreads of its grade, or of navigation
-    grade where it is called otherwise."""
+    """The set-up with all groups of parameters, of the usual sizes of its grade, or of navigation grade where the
+    instrument is of none."""
     grade = setup.instrument if setup.instrument in GRADES else usual_setup.GRADE
     return replace(setup, further=usual_sizes(grade) | dict(setup.further))
 
 
-def check_setup(setup: Setup, iterations: int) -> None:
+def check_setup(setup: Setup) -> None:
     """Raise InputError for values that make no sense, and for a set-up that is not on a table."""
-    if iterations < 1:
-        raise InputError(f"iterations: expected at least 1, found {iterations}")
     if setup.by_hand is not None:
         raise InputError(f"programme: expected one on a table, found {setup.by_hand} positions by hand")
     if not abs(setup.latitude) < 0.5 * math.pi - DEGREE:
@@ -150,10 +159,8 @@ def check_setup(setup: Setup, iterations: int) -> None:
         raise InputError(f"latitude: expected within ±89 degrees, where TRIAD has an azimuth, found {found:g}")
     for name in ("rest", "turn_rate", "gravity"):
         expect(name, getattr(setup, name), least="more than 0")
-    if not LEAST_GRAVITY <= setup.gravity <= MOST_GRAVITY:
-        raise InputError(
-            f"gravity: expected {LEAST_GRAVITY:g} to {MOST_GRAVITY:g} m/s^2, as a planet has, found {setup.gravity:g}"
-        )
+    if not 1.0 <= setup.gravity <= 100.0:
+        raise InputError(f"gravity: expected 1 to 100 m/s^2, as a planet has, found {setup.gravity:g}")
     for name in ("table_error", "mounting_error", "gravity_u", "clock_u"):
         expect(name, getattr(setup, name), least="0 or more")
     for noise in fields(setup.noise):
@@ -163,30 +170,26 @@ def check_setup(setup: Setup, iterations: int) -> None:
             expect(f"{kind}.{what}", getattr(getattr(setup, kind), what), least="more than 0")
 
 
-def wanted_accuracies(texts: Sequence[str], known: Sequence[str], *, others: bool = False) -> dict[str, float]:
-    """Wanted rms errors, SI, by group of parameters, from texts such as "accel.scale=3.5ppm", of the groups that are
-    `known`, or with `others` of any. Raises InputError, one line."""
+def wanted_accuracies(texts: Sequence[str]) -> dict[str, float]:
+    """Wanted standard uncertainties, SI, by group, of texts such as "accel.scale=3.5ppm". Raises InputError."""
     wanted = dict[str, float]()
     for text in texts:
         name, _, value = text.partition("=")
-        group = named_group(name)
-        if group is None or not (others or name in known):
-            which = "a group such as" if others else "one of"
-            raise InputError(f"--want {text}: expected {which} {', '.join(known)} before '=', found {name!r}")
+        if name not in GROUPS:
+            raise InputError(f"--want {text}: expected one of {', '.join(GROUPS)} before '=', found {name!r}")
         try:
-            wanted[name] = quantity_of(group, value)
+            wanted[name] = quantity_of(group_of(name), value)
         except ValueError as error:
             raise InputError(f"--want {text}: {error}") from None
     return wanted
 
 
-LEAST_GRAVITY, MOST_GRAVITY = 1.0, 100.0  # m/s²
 LARGEST = 1e30
-"""No number of a set-up is larger, and none that is not zero is smaller than its inverse."""
+"""Largest size of a number of a set-up; the smallest that is not zero is its inverse."""
 
 
 def expect(name: str, value: float, *, least: Literal["more than 0", "0 or more"]) -> None:
-    """Raise InputError unless a value is finite and as large as that."""
+    """Raise InputError unless a value, SI, is finite and not less than `least`."""
     if not (0.0 < value < math.inf or (value == 0.0 and least == "0 or more")):
         raise InputError(f"{name}: expected {least}, in SI, found {value:g}")
     if value != 0.0 and not 1.0 / LARGEST <= value <= LARGEST:

@@ -41,19 +41,18 @@ if TYPE_CHECKING:
     from tumble.recording.arrays import Temperatures
 
 _LOG = logging.getLogger(__name__)
-Method = Literal["joint", "staged", "sequential", "scalar", "ellipsoid"]
+Method = Literal["joint", "sequential", "scalar", "ellipsoid"]
 DEFAULT_METHOD: Method = "joint"
 Estimator = Callable[[Observations], Estimate]
 
 
 def _imported(module: str, name: str) -> Callable[..., Estimate]:
-    """A method that is imported when it is first called: a calibration needs one of five."""
+    """A method that is imported when it is first called: a calibration needs one of four."""
     return lambda *args, **words: getattr(import_module(f"tumble.methods.{module}"), name)(*args, **words)
 
 
 METHODS: Mapping[str, Estimator] = {
     "joint": joint,
-    "staged": _imported("staged", "staged"),
     "ellipsoid": _imported("ellipsoid", "ellipsoid"),
 }
 WITH_ALL_TERMS = ("joint", "ellipsoid")

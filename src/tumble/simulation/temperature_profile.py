@@ -1,5 +1,4 @@
-"""Temperatures of simulated sessions and of recordings that are planned, as they are asked for: a level, a ramp, a ramp
-up and down, self-heating; what the thermometers read, and what the sensors have.
+"""Temperatures of simulated sessions, at a level, in a ramp or two, by self-heating: of thermometers, and of sensors.
 
     "25"            a chamber at 25 °C
     "-10:60"        from −10 to 60 °C over the session, and "-10:60:-10" up in the first half and down in the second
@@ -16,13 +15,11 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.planning.over_temperature import ChamberSession, rests_of
-from tumble.planning.setup import Setup
 from tumble.reduction.rests.thermometer import MOVED, Thermometers, followed
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block, thermometers_of
@@ -198,36 +195,3 @@ def thermometer_columns(climate: Climate, time: Array) -> dict[str, Array]:
     celsius = climate.thermometers(time).T - ZERO_CELSIUS
     names = {1: ["T"], 2: ["T_accel", "T_gyro"]}.get(len(celsius), [f"T{t}" for t in range(len(celsius))])
     return dict(zip(names, celsius, strict=True))
-
-
-MOST_RESTS = 200
-"""Of one recording."""
-
-
-def chamber_sessions(text: str, setup: Setup) -> tuple[ChamberSession, ...]:
-    """The recordings of a text: between commas the temperature of each, °C, as `simulate --temperature` takes it, and
-    after a slash how many rests of the set-up's programme it has, which begins anew after its last. Raises InputError,
-    one line.
-
-    >>> [len(one.programme.positions) for one in chamber_sessions("-20/4,20,-20:60:-20/30", Setup.of())]
-    [4, 15, 30]
-    """
-    sessions = []
-    for part in map(str.strip, text.split(",")):
-        profile, slash, count = part.partition("/")
-        course, programme = temperature_profile(profile), setup.programme
-        if slash:
-            if not re.fullmatch(r"\d{1,3}", count) or not 1 <= int(count) <= MOST_RESTS:
-                raise InputError(
-                    f"temperature: {part!r}: expected how many rests, 1 to {MOST_RESTS}, after the slash, found "
-                    f"{count!r}"
-                )
-            programme = rests_of(programme, int(count))
-        sessions.append(ChamberSession(name=part, programme=programme, course=partial(_mean_course, course)))
-    return tuple(sessions)
-
-
-def _mean_course(profile: TemperatureProfile, duration: float) -> tuple[Array, Array]:
-    """The mean of the thermometers of a profile: times, s, and temperatures, K."""
-    climate = profile.climate(duration)
-    return climate.time, climate.kelvin.mean(axis=1)

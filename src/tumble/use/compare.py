@@ -162,9 +162,9 @@ def compare_calibrations(
 
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
-    >>> found = tumble.compare_calibrations(tumble.calibrate(folder), tumble.calibrate(folder, method="staged"))
+    >>> found = tumble.compare_calibrations(tumble.calibrate(folder), tumble.calibrate(folder, method="ellipsoid"))
     >>> found.agree, len(found.differences)
-    (True, 21)
+    (True, 9)
     """
     first = calibration_from(first)
     if not isinstance(second, Calibration) and not text_of(Path(second)).lstrip().startswith("{"):  # no JSON

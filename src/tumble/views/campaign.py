@@ -11,7 +11,7 @@ import numpy as np
 
 from tumble.campaigns.summary import SummaryLine, said, varying
 from tumble.errors import InputError, needs_extra
-from tumble.planning.budget import GROUPS
+from tumble.planning.setup import GROUPS
 from tumble.sensors.parameters import shown_in
 from tumble.views.blocks import Block, table
 from tumble.views.render.pictures import write_picture

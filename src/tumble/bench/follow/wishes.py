@@ -6,8 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from tumble.planning.requirements import wanted_of
-from tumble.planning.setup import Setup
+from tumble.planning.setup import wanted_accuracies
 from tumble.programme.positions import ANY_MOVE, Move, Programme
 from tumble.recording.session import Session
 from tumble.sensors.grades import grade
@@ -36,7 +35,7 @@ def wishes(texts: Sequence[str], grade_name: str) -> dict[str, float]:
         wanted[f"{name}.bias"] = max(PART_OF_SPREAD * spread.bias, level / seconds)
         wanted[f"{name}.scale"] = max(PART_OF_SPREAD * spread.scale, level / signal)
         wanted[f"{name}.axis"] = max(PART_OF_SPREAD * spread.axis, 2.0 * level / signal)
-    return wanted | (wanted_of(texts, None, Setup.of(grade=grade_name)) if texts else {})
+    return wanted | wanted_accuracies(texts)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

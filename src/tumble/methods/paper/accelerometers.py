@@ -112,7 +112,7 @@ def check_for_vector(nominal: Array) -> None:
     if missing:
         raise ProgrammeError(
             f"method sequential: expected rests with {'; '.join(missing)}, found none in the programme; "
-            "take the programme rough-table or the method staged"
+            "take the programme rough-table or the method joint"
         )
 
 
@@ -153,5 +153,5 @@ def check_for_modulus(nominal: Array) -> None:
     if rank < 9:
         raise ProgrammeError(
             f"method scalar: expected positions that determine nine accelerometer parameters, found {rank}; "
-            "take the programme rough-table or nine, or the method staged"
+            "take the programme rough-table or nine, or the method joint"
         )

@@ -121,12 +121,9 @@ def gyro_bias_pass(
     return before.composed(SensorModel(matrix=np.eye(3), bias=bias))
 
 
-def gyro_matrix_pass(
-    course: ProgrammeCourse, rates: Array, force: Array, C: Array, before: SensorModel, rows: Array | None = None
-) -> SensorModel:
-    """Stage 4: the gyro model after a pass, with turns C (..., K, 3, 3) integrated about the model `before`; `rows`
-    (..., 2T, 9) are those that they are solved with, of the programme where None."""
-    x = solved(course.matrix if rows is None else rows, differences(course, rates, force, C, before))
+def gyro_matrix_pass(course: ProgrammeCourse, rates: Array, force: Array, C: Array, before: SensorModel) -> SensorModel:
+    """Stage 4: the gyro model after a pass, with turns C (..., K, 3, 3) integrated about the model `before`."""
+    x = solved(course.matrix, differences(course, rates, force, C, before))
     return before.composed(triad_model(np.zeros_like(x[..., :3]), x[..., :3], x[..., 3:]))
 
 
@@ -137,7 +134,6 @@ def one_pass(
     turn: Callable[[SensorModel], Array] | None,
     gravity: Array,
     before: tuple[SensorModel, SensorModel],
-    rows: Array | None = None,
 ) -> tuple[SensorModel, SensorModel]:
     """The models of accelerometers and gyros after all stages, from readings at rest (..., N, 3) of both and from
     turns, which `turn` integrates about a model; after those of the rests without, and of accelerometers alone where
@@ -148,7 +144,7 @@ def one_pass(
         return accel, gyro
     corrected = accel.apply(force)
     gyro = gyro_bias_pass(course, rates, corrected, gyro, method)
-    return accel, gyro if turn is None else gyro_matrix_pass(course, rates, corrected, turn(gyro), gyro, rows)
+    return accel, gyro if turn is None else gyro_matrix_pass(course, rates, corrected, turn(gyro), gyro)
 
 
 def differences(course: ProgrammeCourse, rates: Array, force: Array, C: Array, model: SensorModel) -> Array:
@@ -166,13 +162,13 @@ def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCours
     if programme is None or position is None:
         raise ProgrammeError(
             f"method {method.name}: expected a programme with known positions and turns, such as rough-table, "
-            "found none; give [programme] in session.toml or take the method staged"
+            "found none; give [programme] in session.toml or take the method joint"
         )
     for block in (observations.accel_block, observations.gyro_block):
         if block is not None and not block.triad:
             raise InputError(
                 f"method {method.name}: expected three sensors of a kind along the body axes, found {block.size} "
-                f"({block.kind}) with other directions; take the method staged"
+                f"({block.kind}) with other directions; take the method joint"
             )
     nominal = np.array([programme.positions[k].vertical_b for k in position])
     method.check(nominal)
@@ -183,7 +179,7 @@ def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCours
     if not np.all(np.any(np.abs(nominal) > 1.0 - STANDING, axis=0)):
         raise ProgrammeError(
             f"method {method.name}: expected rests in which X, Y and Z each are vertical, found others in the "
-            "programme; take the programme rough-table or the method staged"
+            "programme; take the programme rough-table or the method joint"
         )
     check_directions(programme)
     turns, latitude = observations.turns, observations.site.latitude
@@ -191,7 +187,7 @@ def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCours
     if latitude is None:
         raise SessionError(
             f"[site]: expected latitude_deg, from which the method {method.name} has the Earth's rate, found none; "
-            "give it or take the method staged"
+            "give it or take the method joint"
         )
     return ProgrammeCourse(
         nominal=nominal,
@@ -225,7 +221,7 @@ def _series(programme: Programme, position: IntArray, first: Sequence[int]) -> t
             if rest not in between:
                 raise ProgrammeError(
                     f"programme {programme.name}: expected the turn from rest {rest + 1} to rest {rest + 2} in the "
-                    "log, found the end of a file; record every series in one file or take the method staged"
+                    "log, found the end of a file; record every series in one file or take the method joint"
                 )
         course.append(
             tuple(

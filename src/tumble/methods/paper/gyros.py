@@ -178,7 +178,7 @@ def check_directions(programme: Programme) -> None:
         )
         for series in known_turns(programme)
     )
-    advice = "take the programme rough-table or the method staged"
+    advice = "take the programme rough-table or the method joint"
     if rank < 9:
         raise ProgrammeError(
             f"programme {programme.name}: expected known turns that determine nine gyro scale factors and angles, "

@@ -1,4 +1,4 @@
-"""Staged method: accelerometers by the scalar method on all rests, then gyros from rests and turns.
+"""The staged method, an oracle of the joint one: accelerometers by the scalar method on all rests, then the gyros.
 
 Stage 1 is Eqs. (12), (13) in norm form and with covariance, for any number of sensors: the geometric fit of the sphere
 of radius g (`tumble.methods.ellipsoid_fit.sphere_rows`). Iterated to convergence, so that the coefficients are those of
@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -40,12 +41,21 @@ from tumble.methods.least_squares import (
     sigmas,
     with_scatter,
 )
+from tumble.recording.session_file import read_session
 from tumble.reduction.observations import Observations
 from tumble.reduction.turns.turns import Turns
 from tumble.rotation import onto_body, rotation_matrix, skew, tangent_basis, unit_vector
+from tumble.run.observed import inspect_session
 from tumble.sensors.model import Block, SensorModel, beyond_body
 from tumble.sensors.parameters import limits_of, units_of
 from tumble.units import Array
+
+
+def staged_estimate(folder: Path) -> Estimate:
+    """The staged estimate of a session on disk."""
+    observations = inspect_session(read_session(folder)).observations
+    assert observations is not None
+    return staged(observations)
 
 
 def staged(observations: Observations) -> Estimate:

@@ -1,0 +1,205 @@
+"""The accuracy formulas of the turntable paper for a whole programme: variances of the parameters after each pass of a
+method, by their source.
+
+Let X be the 21 parameters in the order of the calibration file. To first order in X one pass is a matrix, and leaves
+
+    X − X̂ = T X − G n + q(X)         T = T₀ + Σ τ_k D_k
+
+of the parameters: τ_k are the deviations of the attitudes from the programme, T₀ what an exact programme leaves
+(Earth's rate × gyro errors), n the noise of rests and turns, q the error of second order in the parameters. The next
+pass starts from what is left, and leaves T² X. With parameters and deviations independent of each other and of zero
+mean,
+
+    pass 1    E (T X)²_p = Σ_j σ_j² [ T₀² + Σ_k v_k D_k² ]_pj
+    pass 2    E (T² X)²_p = Σ_j σ_j² [ (c + tr A)² + Σ_k v_k l_k² + 2 Σ_kl v_k v_l S_kl² + Σ_k (μ_k − 3 v_k²) A_kk² ]_pj
+
+where T² = c + Σ τ_k l_k + Σ τ_k τ_l A_kl, S is the symmetric part of A, tr A = Σ v_k A_kk, and v_k, μ_k are the second
+and fourth moments of τ_k. Further passes gain as much as the second did: (κσ)^i, §7 of the paper. T₀, D and q are those
+of `tumble.planning.error_propagation`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.earth import EARTH_RATE, earth_rate
+from tumble.errors import InputError
+from tumble.inference.hyperparameters import CORRELATION_TIME
+from tumble.planning.error_propagation import (
+    STEP,
+    MethodOfPaper,
+    PaperProgramme,
+    estimated,
+    first_order,
+    readings_of,
+    second_order,
+)
+from tumble.planning.itinerary import itinerary_of
+from tumble.planning.setup import GROUPS, MEMBERS, NAMES, Setup, check_setup
+from tumble.units import DEGREE, DEGREE_PER_HOUR, Array
+
+_INDIRECT = ("indirect, programme matrix",) * 2
+_BY_METHOD: Mapping[MethodOfPaper, tuple[str, ...]] = {
+    "sequential": (*("up and down, levelled, Eq. (4)",) * 2, "axes 45° up and down, Eq. (10)",
+                   "vertical axes, Eq. (18)", *_INDIRECT),
+    "scalar": (*("scalar, estimated orientation, Eq. (13)",) * 3, "scalar, estimated orientation", *_INDIRECT),
+}  # fmt: skip
+ESTIMATORS = {method: dict(zip(GROUPS, words, strict=True)) for method, words in _BY_METHOD.items()}
+"""How each method finds each group of parameters, with the equations of the paper."""
+
+LARGEST_DEVIATION = 5.0 * DEGREE
+"""Largest table and mounting error, rad, for which formulas of first order in them are taken to hold."""
+LARGEST_AZIMUTH = 0.1
+"""Largest azimuth error of TRIAD, rad, likewise; the paper, too, wants biases an order below the Earth's rate."""
+REST_NOISE = ("accelerometer noise at rest", "gyro noise at rest")
+"""The sources that longer rests reduce."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PassErrors:
+    """What passes of a method on the programme of a set-up leave of the parameters.
+
+    `groups` are those that the programme gives: without known turns no gyro scale factors and angles. The matrices
+    (21, 21) take the variances of the parameters, whose standard deviations are `spread` (21,), to what is left:
+    `exact`, `by_table` and `by_mounting` after the first pass, and `twice` after the second, in parts that grow with
+    the 0th, 2nd and 4th power of the deviations. `second_order` (21,) and `noise` (21,), by source, are variances.
+    `size` (21,) are the units inside, SI: biases of accelerometers are angles.
+    """
+
+    setup: Setup
+    groups: tuple[str, ...]
+    exact: Array
+    by_table: Array
+    by_mounting: Array
+    twice: tuple[Array, Array, Array]
+    second_order: Array
+    noise: Mapping[str, Array]
+    spread: Array
+    size: Array
+
+    @staticmethod
+    def of(setup: Setup, method: MethodOfPaper) -> PassErrors:
+        """The errors of a method on the programme of a set-up. Raises InputError for an instrument with groups beyond
+        the linear model, and ProgrammeError for a programme without the positions that the method needs."""
+        check_setup(setup)
+        if setup.further:
+            raise InputError(
+                f"terms: expected linear for the method {method}, whose formulas have no other groups of parameters, "
+                "found full; take the method joint, or the linear model"
+            )
+        plan = PaperProgramme.of(setup.programme, method, turn_rate=setup.turn_rate, latitude=setup.latitude)
+        T0, D = first_order(plan)
+        table = 3 * len(plan.nominal)
+        width = np.repeat([setup.table_error, setup.mounting_error], [table, 3])
+        v, fourth = width**2 / 3.0, width**4 / 5.0  # uniform
+        angles = [setup.accel.bias / setup.gravity, setup.accel.scale, setup.accel.axis]
+        spread = np.repeat([*angles, setup.gyro.bias, setup.gyro.scale, setup.gyro.axis], [3, 3, 3, 3, 3, 6])
+        # T² = c + Σ τ_k l_k + Σ τ_k τ_l A_kl
+        c, linear = T0 @ T0, T0 @ D + D @ T0
+        A = np.einsum("kpj,ljq->klpq", D, D)
+        S, own = 0.5 * (A + A.swapaxes(0, 1)), np.einsum("kkpq->kpq", A)
+        trace = np.tensordot(v, own, axes=1)
+        square = trace**2 + 2.0 * np.einsum("k,l,klpq->pq", v, v, S**2, optimize=True)
+        square += np.tensordot(fourth - 3.0 * v**2, own**2, axes=1)
+        # q(X) = Xᵀ Q X, with the mean square (tr Q)² + 2 Σ Q_ij² for independent Gaussian X of unit spread
+        Q = np.outer(spread, spread)[:, :, None] * second_order(plan)
+        return PassErrors(
+            setup=setup,
+            groups=GROUPS if len(plan.first) else GROUPS[:4],
+            exact=T0**2,
+            by_table=np.tensordot(v[:table], D[:table] ** 2, axes=1),
+            by_mounting=np.tensordot(v[table:], D[table:] ** 2, axes=1),
+            twice=(c**2, 2.0 * c * trace + np.tensordot(v, linear**2, axes=1), square),
+            second_order=np.trace(Q) ** 2 + 2.0 * (Q**2).sum(axis=(0, 1)),
+            noise=_noise(setup, plan),
+            spread=spread,
+            size=np.where(np.arange(len(NAMES)) < 3, setup.gravity, 1.0),
+        )
+
+    def methodical(self, iteration: int, scale: float = 1.0) -> dict[str, Array]:
+        """Variances (21,) after so many passes, by source without those of noise, with table and mounting errors
+        multiplied by `scale`."""
+        if iteration == 1:
+            return {
+                **self._by_group("{} × table error", scale**2 * self.by_table),
+                **self._by_group("{} × mounting error", scale**2 * self.by_mounting),
+                **self._by_group("{} × Earth's rate", self.exact),
+                "second order in the parameters": self.second_order,
+            }
+        fixed, linear, square = self.twice
+        second = self._by_group("{} left by the pass before", fixed + scale**2 * linear + scale**4 * square)
+        if iteration == 2:
+            return second
+        gain, first = np.zeros(len(NAMES)), np.sum([*self.methodical(1, scale).values()], axis=0)
+        for members in MEMBERS.values():
+            before = float(np.mean(first[members]))
+            gain[members] = np.mean(np.sum([*second.values()], axis=0)[members]) / before if before > 0.0 else 0.0
+        return {name: gain ** (iteration - 2) * variance for name, variance in second.items()}
+
+    def of_group(self, group: str, variances: Mapping[str, Array]) -> dict[str, float]:
+        """Mean variances of a group, SI, by source."""
+        members = MEMBERS[group]
+        return {name: float(np.mean(self.size[members] ** 2 * v[members])) for name, v in variances.items()}
+
+    def _by_group(self, name: str, matrix: Array) -> dict[str, Array]:
+        """Variances (21,) that each group of parameters contributes through a matrix."""
+        return {name.format(g): matrix[:, own] @ self.spread[own] ** 2 for g, own in MEMBERS.items()}
+
+
+def remarks(setup: Setup) -> Iterator[str]:
+    """Where a set-up is outside the range of the formulas, in sentences."""
+    largest = max(setup.table_error, setup.mounting_error)
+    if largest > LARGEST_DEVIATION:
+        yield (
+            f"errors of table and mounting up to {largest / DEGREE:.3g}°: the formulas are of first order in them and "
+            f"hold up to {LARGEST_DEVIATION / DEGREE:g}°"
+        )
+    rate = math.hypot(setup.gyro.bias, setup.noise.gyro_white / math.sqrt(setup.rest), setup.noise.gyro_instability)
+    north = earth_rate(setup.latitude)[0]
+    if rate > LARGEST_AZIMUTH * north:
+        yield (
+            f"gyros off by {rate / DEGREE_PER_HOUR:.3g} °/h at rest, with {north / DEGREE_PER_HOUR:.3g} °/h of Earth's "
+            "rate to find north by: the methods sequential and scalar do worse in gyro parameters than predicted, "
+            "take joint"
+        )
+
+
+def _noise(setup: Setup, plan: PaperProgramme) -> dict[str, Array]:
+    """Variances (21,) of the parameters by noise, by source, on an exact programme: each noise as if alone."""
+    N, K, noise, g = len(plan.nominal), len(plan.first), setup.noise, setup.gravity
+    rest, turn = np.eye(3 * N).reshape(3 * N, N, 3), np.eye(3 * K).reshape(3 * K, K, 3)
+
+    def gains(step: float, **errors: Array) -> Array:
+        """What unit errors of readings make of the parameters (m, 21)."""
+        X, out = np.zeros((len(rest) if "turned" not in errors else len(turn), len(NAMES))), []
+        for sign in (1.0, -1.0):
+            signed = {name: sign * step * error for name, error in errors.items()}
+            out.append(estimated(plan, readings_of(plan, X, plan.nominal, **signed)))
+        return np.asarray((out[0] - out[1]) / (2.0 * step))
+
+    alike = np.exp(-np.abs(np.subtract.outer(*[itinerary_of(setup).rests[:, 0]] * 2)) / CORRELATION_TIME)
+
+    def wandered(gains: Array, bias: str) -> Array:
+        """Variances (21,) by biases that are a process of unit variance, from the gains of each rest and axis (3N, 21);
+        those of a `bias` are about its mean over the session."""
+        of_rests = gains.reshape(N, 3, -1).copy()
+        of_rests[:, np.arange(3), MEMBERS[bias]] -= 1.0 / N
+        return np.asarray(np.einsum("icp,ij,jcp->p", of_rests, alike, of_rests))
+
+    by_accel, by_gyro = gains(STEP, force=rest), gains(STEP * EARTH_RATE, rate=rest)
+    by_turn = gains(STEP, turned=turn) if K else np.zeros((0, len(NAMES)))
+    between = 0.5 * (rest[:, plan.first] + rest[:, plan.first + 1])  # biases in a turn are those between its ends
+    by_change = gains(STEP * EARTH_RATE, rate=rest, drift=between)
+    scale = np.isin(np.arange(len(NAMES)), MEMBERS["accel.scale"])
+    return {
+        REST_NOISE[0]: (by_accel**2).sum(axis=0) * (noise.accel_white / g) ** 2 / setup.rest,
+        REST_NOISE[1]: (by_gyro**2).sum(axis=0) * noise.gyro_white**2 / setup.rest,
+        "gyro noise in turns": np.repeat(plan.course.duration, 3) @ by_turn**2 * noise.gyro_white**2,
+        "accelerometer instability": wandered(by_accel, "accel.bias") * (noise.accel_instability / g) ** 2,
+        "gyro instability": wandered(by_change, "gyro.bias") * noise.gyro_instability**2,
+        "uncertainty of gravity": scale * (setup.gravity_u / g) ** 2,
+    }
