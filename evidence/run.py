@@ -32,12 +32,12 @@ from evidence.work import Entry, answers, median_seconds
 RESULTS = FOLDER / "results"
 SESSIONS = 6
 """Of every kind in the published table."""
-FEWER = {"tumble staged": 2, "imu_tk": 2, "imu-calib": 2}
+FEWER = {"imu_tk": 2, "imu-calib": 2}
 """Sessions of every kind, at most, of programs that take long."""
 MAKING = tuple(f"simulated/{name}.py" for name in ("motion", "device", "driver"))
 DECIDES = (*MAKING, "peers", "case.py", "score.py", "programs.py", "tumble_methods.py")
 """What rows depend on in this folder."""
-JUDGES = ("tumble joint", "tumble staged")
+JUDGES = ("tumble joint",)
 """Programs whose verdicts are on the whole recording."""
 
 

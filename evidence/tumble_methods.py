@@ -12,7 +12,7 @@ import numpy as np
 import tumble
 from evidence.case import NAMES, Array, Case, Estimate, GaveUpError, Kind, Program
 
-Method = Literal["joint", "staged", "ellipsoid", "scalar", "sequential"]
+Method = Literal["joint", "ellipsoid", "scalar", "sequential"]
 Terms = Literal["full", "linear"]
 KINDS: tuple[Kind, ...] = ("accel", "gyro")
 
@@ -85,4 +85,4 @@ def program(method: Method, gyro: bool = True) -> Program:
     )
 
 
-PROGRAMS = (program("joint", gyro=False), program("staged", gyro=False), program("ellipsoid", gyro=False))
+PROGRAMS = (program("joint", gyro=False), program("ellipsoid", gyro=False))

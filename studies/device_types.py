@@ -3,7 +3,7 @@
 A type is drawn once: the mean of every parameter from the usual spread of MEMS, units about it with a part of that
 spread (`SPREAD`), drifts in every recording anew. Each unit is recorded twice by hand, with all the rests and with half
 of them, and estimated by the method joint with the usual sizes of the grade. Then, for n known units out of the others,
-the recording with half the rests is combined with the type (`tumble.lab.device_type`), as `tumble calibrate --registry`
+the recording with half the rests is combined with the type (`tumble.inference.prior`), as `tumble calibrate --registry`
 does. A unit is either a complete session, or drawn by the information of one (`--linear`): then its estimate has that
 session's covariance, and thousands are cheap. Beside it stands what is possible at all: u where means and spreads of
 the type are known exactly, and the power of the best test for an outlier.
@@ -29,8 +29,10 @@ from scipy.stats import t
 
 from tumble.inference.estimate import Estimate
 from tumble.inference.joint import joint
+from tumble.inference.prior import with_prior
 from tumble.inference.sources import UncertaintyBudget, source
-from tumble.lab.device_type import DeviceType, KnownCalibration, known_calibration, with_type
+from tumble.lab.device_type import Unit as Recorded
+from tumble.lab.device_type import prior_of, unit_by, unit_of
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import session_of
 from tumble.reduction.observations import Observations
@@ -63,7 +65,7 @@ class Unit:
     whole: Estimate
     half: Estimate
     observations: Observations
-    known: KnownCalibration
+    known: Recorded
 
 
 def spreads_of(names: Sequence[str]) -> Array:
@@ -138,7 +140,7 @@ def _unit(number: int, truth: Mapping[str, float], estimates: Sequence[Estimate]
     whole, half = estimates
     seen = np.flatnonzero(whole.observable)
     every, covariance = parameters_of(whole, seen, {}, learned_in(whole)), whole.covariance[np.ix_(seen, seen)]
-    known = KnownCalibration.of(every, covariance, serial=str(number), logs={str(number)}, in_run={})
+    known = unit_by(every, covariance, serial=str(number), in_run={})
     return Unit(truth=truth, whole=whole, half=half, observations=observed, known=known)
 
 
@@ -154,7 +156,7 @@ def studied(units: Sequence[Unit], n: int, part: float, *, outliers: bool = Fals
     for number, each in enumerate(units):
         rng = np.random.default_rng([SEED, n, number])
         others = [i for i in rng.permutation(len(units)).tolist() if i != number][:n]
-        known = DeviceType(model="type", known=tuple(units[i].known for i in others))
+        known = prior_of([units[i].known for i in others], "type")
         estimate, truth = each.half, dict(each.truth)
         if outliers:
             name = str(rng.choice(estimate.names[:9]))
@@ -164,8 +166,8 @@ def studied(units: Sequence[Unit], n: int, part: float, *, outliers: bool = Fals
             values, off = estimate.values.copy(), OFFSET * np.hypot(part * spread, estimate.u[i])
             values[i] = spread * mean + (off if rng.random() < 0.5 else -off)
             estimate = replace(estimate, values=values)
-            judged = judged or len(known.learned().parameters)
-        made, said = with_type(estimate, each.observations, known)
+            judged = judged or len(known.names)
+        made, said = with_prior(estimate, each.observations, known)
         unlike = [sentence for sentence in said if sentence.startswith("unlike")]
         named += bool(unlike)
         found += outliers and any(f" {name} " in sentence for sentence in unlike)
@@ -246,23 +248,21 @@ def chips(folder: Path) -> Iterator[dict[str, object]]:
             }
             names = ["t", *columns["accel"], *columns["gyro"]]
             made = calibrate(session_of(content, {name: log[name].to_numpy().astype(float) for name in names}))
-            known.append(known_calibration(made))
-        units = DeviceType(model="MPU-9150", known=tuple(each for each in known if each is not None))
+            known.append(unit_of(made))
+        units = [each for each in known if each is not None]
         inside = dict[str, list[bool]]()
-        for each in units.known:
-            learned = units.without(each.serial).learned()
-            mean = dict(zip(learned.parameters, learned.mean.tolist(), strict=True))
-            own = dict(zip(learned.parameters, np.diag(learned.covariance).tolist(), strict=True))
-            sites = {name: (mean[name], 1.0 / p.variance) for name, p in learned.parameters.items()}
-            for name, (value, variance) in each.beside(sites).items():
-                if name in mean:
-                    chance = learned.parameters[name].chance(value - mean[name], variance + own[name])
-                    inside.setdefault(group_name(name), []).append(chance > 0.05)
+        for each in units:
+            prior = prior_of([other for other in units if other is not each], "MPU-9150")
+            for name, (value, variance) in each.alone().items():
+                if name in prior.names:
+                    i = prior.names.index(name)
+                    off = abs(value - prior.mean[i]) / np.sqrt(variance + prior.covariance[i, i])
+                    inside.setdefault(group_name(name), []).append(bool(off < 1.96))
         every = [each for group in inside.values() for each in group]
         groups = {group: round(float(np.mean(values)), 3) for group, values in inside.items()}
         yield {
             "recording": file.stem,
-            "units": units.units,
+            "units": len(units),
             "values": len(every),
             "inside": float(np.mean(every)),
             **groups,

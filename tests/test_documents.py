@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import copy
 import json
+from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+import numpy as np
 import pytest
 
 from tests.support.registry_files import content
-from tumble.documents import LONGEST_LINE, json_of, one_line, plain, toml_of
+from tumble.documents import LONGEST_LINE, as_json, json_of, one_line, plain, toml_of
 from tumble.errors import CalibrationError, InputError, SessionError
 from tumble.recording.session_file import read_session, session_of
 from tumble.result.calibration import calibration_of
@@ -126,3 +129,50 @@ def test_every_fault_of_a_calibration_file_is_named_with_its_key(path: str, valu
     assert str(caught.value).startswith("file: ")
     assert said in str(caught.value)
     assert str(caught.value).isprintable()
+
+
+# -------------------- results as JSON --------------------
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Two columns of two rows, and one that is not known."""
+
+    number: np.ndarray
+    vector: np.ndarray
+    celsius: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+
+@dataclass(frozen=True)
+class Found:
+    """A result of which not everything is shown."""
+
+    json_fields: ClassVar = ("double", "rests", "day", "file", "by_name")
+
+    value: float
+    rests: Columns
+    day: date
+    file: Path
+    by_name: dict[str, float]
+
+    @property
+    def double(self) -> float:
+        return 2.0 * self.value
+
+
+def test_a_result_becomes_json_by_its_fields_and_columns_become_rows() -> None:
+    rests = Columns(number=np.array([0, 1]), vector=np.array([[1.0, np.nan], [np.inf, 2.0]]))
+    found = Found(1.5, rests, date(2026, 5, 4), Path("a/b"), {"x": np.float64(3.0)})
+    assert json.loads(json.dumps(as_json(found), allow_nan=False)) == {
+        "double": 3.0,
+        "rests": [
+            {"number": 0, "vector": [1.0, None], "celsius": None},
+            {"number": 1, "vector": [None, 2.0], "celsius": None},
+        ],
+        "day": "2026-05-04",
+        "file": "a/b",
+        "by_name": {"x": 3.0},
+    }

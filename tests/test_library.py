@@ -152,7 +152,6 @@ CALLS = {
     "report": "write_report",
     "selftest": "run_selftest",
     "simulate": "simulate_session",
-    "upload": "upload",
     "verify": "verify_calibration",
 }
 """The public call behind every command but `bench`, which serves a page until it is stopped, and `watch`, which feeds

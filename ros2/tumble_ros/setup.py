@@ -13,7 +13,7 @@ setup(
         (f"share/{NAME}/launch", ["launch/correct.launch.py"]),
         (f"share/{NAME}/config", ["config/corrector.yaml"]),
     ],
-    install_requires=["setuptools"],
+    install_requires=["setuptools", "tumble"],
     zip_safe=True,
     maintainer="tumble contributors",
     description="Corrects sensor_msgs/Imu with a calibration of tumble, and records for one",

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sized
 from dataclasses import fields, is_dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -34,3 +35,19 @@ def _short(value: Any) -> str:
     if isinstance(value, str):
         return repr(f"{value[: _LONGEST - 1]}…")
     return f"{len(value)} entries" if isinstance(value, tuple | list | dict | set) else f"<{type(value).__name__}>"
+
+
+class Judged(Brief):
+    """A result that answers a question: no if there are `reasons`, sentences, against it."""
+
+    __slots__ = ()
+
+    @property
+    @abstractmethod
+    def reasons(self) -> tuple[str, ...]:
+        """Why the answer is no; empty if it is yes."""
+
+    @property
+    def verdict(self) -> Literal["accepted", "not accepted"]:
+        """The answer in the words of a calibration's outcome."""
+        return "not accepted" if self.reasons else "accepted"

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -25,6 +26,7 @@ from tumble import __version__
 from tumble.compiled import as_python
 from tumble.documents import one_line
 from tumble.errors import TumbleError
+from tumble.plugins import entry_points_of, load, package_of
 from tumble.program_errors import check_address_space, ended_by
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: threads would only wait for each other
@@ -69,21 +71,23 @@ STUCK_SECONDS = 5.0
 """How long a command may take to notice that it is to end."""
 
 COMMANDS: Mapping[str, str] = {
-    "From a recording to a calibration": (
-        "recordings.new recordings.inspect calibrate.calibrate calibrate.ellipsoid results.verify results.check "
-        "results.watch results.compare results.apply results.mission recordings.noise recordings.bench"
+    "Most used": (
+        "recordings.new recordings.inspect calibrate.calibrate results.check passing_on.export passing_on.report"
     ),
-    "Before anything is recorded": ("planning.programme planning.plan planning.simulate"),
-    "To pass on and to keep": "passing_on.report passing_on.export passing_on.upload registry.registry",
+    "Before anything is recorded": "planning.programme planning.plan planning.simulate",
+    "With a calibration": "results.apply results.compare",
+    "Of other recordings": "calibrate.ellipsoid recordings.noise",
     "Many at once": "many.campaign many.fleet",
-    "This installation": "passing_on.selftest",
 }
-"""The commands by what they are for, in the order of the list, each as file.function of `commands/`."""
+"""The built-in commands by what they are for, in the order of the list, each as file.function of `commands/`."""
 
-_READING = ("recordings", "calibrate", "results", "many")
-"""Files of commands that read recordings."""
+OWN_PLUGINS = "Laboratory and live page"
+"""Heading of the commands that `lab` and `bench` bring."""
+
+_READ_NO_RECORDINGS = ("planning", "passing_on")
+"""Files of commands that read no recordings."""
 _FILES = dict(place.split(".")[::-1] for group in COMMANDS.values() for place in group.split())
-"""The file of each command."""
+"""The file of each built-in command."""
 
 
 def first_sentence(docstring: str) -> str:
@@ -91,15 +95,33 @@ def first_sentence(docstring: str) -> str:
     return " ".join(docstring.split("\n\n")[0].split()).partition(". ")[0].removesuffix(".") + "."
 
 
-def listed(places: str) -> dict[str, str]:
-    """Commands with the first sentences of their docstrings, which are read from the files: a list imports no command,
-    and so takes a tenth of the time."""
-    folder, says = Path(__file__).with_name("commands"), dict[str, str]()
-    for file, name in (place.split(".") for place in places.split()):
-        text = (folder / f"{file}.py").read_text(encoding="utf-8")
-        docstring = re.search(rf'^def {name}\(.*?"""(.*?)"""', text, re.MULTILINE | re.DOTALL)
-        says[name] = first_sentence(docstring[1] if docstring else "")
-    return says
+def _sentence_of(module: str, function: str) -> str:
+    """The first sentence of a function's docstring, read from its file: a list imports no command, and so takes a tenth
+    of the time. Empty where the file does not show it."""
+    try:
+        spec = find_spec(module)
+    except Exception:  # of a package that is broken or gone
+        return "Cannot be imported."
+    if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
+        return ""
+    text = Path(spec.origin).read_text(encoding="utf-8")
+    docstring = re.search(rf'^def {function}\(.*?"""(.*?)"""', text, re.MULTILINE | re.DOTALL)
+    return first_sentence(docstring[1]) if docstring else ""
+
+
+def listed() -> dict[str, dict[str, str]]:
+    """All commands by heading, each with the first sentence of its docstring: the built-in ones, then those of other
+    packages, below the name of the package."""
+    out: dict[str, dict[str, str]] = {}
+    for title, places in COMMANDS.items():
+        files = (place.split(".") for place in places.split())
+        out[title] = {name: _sentence_of(f"tumble.commands.{file}", name) for file, name in files}
+    for name, point in entry_points_of("commands").items():
+        if name not in _FILES:
+            package = package_of(point)
+            title = OWN_PLUGINS if package == "tumble" else f"From {package}"
+            out.setdefault(title, {})[name] = _sentence_of(point.module, point.attr)
+    return out
 
 
 class _Commands(click.Group):
@@ -117,24 +139,30 @@ class _Commands(click.Group):
         """The commands by what they are for, each with its first sentence."""
         del ctx
         with formatter.section("Commands"):
-            for title, places in COMMANDS.items():
+            for title, commands in listed().items():
                 formatter.write_text(title)
                 with formatter.indentation():
-                    formatter.write_dl(list(listed(places).items()))
+                    formatter.write_dl(list(commands.items()))
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         del ctx
-        return [*_FILES]
+        return [*dict.fromkeys([*_FILES, *entry_points_of("commands")])]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """A command, imported when it is first asked for."""
-        del ctx
-        if cmd_name in _FILES and cmd_name not in self.commands:
-            command: click.Command = getattr(import_module(f"tumble.commands.{_FILES[cmd_name]}"), cmd_name)
+        """A command, imported when it is first asked for; None where there is none of this name."""
+        if cmd_name not in self.commands:
+            try:
+                command = _command(cmd_name)
+            except TumbleError:
+                if ctx.resilient_parsing:  # the shell completes what is typed
+                    return None
+                raise
+            if command is None:
+                return None
             for part in getattr(command, "commands", {}).values():
                 part.short_help = first_sentence(part.help or "")
-            self.add_command(command)
-        return self.commands.get(cmd_name)
+            self.add_command(command, cmd_name)
+        return self.commands[cmd_name]
 
     def make_context(self, *args: Any, **extra: Any) -> click.Context:
         with _in_one_line():
@@ -143,6 +171,14 @@ class _Commands(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         with _in_one_line():
             return super().invoke(ctx)
+
+
+def _command(name: str) -> click.Command | None:
+    """The built-in command of a name, else that of another package."""
+    if name not in _FILES:
+        return load("commands", name, click.Command)
+    command: click.Command = getattr(import_module(f"tumble.commands.{_FILES[name]}"), name)
+    return command
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -154,7 +190,7 @@ def main(context: click.Context, quiet: bool, verbose: bool) -> None:
     """Calibrate strapdown inertial measurement units on equipment that is not precise."""
     from tumble.recording.panic import COMMAND_LINE
 
-    if _FILES.get(context.invoked_subcommand or "") in _READING:
+    if _FILES.get(context.invoked_subcommand or "") not in _READ_NO_RECORDINGS:
         check_address_space()
     if as_python() and not quiet:
         click.echo("tumble: the loops over samples are not compiled and run as plain Python, slowly", err=True)

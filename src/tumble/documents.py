@@ -1,4 +1,4 @@
-"""TOML and JSON as users give them, and words of data as a message can show them.
+"""TOML and JSON as users give them, results as JSON, and words of data as a message can show them.
 
 What a parser says of a document becomes one line; so do numbers of thousands of digits and hundreds of brackets, which
 are no error of the syntax. No character that moves the cursor of a terminal or turns the direction of writing round is
@@ -7,12 +7,13 @@ shown.
 
 from __future__ import annotations
 
+import math
 import re
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import is_dataclass
 from datetime import date
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, get_args, get_origin, get_type_hints
 
 from tumble.errors import InputError, did_you_mean
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
 
 # The parsers and pydantic are imported where they are used: the help of the command line needs none of them.
+
+AS_PRINTED: Mapping[type, Callable[[Any], Any]] = {float: lambda number: number if math.isfinite(number) else None}
+"""What `--json` prints otherwise than as it is: a number that is not finite is null."""
 
 LARGEST_DOCUMENT = 1 << 26
 """Bytes of a document that is read as a whole: 64 MB."""
@@ -95,21 +99,40 @@ def json_of(text: str) -> Any:
         raise ValueError(_BEYOND_MEASURE if "digits" in str(fault) else str(fault)) from None
 
 
-def as_json(part: Any, by_type: Mapping[type, Callable[[Any], Any]]) -> Any:
-    """A part of a result as JSON has it: records as their fields, arrays as lists, days and times by ISO 8601, and what
-    is of a type in `by_type` as that has it."""
+def as_json(part: Any, by_type: Mapping[type, Callable[[Any], Any]] = AS_PRINTED) -> Any:
+    """A result in the types that JSON has.
+
+    A dataclass becomes an object of its fields, or of the attributes and properties that its class attribute
+    `json_fields` names. A dataclass that has a length holds columns of this length and becomes a list of rows. Arrays
+    and tuples become lists, dates and times ISO 8601 strings, paths strings.
+
+    Parameters
+    ----------
+    part
+        A result, or a part of one.
+    by_type
+        Functions for objects of these very types, which replace the rules above. By default a number that is not finite
+        becomes null.
+    """
     if type(part) in by_type:
         return by_type[type(part)](part)
-    if hasattr(part, "tolist"):  # of NumPy
+    if hasattr(part, "tolist"):  # NumPy
         return as_json(part.tolist(), by_type)
-    if isinstance(part, date):
-        return part.isoformat()
+    if isinstance(part, date | PurePath):
+        return part.isoformat() if isinstance(part, date) else str(part)
     if isinstance(part, list | tuple):
         return [as_json(each, by_type) for each in part]
-    names = getattr(part, "__dataclass_fields__", None)
-    if names is not None:
-        return {name: as_json(getattr(part, name), by_type) for name in names}
-    return {key: as_json(each, by_type) for key, each in part.items()} if isinstance(part, Mapping) else part
+    if isinstance(part, Mapping):
+        return {key: as_json(each, by_type) for key, each in part.items()}
+    names = getattr(part, "json_fields", None) or getattr(part, "__dataclass_fields__", None)
+    if names is None:
+        return part
+    content = {name: as_json(getattr(part, name), by_type) for name in names}
+    if not hasattr(part, "__len__"):
+        return content
+    count = len(part)
+    columns = ([None] * count if column is None else column for column in content.values())
+    return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
 def _no_number(name: str) -> NoReturn:

@@ -65,8 +65,8 @@ def ending_in(path: Path, *endings: str) -> str:
     """The ending of a file that is to be written, in small letters. Raises InputError for another than these."""
     ending, (*others, last) = path.suffix.lower(), endings
     if ending not in endings:
-        found = path.suffix or "no ending"
-        raise InputError(f"{path}: expected a file that ends in {', '.join(others)} or {last}, found {found!r}")
+        found, expected = path.suffix or "no ending", f"{', '.join(others)} or {last}" if others else last
+        raise InputError(f"{path}: expected a file that ends in {expected}, found {found!r}")
     return ending
 
 

@@ -10,7 +10,6 @@ from tumble.campaigns.fleet import Tally as Tally
 from tumble.campaigns.summary import SummaryLine as SummaryLine
 from tumble.diagnosis.observability import Refusal as Refusal
 from tumble.drafting.new_session import Given as Given
-from tumble.export.upload import ParameterChange as ParameterChange
 from tumble.inference.estimate import GroupFinding as GroupFinding
 from tumble.inference.estimate import HyperparameterEstimate as HyperparameterEstimate
 from tumble.inference.estimate import Integral as Integral
@@ -18,10 +17,9 @@ from tumble.inference.estimate import Judgement as Judgement
 from tumble.inference.estimate import ProcessBias as ProcessBias
 from tumble.inference.likelihood import Linearised as Linearised
 from tumble.inference.prediction import Prediction as Prediction
-from tumble.lab.selftest import SelftestRecord as SelftestRecord
-from tumble.lab.type_spread import KnownLaunches as KnownLaunches
 from tumble.methods.ellipsoid_fit import WorstPosition as WorstPosition
-from tumble.methods.field_check import CheckResult as CheckResult
+from tumble.methods.field_check import ChangedParameter as ChangedParameter
+from tumble.methods.field_check import ParameterTest as ParameterTest
 from tumble.planning.next_positions import NextPosition as NextPosition
 from tumble.planning.next_positions import TurnTable as TurnTable
 from tumble.planning.plan import PlannedGroup as PlannedGroup
@@ -54,6 +52,7 @@ from tumble.reduction.turns.moments import OwnAxes as OwnAxes
 from tumble.reduction.turns.turns import TurnReadings as TurnReadings
 from tumble.reduction.turns.turns import Turns as Turns
 from tumble.reduction.turns.turns import TurnSamples as TurnSamples
+from tumble.result.launch_variances import LaunchVariances as LaunchVariances
 from tumble.result.parts import CalibratedDevice as CalibratedDevice
 from tumble.result.parts import CalibratedTemperature as CalibratedTemperature
 from tumble.result.parts import Readings as Readings
@@ -68,5 +67,5 @@ from tumble.sensors.grades import Spread as Spread
 from tumble.sensors.instrument import Instrument as Instrument
 from tumble.simulation.scenario import Vibration as Vibration
 from tumble.simulation.temperature_profile import TemperatureProfile as TemperatureProfile
-from tumble.use.apply import RestResidual as RestResidual
+from tumble.use.check import CheckedRest as CheckedRest
 from tumble.use.compare import Difference as Difference

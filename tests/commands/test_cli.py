@@ -28,7 +28,7 @@ from click.testing import CliRunner, Result
 
 import tumble.commands
 from tumble import __version__
-from tumble.cli import COMMANDS, first_sentence, listed, main
+from tumble.cli import first_sentence, listed, main
 from tumble.planning.setup import Setup
 from tumble.run.observed import inspect_session
 from tumble.simulation.session import simulate_session
@@ -640,15 +640,16 @@ def test_results_are_printed_as_data(sessions: Path) -> None:
     done = run("calibrate", sessions / "one", "--terms", "linear", "--json")
     assert json.loads(done.stdout) == json.loads((sessions / "one/calibration.json").read_text(encoding="utf-8"))
     seen = json.loads(run("inspect", sessions / "one", "--json").stdout)
-    assert [rest["start"] for rest in seen["rests"]] == [rest["start"] for rest in json.loads(done.stdout)["rests"]]
-    assert len(seen["turns"]) == len(seen["rests"]) - 1
+    observed = seen["observations"]
+    assert [rest["start"] for rest in observed["rests"]] == [rest["start"] for rest in json.loads(done.stdout)["rests"]]
+    assert len(observed["turns"]) == len(observed["rests"]) - 1
     file = sessions / "one/calibration.json"
     compared = json.loads(run("compare", file, file, "--json").stdout)
     assert compared["verdict"] == "accepted"
-    assert {p["difference"] for p in compared["parameters"]} == {0.0}
-    verified = json.loads(run("verify", file, sessions / "one", "--json").stdout)
-    assert verified["verdict"] == "accepted"
-    assert len(verified["positions"]) == len(seen["rests"])
+    assert {each["value"] for each in compared["differences"]} == {0.0}
+    checked = json.loads(run("check", file, sessions / "one", "--json").stdout)
+    assert checked["verdict"] == "accepted"
+    assert len(checked["rests"]) == len(observed["rests"])
 
 
 def test_quiet_leaves_results_reasons_and_errors(sessions: Path) -> None:
@@ -681,7 +682,7 @@ def test_a_log_is_calibrated_without_a_session(sessions: Path) -> None:
     )
 
 
-LISTED = listed(" ".join(COMMANDS.values()))
+LISTED = {name: sentence for commands in listed().values() for name, sentence in commands.items()}
 
 
 @pytest.mark.parametrize("name", LISTED)
@@ -701,8 +702,9 @@ def test_examples_in_the_help_are_commands(name: str) -> None:
 
 
 def test_every_command_is_listed_with_its_first_sentence() -> None:
-    modules = pkgutil.iter_modules(tumble.commands.__path__, "tumble.commands.")
-    known = [value for module in modules for value in vars(importlib.import_module(module.name)).values()]
+    modules = [module.name for module in pkgutil.iter_modules(tumble.commands.__path__, "tumble.commands.")]
+    modules += ["tumble.lab.commands", "tumble.bench.commands"]
+    known = [value for module in modules for value in vars(importlib.import_module(module)).values()]
     every = [command for command in known if isinstance(command, click.Command)]
     parts = [part for command in every for part in getattr(command, "commands", {}).values()]
     assert sorted(str(command.name) for command in every if command not in parts) == sorted(LISTED)

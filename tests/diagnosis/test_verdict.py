@@ -29,6 +29,7 @@ from tumble.diagnosis.projection import (
 )
 from tumble.diagnosis.undetermined import listed
 from tumble.diagnosis.verdict import gravity_doubted, gravity_said, verdict
+from tumble.documents import as_json
 from tumble.earth import NORMAL_GRAVITY_U
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.hyperparameters import Components
@@ -235,7 +236,7 @@ def test_a_group_is_judged_with_its_kind_and_a_kind_with_its_groups() -> None:
     )
     assert outcome.accel.reasons == outcome.of("accel.scale").reasons == ("wrong",)
     assert set(outcome.groups) == {"accel.bias", "accel.axis", "gyro.bias", "gyro.scale", "gyro.axis"}
-    assert Outcome.from_content(outcome.content()) == outcome
+    assert Outcome.from_content(as_json(outcome)) == outcome
 
 
 def test_outcomes_come_back_from_their_content() -> None:
@@ -245,8 +246,8 @@ def test_outcomes_come_back_from_their_content() -> None:
         unobservable=("gyro.scale.x",),
         concerns={"drifting": ("accel.bias",), "bad gyros": ("gyro",), "noisy": ("gyro",)},
     )
-    assert Outcome.from_content(outcome.content()) == outcome
-    assert Outcome.from_content(Outcome().content()) == Outcome()
+    assert Outcome.from_content(as_json(outcome)) == outcome
+    assert Outcome.from_content(as_json(Outcome())) == Outcome()
 
 
 def test_gravity_that_no_place_has_is_refused_unless_confirmed() -> None:

@@ -24,7 +24,7 @@ from evidence.run import Results
 from evidence.score import Row
 from evidence.simulated.kinds import KINDS
 
-PROGRAMS = ("tumble joint", "tumble staged", "imu_tk")
+PROGRAMS = ("tumble joint", "tumble ellipsoid", "imu_tk")
 
 
 def row(kind: str, index: int, program: str, z: float = 0.8, verdict: str = "accepted") -> Row:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,17 +9,14 @@ import numpy as np
 import pytest
 
 from tests.support.calibrated import calibration, warmed
-from tests.support.registry_files import record
 from tumble.errors import InputError
 from tumble.lab.conformity import verdicts
 from tumble.lab.limits import Limits, parse_limits
-from tumble.lab.registry.adding import Particulars, add, set_limits, submission
-from tumble.lab.registry.series import verdict_of
-from tumble.lab.registry.store.connect import open_registry
+from tumble.lab.registry.registry import open_registry
+from tumble.lab.report import limits_section
 from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import curve
 from tumble.units import G_STANDARD
-from tumble.views.report.result import limits as section
 
 MADE = warmed(calibration())
 """Rests from −18.5 to 57.25 °C."""
@@ -53,8 +49,8 @@ def test_a_parameter_passes_where_it_is_within_limits_at_its_worst_temperature()
         assert judgement.expanded is not None
         found = (abs(judgement.value) + judgement.expanded) / (1e-3 * G_STANDARD)
         assert found == pytest.approx(extremes(MADE)[judgement.name], rel=1e-4)
-    assert "conditional pass: accel.bias." in narrow.reasons()[0]
-    assert " °C" in narrow.reasons()[0]
+    assert "conditional pass: accel.bias." in narrow.reasons[0]
+    assert " °C" in narrow.reasons[0]
 
 
 def test_one_that_fails_at_some_temperature_fails() -> None:
@@ -68,11 +64,11 @@ def test_one_that_fails_at_some_temperature_fails() -> None:
 def test_nothing_passes_beyond_what_was_measured() -> None:
     beyond = verdicts(MADE, limits("1 g", "[-40, 57]"))[0]
     assert beyond.result == "undecided"
-    assert beyond.reasons() == [f"not measured from −40.0 to −18.5 °C: {', '.join(j.named for j in beyond.judgements)}"]
+    assert beyond.reasons == [f"not measured from −40.0 to −18.5 °C: {', '.join(j.named for j in beyond.judgements)}"]
     apart = verdicts(MADE, limits("1 g", "[70, 85]"))[0]
     assert apart.unmeasured == "from 70.0 to 85.0 °C"
     flat = replace(MADE, parameters=calibration().parameters, covariance=calibration().covariance)
-    assert verdicts(flat, limits("1 g"))[0].reasons() == [f"not known over temperature: {', '.join(NAMES)}"]
+    assert verdicts(flat, limits("1 g"))[0].reasons == [f"not known over temperature: {', '.join(NAMES)}"]
     cold = verdicts(calibration(), limits("1 g"))[0]
     assert cold.result == "undecided"
     assert cold.judgements[0].result == "undecided"
@@ -94,7 +90,7 @@ def test_temperatures_that_are_none_are_refused(given: str) -> None:
 
 def test_the_report_says_between_which_temperatures_limits_hold() -> None:
     cold, given = replace(MADE, rests=()), limits("1 g")
-    shown, unknown = (repr(section(made, given, verdicts(made, given))) for made in (MADE, cold))
+    shown, unknown = (repr(limits_section(given, verdicts(made, given))) for made in (MADE, cold))
     assert "Periodic check: pass, within limits from −18 to 57 °C." in shown
     assert "at °C" in shown
     assert "not measured" in unknown
@@ -102,9 +98,9 @@ def test_the_report_says_between_which_temperatures_limits_hold() -> None:
 
 def test_the_registry_judges_a_record_over_temperature(tmp_path: Path) -> None:
     text = 'format = 1\ntemperature_degC = [-18, 57]\n[incoming]\n"accel.bias" = "1 g"\n'
-    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
-        set_limits(registry, "test", text, None)
-        number = add(registry, submission(json.dumps(MADE.content()), "file", Particulars())).record.number
-        verdict = verdict_of(registry, record(registry, number))
+    (tmp_path / "limits.toml").write_text(text, encoding="utf-8")
+    with open_registry(tmp_path / "r.sqlite", create=True) as registry:
+        registry.set_limits("test", tmp_path / "limits.toml")
+        verdict = registry.verdict(registry.add_calibration(MADE))
         assert verdict is not None
         assert verdict.over == "within limits from −18 to 57 °C"

@@ -4,30 +4,22 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
-from datetime import date
+from collections.abc import Iterator
+from datetime import UTC, date, datetime
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.registry_files import content, limits_records, record, write
+from tests.support.registry_files import added, content, write
 from tumble.errors import InputError
 from tumble.lab.conformity import judge, judge_value
 from tumble.lab.limits import Limits, months_later, parse_limits, read_limits
-from tumble.lab.registry import adding
-from tumble.lab.registry.adding import Particulars, add, set_limits, submission, utc
-from tumble.lab.registry.due import Due, due
-from tumble.lab.registry.exchange import export_lines, import_file
-from tumble.lab.registry.monitor import monitored
-from tumble.lab.registry.series import verdict_of
-from tumble.lab.registry.store import rows
-from tumble.lab.registry.store.connect import Registry, open_registry
+from tumble.lab.registry.registry import Registry, open_registry
+from tumble.lab.views.registry import due_table
 from tumble.result.parts import Parameter
 from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD
-from tumble.views.registry_lists import due_table
 
 MG = 1e-3 * G_STANDARD
 SYSTEMATIC = json.dumps(content(serial="passport", values={"accel.scale.x": 1e-3, "accel.scale.y": -2e-3}))
@@ -124,7 +116,7 @@ def test_a_whole_is_as_good_as_its_worst_parameter() -> None:
         assert verdict.result == result
     last = judge(limits(), "incoming", [guard, bad, *others])
     assert last is not None
-    assert last.reasons() == ["fail: gyro.axis.xy", "conditional pass: accel.bias.y"]
+    assert last.reasons == ["fail: gyro.axis.xy", "conditional pass: accel.bias.y"]
 
 
 def test_what_was_not_determined_does_not_pass() -> None:
@@ -132,7 +124,7 @@ def test_what_was_not_determined_does_not_pass() -> None:
     verdict = judge(limits(), "incoming", rows, unobservable=["accel.bias.z", "accel.axis.yx"])
     assert verdict is not None
     assert verdict.result == "undecided"
-    assert verdict.reasons() == ["without U: accel.scale.x", "not determined: accel.bias.z, gyro.bias.x, gyro.axis.xy"]
+    assert verdict.reasons == ["without U: accel.scale.x", "not determined: accel.bias.z, gyro.bias.x, gyro.axis.xy"]
     assert judge(limits(), "periodic", [row("accel.bias.x", 0.0)]) is None
 
 
@@ -191,98 +183,6 @@ def test_the_systematic_values_are_read_beside_the_limits_and_in_their_frame(tmp
         read_limits(tmp_path / "none.toml")
 
 
-# -------------------- verdicts in the registry --------------------
-
-
-def added(registry: Any, particulars: Particulars | None = None, **what: Any) -> int:
-    return add(registry, submission(json.dumps(content(**what)), "file", particulars or Particulars())).record.number
-
-
-def result(registry: Any, number: int) -> str | None:
-    verdict = verdict_of(registry, record(registry, number))
-    said = None if verdict is None else verdict.result
-    assert record(registry, number).verdict == said  # as it was when it was added
-    return said
-
-
-def test_a_verdict_stands_when_limits_are_replaced(tmp_path: Path) -> None:
-    wide, narrow = (f'format = 1\n[incoming]\n"accel.bias" = "{size} mg"\n[periodic]\n"accel.bias" = "{size} mg"'
-                    for size in (5, 1))  # fmt: skip
-    value = {"accel.bias.x": 3 * MG}
-    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
-        before = added(registry, log="a", values=value)
-        assert set_limits(registry, "BCHE-501", wide, None)[1]
-        assert not set_limits(registry, "BCHE-501", wide, None)[1]
-        first = added(registry, log="b", values=value)
-        assert set_limits(registry, "BCHE-501", narrow, None)[1]
-        second = added(registry, log="c", values=value)
-        assert [result(registry, number) for number in (before, first, second)] == [None, "pass", "fail"]
-        now = monitored(registry, "A-0007", "accel.bias.x")
-        assert set(now.verdicts().values()) == {"fail"}  # all of the history by the present limits
-        assert set_limits(registry, "BCHE-501", wide, None)[1]  # back again: a record of its own
-        assert [result(registry, number) for number in (before, first, second)] == [None, "pass", "fail"]
-        assert len(limits_records(registry)) == 3
-
-
-def test_limits_of_one_type_do_not_judge_another(tmp_path: Path) -> None:
-    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
-        set_limits(registry, "BCHE-501", ALL_FORMS, SYSTEMATIC)
-        assert result(registry, added(registry, serial="B", model="other", log="a")) is None
-        assert result(registry, added(registry, serial="C", model=None, log="b")) is None
-        assert result(registry, added(registry, log="c")) == "fail"  # scale factors are not the systematic ones
-
-
-def test_limits_in_another_frame_judge_the_converted_values(tmp_path: Path) -> None:
-    """In the paper's frame the X axis has the angles that Y and Z have in the accelerometers' frame."""
-    text = 'format = 1\nframe = "paper"\n[incoming]\n"accel.axis.xy" = "2 mrad"'
-    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
-        set_limits(registry, "BCHE-501", text, None)
-        assert result(registry, added(registry, log="a", values={"accel.axis.yx": -1e-3})) == "pass"
-        far = Particulars(occasion="incoming")
-        assert result(registry, added(registry, far, log="b", values={"accel.axis.yx": -3e-3})) == "fail"
-
-
-def test_a_frame_that_cannot_be_converted_is_refused_in_one_line(tmp_path: Path) -> None:
-    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
-        added(registry, log="a")
-        added(registry, Particulars(performed=utc("2026-04-01", "")), log="b", frame="house")
-        with pytest.raises(
-            InputError, match=r"record 1: is in the frame 'accelerometer' and cannot be compared in the f"
-        ):
-            monitored(registry, "A-0007", None)
-
-
-# -------------------- what is due --------------------
-
-
-@pytest.mark.parametrize(
-    ("day", "months", "later"),
-    [
-        ("2026-03-01", 12, "2027-03-01"),
-        ("2026-08-31", 6, "2027-02-28"),
-        ("2027-08-31", 6, "2028-02-29"),
-        ("2026-12-15", 1, "2027-01-15"),
-        ("2026-11-30", 25, "2028-12-30"),
-    ],
-)
-def test_months_end_where_the_calendar_ends_them(day: str, months: int, later: str) -> None:
-    assert str(months_later(utc(day, "").date(), months)) == later
-
-
-def test_what_is_due_counts_from_the_last_record_in_force(tmp_path: Path) -> None:
-    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
-        set_limits(registry, "BCHE-501", ALL_FORMS, SYSTEMATIC)
-        for serial, day in (("A-0007", "2026-01-10"), ("B", "2025-12-31"), ("A-0007", "2025-01-10")):
-            added(registry, Particulars(performed=utc(day, "")), serial=serial, log=f"{serial}{day}")
-        added(registry, serial="C", model="no limits", log="c")
-        found = [(item.record.serial, str(item.day), item.months) for item in due(registry)]
-        assert found == [("A-0007", "2026-07-10", 6), ("B", "2026-12-31", 12), ("C", "None", None)]
-        correction = Particulars(supersedes=1, reason="date", performed=utc("2026-02-10", ""))
-        assert replace(correction, reason="other") != correction
-        added(registry, correction, log="A-00072026-01-10", values={"accel.bias.x": 1.0})
-        assert str(due(registry)[0].day) == "2026-08-10"
-
-
 def test_limits_of_a_further_group_are_in_its_units_and_a_bias_limit_is_not_for_its_slope() -> None:
     found = limits(
         'format = 1\n[incoming]\n"accel.quadratic" = "20 ug/g^2"\n"accel.bias" = "5 mg"\n"accel.bias.t1" = "0.1 mg/K"',
@@ -295,75 +195,129 @@ def test_limits_of_a_further_group_are_in_its_units_and_a_bias_limit_is_not_for_
     assert found.of("accel.bias.x.drift", "incoming") is None
 
 
-DRIFT_LIMITS = 'format = 1\ninterval_months = 36\n[periodic]\n"accel.bias" = "5 mg"'
+# -------------------- verdicts in the registry --------------------
 
 
-def add_drifting(registry: Registry) -> None:
+@pytest.fixture
+def registry(tmp_path: Path) -> Iterator[Registry]:
+    write(tmp_path / "passport.json", json.loads(SYSTEMATIC))
+    with open_registry(tmp_path / "r.sqlite", create=True) as opened:
+        yield opened
+
+
+def put_in_force(registry: Registry, text: str, model: str = "BCHE-501") -> int:
+    """The number of the limits of a text."""
+    file = Path(registry.name).with_name("limits.toml")
+    file.write_text(text, encoding="utf-8")
+    return registry.set_limits(model, file).number
+
+
+def result(registry: Registry, number: int) -> str | None:
+    record = registry.record(number)
+    verdict = registry.verdict(record)
+    word = None if verdict is None else verdict.result
+    assert record.verdict == word  # as it was when it was added
+    return word
+
+
+def test_a_verdict_stands_when_limits_are_replaced(registry: Registry) -> None:
+    wide, narrow = (f'format = 1\n[incoming]\n"accel.bias" = "{size} mg"\n[periodic]\n"accel.bias" = "{size} mg"'
+                    for size in (5, 1))  # fmt: skip
+    value = {"accel.bias.x": 3 * MG}
+    added(registry, log="a", values=value)
+    assert [put_in_force(registry, wide), put_in_force(registry, wide)] == [1, 1]
+    added(registry, log="b", values=value)
+    assert put_in_force(registry, narrow) == 2
+    added(registry, log="c", values=value)
+    assert [result(registry, number) for number in (1, 2, 3)] == [None, "pass", "fail"]
+    now = registry.trend("A-0007", "accel.bias.x")
+    assert set(now.verdicts(now.parameters[0]).values()) == {"fail"}  # all of the history by the present limits
+    assert put_in_force(registry, wide) == 3  # back again: limits of their own
+    assert [result(registry, number) for number in (1, 2, 3)] == [None, "pass", "fail"]
+    assert [each.in_force for each in registry.limits()] == [False, False, True]
+
+
+def test_limits_of_one_type_do_not_judge_another(registry: Registry) -> None:
+    put_in_force(registry, ALL_FORMS)
+    assert result(registry, added(registry, serial="B", model="other", log="a").number) is None
+    assert result(registry, added(registry, serial="C", model=None, log="b").number) is None
+    assert result(registry, added(registry, log="c").number) == "fail"  # scale factors are not the systematic ones
+
+
+def test_limits_in_another_frame_judge_the_converted_values(registry: Registry) -> None:
+    """In the paper's frame the X axis has the angles that Y and Z have in the accelerometers' frame."""
+    put_in_force(registry, 'format = 1\nframe = "paper"\n[incoming]\n"accel.axis.xy" = "2 mrad"')
+    assert result(registry, added(registry, log="a", values={"accel.axis.yx": -1e-3}).number) == "pass"
+    far = added(registry, occasion="incoming", log="b", values={"accel.axis.yx": -3e-3})
+    assert result(registry, far.number) == "fail"
+
+
+def test_a_frame_that_cannot_be_converted_is_refused_in_one_line(registry: Registry) -> None:
+    added(registry, log="a")
+    added(registry, performed=day("2026-04-01"), log="b", frame="house")
+    with pytest.raises(InputError, match=r"record 1: is in the frame 'accelerometer' and cannot be compared in the f"):
+        registry.trend("A-0007")
+
+
+# -------------------- what is due --------------------
+
+
+def day(text: str) -> datetime:
+    return datetime.fromisoformat(text).replace(tzinfo=UTC)
+
+
+@pytest.mark.parametrize(
+    ("begin", "months", "later"),
+    [
+        ("2026-03-01", 12, "2027-03-01"),
+        ("2026-08-31", 6, "2027-02-28"),
+        ("2027-08-31", 6, "2028-02-29"),
+        ("2026-12-15", 1, "2027-01-15"),
+        ("2026-11-30", 25, "2028-12-30"),
+    ],
+)
+def test_months_end_where_the_calendar_ends_them(begin: str, months: int, later: str) -> None:
+    assert str(months_later(date.fromisoformat(begin), months)) == later
+
+
+def test_what_is_due_counts_from_the_last_calibration(registry: Registry) -> None:
+    put_in_force(registry, ALL_FORMS.replace('"accel.scale" = { deviation = "100 ppm" }', ""))
+    for serial, begin in (("A-0007", "2026-01-10"), ("B", "2025-12-31"), ("A-0007", "2025-01-10")):
+        added(registry, performed=day(begin), serial=serial, log=f"{serial}{begin}")
+    added(registry, serial="C", model="no limits", log="c")
+    found = [(item.record.serial, str(item.day), item.months) for item in registry.due()]
+    assert found == [("A-0007", "2026-07-10", 6), ("B", "2026-12-31", 12), ("C", "None", None)]
+
+
+def test_a_failed_device_is_withdrawn_until_it_is_calibrated_again(registry: Registry) -> None:
+    """Before all others, also while its interval lasts, and by a value outside its limit by no more than U."""
+    put_in_force(registry, 'format = 1\ninterval_months = 12\n[incoming]\n"accel.bias" = "5 mg"\n')
+    over = 5 * MG + 1e-6
+    for serial, value in (("A", 0.0), ("Z", over)):
+        added(registry, serial=serial, log=serial, performed=day("2026-01-10"), values={"accel.bias.x": value})
+    first, second = registry.due(date(2026, 6, 1))
+    assert (first.record.serial, first.record.verdict, first.withdrawn, first.overdue) == (
+        *("Z", "conditional fail"),
+        *(True, False),
+    )
+    assert not second.withdrawn
+    assert "withdrawn until calibrated again: conditional fail" in due_table([first]).rows[0][-1]
+    added(registry, serial="Z", log="again", performed=day("2026-02-10"), occasion="incoming")
+    assert not any(item.withdrawn for item in registry.due())
+
+
+def test_a_drift_towards_a_limit_is_due_before_the_calendar_says_so(registry: Registry) -> None:
     """0.4 mg a year from 3 mg, the limit at 5 mg: it is met after five years, one after the last calibration."""
+    put_in_force(registry, 'format = 1\ninterval_months = 36\n[periodic]\n"accel.bias" = "5 mg"')
     for year, off in enumerate((0.01, -0.01, 0.0, -0.01, 0.01)):
         values = {"accel.bias.x": (3.0 + 0.4 * year + off) * MG}
-        added(registry, Particulars(performed=utc(f"{2020 + year}-03-01", "")), log=str(year), values=values)
-
-
-def test_a_drift_towards_a_limit_is_due_before_the_calendar_says_so(tmp_path: Path) -> None:
-    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
-        set_limits(registry, "BCHE-501", DRIFT_LIMITS, None)
-        add_drifting(registry)
-        (item,) = due(registry)
+        added(registry, performed=day(f"{2020 + year}-03-01"), log=str(year), values=values)
+    (item,) = registry.due(date(2024, 6, 1))
     assert str(item.by_calendar) == "2027-03-01"
     assert item.by_drift is not None
     assert item.by_drift.name == "accel.bias.x"
     assert item.drifts
     assert abs((item.by_drift.expected.date() - date(2025, 3, 1)).days) < 20
     assert str(item.day) < str(item.by_drift.expected.date())
-    assert "by the drift of accel.bias.x" in due_table([item], date(2024, 6, 1)).rows[0][-1]
-
-
-def due_anew(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> list[Due]:
-    """What is due, with every forecast found from the files of the calibrations."""
-    latest = rows.latest_records
-    with monkeypatch.context() as without:
-        without.setattr(rows, "latest_records", lambda c: [replace(each, is_kept=False) for each in latest(c)])
-        return due(registry)
-
-
-def test_what_is_due_by_drift_is_known_without_opening_a_calibration(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Whatever came last: calibrations, limits, a correction, one that was of another device, an import."""
-
-    def kept(registry: Registry) -> list[Due]:
-        with monkeypatch.context() as closed:
-            closed.setattr(rows, "file_of", lambda *_: pytest.fail("opened a calibration file"))
-            return due(registry)
-
-    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
-        add_drifting(registry)
-        set_limits(registry, "BCHE-501", DRIFT_LIMITS, None)
-        every = [kept(registry)]
-        assert every[0] == due_anew(registry, monkeypatch)
-        set_limits(registry, "BCHE-501", DRIFT_LIMITS.replace("5 mg", "6 mg"), None)
-        every.append(kept(registry))
-        corrected = Particulars(supersedes=5, reason="g", performed=utc("2024-03-01", ""))
-        added(registry, corrected, log="4", values={"accel.bias.x": 4.5 * MG})
-        every.append(kept(registry))
-        corrected = Particulars(supersedes=6, reason="of another device", performed=utc("2024-03-01", ""))
-        added(registry, corrected, log="4", serial="B", values={"accel.bias.x": 4.6 * MG})
-        every.append(kept(registry))
-        assert every[-1] == due_anew(registry, monkeypatch)
-        assert len({str(items[0].by_drift) for items in every}) == 4
-        export = tmp_path / "export.jsonl"
-        export.write_text("".join(f"{line}\n" for line in export_lines(registry)), encoding="utf-8")
-        with open_registry(str(tmp_path / "other.sqlite"), create=True) as other:
-            import_file(other, export)
-            assert [item.by_drift for item in kept(other)] == [item.by_drift for item in every[-1]]
-
-
-def test_what_an_interrupted_writer_has_not_kept_is_found_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
-        with monkeypatch.context() as interrupted:
-            interrupted.setattr(adding, "keep_forecasts", lambda *_: None)
-            set_limits(registry, "BCHE-501", DRIFT_LIMITS, None)
-            add_drifting(registry)
-        (item,) = due(registry)
-    assert item.drifts
+    assert item.by_drift == registry.trend("A-0007").forecasts[0]
+    assert "by the drift of accel.bias.x" in due_table([item]).rows[0][-1]

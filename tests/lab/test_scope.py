@@ -12,16 +12,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.calibrated import calibration, warmed
+from tests.support.pages import Page
 from tests.views.test_certificate import CERTIFICATE, LABORATORY, RECORDED, files
-from tests.views.test_report import Page
 from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.lab.certificate import read_certificate
+from tumble.lab.report import write_certificate
 from tumble.lab.scope import CMC, OUTSIDE, Capability, statement_of_scope, within_scope
 from tumble.result.coverage import expanded
 from tumble.result.temperature_curves import changing, curve, measured_range
 from tumble.units import G_STANDARD
-from tumble.views.report.write import write_report
 
 MILLI_G = 1e-3 * G_STANDARD
 SCOPE = """
@@ -91,7 +91,7 @@ def certified(folder: Path, scope: str = SCOPE, at: float = 0.5) -> Path:
 def test_certificate_verdict_and_dcc_are_by_the_capability(tmp_path: Path) -> None:
     """The first value is inside its limit by twice its U: that passes, and by the larger capability it does not."""
     file = certified(tmp_path, at=2.0)
-    reasons = write_report(file, tmp_path / "c.html", certificate=tmp_path / "certificate.toml")
+    reasons = write_certificate(file, tmp_path / "c.html", tmp_path / "certificate.toml")
     assert reasons == ["c.json: periodic check: conditional pass: accel.bias.x"]
     page = Page.of(tmp_path / "c.html")
     assert statement_of_scope({"a": CMC, "b": OUTSIDE}) in page.whole
@@ -114,9 +114,7 @@ def test_certificate_verdict_and_dcc_are_by_the_capability(tmp_path: Path) -> No
     assert float(re.findall(r"<si:valueExpandedMU>(.*?)<", exported)[1]) == pytest.approx(MILLI_G, rel=1e-2)
     without = tmp_path / "without"
     without.mkdir()
-    assert (
-        write_report(certified(without, "", at=2.0), without / "c.html", certificate=without / "certificate.toml") == []
-    )
+    assert write_certificate(certified(without, "", at=2.0), without / "c.html", without / "certificate.toml") == []
 
 
 @pytest.mark.parametrize(

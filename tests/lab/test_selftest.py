@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from tumble import selftest as module
+import tumble
 from tumble.cli import main
+from tumble.lab import selftest as module
 
 
 def test_the_reference_cases_pass_and_are_recorded_with_machine_versions_and_hashes(tmp_path: Path) -> None:
@@ -22,11 +23,11 @@ def test_the_reference_cases_pass_and_are_recorded_with_machine_versions_and_has
     assert record["passed"] is True
     assert all(case["passed"] and case["low"] <= case["figure"] <= case["high"] for case in record["cases"])
     assert {"numpy", "scipy", "polars"} <= set(record["versions"])
-    source = Path(module.__file__)
-    assert record["source_sha256"]["selftest.py"] == hashlib.sha256(source.read_bytes()).hexdigest()
+    source, package = Path(module.__file__), Path(tumble.__file__).parent
+    assert record["source_sha256"]["lab/selftest.py"] == hashlib.sha256(source.read_bytes()).hexdigest()
     assert record["source_sha256"].keys() == {
-        path.relative_to(source.parent).as_posix()
-        for path in source.parent.rglob("*")
+        path.relative_to(package).as_posix()
+        for path in package.rglob("*")
         if path.suffix in {".py", ".pyi", ".so", ".pyd"}
     }
     again = CliRunner().invoke(main, ["selftest", "-o", str(tmp_path / "record.json")])

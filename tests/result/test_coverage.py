@@ -15,8 +15,9 @@ from tests.support.calibrated import calibration
 from tests.support.exports import CERTIFICATE
 from tumble.export import export_calibration
 from tumble.inference.estimate import Fit
-from tumble.lab.conformity import judge_value
+from tumble.lab.conformity import judge_value, verdicts
 from tumble.lab.limits import parse_limits
+from tumble.lab.report import limits_section
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import (
     degrees_of_freedom,
@@ -33,7 +34,7 @@ from tumble.run.from_readings import calibrate_table
 from tumble.run.readings_table import ReadingsTable, read_table
 from tumble.units import Array
 from tumble.views.numbers import with_expanded
-from tumble.views.report.document import ReportedFile, document
+from tumble.views.report.document import ReportedFile, report_of
 
 NAMESPACES = {"si": "https://ptb.de/si", "dcc": "https://ptb.de/dcc"}
 PROBABILITY = 0.954499736103642
@@ -61,7 +62,8 @@ def table(folder: Path, values: Array) -> ReadingsTable:
 def reported(made: Calibration) -> str:
     """All that the sections of a report say in sentences."""
     source = ReportedFile(file="c.json", sha256="0" * 64, calibration=made)
-    return repr(document([source], parse_limits(LIMITS, None, "limits.toml")))
+    limits = parse_limits(LIMITS, None, "limits.toml")
+    return repr(report_of([source], [[limits_section(limits, verdicts(made, limits))]]))
 
 
 def certified(made: Calibration) -> ET.Element:
@@ -215,10 +217,10 @@ def test_u_of_a_mean_covers_as_stated(launches: int, run_to_run: float) -> None:
 
 
 def test_a_report_says_what_u_covers() -> None:
-    """With the result, and with the verdict on the limits."""
+    """In the notes, which stand once, whatever limits there are."""
     hidden = Fit(chi_square=3.0, degrees=3.0, scatter=0.0, unit="m/s^2")
     said = reported(of_groups(accelerometers=hidden))
-    assert said.count("no scatter of the accelerometers was detected, with 3 degrees of freedom to show one") == 2
+    assert said.count("no scatter of the accelerometers was detected, with 3 degrees of freedom to show one") == 1
     assert "may be there unseen" not in reported(of_groups(accelerometers=scattered(5.0)))
     assert "which covers 95.45 %: k = 2 where u is known" in said
 

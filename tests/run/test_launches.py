@@ -9,14 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from tumble.lab.type_spread import TypeSpread
 
 from tumble.cli import main
 from tumble.errors import InputError
-from tumble.lab.type_spread import KnownLaunches, TypeSpread
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import read_calibration
 from tumble.result.coverage import expanded
+from tumble.result.launch_variances import LaunchVariances
 from tumble.result.parts import CalibratedTemperature, Parameter
 from tumble.run.calibrate import calibrate
 from tumble.run.launches import Run, mean_of_launches
@@ -160,7 +161,7 @@ def test_launches_of_the_type_make_two_launches_better_known(runs: list[Run]) ->
         n: np.mean([(run.calibration[n].u or 0.0) ** 2 for run in runs[:2]]) for n in (p.name for p in alone.parameters)
     }
     variances = {p.name: ((p.run_to_run or 0.0) ** 2, float(noise[p.name])) for p in alone.parameters}
-    known = KnownLaunches(serial="other", logs=frozenset({"a", "b"}), degrees=50, variances=variances)
+    known = LaunchVariances(serial="other", logs=frozenset({"a", "b"}), degrees=50, variances=variances)
     own = replace(known, logs=frozenset({runs[0].calibration.provenance["log_sha256"]}))
     alike = TypeSpread(model="mems", frame="accelerometer", known=(known,))
     better = mean_of_launches(runs[:2], alike=alike)

@@ -5,14 +5,15 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tumble.lab.registry.store import rows
-from tumble.lab.registry.store.connect import Registry
-from tumble.lab.registry.types import LimitsRecord, Record
+from tumble.lab.registry.records import Record, State
+from tumble.lab.registry.registry import Registry
+from tumble.result.calibration import Calibration, calibration_of
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import units_of
 
@@ -85,19 +86,19 @@ def write(path: Path, whole: Mapping[str, Any]) -> Path:
     return path
 
 
-def record(registry: Registry, number: int) -> Record:
-    """The record of a number."""
-    with registry.reading() as connection:
-        return rows.record_of(connection, number)
+def added(
+    registry: Registry,
+    *,
+    performed: datetime | None = None,
+    occasion: Any = None,
+    state: State = "unchanged",
+    **what: Any,
+) -> Record:
+    """The record of a calibration with `what` in it."""
+    made = calibration(**what)
+    return registry.add_calibration(made, performed=performed, occasion=occasion, state=state)
 
 
-def file_of(registry: Registry, number: int) -> str:
-    """The text of the calibration file of a record."""
-    with registry.reading() as connection:
-        return rows.file_of(connection, number)
-
-
-def limits_records(registry: Registry) -> list[LimitsRecord]:
-    """All limits of all types in the order in which they came in force."""
-    with registry.reading() as connection:
-        return rows.every_limits(connection)
+def calibration(**what: Any) -> Calibration:
+    """The calibration of a content."""
+    return calibration_of(json.dumps(content(**what)), "file")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
-from tumble.lab.registry.adding import Submission, add
-from tumble.lab.registry.store.connect import open_registry
+from tumble.lab.registry.registry import open_registry
 
 
-def write_all(place: str, submissions: Sequence[Submission]) -> None:
+def write_all(place: str, files: Sequence[Path]) -> None:
     """Add calibrations, one after the other."""
     with open_registry(place, create=True) as registry:
-        for submission in submissions:
-            add(registry, submission)
+        for file in files:
+            registry.add_calibration(file)

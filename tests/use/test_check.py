@@ -14,6 +14,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from scipy import stats
+from tumble.lab.registry.adding import Particulars, add, submission
+from tumble.lab.registry.series import device_launches
+from tumble.lab.registry.store.connect import open_registry
 
 from tests.support.calibrated import of_device
 from tumble.cli import main
@@ -22,16 +25,13 @@ from tumble.inference.estimate import Outcome
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import Point, Prior, Problem
 from tumble.inference.linearisation import linearise
-from tumble.lab.registry.adding import Particulars, add, submission
-from tumble.lab.registry.series import device_launches
-from tumble.lab.registry.store.connect import open_registry
-from tumble.lab.type_spread import KnownLaunches
 from tumble.methods.field_check import CHANCE, CheckResult, _student, field_check
 from tumble.planning.setup import Setup
 from tumble.recording.session import Circumstances
 from tumble.recording.session_file import read_session
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration, read_calibration
+from tumble.result.launch_variances import LaunchVariances
 from tumble.result.parts import CalibratedDevice, CalibratedTemperature, Launch, Member, Parameter
 from tumble.run.calibrate import calibrate
 from tumble.sensors.grades import TURN_ON, spread_of
@@ -353,9 +353,11 @@ def test_deviations_of_few_launches_are_believed_less() -> None:
     assert known_before(alike, seen(3), "mems", {}).doubt[1 + i, 1 + i] == pytest.approx(usual / np.sqrt(6.0))
 
 
-def of_bias(degrees: int, size: float, *logs: str) -> KnownLaunches:
+def of_bias(degrees: int, size: float, *logs: str) -> LaunchVariances:
     """Launches whose standard deviation of the X bias is this, m/s²."""
-    return KnownLaunches(serial="x", logs=frozenset(logs), degrees=degrees, variances={"accel.bias.x": (size**2, 0.0)})
+    return LaunchVariances(
+        serial="x", logs=frozenset(logs), degrees=degrees, variances={"accel.bias.x": (size**2, 0.0)}
+    )
 
 
 def test_launches_of_other_calibrations_of_the_device_count_and_those_of_this_one_once() -> None:

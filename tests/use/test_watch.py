@@ -15,9 +15,10 @@ import numpy as np
 import polars as pl
 import pytest
 from click.testing import CliRunner
+from tumble.use.listening import LiveSamples, opened
+from tumble.use.watch import LONGEST, Event, Notice, Watch, WatchedRest, watch_session, watched
 
 from tests.use.test_check import device, seen
-from tumble.bench.watching import LiveSamples, opened
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.methods.field_check import field_check
@@ -34,7 +35,6 @@ from tumble.simulation.session import simulate_session
 from tumble.simulation.temperature_profile import temperature_profile
 from tumble.units import DEGREE, Array
 from tumble.use.check import known_before
-from tumble.use.watch import LONGEST, Event, Notice, Watch, WatchedRest, watch_session, watched
 
 MG = 9.80665e-3
 MOVED_AT = 150.0

@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from datetime import date, datetime, timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -17,25 +17,24 @@ import pytest
 from click.testing import CliRunner
 
 from tests.support.calibrated import calibration, of_device, warmed
-from tests.views.test_report import Page, opened, pdf_text
+from tests.support.pages import Page, opened, pdf_text
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.inference.estimate import Outcome
 from tumble.lab.certificate import Party, read_certificate
 from tumble.lab.conformity import judge_value
-from tumble.lab.registry.adding import Particulars, read_submission
+from tumble.lab.report import letterhead, write_certificate
 from tumble.planning.setup import Setup
 from tumble.recording.session import AirConditions, Circumstances
 from tumble.recording.session_file import session_of
 from tumble.result.calibration import read_calibration
 from tumble.result.coverage import expanded
-from tumble.result.further import left_by_matrix
+from tumble.result.further import left_by_matrix, recorded_on
 from tumble.result.parts import Launch, Parameter
 from tumble.run.calibrate import calibrate
 from tumble.run.observed import inspect_session
 from tumble.simulation.session import simulate_session
-from tumble.views.report.document import letterhead
 from tumble.views.report.write import write_report
 
 LOGO = '<svg xmlns="http://www.w3.org/2000/svg" width="9" height="9"><rect width="9" height="9"/></svg>'
@@ -102,7 +101,7 @@ def files(folder: Path, *, at: float = 0.5, certificate: str = CERTIFICATE) -> P
 
 def certificate(folder: Path, ending: str, **how: Any) -> Path:
     out = folder / f"c.{ending}"
-    write_report(files(folder, **how), out, certificate=folder / "certificate.toml")
+    write_certificate(files(folder, **how), out, folder / "certificate.toml")
     return out
 
 
@@ -112,7 +111,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("certificate")
     file = files(folder)
     for ending in ("html", "pdf"):
-        write_report(file, folder / f"c.{ending}", certificate=folder / "certificate.toml")
+        write_certificate(file, folder / f"c.{ending}", folder / "certificate.toml")
     return folder
 
 
@@ -156,6 +155,36 @@ def test_the_number_is_on_every_page_and_the_first_one_is_the_customers(made: Pa
     assert pages[1].startswith("Annexes")
     assert sum("End of the certificate" in text for text in pages) == 1
     assert "End of the certificate" in pages[-1]
+
+
+def test_html_and_pdf_say_the_same(made: Path) -> None:
+    said, page = pdf_text(made / "c.pdf"), Page.of(made / "c.html")
+    cells = {" ".join(cell.split()) for table in page.tables for row in table for cell in row if cell}
+    assert len(cells) > 150
+    assert [cell for cell in cells if cell not in said] == []
+    for heading in page.headings:
+        assert heading.partition(" ")[2] in said
+
+
+def test_the_pdf_is_for_the_archive(made: Path) -> None:
+    """A4, PDF/A-2b by its own account, all fonts embedded, no link, script or attachment, the calibration's date."""
+    calibration = read_calibration(made / "c.json")
+    with opened(made / "c.pdf") as document:
+        metadata = document.get_xml_metadata()
+        assert "<pdfaid:part>2</pdfaid:part>" in metadata
+        assert "<pdfaid:conformance>B</pdfaid:conformance>" in metadata
+        assert document.embfile_count() == 0
+        assert calibration.serial in document.metadata["title"]
+        created = re.sub(r"\D", "", calibration.provenance["created"].split("+")[0])
+        assert created in re.sub(r"\D", "", document.metadata["creationDate"])
+        fonts = set()
+        for sheet in document:
+            assert [round(side / 72.0 * 25.4) for side in sheet.rect[2:]] == [210, 297]
+            assert not [link for link in sheet.get_links() if "uri" in link or "file" in link]
+            fonts |= {font[0] for font in sheet.get_fonts()}
+        assert fonts
+        assert all(document.extract_font(font)[3] for font in fonts)
+    assert b"/JavaScript" not in (made / "c.pdf").read_bytes()
 
 
 def test_the_values_as_found_stand_beside_those_as_left(made: Path) -> None:
@@ -254,7 +283,7 @@ def test_an_adjustment_lies_between_as_found_and_as_left(tmp_path: Path) -> None
     later = replace(read_calibration(tmp_path / "before.json"), circumstances=Circumstances(date="2025-03-06"))
     later.write(tmp_path / "before.json", force=True)
     with pytest.raises(InputError, match="as_found: expected a recording from before that of the result"):
-        write_report(path, tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
+        write_certificate(path, tmp_path / "r.html", tmp_path / "certificate.toml")
 
 
 def test_a_statement_of_conformity_is_about_one_check(tmp_path: Path) -> None:
@@ -262,9 +291,9 @@ def test_a_statement_of_conformity_is_about_one_check(tmp_path: Path) -> None:
     limits = (tmp_path / "limits.toml").read_text("utf-8")
     (tmp_path / "limits.toml").write_text(limits + '[incoming]\n"accel.bias" = "9 g"\n', "utf-8")
     with pytest.raises(InputError, match=r"check: expected 'incoming' or 'periodic', for .* has limits of both"):
-        write_report(path, tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
+        write_certificate(path, tmp_path / "r.html", tmp_path / "certificate.toml")
     (tmp_path / "certificate.toml").write_text(CERTIFICATE.replace("agreed", 'check = "incoming"\nagreed'), "utf-8")
-    assert write_report(path, tmp_path / "r.html", certificate=tmp_path / "certificate.toml") == []
+    assert write_certificate(path, tmp_path / "r.html", tmp_path / "certificate.toml") == []
     page = Page.of(tmp_path / "r.html")
     rows = page.table("parameter", "lowest", "highest", "verdict", "k", "ν")
     assert (rows[0]["lowest"], rows[0]["highest"], rows[0]["verdict"], rows[0]["ν"]) == ("−9000", "9000", "pass", "∞")
@@ -287,7 +316,7 @@ def test_every_recording_is_dated_on_the_first_page(tmp_path: Path) -> None:
     replace(made, launches=launches, circumstances=replace(RECORDED, date="2025-03-05T09:30:00")).write(
         path, force=True
     )
-    write_report(path, tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
+    write_certificate(path, tmp_path / "r.html", tmp_path / "certificate.toml")
     said = Page.of(tmp_path / "r.html").whole
     assert "recorded2025-03-03 09:30:00, 2025-03-04 09:30:00, 2025-03-05 09:30:00" in said
     assert "calibrated2025-03-03 to 2025-03-05" in said
@@ -308,7 +337,7 @@ def test_a_customer_reads_no_opinions_and_no_advice_and_signs_beside_the_result(
     notes = ("all turns have about 50 °/s: scale factors hold at this rate; state gyro_cubic in [device.prior]",)
     replace(made, outcome=outcome, notes=notes).write(path, force=True)
     for ending in ("html", "pdf"):
-        write_report(path, tmp_path / f"r.{ending}", certificate=tmp_path / "certificate.toml")
+        write_certificate(path, tmp_path / f"r.{ending}", tmp_path / "certificate.toml")
     page = Page.of(tmp_path / "r.html").whole
     assert "probable cause" not in page
     assert "device.prior" not in page
@@ -330,7 +359,7 @@ def real(tmp_path_factory: pytest.TempPathFactory) -> Path:
     files(folder, certificate=CERTIFICATE.replace('state = "as-left"\nas_found = "before.json"\n', ""))
     replace(calibrate(session), circumstances=RECORDED).write(folder / "real.json")
     for ending in ("html", "pdf"):
-        write_report(folder / "real.json", folder / f"c.{ending}", certificate=folder / "certificate.toml")
+        write_certificate(folder / "real.json", folder / f"c.{ending}", folder / "certificate.toml")
     return folder
 
 
@@ -377,7 +406,7 @@ def test_the_correction_over_temperature_follows_from_what_is_printed(tmp_path: 
     """The reading 10 K above the reference, by the printed matrix, bias and coefficients at the printed true values."""
     files(tmp_path, certificate=CERTIFICATE.replace('state = "as-left"\nas_found = "before.json"\n', ""))
     replace(warmed(calibration()), circumstances=RECORDED).write(tmp_path / "warm.json")
-    write_report(tmp_path / "warm.json", tmp_path / "c.html", certificate=tmp_path / "certificate.toml")
+    write_certificate(tmp_path / "warm.json", tmp_path / "c.html", tmp_path / "certificate.toml")
     page = Page.of(tmp_path / "c.html")
     assert "with matrix and bias alone: exact at the reference temperature" in page.whole
     assert "of its sensor: ." not in page.whole
@@ -411,20 +440,20 @@ def test_a_logo_that_is_none_and_another_device_as_found_are_refused(tmp_path: P
     path = files(tmp_path)
     (tmp_path / "lab" / "logo.svg").write_text("no picture", "utf-8")
     with pytest.raises(InputError, match=r"logo\.svg: expected a picture in SVG, found another file"):
-        write_report(path, tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
+        write_certificate(path, tmp_path / "r.html", tmp_path / "certificate.toml")
     (tmp_path / "lab" / "logo.svg").write_text(LOGO, "utf-8")
     of_device(read_calibration(path), serial="B").write(tmp_path / "before.json", force=True)
     with pytest.raises(InputError, match="as_found: expected a calibration of device 'A-0007' in the frame"):
-        write_report(path, tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
+        write_certificate(path, tmp_path / "r.html", tmp_path / "certificate.toml")
 
 
 def test_a_certificate_is_of_one_calibration_with_a_date(tmp_path: Path) -> None:
     path = files(tmp_path)
     with pytest.raises(InputError, match="certificate: expected one calibration, found 2"):
-        write_report([path, tmp_path / "before.json"], tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
+        write_certificate([path, tmp_path / "before.json"], tmp_path / "r.html", tmp_path / "certificate.toml")
     replace(read_calibration(path), circumstances=Circumstances()).write(tmp_path / "undated.json")
     with pytest.raises(InputError, match="expected the day of the calibration, found none"):
-        write_report(tmp_path / "undated.json", tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
+        write_certificate(tmp_path / "undated.json", tmp_path / "r.html", tmp_path / "certificate.toml")
 
 
 # -------------------- dates --------------------
@@ -450,7 +479,7 @@ def test_the_date_is_that_of_the_log_where_its_times_are_absolute() -> None:
 def test_a_session_states_its_circumstances_and_the_file_keeps_them(tmp_path: Path) -> None:
     path = files(tmp_path)
     assert read_calibration(path).circumstances == RECORDED
-    assert read_submission(path, Particulars()).performed.date() == date(2025, 3, 4)
+    assert recorded_on(read_calibration(path)) == [RECORDED.date]
 
 
 # -------------------- the picture of a recording --------------------

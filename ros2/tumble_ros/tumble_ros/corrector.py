@@ -1,18 +1,19 @@
 """The node `corrector`: sensor_msgs/Imu in, corrected sensor_msgs/Imu out.
 
 Topics      imu/data_raw → imu/data_corrected; temperature (sensor_msgs/Temperature) where the calibration changes with
-            it; magnetic_field (sensor_msgs/MagneticField) → magnetic_field_corrected where it has a magnetometer;
-            diagnostics once a second
+            it; diagnostics once a second
 Parameters  calibration: the file; device: a serial number that must be the calibration's; sample_rate: Hz, of the
             recording unless given; noise_accel, noise_gyro: variances of a sample added to those of the calibration;
             expires: a date YYYY-MM-DD after which the calibration is old
 
-Accelerometers with lever arms are moved to one point, for which a sample waits for the next one.
+The correction is `tumble.Corrector`. Accelerometers with lever arms are moved to one point, for which a sample waits
+for the next one.
 """
 
 from __future__ import annotations
 
 import datetime
+from collections import deque
 from typing import Any
 
 import rclpy
@@ -21,10 +22,9 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, Temperature
 
-from tumble_ros.correction import Sample, read
+import tumble
 
-LATE = 3.0
-"""Times of samples that go back more than so many usual intervals are those of a clock that was started anew."""
+ZERO_CELSIUS = 273.15
 
 
 class Corrector(Node):
@@ -37,24 +37,30 @@ class Corrector(Node):
         rate = float(self.declare_parameter("sample_rate", 0.0).value)
         noise = [float(self.declare_parameter(f"noise_{kind}", 0.0).value) for kind in ("accel", "gyro")]
         self.expires = str(self.declare_parameter("expires", "").value)
-        self.correction = read(file, rate or None)
-        if device and device != self.correction.serial:
-            raise ValueError(
-                f"{file}: expected the device {device!r}, found a calibration of {self.correction.serial!r}"
-            )
+        self.correction = tumble.Corrector(file, sample_rate=rate or None)
+        calibration = self.correction.calibration
+        if device and device != calibration.serial:
+            raise ValueError(f"{file}: expected the device {device!r}, found a calibration of {calibration.serial!r}")
+        for kind, model in (("accelerometers", calibration.accel), ("gyros", calibration.gyro)):
+            if model is None or len(model.bias) != 3:
+                raise ValueError(f"{file}: expected three {kind}, found {'none' if model is None else len(model.bias)}")
+        self.serial = calibration.serial
+        self.warm = any(parameter.name.endswith((".t1", ".t2")) for parameter in calibration.parameters)
+        self.temperatures = calibration.temperature_range
+        known = calibration.prediction
+        u = (0.0, 0.0) if known is None else (known.force_u, known.rate_u or 0.0)
         self.covariances = [
-            [c + (extra if i % 4 == 0 else 0.0) for i, c in enumerate(self.correction.covariance[kind])]
-            for kind, extra in zip(("accel", "gyro"), noise)  # noqa: B905
+            [variance if i % 4 == 0 else 0.0 for i in range(9)]
+            for variance in (u[0] ** 2 + noise[0], u[1] ** 2 + noise[1])
         ]
         self.celsius: float | None = None
-        self.waiting: list[Any] = []
-        self.last: float | None = None
+        self.waiting: deque[Any] = deque()
         self.counts = {"corrected": 0, "late": 0, "outside": 0}
         self.outside = ""
         self.out = self.create_publisher(Imu, "imu/data_corrected", qos_profile_sensor_data)
-        self.said = self.create_publisher(DiagnosticArray, "diagnostics", 10)
-        self.create_subscription(Imu, "imu/data_raw", self.heard, qos_profile_sensor_data)
-        if self.correction.warm:
+        self.diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", 10)
+        self.create_subscription(Imu, "imu/data_raw", self.correct, qos_profile_sensor_data)
+        if self.warm:
             self.create_subscription(Temperature, "temperature", self.warmed, qos_profile_sensor_data)
         self.create_timer(1.0, self.diagnose)
 
@@ -62,52 +68,53 @@ class Corrector(Node):
         """A temperature, °C."""
         self.celsius = float(message.temperature)
 
-    def heard(self, message: Imu) -> None:
-        """A sample: corrected, and with lever arms the one before it."""
-        time = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-        if self.last is not None and time <= self.last:
-            if self.last - time < LATE * self.correction.interval:
-                self.counts["late"] += 1
-                return
-            self.correction.reset()
-            self.waiting.clear()
-        self.last = time
+    def correct(self, message: Imu) -> None:
+        """A sample: corrected, and with lever arms the one before it. Late ones are dropped."""
         a, w = message.linear_acceleration, message.angular_velocity
-        self.waiting.append(message)
-        corrected = self.correction.add(Sample(time, (a.x, a.y, a.z), (w.x, w.y, w.z), self.celsius))
-        if corrected is not None:
-            self.publish(self.waiting.pop(0), corrected)
+        kelvin = None if self.celsius is None else [self.celsius + ZERO_CELSIUS] * self.correction.thermometers
+        self.waiting.append((message, self.celsius))
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        corrected = self.correction.add([a.x, a.y, a.z], [w.x, w.y, w.z], time=stamp, temperature=kelvin)
+        if self.correction.dropped > self.counts["late"]:
+            self.waiting.pop()
+            self.counts["late"] = self.correction.dropped
+        self.publish(corrected)
 
     def finish(self) -> None:
         """Publish what waits for a next sample that does not come."""
-        corrected = self.correction.finish()
-        if corrected is not None and self.waiting:
-            self.publish(self.waiting.pop(0), corrected)
+        self.publish(self.correction.finish())
 
-    def publish(self, message: Imu, corrected: Sample) -> None:
-        """The corrected message: all but the two vectors and their covariances is that of the raw one."""
-        out = Imu()
-        out.header = message.header
-        out.orientation, out.orientation_covariance = message.orientation, message.orientation_covariance
-        for vector, values in ((out.linear_acceleration, corrected.force), (out.angular_velocity, corrected.rate)):
-            vector.x, vector.y, vector.z = values
-        for name, raw, own in (
-            ("linear_acceleration_covariance", message.linear_acceleration_covariance, self.covariances[0]),
-            ("angular_velocity_covariance", message.angular_velocity_covariance, self.covariances[1]),
-        ):
-            known = [float(c) for c in raw]
-            setattr(out, name, [a + b for a, b in zip(known, own)] if known[0] >= 0.0 else own)  # noqa: B905
-        self.outside = self.correction.outside(corrected)
-        self.counts["outside"] += bool(self.outside)
-        self.counts["corrected"] += 1
-        self.out.publish(out)
+    def publish(self, corrected: tumble.Corrected) -> None:
+        """Corrected messages: all but the two vectors and their covariances is that of the raw ones."""
+        for force, rate in zip(corrected.force.tolist(), corrected.rate.tolist(), strict=True):
+            message, celsius = self.waiting.popleft()
+            out = Imu()
+            out.header = message.header
+            out.orientation, out.orientation_covariance = message.orientation, message.orientation_covariance
+            for vector, values in ((out.linear_acceleration, force), (out.angular_velocity, rate)):
+                vector.x, vector.y, vector.z = values
+            for name, added in zip(("linear_acceleration", "angular_velocity"), self.covariances, strict=True):
+                raw = [float(c) for c in getattr(message, f"{name}_covariance")]
+                both = [a + b for a, b in zip(raw, added, strict=True)] if raw[0] >= 0.0 else added
+                setattr(out, f"{name}_covariance", both)
+            self.outside = self.outside_of(celsius)
+            self.counts["outside"] += bool(self.outside)
+            self.counts["corrected"] += 1
+            self.out.publish(out)
+
+    def outside_of(self, celsius: float | None) -> str:
+        """In words, that a temperature is outside of what was calibrated; empty where it is not."""
+        limits = self.temperatures
+        if celsius is None or limits is None or limits[0] <= celsius <= limits[1]:
+            return ""
+        return f"{celsius:.1f} °C, calibrated from {limits[0]:.1f} to {limits[1]:.1f} °C"
 
     def diagnose(self) -> None:
         """What there is to say, once a second."""
         status = DiagnosticStatus()
-        status.name, status.hardware_id = "tumble: IMU calibration", self.correction.serial
+        status.name, status.hardware_id = "tumble: IMU calibration", self.serial
         expired = bool(self.expires) and datetime.date.today().isoformat() > self.expires
-        without = self.correction.warm and self.celsius is None
+        without = self.warm and self.celsius is None
         status.level = DiagnosticStatus.WARN if expired or self.outside or without else DiagnosticStatus.OK
         status.message = (
             f"expired on {self.expires}: calibrate again"
@@ -122,7 +129,7 @@ class Corrector(Node):
         message = DiagnosticArray()
         message.header.stamp = self.get_clock().now().to_msg()
         message.status = [status]
-        self.said.publish(message)
+        self.diagnostics.publish(message)
 
 
 def main() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tumble.errors import CalibrationError
-from tumble.export import FORMATS, FROM_THE_CALIBRATION_ALONE, export_calibration
+from tumble.export import export_calibration, target, targets
 from tumble.files import whole_file
 from tumble.sensors.parameters import group_name
 from tumble.units import rounded
@@ -40,7 +40,7 @@ def shown(calibration: Calibration) -> dict[str, Any]:
         "reasons": list(calibration.outcome.reasons),
         "parameters": rows,
         "files": [CALIBRATION_FILE],
-        "formats": list(FROM_THE_CALIBRATION_ALONE),
+        "formats": [name for name in targets() if not target(name).needs],
         "registered": "",
     }
 
@@ -61,10 +61,21 @@ def calibrated(folder: Path, stopped: threading.Event) -> Calibration:
 
 
 def _made(fresh: Path, *words: str, stopped: threading.Event) -> bool:
-    """Whether a command of tumble accepts what it has written into a file, which is empty before it: in a process of
-    its own, which leaves this one its time and gives back its memory, and is ended when the bench is `stopped`. No
-    module of the folder it runs in is taken for one of Python's or of tumble's (-P). Raises CalibrationError with what
-    it says, for any end but with a verdict, the exit status 0 or 1, and a file."""
+    """Whether a command of tumble accepts what it has written into a file, which is empty before it. Raises
+    CalibrationError with what it says, for any end but with a verdict, the exit status 0 or 1, and a file."""
+    status, said = _ended(*words, stopped=stopped)
+    last = said[-1] if said else ""
+    if status not in (0, 1):
+        raise CalibrationError(last or f"{words[0]}: it was ended with the status {status}")
+    if not fresh.stat().st_size:
+        raise CalibrationError(f"{words[0]}: it has ended without a result; {last}")
+    return status == 0
+
+
+def _ended(*words: str, stopped: threading.Event) -> tuple[int, list[str]]:
+    """The exit status of a command of tumble and what it said on standard error: in a process of its own, which leaves
+    this one its time and gives back its memory, and is ended when the bench is `stopped`. No module of the folder it
+    runs in is taken for one of Python's or of tumble's (-P)."""
     command = [sys.executable, "-P", "-m", "tumble", *words]
     nowhere = subprocess.DEVNULL
     with (
@@ -77,12 +88,7 @@ def _made(fresh: Path, *words: str, stopped: threading.Event) -> bool:
                 process.wait()
         said.seek(0)
         lines = said.read().decode("utf-8", errors="replace").strip().splitlines()
-    last = lines[-1].removeprefix("tumble: ") if lines else ""
-    if process.returncode not in (0, 1):
-        raise CalibrationError(last or f"{words[0]}: it was ended with the status {process.returncode}")
-    if not fresh.stat().st_size:
-        raise CalibrationError(f"{words[0]}: it has ended without a result; {last}")
-    return process.returncode == 0
+    return process.returncode, [line.removeprefix("tumble: ") for line in lines]
 
 
 def report_of(folder: Path, stopped: threading.Event) -> str:
@@ -95,24 +101,16 @@ def report_of(folder: Path, stopped: threading.Event) -> str:
 def exported(folder: Path, to: str) -> str:
     """Write a calibration as another program reads it, beside it; the name of the file."""
     content = export_calibration(folder / CALIBRATION_FILE, to).content
-    name = f"export-{to}{FORMATS[to].ending}"
+    name = f"export-{to}{target(to).ending}"
     with whole_file(folder / name) as temporary:
         temporary.write_bytes(content)
     return name
 
 
-def registered(folder: Path, place: str | None) -> str:
-    """Add a calibration to the registry at `place`, as `tumble registry add` does; under which number, and what its
-    limits say of it."""
-    from tumble.lab.registry.store.connect import extra_named
-
-    with extra_named():
-        from tumble.lab.registry.adding import add_calibration
-        from tumble.lab.registry.store.connect import open_registry
-
-        with open_registry(place, create=True) as opened:
-            added = add_calibration(opened, folder / CALIBRATION_FILE)
-    verdict = added.record.verdict
-    said = "registered as" if added.new else "registered before: it is"
-    judged = "no limits are set for it" if verdict is None else f"its limits say: {verdict}"
-    return f"{said} record {added.record.number}; {judged}"
+def registered(folder: Path, place: str | None, stopped: threading.Event) -> str:
+    """Add a calibration to the registry at `place`, the user's where None, by `tumble registry add`; what it says."""
+    where = [] if place is None else ["--registry", place]
+    status, said = _ended("registry", "add", *where, "--", str(folder / CALIBRATION_FILE), stopped=stopped)
+    if status not in (0, 1):
+        raise CalibrationError(said[-1] if said else f"registry: it was ended with the status {status}")
+    return "; ".join(said)

@@ -10,7 +10,7 @@ from dataclasses import asdict
 import numpy as np
 
 from tumble.bench.follow.faults import Fault
-from tumble.bench.follow.rests import SHORTEST_REST, Blocks, Progress, attitude_now, nearest_positions, verticals
+from tumble.bench.follow.progress import SHORTEST_REST, Blocks, Progress, attitude_now, nearest_positions, verticals
 from tumble.bench.follow.wishes import Task
 from tumble.bench.state import Answer, EstimateShown, PositionShown, RestShown, Screen, State, Trace
 from tumble.programme.positions import ANY_MOVE
@@ -70,7 +70,7 @@ def screen(
         "seconds": progress.now,
         "scatter": {
             "now": float(np.sqrt(blocks.force[-10:].var(axis=0).sum())),
-            "limit": math.inf if progress.limits is None else progress.limits.scatter,
+            "limit": math.inf if progress.so_far is None else progress.so_far.scatter_limit,
         },
         "sphere": {
             "taken": [group[-1].vertical.tolist() for group in groups],
@@ -85,7 +85,7 @@ def screen(
 
 def _where(task: Task, progress: Progress, place: int | None = None) -> Screen:
     """Which position the unit is in, or is to be in: that of this place in the course, from 0, or the present one."""
-    at = len(progress.groups) - (1 if progress.lasts else 0) if place is None else place
+    at = len(progress.groups) - (1 if progress.current is not None else 0) if place is None else place
     index = _index(task, progress, at)
     rest: RestShown = {"number": at + 1, "of": task.positions}
     if task.programme is None or index is None:
@@ -148,7 +148,7 @@ def _turn(task: Task, progress: Progress) -> Screen:
     if blocks.rate is not None and last.rate is not None:
         rate = float(np.linalg.norm(blocks.rate[-3:].mean(axis=0) - last.rate))
     arrived = False
-    if done is not None and rate is not None and rate < STILL_TURNING and progress.calm_from is None:
+    if done is not None and rate is not None and rate < STILL_TURNING and not progress.still:
         arrived = abs(done - angle) < NEARLY if angle is not None else done > 2.0 * NEARLY
     label = "to any new position" if index is None else f"to position {index + 1}"
     full = None if task.session.log.gyro is None else task.session.log.gyro.range
@@ -201,6 +201,7 @@ _GOING_ON = {
     "temperature": "nothing is left out; the change is one more unknown of the calibration",
     "clipped": "nothing is left out; such a log cannot be calibrated",
     "stuck": "nothing is left out; such a log cannot be calibrated",
+    "clock": "nothing is left out; such a log cannot be calibrated",
     "turning wrong": "this is the right way, the page is wrong",
 }
 _FIRST = {"gap": "go_on", "temperature": "go_on", "turning wrong": ""}

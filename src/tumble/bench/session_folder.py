@@ -1,5 +1,7 @@
-"""The session folder of a bench: made for a source, copied for the next unit, and what the operator answers: the faults
-that are seen to, and what is left out of the log, which is written into it."""
+"""The session folder of a bench: made for a source, copied for the next unit, and the operator's answers.
+
+An answer settles a fault; what it leaves out of the log is written into session.toml.
+"""
 
 from __future__ import annotations
 
@@ -12,16 +14,15 @@ from pathlib import Path
 from typing import Any
 
 from tumble.bench.follow.faults import Fault
-from tumble.bench.record.virtual_table import FULL_SCALE, GRAVITY
 from tumble.documents import text_of_document, toml_of, whole_number
 from tumble.errors import InputError, SessionError
 from tumble.files import plain_name, whole_file
 from tumble.recording.live.lines import MOTIONCAL_COLUMNS
+from tumble.recording.live.samples import SI_LOG
 from tumble.recording.live.sources import is_recorded, source_of
 from tumble.recording.session import Exclusion, Session
 from tumble.recording.session_file import SESSION_FILE, read_session, write_session
 from tumble.recording.text.dialect import DIALECT_KEYS
-from tumble.usual_setup import LATITUDE_DEG
 
 MOTIONCAL_LOG: Mapping[str, Any] = {
     "file": "log.csv",
@@ -34,16 +35,6 @@ MOTIONCAL_LOG: Mapping[str, Any] = {
 """The table [log] of what MotionCal's sketches send: 8192 a g, 16 a °/s, 10 a µT."""
 
 
-def in_si() -> dict[str, Any]:
-    """The table [log] of a source that sends t, ax, ay, az, gx, gy, gz in SI."""
-    return {
-        "file": "log.csv",
-        "time": "t",
-        "accel": {"columns": ["ax", "ay", "az"], "unit": "m/s^2"},
-        "gyro": {"columns": ["gx", "gy", "gz"], "unit": "rad/s"},
-    }
-
-
 def begin(folder: Path, *, log: Mapping[str, Any], serial: str, site: Mapping[str, Any], programme: str | None) -> None:
     """Make a session folder with this table [log]."""
     content: dict[str, Any] = {"format": 1, "device": {"serial": serial}, "site": dict(site), "log": dict(log)}
@@ -53,8 +44,8 @@ def begin(folder: Path, *, log: Mapping[str, Any], serial: str, site: Mapping[st
 
 
 def begin_for(folder: Path, listen: str, serial: str | None, site: Mapping[str, Any], programme: str | None) -> None:
-    """Make a session folder for what stands after --listen: a copy of what is replayed, of a log in another form as
-    that of CSV; else of a source that sends SI, or MotionCal. Raises InputError for what is to be told and is not."""
+    """Make a session folder for a source, as --listen names it: a copy of the session that is replayed, with a CSV log;
+    otherwise for SI, or for MotionCal. Raises InputError where --serial or --latitude is missing."""
     kind, _, rest = listen.partition(":")
     if kind == "replay":
         original = Path(rest.rpartition("@")[0] if "@" in rest else rest)
@@ -68,25 +59,14 @@ def begin_for(folder: Path, listen: str, serial: str | None, site: Mapping[str, 
             write_session(folder, {**content, "log": {**log, "file": "log.csv"}})
         return
     motioncal = kind == "serial" and rest.endswith(":motioncal")
-    log = dict(MOTIONCAL_LOG) if motioncal else in_si()
-    if kind == "simulator":
-        log["gyro"] = log["gyro"] | {"range": FULL_SCALE}
-        there = {"latitude_deg": LATITUDE_DEG, "gravity": GRAVITY}
-        if {**there, **site} != there:
-            raise InputError(
-                f"--latitude, --gravity: expected those of the simulated unit, {LATITUDE_DEG}° and {GRAVITY} m/s², "
-                "found others; leave them out"
-            )
-        site = there | {"gravity_u": 1e-6}
-        programme, serial = programme or rest.partition("@")[0] or "rough-table", serial or "virtual-1"
-    told = {"--serial": serial, "--latitude": site.get("latitude_deg")}
-    missing = [option for option, given in told.items() if given is None]
+    needed = {"--serial": serial, "--latitude": site.get("latitude_deg")}
+    missing = [option for option, given in needed.items() if given is None]
     if serial is None or missing:
         raise InputError(
             f"{folder}: expected --serial (of the unit) and --latitude (of the place) for a new session, found no "
             f"{' and no '.join(missing)}"
         )
-    begin(folder, log=log, serial=serial, site=site, programme=programme)
+    begin(folder, log=MOTIONCAL_LOG if motioncal else SI_LOG, serial=serial, site=site, programme=programme)
 
 
 def session_to_record(folder: Path) -> Session:
@@ -150,11 +130,10 @@ _HERE = ("knock", "movement")
 
 class Answers:
     """The answers of one session, written into the session.toml of its `folder`, which left out `before` what it did.
-    `answered` are the keys of faults that are seen to; `go_on` says whether the operator wants more positions than are
-    needed."""
+    `go_on` says whether the operator wants more positions than are needed."""
 
     def __init__(self, folder: Path, before: tuple[Exclusion, ...]) -> None:
-        self.answered: set[tuple[str, int]] = set()
+        self._answered: list[Fault] = []
         self.go_on = False
         self._folder, self._before = folder, before
         self._added: list[Exclusion] = []
@@ -166,6 +145,10 @@ class Answers:
         """What is left out, last what has no end yet."""
         ended = tuple(one for one in (*self._before, *self._added) if one != self._open)
         return ended if self._open is None else (*ended, self._open.model_copy(update={"stop": math.inf}))
+
+    def has_answered(self, fault: Fault) -> bool:
+        """Whether a fault is settled."""
+        return any(fault.is_like(other) for other in self._answered)
 
     def moved(self, now: float) -> None:
         """End what is left out until the unit is moved."""
@@ -192,7 +175,7 @@ class Answers:
 
     def going_on(self, fault: Fault | None) -> str:
         if fault is not None:
-            self.answered.add(fault.key)
+            self._answered.append(fault)
             return "noted; nothing is left out"
         self.go_on = True
         return "going on"
@@ -213,7 +196,7 @@ class Answers:
         return "taken back"
 
     def _leave_out(self, fault: Fault, start: float, now: float, *, until_moved: bool) -> None:
-        self.answered.add(fault.key)
+        self._answered.append(fault)
         one = Exclusion(start=start, stop=max(now, start + 1e-3), reason=fault.said)
         self._add(one)
         if until_moved:

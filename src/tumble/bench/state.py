@@ -9,13 +9,11 @@ from typing import Any, Literal, TypedDict
 
 
 class Received(TypedDict):
-    """What was wrong with what has come: rows `refused`, the last one for this reason `why`, `late` and `repeated`;
-    whether the source has `ended`; what is wrong with it, in words."""
+    """What was wrong with what has come: rows `refused`, the last one for this reason `why`; whether the source has
+    `ended`; what is wrong with it, in words."""
 
     refused: int
     why: str
-    late: int
-    repeated: int
     ended: bool
     trouble: list[str]
 
@@ -140,7 +138,6 @@ class State(Screen, total=False):
     calibrating: bool
     message: str
     excluded: int
-    table: bool
     answers: list[Answer]
 
 

@@ -1,18 +1,17 @@
 """One bench: a unit that is recorded, what the page shows of it, and what the operator answers.
 
 The state follows from the log on disk and from session.toml, so that the page and this process may each be started
-again at any time: `follow` follows the log and knows the progress, what is wrong and the estimate, `answers` what was
-said to it, and `screens` makes of all these what is shown. Here is only the order of things: the threads, the lock and
-the buttons. `state` is replaced as a whole, several times a second, by one thread; another makes the estimates.
+again at any time: `follow` follows the log and knows the progress, what is wrong and the estimate, `session_folder` the
+operator's answers, and `screens` makes of all these what is shown. Here is only the order of things: the threads, the
+lock and the buttons. `state` is replaced as a whole, several times a second, by one thread; another makes the estimates.
 """
 
 from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ from tumble.bench.follow.faults import Fault, faults_of_rests
 from tumble.bench.follow.live import Live
 from tumble.bench.follow.wishes import Task, Wanted
 from tumble.bench.record.recorder import NOTHING_RECEIVED, Intake
-from tumble.bench.record.virtual_table import VirtualTable
 from tumble.bench.state import State, Trace
 from tumble.errors import InputError, TumbleError
 from tumble.programme.positions import programme as built_in
@@ -65,7 +63,7 @@ class Station:
             "keep_first": lambda _: self._answers.keep_first(*self._present_fault()),
             "go_on": lambda _: self._answers.going_on(self._present_fault()[0]),
             "leave_out": lambda number: self._answers.leave_out_rest(
-                number, 0 if self._live.now is None else len(self._live.now.spans)
+                number, 0 if self._estimates.shown is None else self._estimates.shown["rests"]
             ),
             "take_back": lambda _: self._answers.take_back(),
             "stop": lambda _: self._stop_recording(),
@@ -75,7 +73,6 @@ class Station:
             "export": lambda to: self._written(results.exported(self.folder, to)),
             "register": lambda _: self._register(),
             "next_unit": self._next_unit,
-            "table": self._turn_table,
         }
         self.intake: Intake | None = None
         self._begin(folder)
@@ -89,7 +86,7 @@ class Station:
         self._estimates = Estimates(self.task, self._worker)
         self._result: dict[str, Any] | None = None
         self._busy = self._message = ""
-        self._wrong: tuple[str, int] | None = None
+        self._wrong: Fault | None = None
         self._taken = 0
 
     # -------------------- running --------------------
@@ -137,18 +134,20 @@ class Station:
 
     def _state(self) -> State:
         progress, shown = self._live.now, screens.WAITING
-        if progress is not None and progress.limits is not None:
-            if progress.calm_from is None:
+        if progress is not None and progress.so_far is not None:
+            if not progress.still:
                 self._answers.moved(progress.now)
             fault, _ = self._present_fault()
             self._estimates.ask(progress, self._answers.excluded)
             shown = screens.screen(self.task, progress, fault, self._estimates.shown, go_on=self._answers.go_on)
-            wrong, taken = None if fault is None else fault.key, len(progress.groups)
-            if wrong not in (None, self._wrong) or taken > self._taken:
+            another = fault is not None and (self._wrong is None or not fault.is_like(self._wrong))
+            if another or len(progress.groups) > self._taken:
                 self._message = ""  # which was of what was wrong before, or of the position before
-            self._wrong, self._taken = wrong, taken
+            self._wrong, self._taken = fault, len(progress.groups)
         intake, live, device, programme = self.intake, self._live, self.task.session.device, self.task.programme
         source = "recording has stopped" if self._listen is not None else "the log of another program"
+        received = NOTHING_RECEIVED if intake is None else intake.received
+        trouble = [*received["trouble"], *([live.trouble] if live.trouble else [])]
         state: State = {
             **shown,
             "answers": [],
@@ -161,7 +160,7 @@ class Station:
                 "samples": live.samples,
                 "rate": None if live.interval is None else 1.0 / live.interval,
                 "lost": live.lost,
-                **(NOTHING_RECEIVED if intake is None else intake.received),
+                **{**received, "trouble": trouble},
             },
             "programme": None if programme is None else programme.name,
             "positions": self.task.positions,
@@ -171,7 +170,6 @@ class Station:
             "result": self._result,
             "calibrating": self._busy == _LONG["calibrate"],
             "excluded": len(self._answers.excluded),
-            "table": self._table is not None,
             "message": self._message,
         }
         state["answers"] = screens.answers(state)
@@ -184,12 +182,7 @@ class Station:
         if progress is None:
             return None, 0.0
         faults = (*self._live.faults, *faults_of_rests(self.task, progress))
-        return next((fault for fault in faults if fault.key not in self._answers.answered), None), progress.now
-
-    @property
-    def _table(self) -> VirtualTable | None:
-        source = None if self.intake is None else self.intake.source
-        return source if isinstance(source, VirtualTable) else None
+        return next((fault for fault in faults if not self._answers.has_answered(fault)), None), progress.now
 
     # -------------------- the buttons --------------------
 
@@ -249,12 +242,6 @@ class Station:
         self._record()
         return f"next unit: {serial}"
 
-    def _turn_table(self, what: str) -> str:
-        if self._table is None:
-            return "there is no virtual table"
-        self._table.told(what)
-        return ""
-
     def _calibrate(self) -> str:
         """Stop recording and calibrate. Whatever comes of it, an earlier result is none of this."""
         with self._guard:
@@ -264,7 +251,7 @@ class Station:
         return f"{said}; {stopped}" if ":" in stopped else said
 
     def _register(self) -> str:
-        said = results.registered(self.folder, self._registry)
+        said = results.registered(self.folder, self._registry, self._stop)
         if self._result is not None:
             self._result = {**self._result, "registered": said}
         return said
@@ -300,38 +287,6 @@ def _said_of(error: Exception, what: str) -> str:
 # -------------------- from the words of the command line --------------------
 
 
-def stations_of(
-    folders: Sequence[Path],
-    listen: Sequence[str] = (),
-    *,
-    serials: Sequence[str] = (),
-    site: Mapping[str, Any],
-    programme: str | None = None,
-    **wishes: Any,
-) -> list[Station]:
-    """The benches of session folders: of each what stands after its --listen, and its --serial, in their order; of none
-    where another program writes the log. `wishes` are those of a `Station`. Raises InputError."""
-    for given, option in ((listen, "--listen"), (serials, "--serial")):
-        if given and len(given) != len(folders):
-            raise InputError(
-                f"{option}: expected none, or one for each of the {len(folders)} sessions, found {len(given)}"
-            )
-    resolved = [folder.resolve() for folder in folders]
-    for folder, place in zip(folders, resolved, strict=True):
-        if resolved.count(place) > 1:
-            raise InputError(
-                f"{folder}: expected every session once, found it twice; give each bench a folder of its own"
-            )
-        if not listen and not (folder / SESSION_FILE).exists():
-            raise InputError(
-                f"{folder}: expected a session folder, or --listen with what to record into it, found neither"
-            )
-    return [
-        station_of(folder, source, serial=serial, site=site, programme=programme, **wishes)
-        for folder, source, serial in zip_longest(folders, listen, serials)
-    ]
-
-
 def station_of(
     folder: Path,
     listen: str | None,
@@ -345,9 +300,14 @@ def station_of(
     each time recording begins. Raises InputError."""
     if programme is not None:
         built_in(programme)
+    known = (folder / SESSION_FILE).exists()
     if listen is None:
+        if not known:
+            raise InputError(
+                f"{folder}: expected a session folder, or --listen with what to record into it, found neither"
+            )
         return Station(folder, None, **wishes)
-    if not (folder / SESSION_FILE).exists():
+    if not known:
         session_folder.begin_for(folder, listen, serial, site, programme)
     source = listen.removesuffix(":motioncal")
     return Station(folder, lambda: source_of(source), **wishes)

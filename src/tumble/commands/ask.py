@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
@@ -15,9 +15,9 @@ from tumble.errors import InputError
 
 if TYPE_CHECKING:
     from tumble.drafting.new_session import Given
-    from tumble.lab.device_type import DeviceType
-    from tumble.lab.registry.store.connect import Registry
+    from tumble.inference.prior import Prior
     from tumble.planning.setup import Setup
+    from tumble.result.launch_variances import LaunchVariances
 
 _Command = Callable[..., None]
 _Option = Callable[[_Command], _Command]
@@ -91,9 +91,9 @@ def together(*options: _Option) -> _Option:
 
 def programmes_like(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[str]:
     """The built-in programmes that begin with what was typed, for the tab key."""
-    from tumble.programme.positions import BUILT_IN
+    from tumble.programme.positions import programmes
 
-    return [name for name in BUILT_IN if name.startswith(typed)]
+    return [name for name in programmes() if name.startswith(typed)]
 
 
 def _grades_like(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[str]:
@@ -134,9 +134,9 @@ def method(methods: list[str], default: str | list[str] | None, says: str, **set
     return option("--method", says, default, type=click.Choice(methods), **settings)
 
 
-def known_launches(says: str) -> _Option:
-    """The registry whose launches a result is judged by."""
-    return option("--known-launches", says, metavar="FILE|URL")
+def registry(says: str) -> _Option:
+    """The registry that says what is known beforehand."""
+    return option("--registry", says, metavar="FILE|URL")
 
 
 WANT = option("--want/wanted", "E.g. accel.scale=3.5ppm; repeat.", multiple=True, metavar="GROUP=VALUE")
@@ -149,12 +149,15 @@ JSON = click.option(
 )
 EVERY = click.option("--all", "every", is_flag=True, help="Show every parameter and every table.")
 CERTIFICATE = option("--certificate", "TOML file with laboratory, customer, number: of a certificate.", type=FILE)
-REGISTRY = option(
-    "--registry/place",
-    "An SQLite file or postgresql://USER@HOST/NAME; default: TUMBLE_REGISTRY, else a file of the user's.",
-    metavar="FILE|URL",
-    envvar="TUMBLE_REGISTRY",
-)
+
+
+def registry_place(**settings: Any) -> _Option:
+    """Where the registry is that is read or added to."""
+    says = "The registry: an SQLite file or postgresql://USER@HOST/NAME."
+    return option("--registry/place", says, metavar="FILE|URL", envvar="TUMBLE_REGISTRY", show_envvar=True, **settings)
+
+
+REGISTRY = registry_place()
 GRAVITY = option("--gravity", "Measured gravity, m/s²; default: normal gravity.", type=float)
 LATITUDE = option("--latitude", "Of the place, ° north.", type=float, metavar="DEGREES")
 SERIAL = option("--serial", "Serial number of the device; default: the name of FOLDER or LOG.", metavar="NUMBER")
@@ -225,21 +228,29 @@ CLUSTER = together(
 """Where many tasks are computed, and into which folder."""
 
 
+class Knowledge(Protocol):
+    """What is known of devices and types beforehand, as a registry has it."""
+
+    def prior(self, model: str, *, without: str | None = None) -> Prior:
+        """What the units of a type are like, without one serial number."""
+        ...
+
+    def launches(
+        self, *, serial: str | None = None, model: str | None = None, frame: str = "accelerometer"
+    ) -> tuple[LaunchVariances, ...]:
+        """The launches behind all calibrations of a device or a type."""
+        ...
+
+
 @contextmanager
-def opened(place: str) -> Iterator[Registry]:
-    """A registry, with a line for the extra where it is missing."""
-    from tumble.lab.registry.store.connect import extra_named
+def opened(place: str) -> Iterator[Knowledge]:
+    """A registry, by the entry point of the package that has it. Raises InputError where none is installed."""
+    from types import FunctionType
 
-    with extra_named():
-        from tumble.lab.registry.store.connect import open_registry
+    from tumble.plugins import load
 
-        with open_registry(place) as registry:
-            yield registry
-
-
-def type_in(place: str, model: str) -> DeviceType:
-    """A type by its units in a registry."""
-    with opened(place) as registry:
-        from tumble.lab.registry.series import device_type
-
-        return device_type(registry, model)
+    found = load("knowledge", "registry", FunctionType)
+    if found is None:
+        raise InputError("--registry: expected a package with an entry point tumble.knowledge: registry, found none")
+    with found(place) as knowledge:
+        yield knowledge

@@ -16,6 +16,7 @@ from tumble.errors import InputError
 
 if TYPE_CHECKING:
     from tumble.drafting.new_session import Given
+    from tumble.recording.session import Session
     from tumble.result.calibration import Calibration
     from tumble.run.calibrate import Method
     from tumble.sensors.frames import Frame
@@ -48,11 +49,9 @@ _RESTS = ask.Numbers("numbers of rests such as 3,7", int)
 @ask.SERIAL
 @ask.LATITUDE
 @ask.LOG
-@ask.known_launches("Several launches: their instability together with that of all devices of the type in a registry.")
-@ask.option(
-    "--registry/type_registry",
-    "A prior by other units of the device's type in this registry, instead of what is usual of its grade.",
-    metavar="FILE|URL",
+@ask.registry(
+    "Of other units of the device's type: for one session a prior instead of what is usual of its grade, for several "
+    "launches the instability."
 )
 @click.option("--budget", is_flag=True, help="Show what every u is made of, by source.")
 @ask.JSON
@@ -68,8 +67,7 @@ def calibrate(
     out: Path | None,
     force: bool,
     truth: Path | None,
-    known_launches: str | None,
-    type_registry: str | None,
+    registry: str | None,
     budget: bool,
     every: bool,
     **options: Any,
@@ -92,15 +90,10 @@ def calibrate(
         raise InputError("--out: expected a file for the result of several sessions, found none; give --out FILE.json")
     if truth is not None and frame != "accelerometer":
         raise InputError(f"--truth: expected the frame 'accelerometer', in which truth.json is, found {frame!r}")
-    if known_launches is not None and (len(sessions) < 2 or together):
+    if registry is not None and (together or (len(sessions) == 1 and (methods != ("joint",) or terms != "full"))):
         raise InputError(
-            "--known-launches: expected several launches, whose instability it is about, found another kind of "
-            "calibration"
-        )
-    if type_registry is not None and (len(sessions) > 1 or together or methods != ("joint",) or terms != "full"):
-        raise InputError(
-            "--registry: expected one session and the method joint with all terms, whose prior the type is, found "
-            "another kind of calibration"
+            "--registry: expected several launches, or one session and the method joint with all terms, found another "
+            "kind of calibration"
         )
     if without is not None and len(sessions) > 1:
         raise InputError("--without: expected one session, whose rests are numbered, found several; use [[exclude]]")
@@ -124,17 +117,8 @@ def calibrate(
             results = [calibrate_together(described, frame=frame, progress=tell.with_progress)]
         else:
             words: dict[str, Any] = {"iterations": iterations, "frame": frame, "terms": terms}
-            model, registry = described[0].device.model, known_launches or type_registry
-            if registry is not None and model is None:
-                asked = "--known-launches" if known_launches else "--registry"
-                raise InputError(f"{asked}: expected the type of the device, `model` under [device], found none")
-            if known_launches is not None and model is not None:  # the launches of all devices of the type
-                with ask.opened(known_launches) as opened:
-                    from tumble.lab.registry.series import type_spread
-
-                    words["alike"] = type_spread(opened, model, frame)
-            if type_registry is not None and model is not None:
-                words["device_type"] = ask.type_in(type_registry, model)
+            if registry is not None:
+                words |= _known_in(registry, described[0], frame, several=len(described) > 1)
             calibrated: Callable[..., Calibration] = partial(calibrate_session, described[0])
             if len(described) > 1:
                 from tumble.run.launches import calibrate_launches
@@ -150,7 +134,7 @@ def calibrate(
 
         known = truth_at(true, result.reference_temperature, partial(reference_of_parameter, result))
     tell.show(
-        lambda: result.content() | ({"others": [other.content() for other in others]} if others else {}),
+        result.content() | ({"others": [other.content() for other in others]} if others else {}),
         lambda: calibration_blocks(result, known, others, every=every, budget=budget),
     )
     tell.say(f"written to {target}")
@@ -158,6 +142,16 @@ def calibrate(
         for reason in other.outcome.reasons:
             tell.warn(f"{other.method}: not accepted: {reason}")
     tell.end(result.outcome.reasons, "not accepted: ")
+
+
+def _known_in(registry: str, session: Session, frame: Frame, *, several: bool) -> dict[str, Any]:
+    """What a registry knows of the type of a device, as an argument of a calibration."""
+    if session.device.model is None:
+        raise InputError("--registry: expected the type of the device, `model` under [device], found none")
+    with ask.opened(registry) as opened:
+        if several:
+            return {"alike": opened.launches(model=session.device.model, frame=frame)}
+        return {"prior": opened.prior(session.device.model, without=session.device.serial)}
 
 
 @contextmanager
@@ -235,7 +229,7 @@ def ellipsoid(
     result = calibrate_table(readings, known=dict(map(_position, positions)), **options)
     target = out or readings.with_suffix(".calibration.json")
     result.calibration.write(target, force=force)
-    tell.show(result.calibration.content, lambda: readings_blocks(result))
+    tell.show(result.calibration.content(), lambda: readings_blocks(result))
     tell.say(f"written to {target}")
     tell.end(result.calibration.outcome.reasons, "not accepted: ")
 

@@ -59,7 +59,6 @@ def fleet(sessions: str, method: Method, out: Path, **place: Any) -> None:
     where it was when the same command is given again.
     """
     from tumble.campaigns.fleet import fleet
-    from tumble.views.render.data import print_data
 
     with tell.task_progress("sessions", out) as progress:
         result = fleet(sessions, out, method=method, progress=progress, **place)
@@ -67,7 +66,7 @@ def fleet(sessions: str, method: Method, out: Path, **place: Any) -> None:
     outcomes = {"not accepted": ended.refused, "failed": ended.failed}
     if tell.as_json():
         tally = {"accepted": ended.accepted, **{how: dict(why) for how, why in outcomes.items()}}
-        print_data({"sessions": len(result.sessions), **tally, "rows": str(result.rows)})
+        tell.print_json({"sessions": len(result.sessions), **tally, "rows": str(result.rows)})
     else:
         counts = [f"{len(sessions_why)} {how}" for how, sessions_why in outcomes.items()]
         click.echo(f"{len(result.sessions)} sessions: {ended.accepted} accepted, {', '.join(counts)}")

@@ -90,9 +90,12 @@ def plan(
     if (type_registry is None) != (model is None):
         raise click.UsageError("--registry: expected with --model and --model with it, found one of them")
     setup = ask.setup_of(options | {"programme": programme})
+    prior = None
+    if type_registry is not None and model is not None:
+        with ask.opened(type_registry) as opened:
+            prior = opened.prior(model)
     if attitudes:
         setup = replace(setup, programme=from_attitudes(attitudes))
-    device_type = None if type_registry is None or model is None else ask.type_in(type_registry, model)
     accuracies, table = wanted_accuracies(wanted), TurnTable.of(axes, step)
     with tell.working("planning") as progress:
         found = plan(
@@ -103,15 +106,12 @@ def plan(
             wanted=accuracies,
             gyros=not accel_only,
             table=table,
-            device_type=device_type,
+            prior=prior,
             progress=progress,
         )
-    tell.show(
-        lambda: {name: getattr(found, name) for name in found.json_fields},
-        lambda: plan_blocks(found, sources=sources),
-    )
-    if device_type is not None:
-        tell.say(f"note: by {device_type.units} units of the type {model!r} as a prior")
+    tell.show(found, lambda: plan_blocks(found, sources=sources))
+    if prior is not None:
+        tell.say(f"note: by {prior.words} as a prior")
     for remark in found.remarks:
         tell.say(f"note: {remark}")
     tell.end(found.reasons)

@@ -1,9 +1,8 @@
-"""Commands that look at a recording: `new`, `inspect`, `noise`, and while it is made, `bench`."""
+"""Commands that look at a recording: `new`, `inspect`, `noise`."""
 
 from __future__ import annotations
 
 import sys
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -50,13 +49,13 @@ def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: 
 def inspect(session: Path, picture: Path | None) -> None:
     """Show the rests and turns found in SESSION, and what was rejected and why."""
     from tumble.run.observed import inspect_session
-    from tumble.views.inspection import inspection_blocks, inspection_data, plot
+    from tumble.views.inspection import inspection_blocks, plot
 
     observed = inspect_session(session, progress=tell.with_progress)
     if picture is not None:
         plot(observed, picture)
         tell.say(f"written to {picture}")
-    tell.show(lambda: inspection_data(observed), lambda: inspection_blocks(observed))
+    tell.show(observed, lambda: inspection_blocks(observed))
     for fault in (*observed.faults, *observed.gyro_faults, *observed.gyro_bias_faults):
         tell.warn(f"fault: {fault}")
     sys.exit(1 if observed.faults else 0)
@@ -93,7 +92,7 @@ def noise(
 
     from tumble.drafting.new_session import new_session
     from tumble.run.quiet_samples import is_session, noise
-    from tumble.views.noise import noise_blocks, noise_data, plot
+    from tumble.views.noise import noise_blocks, plot
 
     if all(map(is_session, recordings)):
         found = noise(*recordings)
@@ -115,53 +114,4 @@ def noise(
     if picture is not None:
         plot(found.panels, picture)
         tell.say(f"written to {picture}")
-    tell.show(lambda: noise_data(found), lambda: noise_blocks(found, filters=filters))
-
-
-@click.command(
-    epilog=ask.examples(
-        "tumble bench imu-7 --listen udp:5005",
-        "tumble bench new --listen serial:/dev/ttyUSB0:115200 --serial A-7 --latitude 56.84",
-    )
-)
-@click.argument("sessions", metavar="SESSION...", type=ask.PATH, nargs=-1, required=True)
-@ask.option(
-    "--listen",
-    "What to record: udp:5005, serial:/dev/ttyUSB0:115200, replay:FOLDER@20x …; again: for the next SESSION.",
-    metavar="SOURCE",
-    multiple=True,
-)
-@ask.option("--serial/serials", "Of a new SESSION; again: for the next SESSION.", metavar="NUMBER", multiple=True)
-@ask.LATITUDE
-@ask.GRAVITY
-@ask.programme("Of a new session; default: free positions.")
-@ask.WANT
-@ask.grade("mems", ": where the other wishes come from")
-@ask.REGISTRY
-@ask.option("--host", "Address to listen on; beyond the loopback a token is asked for.", "127.0.0.1")
-@ask.option("--port", "0: any that is free.", 8422, type=click.IntRange(0, 65535))
-@click.option("--browser", is_flag=True, help="Open the page.")
-def bench(
-    sessions: tuple[Path, ...],
-    listen: tuple[str, ...],
-    latitude: float | None,
-    gravity: float | None,
-    place: str | None,
-    host: str,
-    port: int,
-    browser: bool,
-    **options: Any,
-) -> None:
-    """The live page: follow a recording, say what to do next, and calibrate at the end.
-
-    SESSION is a folder with session.toml, or a new one for a source that is recorded. Without --listen the log that
-    another program writes there is followed. Several are several benches, each with a page of its own, and a list of
-    them.
-    """
-    from tumble.bench.station import stations_of
-    from tumble.bench.web.serve import serve
-
-    told = {"latitude_deg": latitude, "gravity": gravity}
-    site = {key: value for key, value in told.items() if value is not None}
-    stations = partial(stations_of, sessions, listen, site=site, registry=place, **options)
-    serve(stations, folders=sessions, host=host, port=port, browser=browser, say=tell.warn)
+    tell.show(found, lambda: noise_blocks(found, filters=filters))

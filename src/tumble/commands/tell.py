@@ -25,15 +25,31 @@ def as_json() -> bool:
     return bool(click.get_current_context().meta.get(AS_JSON))
 
 
-def show(data: Callable[[], dict[str, Any]], blocks: Callable[[], Iterable[Block]]) -> None:
-    if as_json():
-        from tumble.views.render.data import print_data
+def show(result: Any, blocks: Callable[[], Iterable[Block]]) -> None:
+    """Print a result on standard output.
 
-        print_data(data())
+    Parameters
+    ----------
+    result
+        A dataclass or a dictionary, which `--json` prints by `documents.as_json`.
+    blocks
+        Makes what is shown on the terminal without `--json`.
+    """
+    if as_json():
+        print_json(result() if callable(result) else result, indent=1)
     else:
         from tumble.views.render.terminal import print_blocks
 
         print_blocks(*blocks())
+
+
+def print_json(result: Any, indent: int | None = None) -> None:
+    """Print a result as JSON, in characters that every terminal has; without `indent` on one line."""
+    import json
+
+    from tumble.documents import as_json as data_of
+
+    click.echo(json.dumps({"format": 1} | data_of(result), indent=indent, allow_nan=False))
 
 
 def say(line: str) -> None:

@@ -28,7 +28,7 @@ from tumble.drafting.mended import mended
 from tumble.drafting.sensors_apart import log_of_recording
 from tumble.errors import InputError, LogError
 from tumble.files import FilePath, OutputFolder, nothing_left, whole_file
-from tumble.programme.positions import BUILT_IN
+from tumble.programme.positions import programmes
 from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, TIME_KIND, Sensors, temperature_unit
 from tumble.recording.columns.scales import step_in_deg_s
 from tumble.recording.formats import is_recording
@@ -109,8 +109,8 @@ def written_session(
         raise InputError(f"{path}: expected a folder without a session, found one; choose another folder")
     listed = [logs] if isinstance(logs, str | os.PathLike) else logs
     files = [file for log in listed for file in files_of(Path(log))]
-    if given.programme is not None and given.programme not in BUILT_IN:
-        raise InputError(f"--programme: expected one of {', '.join(BUILT_IN)}, found {given.programme!r}")
+    if given.programme is not None and given.programme not in programmes():
+        raise InputError(f"--programme: expected one of {', '.join(programmes())}, found {given.programme!r}")
     if given.latitude is not None and not -90.0 <= given.latitude <= 90.0:
         raise InputError(f"--latitude: expected a number from -90 to 90, found {given.latitude:g}")
     if given.sample_rate is not None and not 0.0 < given.sample_rate < 1e9:

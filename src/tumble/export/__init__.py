@@ -1,6 +1,7 @@
 """Exports: a calibration as other programs read it.
 
-`export_calibration` makes the bytes; nothing is written. What a target cannot hold comes with them in sentences.
+`export_calibration` makes the bytes; nothing is written. What a target cannot hold comes with them in sentences. Most
+targets are templates, `targets/*.tmpl`; those of BUILT_IN need code. Other packages bring more (`tumble.plugins`).
 """
 
 from __future__ import annotations
@@ -9,115 +10,179 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
-from tumble.errors import InputError
+from tumble.errors import InputError, did_you_mean
+from tumble.plugins import entry_points_of, load
 
 if TYPE_CHECKING:
     from tumble.export.exported import Exported
-    from tumble.export.robots import NoiseDensities
+    from tumble.export.kalibr import NoiseDensities
+    from tumble.export.templates import Template
     from tumble.files import FilePath
-    from tumble.lab.certificate import Certificate
     from tumble.recording.session import Session
     from tumble.result.calibration import Calibration
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Target:
-    """A format: the module and the function that make it, what that takes beside the calibration, the ending of a file
-    of it, and whether that is text."""
+    """A format that a calibration can be written in.
 
-    module: str
-    function: str
+    Attributes
+    ----------
+    write
+        Makes an `Exported` of an accepted calibration and of the options, by keyword, that are given.
+    takes
+        The names of its options.
+    needs
+        Those of them that must be given.
+    ending
+        How names of its files end.
+    """
+
+    write: Callable[..., Exported]
     takes: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
     ending: str = ".txt"
-    text: bool = True
 
 
-FORMATS: Mapping[str, Target] = {
-    "kalibr": Target(module="robots", function="kalibr", takes=("noise",)),
-    "ros-imu-calib": Target(module="robots", function="ros_imu_calib"),
-    "fusion": Target(module="robots", function="fusion", ending=".h"),
-    "autoware": Target(module="robots", function="autoware", ending=".yaml"),
-    "px4": Target(module="autopilots", function="px4", takes=("imu",), ending=".params"),
-    "px4-thermal": Target(module="autopilots", function="px4_thermal", takes=("imu", "sensor-ids"), ending=".params"),
-    "ardupilot": Target(module="autopilots", function="ardupilot", takes=("imu",), ending=".parm"),
-    "ardupilot-thermal": Target(module="autopilots", function="ardupilot_thermal", takes=("imu",), ending=".parm"),
-    "inav": Target(module="counts", function="inav", takes=("counts",)),
-    "betaflight": Target(module="counts", function="betaflight", takes=("counts",)),
-    "slimevr": Target(module="counts", function="slimevr", takes=("counts",), ending=".h"),
-    "m5unified": Target(module="counts", function="m5unified", takes=("counts",), ending=".h"),
-    "iio": Target(module="counts", function="iio", takes=("counts",), ending=".sh"),
-    "realsense": Target(module="json_files", function="realsense", ending=".json"),
-    "imucal": Target(module="json_files", function="imucal"),
-    "depthai": Target(module="json_files", function="depthai"),
-    "matlab-imu": Target(module="json_files", function="matlab_imu"),
-    "c": Target(module="c_header", function="c_header", ending=".h"),
-    "firmware": Target(module="firmware", function="firmware", takes=("full-scale",), ending=".zip", text=False),
-    "mat": Target(module="tables", function="mat", ending=".mat", text=False),
-    "csv": Target(module="tables", function="csv_table", ending=".csv"),
-    "csv-thermal": Target(module="tables", function="csv_thermal", ending=".csv"),
-    "dcc": Target(module="dcc", function="dcc", takes=("certificate",), ending=".xml"),
+def _from(module: str, function: str) -> Callable[..., Exported]:
+    """A function of a module of this folder, which is imported when it is called."""
+
+    def write(calibration: Calibration, **options: Any) -> Exported:
+        made: Exported = getattr(import_module(f"tumble.export.{module}"), function)(calibration, **options)
+        return made
+
+    return write
+
+
+BUILT_IN: Mapping[str, Target] = {
+    "px4": Target(write=_from("autopilots", "px4"), takes=("imu",), ending=".params"),
+    "px4-thermal": Target(write=_from("autopilots", "px4_thermal"), takes=("imu", "sensor_ids"), ending=".params"),
+    "ardupilot": Target(write=_from("autopilots", "ardupilot"), takes=("imu",), ending=".parm"),
+    "ardupilot-thermal": Target(write=_from("autopilots", "ardupilot_thermal"), takes=("imu",), ending=".parm"),
+    "kalibr": Target(write=_from("kalibr", "kalibr"), takes=("noise",), ending=".yaml"),
+    "c": Target(write=_from("c_header", "c_header"), ending=".h"),
+    "csv": Target(write=_from("tables", "csv_table"), ending=".csv"),
+    "csv-thermal": Target(write=_from("tables", "csv_thermal"), ending=".csv"),
+    "mat": Target(write=_from("tables", "mat"), ending=".mat"),
 }
-"""Every format by its name; the only list of them."""
+"""Targets that need code, by name."""
 
-FROM_THE_CALIBRATION_ALONE = tuple(name for name, target in FORMATS.items() if "certificate" not in target.takes)
-"""Formats that can do without anything beside the calibration."""
+TEMPLATES = Path(__file__).with_name("targets")
+"""Where the templates that come with tumble are."""
+
+
+def targets() -> tuple[str, ...]:
+    """Names of all targets: those that need code, the templates, and those of other packages.
+
+    >>> from tumble.export import targets
+    >>> targets()[:3]
+    ('px4', 'px4-thermal', 'ardupilot')
+    """
+    templates = sorted(file.stem for file in TEMPLATES.glob("*.tmpl"))
+    return (*dict.fromkeys([*BUILT_IN, *templates, *entry_points_of("exports")]),)
+
+
+def target(name: str) -> Target:
+    """The target of a name. Raises InputError for any other name."""
+    if name in BUILT_IN:
+        return BUILT_IN[name]
+    file = TEMPLATES / f"{name}.tmpl"
+    if name and Path(name).name == name and file.is_file():
+        return _of_template(file, name)
+    brought = cast("Target | Path | None", load("exports", name, (Target, Path)))
+    if brought is None:
+        advice = did_you_mean(name, targets())
+        raise InputError(f"export: expected one of {', '.join(targets())}, found {name!r}{advice}")
+    return brought if isinstance(brought, Target) else _of_template(brought, name)
+
+
+def _of_template(file: Path, name: str | None = None) -> Target:
+    from tumble.export.templates import read_template
+
+    template: Template = read_template(file, name)
+    takes = ("counts",) if template.front.counts is not None else ()
+    return Target(write=template.write, takes=takes, ending=template.front.ending)
 
 
 def export_calibration(
     calibration: Calibration | FilePath,
-    to: str,
+    to: str | None = None,
     *,
+    template: FilePath | None = None,
     noise: NoiseDensities | Session | FilePath | None = None,
-    certificate: Certificate | FilePath | None = None,
     imu: int | None = None,
     sensor_ids: tuple[int, int] | None = None,
-    full_scale: tuple[float, float] | None = None,
     counts: tuple[float, float] | None = None,
+    **further: Any,
 ) -> Exported:
-    """A calibration, or that of a file, in one of the `FORMATS`. `kalibr` takes the noise densities of the device or a
-    session whose longest rest shows them, else those of the calibration's rests; `dcc` needs the administrative data of
-    a certificate or their file; the formats of PX4 and ArduPilot take the number of the IMU whose parameters are to be
-    written, from 1, where the recording does not say it; `px4-thermal` the device ids of accelerometer and gyro,
-    likewise; `firmware` the range of readings in fixed point, g and °/s; formats in counts how many a g and a °/s are,
-    where the recording was not in counts.
+    """Export a calibration in the format of another program.
 
-    Where the accelerometers or the gyros alone are accepted, they are written, and the others named as absent. Raises
-    InputError for a calibration that was not accepted or that the format has no place for.
+    Where the accelerometers or the gyros alone are accepted, they are written, and the others named as absent.
 
+    Parameters
+    ----------
+    calibration
+        One that was accepted, or its file.
+    to
+        The name of the target, one of `tumble.export.targets()`.
+    template
+        The file of a template of one's own instead (`tumble.export.templates`).
+    noise
+        For `kalibr`: noise densities, or a session whose longest rest shows them; those of the calibration's rests by
+        default.
+    imu
+        For PX4 and ArduPilot: the number of the IMU whose parameters are to be written, from 1, where the recording
+        does not say it.
+    sensor_ids
+        For `px4-thermal`: the device ids of accelerometer and gyro, where the recording does not say them.
+    counts
+        For targets that work in counts: how many a g and a °/s are, where the recording was not in counts.
+    **further
+        Options of targets that other packages bring.
+
+    Returns
+    -------
+    Exported
+        The content of the file, and what it cannot hold, in at most four notes.
+
+    Raises
+    ------
+    InputError
+        For a calibration that was not accepted or that the format has no place for, and for an option that the target
+        does not take.
+
+    Examples
+    --------
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> exported = tumble.export_calibration(tumble.calibrate(folder), "csv")
     >>> exported.content.splitlines()[0].split(b",")[0]
     b'# device mems-1'
     """
-    from tumble.export.exported import NO_MAGNETOMETER
-    from tumble.lab.certificate import Certificate, read_certificate
     from tumble.result.accepted import accepted_part
     from tumble.result.calibration import calibration_from
 
+    if (to is None) == (template is None):
+        found = "neither" if to is None else "both"
+        raise InputError(f"export: expected --to with the name of a target, or --template with a file, found {found}")
     calibration = accepted_part(calibration_from(calibration))
-    if to not in FORMATS:
-        raise InputError(f"export: expected one of {', '.join(FORMATS)}, found {to!r}")
-    if to == "dcc" and certificate is None:
-        raise InputError("export: expected --certificate with dcc and only there, found none")
-    if noise is not None:
-        from tumble.export.robots import NoiseDensities, noise_densities
-        from tumble.recording.session_file import session_from
+    chosen = _of_template(Path(template)) if template is not None else target(to or "")
+    options = {"noise": noise, "imu": imu, "sensor_ids": sensor_ids, "counts": counts} | further
+    given = {name: value for name, value in options.items() if value is not None}
+    name = to or "a template"
+    for option in given:
+        if option not in chosen.takes:
+            takes = " and ".join(map(_option, chosen.takes)) or "no options"
+            raise InputError(f"export to {name}: expected {takes}, found {_option(option)}")
+    for option in chosen.needs:
+        if option not in given:
+            raise InputError(f"export to {name}: expected {_option(option)}, found none")
+    exported = chosen.write(calibration, **given)
+    return replace(exported, losses=(*calibration.absent, *exported.losses))
 
-        noise = noise if isinstance(noise, NoiseDensities) else noise_densities(session_from(noise))
-    if certificate is not None and not isinstance(certificate, Certificate):
-        certificate = read_certificate(Path(certificate))
-    given = {"noise": noise, "certificate": certificate, "imu": imu, "sensor-ids": sensor_ids, "full-scale": full_scale}
-    given["counts"] = counts
-    target = FORMATS[to]
-    for what, value in given.items():
-        if value is not None and what not in target.takes:
-            every = [name for name, other in FORMATS.items() if what in other.takes]
-            takers = [name for name in every if name.removesuffix("-thermal") not in {*every} - {name}]
-            raise InputError(f"export: expected --{what} with {' or '.join(takers)} and only there, found it with {to}")
-    function: Callable[..., Exported] = getattr(import_module(f"tumble.export.{target.module}"), target.function)
-    exported = function(calibration, *(given[what] for what in target.takes))
-    without = () if calibration.mag is None or exported.magnetometer else (NO_MAGNETOMETER,)
-    return replace(exported, losses=(*calibration.absent, *exported.losses, *without))
+
+def _option(name: str) -> str:
+    """An option as the command line has it."""
+    return f"--{name.replace('_', '-')}"

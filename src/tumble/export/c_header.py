@@ -22,12 +22,14 @@ Nothing needs a library.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
-from tumble.export.exported import UNITS, Exported, example, examples, losses_of, models, numbers, origin, shown
+from tumble.export.exported import UNITS, Exported, example, examples, models, notes_of, numbers, origin, shown
+from tumble.export.templates import laid_out
 from tumble.reduction.rests.thermometer import followed
 from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import changing, coefficients, measured_range, own_thermometers, references
@@ -37,100 +39,6 @@ from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import FORCE, OWN_CUBE, OWN_SIZE, PRODUCTS
 from tumble.units import Array
 
-_HEAD = """\
-/* {what}, {unit}, from readings of {n} sensors in {unit}{needs} */
-static inline void imu_correct_{kind}{at}{suffix}(const {type} reading[{n}], {argument}{type} out[3])
-{{
-"""
-
-_LINEAR = """\
-    for (int i = 0; i < 3; i++) {{
-        {type} sum = 0;
-        for (int j = 0; j < {n}; j++) {{
-            sum += inverse[i][j] * (reading[j] - bias[j]{less}){over};
-        }}
-        out[i] = sum;
-    }}
-}}
-"""
-
-_BEYOND = """\
-    {type} left[{n}];
-    for (int j = 0; j < {n}; j++) {{
-        left[j] = (reading[j] - bias[j]{less}){over};
-    }}
-    for (int step = 0; step <= {steps}; step++) {{
-        for (int i = 0; i < 3; i++) {{
-            {type} sum = 0;
-            for (int j = 0; j < {n}; j++) {{
-                sum += inverse[i][j] * left[j];
-            }}
-            out[i] = sum;
-        }}
-        for (int j = 0; j < {n}; j++) {{
-            const {type} own = axis[j][0] * out[0] + axis[j][1] * out[1] + axis[j][2] * out[2];
-            left[j] = reading[j] - bias[j]{less} - (own < 0 ? -own : own) * asymmetry[j] - own * own * own * cubic[j];
-{more}        }}
-    }}
-}}
-"""
-
-_QUADRATIC = """\
-            left[j] -= quadratic[j][0] * out[0] * out[0] + quadratic[j][1] * out[0] * out[1]
-                + quadratic[j][2] * out[0] * out[2] + quadratic[j][3] * out[1] * out[1]
-                + quadratic[j][4] * out[1] * out[2] + quadratic[j][5] * out[2] * out[2];
-"""
-_BY_FORCE = """\
-            left[j] -= by_force[j][0] * force[0] + by_force[j][1] * force[1] + by_force[j][2] * force[2];
-"""
-_DIVIDED = """\
-            left[j] /= gain[j];
-"""
-
-_WARM = """\
-    {type} shift[{n}], gain[{n}];
-    for (int j = 0; j < {n}; j++) {{
-        const {type} warmer = celsius{own} - {reference};
-        shift[j] = warmer * (bias_slope[j] + warmer * bias_curve[j]);
-        gain[j] = 1 + warmer * (scale_slope[j] + warmer * scale_curve[j]);
-    }}
-"""
-
-_LAG = """\
-/* what follows a thermometer: all zero before its first reading */
-typedef struct {{
-    int started;
-    double thermometer, behind;
-}} imu_thermometer;
-
-/* temperature of the sensors, degC, which lag behind the thermometer: from its reading, degC, and the seconds since the
-   reading before; as warm as the thermometer with the first */
-static inline double imu_sensors_celsius(imu_thermometer *state, double celsius, double seconds)
-{{
-    static const double lag = {size!r};
-    if (!state->started) {{
-        state->started = 1;
-        state->behind = celsius;
-    }} else if (seconds > 0) {{
-        double x = seconds / lag, gain = 1;
-        if (x < 40) {{
-            int doublings = 0;
-            while (x > 0.01) {{
-                x *= 0.5;
-                doublings++;
-            }}
-            gain = x * (1 - x / 2 * (1 - x / 3 * (1 - x / 4 * (1 - x / 5))));
-            while (doublings-- > 0) {{
-                gain *= 2 - gain;
-            }}
-        }}
-        state->behind += gain * (state->thermometer - state->behind)
-            + (celsius - state->thermometer) * (1 - gain * lag / seconds);
-    }}
-    state->thermometer = celsius;
-    return {found};
-}}
-"""
 LAG_EXAMPLE = ((20.0, 0.0), (21.0, 10.0), (23.0, 10.0), (23.0, 60.0))
 """Readings of a thermometer, degC, and the seconds since the one before."""
 
@@ -145,14 +53,14 @@ HELD_AT = frozenset(f"{kind}.{what}.{t}" for kind in UNITS for what in ("bias", 
 WHAT: Mapping[SensorKind, str] = {"accel": "true specific force", "gyro": "true angular rate"}
 
 
-def c_header(calibration: Calibration, *, includes: Sequence[str] = (), more: Sequence[str] = ()) -> Exported:
-    """The header of a calibration, with what it includes and more lines at its end."""
+def c_header(calibration: Calibration) -> Exported:
+    """The header of a calibration."""
     known, compensator = models(calibration), calibration.compensator
     warm = bool(changing(calibration)) and calibration.reference_temperature is not None
     lag = compensator.lag if warm else 0.0
     held = HELD | (HELD_AT if warm else frozenset()) | ({"temperature.lag"} if lag else frozenset())
     digits = "the functions in float have 7 digits; use those in double where that matters"
-    losses = (*losses_of(calibration, held=held), digits)
+    losses = notes_of(calibration, held=held, see_to=[digits])
     comments = [*origin(calibration), *_worked(compensator, known)]
     if warm:
         measured = measured_range(calibration)
@@ -162,10 +70,6 @@ def c_header(calibration: Calibration, *, includes: Sequence[str] = (), more: Se
             f"it, in degC{known_from}"
         )
         comments += own_thermometers(calibration)
-    lines, precisions = (
-        [],
-        [(single, at) for single in (False, True) for at in ([None, calibration] if warm else [None])],
-    )
     if lag:
         readings = "; ".join(f"{celsius:g} after {seconds:g} s" for celsius, seconds in LAG_EXAMPLE)
         comments += [
@@ -173,16 +77,14 @@ def c_header(calibration: Calibration, *, includes: Sequence[str] = (), more: Se
             "of every reading, with a state for each thermometer",
             f"example lag: the thermometer reads {readings}; the sensors have {shown(_sensors_celsius(lag).round(9))}",
         ]
-        lines.append(_LAG.format(size=abs(lag), found="state->behind" if lag > 0 else "2 * celsius - state->behind"))
-    lines += [
+    functions = [
         _function(compensator, kind, model, single=single, at=at)
         for kind, model in known.items()
-        for single, at in precisions
+        for single in (False, True)
+        for at in ([None, calibration] if warm else [None])
     ]
-    included = [*(f"#include {file}" for file in includes), ""] if includes else []
-    head = ["#ifndef IMU_CALIBRATION_H", "#define IMU_CALIBRATION_H", "", *included, "/*"]
-    head += [*(f" * {line}" for line in (*comments, *losses)), " */", ""]
-    return Exported(content="\n".join([*head, *lines, *more, "#endif", ""]).encode(), losses=losses)
+    text = laid_out("imu_calibration.h.j2", comments=[*comments, *losses], lag=lag, functions=functions)
+    return Exported(content=text.encode(), losses=losses)
 
 
 def _sensors_celsius(lag: float) -> Array:
@@ -224,22 +126,27 @@ def beyond_linear(compensator: Compensator, kind: SensorKind) -> dict[str, Array
     return tables | ({"by_force": K[:, FORCE]} if np.any(K[:, FORCE]) else {})
 
 
-def constant(of_type: str, name: str, values: Array, row: Callable[[Array], str]) -> str:
-    """A constant array of C, of which a `row` of numbers is shown so."""
+def _constant(number: str, name: str, values: Array) -> str:
+    """A constant array of C, double or float, whose numbers read back to the same ones."""
+
+    def row(each: Array) -> str:
+        texts = map(repr, numbers(each)) if number == "double" else (f"{v!s}f" for v in each.astype(np.float32))
+        return ", ".join(texts)
+
     sizes = "".join(f"[{size}]" for size in values.shape)
     rows = ",\n".join(f"        {{{row(each)}}}" for each in np.atleast_2d(values))
     text = f"\n{rows}\n    " if values.ndim > 1 else row(values)
-    return f"    static const {of_type} {name}{sizes} = {{{text}}};\n"
+    return f"    static const {number} {name}{sizes} = {{{text}}};\n"
 
 
 def _function(
     compensator: Compensator, kind: SensorKind, model: SensorModel, *, single: bool, at: Calibration | None
-) -> str:
-    """The function of the sensors of a kind, in double or in single precision; with their temperature, `at` the
-    calibration that knows what that changes."""
-    number, n, tables, warm = "float" if single else "double", len(model.bias), beyond_linear(compensator, kind), ""
-    linear, by_force = not tables, "by_force" in tables
-    more = _QUADRATIC * (kind == "accel") + _BY_FORCE * by_force + _DIVIDED * (at is not None)
+) -> dict[str, Any]:
+    """The words of the function of the sensors of a kind, in double or in single precision; with their temperature,
+    `at` the calibration that knows what that changes."""
+    number, n, beyond = "float" if single else "double", len(model.bias), beyond_linear(compensator, kind)
+    tables = {"bias": model.bias, "inverse": model.inverse()} | beyond
+    by_force, apart, reference = "by_force" in beyond, False, ""
     needs = " and the true specific force, m/s^2" if by_force else ""
     argument = f"const {number} force[3], " if by_force else ""
     if at is not None:
@@ -250,28 +157,22 @@ def _function(
         apart = len(set(at.temperature.thermometers.get(kind, ()))) > 1
         tables |= {"reference": references(at, kind)} if apart else {}
         reference = "reference[j]" if apart else f"({number}){float(references(at, kind)[0])!r}"
-        warm = _WARM.format(type=number, n=n, reference=reference, own="[j]" if apart else "")
         needs += " and their temperatures, degC" if apart else " and a temperature, degC"
         argument += f"const {number} celsius[{n}], " if apart else f"{number} celsius, "
-
-    def constants(values: Array) -> str:  # that read back to the same ones
-        return ", ".join(map(repr, numbers(values)) if not single else (f"{v!s}f" for v in values.astype(np.float32)))
-
-    parts = {
+    return {
         "what": WHAT[kind],
         "unit": UNITS[kind],
         "n": n,
         "kind": kind,
-        "needs": needs,
-        "at": "" if at is None else "_at",
-        "suffix": "f" if single else "",
         "type": number,
+        "suffix": "f" if single else "",
+        "needs": needs,
         "argument": argument,
-        "less": "" if at is None else " - shift[j]",
-        "over": "" if at is None else " / gain[j]",
+        "constants": "".join(_constant(number, name, values) for name, values in tables.items()),
+        "warm": at is not None,
+        "apart": apart,
+        "reference": reference,
+        "linear": not beyond,
+        "by_force": by_force,
         "steps": FIXED_POINT_STEPS,
-        "more": more,
     }
-    tables = {"bias": model.bias, "inverse": model.inverse()} | tables
-    declared = "".join(constant(number, name, values, constants) for name, values in tables.items())
-    return _HEAD.format(**parts) + declared + warm + (_LINEAR if linear else _BEYOND).format(**parts)

@@ -1,9 +1,8 @@
-"""What every export is made of: triads, worked examples, where the numbers come from, and what a target cannot hold.
+"""What every export is made of: the models of a calibration, worked examples, and notes on what a target cannot hold.
 
-An export states its target's own formula, an example worked with it, and as `losses` what the target has no place for
-and how large that is: of a group of parameters beyond the linear model the largest change of a reading that it makes,
-over all attitudes at 1 g, and of what only motion shows at the rate of the session's turns. Readings are those of the
-calibration file: SI, after nominal scale and offset.
+An export has at most three notes: what the target leaves of matrices and biases, what it has no place for, and what the
+user has to see to. Errors are the largest over all attitudes at 1 g, and for effects of motion at the rate of the
+session's turns. Readings are those of the calibration file: SI, after nominal scale and offset.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ import numpy as np
 
 from tumble.errors import InputError
 from tumble.inference.prediction import directions
+from tumble.result.accepted import WORDS
 from tumble.result.calibration import Calibration
 from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import SensorKind, SensorModel
@@ -24,53 +24,48 @@ from tumble.sensors.parameters import (
     group_name,
     groups,
     positions_by_group,
-    sensor_kind,
     within_kind,
 )
 from tumble.units import DEGREE, G_STANDARD, Array
 
 UNITS: Mapping[SensorKind, str] = {"accel": "m/s^2", "gyro": "rad/s"}
-UNSCALED: Mapping[SensorKind, float] = {"accel": 1.0, "gyro": 1.0}
 EXAMPLE: Mapping[SensorKind, Array] = {"accel": np.array([0.5, -1.0, 9.7]), "gyro": np.array([0.1, -0.2, 0.3])}
 """True vectors near which the examples are, m/s² and rad/s."""
 
-NO_UNCERTAINTY = "uncertainties and their covariance have no place in this file"
-NO_MAGNETOMETER = "matrix and bias of the magnetometer have no place in this file"
+MAGNETOMETER = "mag"
+"""In the groups that a target holds: matrix and bias of the magnetometer."""
 SINGLE_PRECISION = "the target computes in single precision: 7 digits of each number"
-NO_PLACE = "no place in this file"
-NOT_IN_MATRIX = "not in matrix and bias"
+NO_PLACE = "no place in this file for"
+NOT_IN_MATRIX = "not in matrix and bias:"
 
 USUAL_RATE = 100.0 * DEGREE
 """rad/s, where a calibration does not say how fast its turns were."""
 NEGLIGIBLE = 0.1
 """Of the standard uncertainty of a reading: it adds less than √(1 + 0.1²) − 1 = 0.5 % to that."""
+MOST_NAMED = 2
+"""Groups of a kind of sensors that are named with their errors; all others have a common bound."""
 WARMER, HOUR = 10.0, 3600.0
 """K and s over which changes are stated."""
 HEATING = 1.0 / 60.0
 """K/s at which the effect of a lag is stated."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ExportedParameter:
-    """A parameter of an autopilot: its value as the autopilot keeps it, whether that is a whole number, whether it says
-    which sensor there is, and whether it is of a magnetometer."""
-
-    name: str
-    value: float
-    whole: bool = False
-    identity: bool = False
-    magnetometer: bool = False
+ROUNDING = 1e-6
+"""Relative errors of single precision, which are not stated one by one."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Exported:
-    """The bytes of a file, and in sentences what its format cannot hold; of an autopilot the `parameters` in it; and
-    whether a magnetometer has its place."""
+    """A file in the format of another program.
+
+    Attributes
+    ----------
+    content
+        The bytes of the file.
+    losses
+        What the format cannot hold, one sentence each.
+    """
 
     content: bytes
     losses: tuple[str, ...]
-    parameters: tuple[ExportedParameter, ...] = ()
-    magnetometer: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -88,24 +83,15 @@ def example(kind: SensorKind, model: SensorModel) -> Example:
 
 
 def examples(
-    known: Mapping[SensorKind, SensorModel],
-    form: str = "example {kind}: {reading} is {true}",
-    sizes: Mapping[SensorKind, float] = UNSCALED,
+    models: Mapping[SensorKind, SensorModel], form: str = "example {kind}: reading {reading} is {true} {unit}"
 ) -> list[str]:
-    """A worked example of each kind of sensors, a line each, in units that are so large (SI)."""
+    """A worked example of each kind of sensors, a line each, SI."""
     lines = []
-    for kind, model in known.items():
-        worked, size = example(kind, model), sizes[kind]
-        reading = worked.reading if size == 1.0 else (worked.reading / size).round(9)  # of six decimals in SI
-        true = (worked.true / size).round(9)
-        lines.append(form.format(kind=kind, reading=shown(reading), true=shown(true), unit=UNITS[kind]))
+    for kind, model in models.items():
+        worked = example(kind, model)
+        reading, true = shown(worked.reading), shown(worked.true.round(9))
+        lines.append(form.format(kind=kind, reading=reading, true=true, unit=UNITS[kind]))
     return lines
-
-
-def commented(comments: Iterable[str], lines: Iterable[str], losses: Iterable[str]) -> Exported:
-    """A file of lines below comments that begin with #."""
-    text = "\n".join([*(f"# {comment}".rstrip() for comment in comments), *lines, ""])
-    return Exported(content=text.encode(), losses=tuple(losses))
 
 
 def models(calibration: Calibration) -> dict[SensorKind, SensorModel]:
@@ -130,14 +116,14 @@ def triads(
     for kind, model in known.items():
         if len(model.bias) != 3:
             raise InputError(
-                f"export to {target}: expected three {kind} sensors, found {len(model.bias)}; c, csv, dcc and mat hold "
-                "any number"
+                f"export to {target}: expected three {kind} sensors, found {len(model.bias)}; c, csv and mat hold any "
+                "number"
             )
     return known
 
 
-def origin(calibration: Calibration, *, magnetometer: bool = False) -> list[str]:
-    """Where the numbers come from, line by line, of a format that has a place for a magnetometer or not."""
+def origin(calibration: Calibration) -> list[str]:
+    """Where the numbers come from, line by line."""
     made = calibration.provenance
     device = calibration.serial if calibration.model is None else f"{calibration.serial} ({calibration.model})"
     lines = [
@@ -150,9 +136,7 @@ def origin(calibration: Calibration, *, magnetometer: bool = False) -> list[str]
         if readings is not None and readings.unit in ("count", "V"):
             scale, offset = (" ".join(f"{number:g}" for number in row) for row in (readings.scale, readings.offset))
             lines.append(f"{kind} readings in {UNITS[kind]} are (raw - offset) / scale: offset {offset}, scale {scale}")
-    lines += calibration.absent
-    lines += [NO_MAGNETOMETER] if calibration.mag is not None and not magnetometer else []
-    return [one_line(line) for line in lines]
+    return [one_line(line) for line in (*lines, *calibration.absent)]
 
 
 def one_line(text: str) -> str:
@@ -182,37 +166,120 @@ def yaml_list(values: Array) -> str:
     return f"[{', '.join(map(yaml_number, numbers(values)))}]"
 
 
-# -------------------- groups of parameters beyond the linear model --------------------
+# -------------------- what a target cannot hold --------------------
 
 
-def losses_of(calibration: Calibration, *own: str, held: Container[str] = (), precision: str = "") -> tuple[str, ...]:
-    """What a format of matrices and biases loses: its `own` losses, the groups of parameters that are not `held`, of
-    its `precision`, and uncertainties."""
-    return (*own, *not_held(calibration, held), *([precision] if precision else []), NO_UNCERTAINTY)
+def notes_of(
+    calibration: Calibration,
+    *,
+    left: Iterable[str] = (),
+    held: Container[str] = (),
+    lacks: Iterable[str] = ("uncertainties and their covariance",),
+    place: str = NO_PLACE,
+    see_to: Iterable[str] = (),
+) -> tuple[str, ...]:
+    """What a target cannot hold, in at most three notes.
+
+    Parameters
+    ----------
+    calibration
+        What is exported.
+    left
+        What the target leaves of matrices and biases.
+    held
+        Names of the groups of parameters beyond matrix and bias that it holds, and MAGNETOMETER where it holds that.
+    lacks
+        What else it has no place for.
+    place
+        The words before all that.
+    see_to
+        What the user has to see to.
+
+    Returns
+    -------
+    tuple of str
+        The notes, with the largest errors in physical units.
+    """
+    lost = [*lacks]
+    if calibration.mag is not None and MAGNETOMETER not in held:
+        lost.append("matrix and bias of the magnetometer")
+    lost += groups_not_held(calibration, held)
+    first, last = "; ".join(left), "; ".join(see_to)
+    return tuple(note for note in (first, f"{place} {'; '.join(lost)}" if lost else "", last) if note)
 
 
-def not_held(calibration: Calibration, held: Container[str] = (), said: str = NO_PLACE) -> tuple[str, ...]:
-    """A sentence for each group beyond the linear model that the calibration has and that is not `held`: those of
-    accelerometers and those of gyros, of each the largest first; and one for all those that are NEGLIGIBLE."""
-    absent = [kind for kind, model in (("accel", calibration.accel), ("gyro", calibration.gyro)) if model is None]
-    if len(absent) == 2:
-        return ()
-    present = positions_by_group(p.name for p in calibration.parameters if sensor_kind(p.name) not in absent)
-    lost = [group for group in groups() if not group.linear and group.name in present and group.name not in held]
-    effects = [(group, *_largest(calibration, group)) for group in lost]
-    effects.sort(key=lambda each: (each[0].kind, -each[1]))
-    known, felt, rest = calibration.prediction, [], []
+def not_held(calibration: Calibration, held: Container[str] = ()) -> tuple[str, ...]:
+    """The note on what a table of parameters with matrices and biases does not apply; none where that is nothing."""
+    return notes_of(calibration, held=held, lacks=(), place=NOT_IN_MATRIX)
+
+
+def groups_not_held(calibration: Calibration, held: Container[str] = ()) -> list[str]:
+    """The groups of parameters beyond the linear model that a calibration has and a target does not hold: of each kind
+    of sensors the largest with their errors, and how many others there are and how large they are at most. Errors far
+    below the uncertainty of a reading are not named."""
+    known, out = calibration.prediction, []
     u = {"accel": 0.0 if known is None else known.force_u, "gyro": 0.0 if known is None else known.rate_u or 0.0}
-    for group, size, where in effects:
-        words = group.words.partition(",")[0].replace("−", "-")
-        if size < NEGLIGIBLE * u[group.kind]:
-            rest.append(words)
+    present = positions_by_group(p.name for p in calibration.parameters)
+    models_of: dict[SensorKind, SensorModel | None] = {"accel": calibration.accel, "gyro": calibration.gyro}
+    for kind, model in models_of.items():
+        lost = [g for g in groups() if g.kind == kind and not g.linear and g.name in present and g.name not in held]
+        if model is None or not lost:
             continue
-        shown = f"{size / (1e-3 * G_STANDARD):.3g} mg" if group.kind == "accel" else f"{size / DEGREE:.3g} deg/s"
-        felt.append(f"{words}: {said}, an error of up to {shown} {where}")
-    if rest:
-        felt.append(f"{'; '.join(rest)}: {said}, errors of less than a tenth of the standard uncertainty of a reading")
-    return tuple(felt)
+        errors = sorted(((*_largest(calibration, group), group) for group in lost), key=lambda each: -each[0])
+        named = [each for each in errors[:MOST_NAMED] if each[0] >= NEGLIGIBLE * u[kind]]
+        words = [f"{_plain_words(group)} ({in_units(kind, error)} {where})" for error, where, group in named]
+        if others := errors[len(named) :]:
+            plural = "group" if len(others) == 1 else "groups"
+            words.append(f"{len(others)} {'more ' if named else ''}{plural} of at most {in_units(kind, others[0][0])}")
+        out.append(f"of the {WORDS[kind]} {' and '.join(filter(None, [', '.join(words[:-1]), words[-1]]))}")
+    return out
+
+
+def in_units(kind: SensorKind, error: float) -> str:
+    """An error of accelerometers or gyros, SI, in mg or deg/s."""
+    return f"{error / (1e-3 * G_STANDARD):.3g} mg" if kind == "accel" else f"{error / DEGREE:.3g} deg/s"
+
+
+def _plain_words(group: ParameterGroup) -> str:
+    """What reports call a group, in ASCII and without the kind of sensors."""
+    words = group.words.partition(",")[0].replace("−", "-")
+    return words.replace(f" of the {WORDS[group.kind]}", "")
+
+
+def left_of_model(kind: SensorKind, error: Array, bias: Array | None = None) -> list[str]:
+    """What a target leaves of the model of one kind of sensors.
+
+    Parameters
+    ----------
+    kind
+        Accelerometers or gyros.
+    error
+        (3, 3): corrected vector less true vector, by the true vector.
+    bias
+        (3,): corrected vector at zero, m/s² or rad/s; None where it is not stated.
+
+    Returns
+    -------
+    list of str
+        Nothing where single precision is all that is lost.
+    """
+    out = []
+    if (relative := worst(error)) > ROUNDING:
+        felt = (
+            f"in 1 g an error of up to {G_STANDARD * relative:.3g} m/s^2"
+            if kind == "accel"
+            else f"an error of up to {100.0 * relative:.3g} % of the rate"
+        )
+        out.append(f"scale factors and misalignment of the {WORDS[kind]}: {felt}")
+    off = 0.0 if bias is None else float(np.abs(bias).max())
+    if off > ROUNDING * (G_STANDARD if kind == "accel" else 1.0):
+        out.append(f"biases of the {WORDS[kind]}: up to {off:.3g} {UNITS[kind]} off")
+    return out
+
+
+def worst(error: Array) -> float:
+    """The largest relative error |E v| / |v| of any vector."""
+    return float(np.linalg.norm(error, ord=2))
 
 
 def session_rate(calibration: Calibration) -> float:
@@ -256,8 +323,3 @@ def _largest(calibration: Calibration, group: ParameterGroup) -> tuple[float, st
 def g_sensitivity(calibration: Calibration) -> Array:
     """The g-sensitivity (n, 3) of the gyros by channel, rad/s per m/s²; zero where it is not known."""
     return np.array(calibration.compensator.gyro_coefficients[:, FORCE])
-
-
-def still(sensitivity: Array) -> tuple[str, ...]:
-    """What an example of gyros with g-sensitivity supposes."""
-    return ("the example of the gyros is without acceleration",) if np.any(sensitivity) else ()

@@ -23,8 +23,19 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from tumble.export.autopilots import range_of, said, warm_end
-from tumble.export.exported import NOT_IN_MATRIX, UNITS, Exported, example, examples, models, not_held, numbers, origin
+from tumble.export.autopilots import range_of, warm_end
+from tumble.export.exported import (
+    UNITS,
+    Exported,
+    example,
+    examples,
+    in_units,
+    models,
+    not_held,
+    notes_of,
+    numbers,
+    origin,
+)
 from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import Range, changing, curve, model_at, own_thermometers
 from tumble.sensors.parameters import THERMAL, group_name, variable_of
@@ -38,7 +49,7 @@ _MOST_ROWS = 25
 
 def csv_table(calibration: Calibration) -> Exported:
     """The .csv file of a calibration."""
-    losses = (NOT_RESULTS, *not_held(calibration, said=NOT_IN_MATRIX))
+    losses = (NOT_RESULTS, *not_held(calibration))
     names = [p.name for p in calibration.parameters]
     rows = [["name", "value", "u", "unit", *_MORE, *names]]
     empty, no_more = [""] * len(names), [""] * len(_MORE)
@@ -80,10 +91,12 @@ def csv_thermal(calibration: Calibration) -> Exported:
             straight = 0.5 * (each.value[1:] + each.value[:-1])
             off = np.abs(straight - curve(calibration, each.name, middle).value).max()
             between[kind] = max(between[kind], float(off))
-    losses = (
-        f"biases on straight lines between the rows are within {said(between)}",
-        *not_held(calibration, {group_name(each.name) for each in curves} | made_of),
-        "parameters that do not change with temperature, and covariances, have no place in this file",
+    within = " and ".join(in_units(kind, error) for kind, error in between.items())
+    losses = notes_of(
+        calibration,
+        left=[f"biases on straight lines between the rows are within {within}"],
+        held={group_name(each.name) for each in curves} | made_of,
+        lacks=["parameters that do not change with temperature", "covariances"],
     )
     warm = warm_end(measured)
     comments = [
@@ -120,7 +133,7 @@ def mat(calibration: Calibration) -> Exported:
     from scipy.io import savemat
 
     parameters = calibration.parameters
-    losses = (NOT_RESULTS, *not_held(calibration, said=NOT_IN_MATRIX))
+    losses = (NOT_RESULTS, *not_held(calibration))
     numeric = {
         f"parameter_{name}": np.array([np.nan if (value := getattr(p, name)) is None else value for p in parameters])
         for name in ("value", *_MORE, "u")

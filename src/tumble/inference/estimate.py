@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -46,6 +46,8 @@ class Judgement:
     """Whether a result can be used: `reasons` against it, `remarks` on residuals that the noise does not explain, each
     a sentence with cause and remedy."""
 
+    json_fields: ClassVar[tuple[str, ...]] = ("verdict", "reasons", "remarks")
+
     reasons: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
 
@@ -65,10 +67,6 @@ class Judgement:
         """Whether it is accepted."""
         return self.accepted
 
-    def content(self) -> dict[str, Any]:
-        """As the calibration file has it."""
-        return {"verdict": self.verdict, "reasons": list(self.reasons), "remarks": list(self.remarks)}
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Outcome(Judgement):
@@ -76,6 +74,8 @@ class Outcome(Judgement):
     concern everything have in `concerns` the kinds of sensors ("gyro") or groups of parameters ("gyro.bias") that they
     do: good accelerometers are not lost to bad gyros, and good scale factors not to bad biases. Of a verdict those at
     fault come first."""
+
+    json_fields = ("accepted", "verdict", "reasons", "remarks", "unobservable", "accel", "gyro", "groups")
 
     unobservable: tuple[str, ...] = ()
     concerns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -106,22 +106,9 @@ class Outcome(Judgement):
         judged = ((group.name, self.of(group.kind), self.of(group.name)) for group in LINEAR)
         return {name: of_group for name, of_kind, of_group in judged if of_group != of_kind}
 
-    def content(self) -> dict[str, Any]:
-        """As the calibration file has it."""
-        return {
-            "accepted": self.accepted,
-            "verdict": self.verdict,
-            "reasons": list(self.reasons),
-            "remarks": list(self.remarks),
-            "unobservable": list(self.unobservable),
-            "accel": self.accel.content(),
-            "gyro": self.gyro.content(),
-            "groups": {name: judgement.content() for name, judgement in self.groups.items()},
-        }
-
     @staticmethod
     def from_content(content: Mapping[str, Any]) -> Outcome:
-        """The outcome of what `content` gave."""
+        """The outcome that a calibration file has."""
         reasons, remarks, judged = content["reasons"], content.get("remarks", ()), content.get("groups", {})
         concerns = dict[str, tuple[str, ...]]()
         for sentence in (*reasons, *remarks):
@@ -151,6 +138,8 @@ def chance_of(chi_square: float, degrees: float) -> float:
 class Fit:
     """Chi-square of a group of residuals with its degrees of freedom and the scatter (SI) that was added to the
     noise within rests to explain it; `unit` is m/s^2, rad/s or rad."""
+
+    json_fields: ClassVar = ("chi_square", "degrees", "probability", "scatter", "unit")
 
     chi_square: float
     degrees: float

@@ -27,6 +27,7 @@ from tumble.documents import is_plain, shown, text_of_document, toml_of, validat
 from tumble.errors import InputError
 from tumble.lab.limits import Limits, Occasion, limits_of
 from tumble.lab.scope import Capability
+from tumble.result.further import recorded_on
 
 if TYPE_CHECKING:
     from tumble.result.calibration import Calibration
@@ -180,14 +181,6 @@ def check_certificate(certificate: Certificate, calibration: Calibration, as_fou
             f"certificate: as_found: expected a recording from before that of the result, {recorded_on(calibration)[0]}"
             f", found {recorded_on(as_found)[-1]}"
         )
-
-
-def recorded_on(calibration: Calibration) -> list[str]:
-    """When the recordings behind a calibration were made, ISO 8601, each once and in their order; what is not known is
-    left out."""
-    sessions = [launch.circumstances.date for launch in calibration.launches]
-    every = [*sessions, *(member.date for member in calibration.together), calibration.circumstances.date]
-    return sorted({moment for moment in every if moment is not None})
 
 
 def judged_by(certificate: Certificate) -> Limits | None:

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -77,6 +77,8 @@ class Verdict:
     """Every parameter that has a limit, judged in the frame of the limits; over the `temperatures`, °C, between which
     these hold, and what of them was not measured, in words."""
 
+    json_fields: ClassVar = ("occasion", "frame", "result", "reasons", "judgements")
+
     occasion: Occasion
     frame: str
     judgements: tuple[LimitJudgement, ...]
@@ -98,6 +100,7 @@ class Verdict:
         """The worst of the results."""
         return min((j.result for j in self.judgements), key=RESULTS.index)
 
+    @property
     def reasons(self) -> list[str]:
         """Which parameters do not pass, and why, in words."""
         unmeasured = f"not measured {self.unmeasured}" if self.unmeasured else "not known over temperature"

@@ -19,13 +19,16 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import floor, log10, sqrt
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.export.exported import NOT_IN_MATRIX, UNITS, Exported, example, models, not_held, one_line, origin, shown
-from tumble.lab.certificate import RELATES, STATES, Certificate, Party, check_certificate, judged_by
+from tumble.export import Target
+from tumble.export.exported import UNITS, Exported, example, models, not_held, one_line, origin, shown
+from tumble.files import FilePath
+from tumble.lab.certificate import RELATES, STATES, Certificate, Party, check_certificate, judged_by, read_certificate
 from tumble.lab.conformity import RULE, Verdict, verdicts
 from tumble.lab.scope import statement_of_scope, within_scope
 from tumble.result.calibration import Calibration, read_calibration
@@ -78,8 +81,10 @@ def d_si(*units: str) -> str:
     return "".join(parts) or "\\one"
 
 
-def dcc(calibration: Calibration, certificate: Certificate) -> Exported:
-    """The XML file of a calibration with the administrative data of its certificate."""
+def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exported:
+    """The XML file of a calibration with the administrative data of its certificate, or of its file."""
+    if not isinstance(certificate, Certificate):
+        certificate = read_certificate(Path(certificate))
     known = models(calibration)
     calibration, scope = within_scope(calibration, certificate.laboratory.scope)
     check_certificate(
@@ -87,7 +92,7 @@ def dcc(calibration: Calibration, certificate: Certificate) -> Exported:
     )
     limits = judged_by(certificate)
     judged = () if limits is None else tuple(verdicts(calibration, limits))
-    losses = (*LOSSES, *not_held(calibration, said=NOT_IN_MATRIX))
+    losses = (*LOSSES, *not_held(calibration))
     inertial = [i for i, p in enumerate(calibration.parameters) if sensor_kind(p.name) != "mag"]
     calibration = replace(
         calibration,
@@ -102,6 +107,10 @@ def dcc(calibration: Calibration, certificate: Certificate) -> Exported:
     _add(root, "measurementResults", {"measurementResult": _results(calibration, certificate, known, judged, scope)})
     ET.indent(root)
     return Exported(content=ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n", losses=losses)
+
+
+TARGET = Target(write=dcc, takes=("certificate",), needs=("certificate",), ending=".xml")
+"""What `tumble export --to dcc` writes."""
 
 
 def _add(parent: ET.Element, name: str, content: Any) -> None:

@@ -15,16 +15,18 @@ import os
 import platform
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
+import tumble
 from tumble import __version__, compiled
+from tumble.documents import as_json
 from tumble.earth import normal_gravity
 from tumble.files import FilePath, whole_file
 from tumble.methods.quadric import fit_many
@@ -44,6 +46,8 @@ LIBRARIES = ("numpy", "scipy", "polars", "pydantic")
 class SelftestCase:
     """A reference case: what is compared with what, the figure found and the least and largest it may be."""
 
+    json_fields: ClassVar = ("name", "source", "figure", "low", "high", "unit", "passed")
+
     name: str
     source: str
     figure: float
@@ -61,6 +65,8 @@ class SelftestCase:
 class SelftestRecord:
     """All cases, with who ran them, when, on what and with what."""
 
+    json_fields: ClassVar = ("by", "date", "software", "machine", "versions", "source_sha256", "cases", "passed")
+
     by: str
     date: str
     software: str
@@ -75,9 +81,7 @@ class SelftestRecord:
 
     def write(self, path: FilePath) -> None:
         """Write the record as JSON, whole or not at all; its last key is the SHA-256 of all before it."""
-        content: dict[str, Any] = asdict(self)
-        content["cases"] = [asdict(case) | {"passed": case.passed} for case in self.cases]
-        content["passed"] = self.passed
+        content: dict[str, Any] = as_json(self)
         content["sha256"] = digest(content)
         with whole_file(Path(path)) as temporary:
             temporary.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
@@ -124,7 +128,7 @@ def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lam
 
 def _source_hashes() -> dict[str, str]:
     """The SHA-256 of every source file of the program, and of what is compiled of them."""
-    package = Path(__file__).parent
+    package = Path(tumble.__file__).parent
     paths = sorted(path for path in package.rglob("*") if path.suffix in (".py", ".pyi", ".so", ".pyd"))
     return {path.relative_to(package).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 

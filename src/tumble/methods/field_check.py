@@ -1,28 +1,30 @@
-"""Whether a calibration still holds, from a few rests in any attitude and the turns between them.
+"""Test of a calibration with a few rests of its device and the turns between them.
 
-The likelihood is that of the method joint, with all that is known of the parameters as one prior. With x the deviation
-of gravity and the parameters from what was known, of covariance P, and attitudes and in-run biases eliminated, the
-session leaves
+The likelihood is that of the method joint, with everything known of the parameters as one prior. Let x be the deviation
+of gravity and of the parameters from the values of the calibration, and P its prior covariance. With the attitudes and
+the in-run biases eliminated, the session gives
 
-    d = R x + n,   n of unit variance,   S = 1 + R P Rᵀ = L Lᵀ,   z = L⁻¹ d,   G = L⁻¹ R                         (1)
+    d = R x + n,   n ~ N(0, 1),   S = 1 + R P Rᵀ = L Lᵀ,   z = L⁻¹ d,   G = L⁻¹ R                                (1)
 
-and residuals that no x explains. If nothing has changed, z is of unit variance too. A change of parameter j by a,
-beyond what P allows, has the estimate, standard uncertainty and test
+and residuals that no x explains. If nothing has changed, z ~ N(0, 1). A change a of the parameter j, beyond what P
+allows, has the estimate, the standard uncertainty and the test statistic
 
     a = g_jᵀ z / g_jᵀ g_j,   u = 1/|g_j|,   t_j = a/u   (2)
 
-The t_j of all parameters that the session sees have the correlations of the columns g_j. They would be normal if P were
-known. As it is an estimate, they have Student's t distribution with ν_j degrees of freedom,
+The t_j of all parameters that the session determines are correlated as the columns g_j are. If P were exact they would
+be normal. P is estimated, and t_j has Student's t distribution with ν_j degrees of freedom,
 
     1/√ν_j = q_jᵀ D q_j,   q_j = Gᵀ g_j u_j   (3)
 
-with D of `tumble.use.check`: as a part of P is wrong, so is that part of the variance of t_j, all parts
-together. The largest |t_j| is compared with what the largest of such numbers exceeds in CHANCE of all cases. Where it
-is larger, its parameter is set free, everything is solved again, and so on: that gives the changes together. What no
-change explains is judged by χ² = |z|² and the residuals, against MISFIT_CHANCE.
+where D is the uncertainty of P (`tumble.use.check`, Eq. (1)): if a part of P is wrong by some factor, the same part of
+the variance of t_j is. All parts of P are taken as wrong together. The largest |t_j| is compared with the quantile of
+the largest of such numbers that is exceeded with the probability CHANCE. If it is larger, its parameter is given a
+wide prior, everything is solved again, and so on, which gives the changes together. By Bonferroni's inequality, the
+probability that chance makes the largest of m statistics as large is at most 2 m T_ν(−|t|), with T_ν the distribution
+function of Student's t. What no change explains is judged by χ² = |z|² and the residuals, at MISFIT_CHANCE.
 
-The prior decides nothing of a change: it is beyond it. A change smaller than what turning on again may do is none.
-`tumble.methods.rest_chain` has the same of one rest after the other.
+The prior is not a part of a change: the change is what goes beyond it. A change that is smaller than what turning the
+device on again does is not detected. `tumble.methods.rest_chain` tests one rest after the other in the same way.
 """
 
 from __future__ import annotations
@@ -47,15 +49,15 @@ from tumble.rotation import unit_vector
 from tumble.scipy_compiled import special
 from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.parameters import limits_of
+from tumble.sensors.parameters import group_name, limits_of, positions_by_group
 from tumble.units import Array
 
 CHANCE = 0.009
-"""How often the largest of the tests calls a calibration changed that is not."""
+"""Probability that the largest of the tests finds a change where there is none."""
 MISFIT_CHANCE = 0.001
-"""How often χ² says so."""
+"""Probability that the test of χ² fails where nothing is wrong."""
 POWER = 0.9
-"""A change is called detectable that is found as often."""
+"""Probability with which a change of the detectable size is found."""
 MOST_CHANGES = 6
 AS_LIKELY = 4.0
 """χ² by which another change may explain less and still be named beside the one that explains most."""
@@ -66,11 +68,24 @@ MAX_ITERATIONS = 12
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class KnownBefore:
-    """What was known before, SI: values (m,) of the parameters of an instrument; Σ, the covariance (1 + m, 1 + m) of
-    gravity and of them as they were `calibrated`, and the variances (1 + m,) of what turning on again changes; for both
-    1/ν (1 + m,), ν the degrees of freedom with which they are known; the matrix (1 + m, 1 + m) that took the former to
-    the temperature they are for; and the components of variance beside the noise."""
+class CheckPrior:
+    """Prior of gravity and the m parameters of an instrument at the time of a check, SI.
+
+    Attributes
+    ----------
+    values : (m,) array
+        Parameters by the calibration, at the temperature of the check.
+    calibrated : (1 + m, 1 + m) array
+        Covariance Σ of gravity and the parameters by the calibration.
+    turned_on : (1 + m,) array
+        Variances of what turning the device on again changes.
+    inverse_degrees, turned_on_inverse_degrees : (1 + m,) array
+        1/ν of both, with ν the degrees of freedom with which they were estimated.
+    to_temperature : (1 + m, 1 + m) array
+        Matrix that has taken the parameters from the reference temperature of the calibration to that of the check.
+    components : Components
+        Components of variance beside the noise.
+    """
 
     instrument: Instrument
     values: Array
@@ -87,39 +102,75 @@ class KnownBefore:
         return np.asarray(self.calibrated + np.diag(self.turned_on))
 
     @property
-    def doubt(self) -> Array:
-        """D (1 + m, 1 + m) of Eq. (3)."""
-        return self.doubt_of(self.calibrated) + np.diag(self.turned_on * np.sqrt(self.turned_on_inverse_degrees))
+    def covariance_u(self) -> Array:
+        """D (1 + m, 1 + m) of Eq. (3), the uncertainty of P."""
+        return self.u_of_calibrated(self.calibrated) + np.diag(self.turned_on * np.sqrt(self.turned_on_inverse_degrees))
 
-    def doubt_of(self, calibrated: Array) -> Array:
-        """The part of D that is of the calibration, for a Σ."""
+    def u_of_calibrated(self, calibrated: Array) -> Array:
+        """The part of D that belongs to a covariance Σ of the calibration."""
         N = self.inverse_degrees**0.25
         return np.asarray(N[:, None] * calibrated * N)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChangedParameter:
-    """A parameter that has changed by `value`, SI, with standard uncertainty; `others` have changes, by name, that
-    explain the session nearly as well."""
+    """A parameter that has changed.
+
+    Attributes
+    ----------
+    value, u : float
+        The change and its standard uncertainty, SI.
+    probability : float
+        Upper bound of the probability that chance makes the largest of all tests as large.
+    others : mapping of str to float
+        Changes of other parameters, by name, that explain the session nearly as well.
+    """
 
     name: str
     unit: str
     value: float
     u: float
+    probability: float
     others: Mapping[str, float]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ParameterTest:
+    """Test of a parameter as if it alone had changed: the `change` and its standard uncertainty, and the `detectable`
+    change, which is found with the probability POWER, all SI."""
+
+    name: str
+    unit: str
+    change: float
+    u: float
+    detectable: float
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class CheckResult:
-    """The `changes` that were found; of every parameter that the session sees, by name, (change, its u) as if it alone
-    had changed, and the size that is detectable; `largest` of |change|/u and what it may be, `limit`; the `misfit`
-    that no change explains; values (m,) and covariance (m, m) of the parameters by calibration and check together."""
+    """Tests of all parameters that a session determines.
+
+    Attributes
+    ----------
+    changes : tuple of ChangedParameter
+        What has changed, beyond the prior.
+    tests : mapping of str to ParameterTest
+        The test of every parameter by its name.
+    largest, limit : float
+        The largest of |change|/u, and the quantile that it is compared with.
+    unseen : tuple of str
+        Groups of linear parameters that the session does not determine.
+    misfit : Fit
+        Residuals that no change explains.
+    values, covariance : (m,) and (m, m) array
+        Parameters by calibration and check together.
+    """
 
     changes: tuple[ChangedParameter, ...]
-    tests: Mapping[str, tuple[float, float]]
-    detectable: Mapping[str, float]
+    tests: Mapping[str, ParameterTest]
     largest: float
     limit: float
+    unseen: tuple[str, ...]
     misfit: Fit
     values: Array
     covariance: Array
@@ -131,36 +182,45 @@ class CheckResult:
 
     @property
     def valid(self) -> bool:
-        """Whether nothing has changed, as far as the session sees."""
+        """Whether the session shows no change."""
         return self.explained and not self.changes
 
 
-def field_check(observations: Observations, known: KnownBefore) -> CheckResult:
-    """What a session says of a calibration, see the module's docstring."""
-    session, limits = SessionRows(observations, known), limits_of(known.instrument.names)
+def field_check(observations: Observations, prior: CheckPrior) -> CheckResult:
+    """Test a calibration with a session, see the module's docstring."""
+    session, limits = SessionRows(observations, prior), limits_of(prior.instrument.names)
 
     def evidence_with(free: Sequence[int]) -> Evidence:
-        """Linearised where these parameters are free, within their limits."""
-        covariance, opened = known.covariance, np.array(free, dtype=int)
+        """Linearised with these parameters free within their limits."""
+        covariance, opened = prior.covariance, np.array(free, dtype=int)
         covariance[1 + opened, 1 + opened] += limits[opened] ** 2
-        R, d, squares, degrees = session.left(covariance)
-        G, z, gain, A = update(R, d, known.covariance)
+        R, d, squares, degrees = session.information(covariance)
+        G, z, gain, A = measurement_update(R, d, prior.covariance)
         return Evidence(
             z=z,
             G=G,
-            values=known.values + (gain @ z)[1:],
-            covariance=(A @ known.covariance)[1:, 1:],
-            passed_on=A[1:],
+            values=prior.values + (gain @ z)[1:],
+            covariance=(A @ prior.covariance)[1:, 1:],
+            by_x=A[1:],
             squares=squares,
             degrees=degrees,
         )
 
-    return changes_in(evidence_with, known.instrument, known.doubt)
+    return changes_in(evidence_with, prior.instrument, prior.covariance_u)
 
 
-def update(R: Array, d: Array, P: Array) -> tuple[Array, Array, Array, Array]:
-    """G and z of Eq. (1) for an x of covariance P (k, k), the gain P Gᵀ (k, p) with which z changes what is known of x,
-    and A = 1 − P Gᵀ G (k, k), by which the covariance becomes A P."""
+def measurement_update(R: Array, d: Array, P: Array) -> tuple[Array, Array, Array, Array]:
+    """Kalman filter update of an x of covariance P (k, k) with d = R x + n, Eq. (1).
+
+    Returns
+    -------
+    G, z : (p, k) and (p,) array
+        Whitened sensitivities and whitened innovation.
+    gain : (k, p) array
+        P Gᵀ, by which z changes the estimate of x.
+    A : (k, k) array
+        1 − P Gᵀ G, by which the covariance becomes A P.
+    """
     L = np.linalg.cholesky(np.eye(len(R)) + R @ P @ R.T)
     both = np.linalg.solve(L, np.column_stack([R, d]))
     G, gain = both[:, :-1], P @ both[:, :-1].T
@@ -169,16 +229,25 @@ def update(R: Array, d: Array, P: Array) -> tuple[Array, Array, Array, Array]:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
-    """What is said beyond what was known: z (p,) and G (p, k) of Eq. (1), of the x at the beginning, of which the first
-    1 + m are gravity and the parameters; values (m,) and covariance (m, m) of the parameters by both together, where
-    nothing has changed, and by how much a change of x puts these off, `passed_on` (m, k); the sum of squares that no x
-    explains, and the degrees of freedom of all of them."""
+    """A session, whitened by the prior, for the tests of changes.
+
+    Attributes
+    ----------
+    z, G : (p,) and (p, k) array
+        Eq. (1) for the x before the session, whose first 1 + m elements are gravity and the parameters.
+    values, covariance : (m,) and (m, m) array
+        Parameters by prior and session, if nothing has changed.
+    by_x : (m, k) array
+        Derivative of `values` with x before the session.
+    squares, degrees : float
+        Sum of squares that no x explains, and the degrees of freedom of this sum and |z|² together.
+    """
 
     z: Array
     G: Array
     values: Array
     covariance: Array
-    passed_on: Array
+    by_x: Array
     squares: float
     degrees: float
 
@@ -186,56 +255,80 @@ class Evidence:
 def changes_in(
     evidence_with: Callable[[Sequence[int]], Evidence],
     instrument: Instrument,
-    doubt: Array,
-    found: Sequence[ChangedParameter] = (),
+    covariance_u: Array,
+    already: Sequence[ChangedParameter] = (),
 ) -> CheckResult:
-    """The changes beside those that are `found` already, by the evidence where some parameters are free; `doubt` is
-    D (1 + m, 1 + m) of what was known of x at the beginning."""
+    """Find the changes of parameters.
+
+    Parameters
+    ----------
+    evidence_with
+        Gives the evidence where the parameters of these numbers have a wide prior.
+    instrument
+        The instrument with its m parameters.
+    covariance_u
+        D (1 + m, 1 + m), the uncertainty of the prior covariance.
+    already
+        Changes that have been found before; the parameters of these are not tested.
+    """
     names, m, limits = instrument.names, len(instrument.names), limits_of(instrument.names)
-    already = [names.index(change.name) for change in found]
-    free, others, alone = list[int](), list[dict[str, float]](), dict[str, Any]()
+    untested = [names.index(change.name) for change in already]
+    free, others, probabilities, first = list[int](), list[dict[str, float]](), list[float](), dict[str, Any]()
     while True:
         evidence = evidence_with(free)
         opened = np.zeros(evidence.G.shape[1])
         opened[[1 + j for j in free]] = limits[free] ** 2
-        whole, z, gain, _ = update(evidence.G, evidence.z, np.diag(opened))
+        whole, z, gain, _ = measurement_update(evidence.G, evidence.z, np.diag(opened))
         G = whole[:, 1 : 1 + m]
         u = 1.0 / np.maximum(np.linalg.norm(G, axis=0), 1e-300)
         t, q = u * (G.T @ z), whole[:, : 1 + m].T @ G * u
-        inverse_degrees = np.einsum("ij,ik,kj->j", q, doubt, q) ** 2
-        seen = u[: instrument.linear_count] < limits[: instrument.linear_count] / DETERMINED
-        seen[[*free, *already]] = False
-        candidates, limit = np.flatnonzero(seen), np.inf
+        inverse_degrees = np.einsum("ij,ik,kj->j", q, covariance_u, q) ** 2
+        determined = u[: instrument.linear_count] < limits[: instrument.linear_count] / DETERMINED
+        determined[[*free, *untested]] = False
+        candidates, limit = np.flatnonzero(determined), np.inf
         if len(candidates):
             lower = np.linalg.qr(G[:, candidates] * u[candidates], mode="r")
             drawn = _normal(len(lower) + 1)
             wider = _student(drawn[:, -1:], inverse_degrees[candidates])
             limit = float(np.quantile((np.abs(drawn[:, :-1] @ lower) * wider).max(axis=1), 1.0 - CHANCE))
         largest = float(np.abs(t[candidates]).max(initial=0.0))
-        alone = alone or {
-            "tests": {names[j]: (float(t[j] * u[j]), float(u[j])) for j in candidates},
-            "detectable": {names[j]: float((limit + special.ndtri(POWER)) * u[j]) for j in candidates},
+        first = first or {
+            "tests": {
+                names[j]: ParameterTest(
+                    name=names[j],
+                    unit=instrument.units[j],
+                    change=float(t[j] * u[j]),
+                    u=float(u[j]),
+                    detectable=float((limit + special.ndtri(POWER)) * u[j]),
+                )
+                for j in candidates
+            },
             "largest": largest,
             "limit": limit,
+            "unseen": _unseen(instrument, [names[j] for j in candidates]),
         }
-        if largest <= limit or len(free) + len(already) >= MOST_CHANGES:
+        if largest <= limit or len(free) + len(untested) >= MOST_CHANGES:
             break
         worst, least = int(candidates[np.abs(t[candidates]).argmax()]), max(largest**2 - AS_LIKELY, limit**2) ** 0.5
         free.append(worst)
         others.append({names[j]: float(t[j] * u[j]) for j in candidates if j != worst and abs(t[j]) > least})
+        tail = special.stdtr(1.0 / max(inverse_degrees[worst], 1e-12), -largest)
+        probabilities.append(min(1.0, 2.0 * len(candidates) * float(tail)))
 
     # the changes together, and what they explain of |z|²
     Q, along = np.linalg.qr(evidence.G[:, [1 + j for j in free]])
     inverse, explained = np.linalg.inv(along), Q.T @ evidence.z
     together, together_u = inverse @ explained, np.sqrt((inverse**2).sum(axis=1))
-    passed = evidence.passed_on @ gain
+    moved = evidence.by_x @ gain
     return CheckResult(
-        **alone,
+        **first,
         changes=(
-            *found,
+            *already,
             *(
-                ChangedParameter(name=names[j], unit=instrument.units[j], value=float(a), u=float(a_u), others=alike)
-                for j, a, a_u, alike in zip(free, together, together_u, others, strict=True)
+                ChangedParameter(
+                    name=names[j], unit=instrument.units[j], value=float(a), u=float(a_u), probability=p, others=alike
+                )
+                for j, a, a_u, p, alike in zip(free, together, together_u, probabilities, others, strict=True)
             ),
         ),
         misfit=Fit(
@@ -244,33 +337,46 @@ def changes_in(
             scatter=0.0,
             unit="",
         ),
-        values=evidence.values + passed @ z,
-        covariance=evidence.covariance + (evidence.passed_on * opened) @ evidence.passed_on.T - passed @ passed.T,
+        values=evidence.values + moved @ z,
+        covariance=evidence.covariance + (evidence.by_x * opened) @ evidence.by_x.T - moved @ moved.T,
     )
 
 
-# -------------------- what a session leaves --------------------
+def _unseen(instrument: Instrument, determined: list[str]) -> tuple[str, ...]:
+    """Groups of linear parameters of which none is determined."""
+    linear = positions_by_group(instrument.names[: instrument.linear_count])
+    return tuple(group for group in linear if group not in map(group_name, determined))
+
+
+# -------------------- the information of a session --------------------
 
 
 class SessionRows:
-    """The rows of a session, with attitudes that are unknown, about parameters that are found from them again and
-    again, from what was known on."""
+    """Rows of a session with unknown attitudes, linearised about its estimate, which starts at the prior."""
 
-    def __init__(self, observations: Observations, known: KnownBefore) -> None:
-        instrument, turns, values = known.instrument, observations.turns, known.values
+    def __init__(self, observations: Observations, prior: CheckPrior) -> None:
+        instrument, turns, values = prior.instrument, observations.turns, prior.values
         start = dict(zip(instrument.names, values.tolist(), strict=True))
         observations = replace(observations, start=start)
-        self._components = known.components
-        self._problem = Problem.of(observations, Prior(covariance=known.covariance), instrument=instrument)
+        self._components = prior.components
+        self._problem = Problem.of(observations, Prior(covariance=prior.covariance), instrument=instrument)
         self._about = None if turns is None or not len(turns) else TurnsAbout.of(observations, instrument, values)
         vertical = unit_vector(specific_force(instrument, values, observations.rests.accel))
         attitudes = headings(self._problem, vertical, values, self._about)
         self._point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes)
 
-    def left(self, covariance: Array) -> tuple[Array, Array, float, int]:
-        """What the session leaves where x has this covariance, by Gauss–Newton: R (p, p) and d (p,) of Eq. (1) with
-        p = 1 + m, about what was known, of its own rows at the end; the sum of squares that no x explains, and the
-        degrees of freedom of all of them."""
+    def information(self, covariance: Array) -> tuple[Array, Array, float, int]:
+        """Information of the session about x, by Gauss–Newton with this prior covariance of x.
+
+        Returns
+        -------
+        R, d : (p, p) and (p,) array
+            Eq. (1) with p = 1 + m, about the prior values, linearised at the estimate.
+        squares : float
+            Sum of squares that no x explains.
+        degrees : int
+            Degrees of freedom of this sum and |d|² together.
+        """
         self._problem = problem = replace(self._problem, prior=Prior(covariance=covariance))
         for _ in range(MAX_ITERATIONS):
             rows = linearise(problem, self._point, self._about)
@@ -282,16 +388,16 @@ class SessionRows:
                 break
             self._point, self._about = point, about
         rows = linearise(problem, self._point, self._about)
-        told = tell(problem, rows, weights(problem, rows, self._components))
-        session, off = told.sessions[0], np.append(self._point.gravity, self._point.values) - problem.measured[0]
-        angles = int(np.count_nonzero(np.diagonal(told.factor, axis1=1, axis2=2)[:, :3]))
+        eliminated = tell(problem, rows, weights(problem, rows, self._components))
+        session, off = eliminated.sessions[0], np.append(self._point.gravity, self._point.values) - problem.measured[0]
+        angles = int(np.count_nonzero(np.diagonal(eliminated.factor, axis1=1, axis2=2)[:, :3]))
         R = session[:-1, :-1]
-        degrees = sum(each.shape[0] * each.shape[1] for each in told.whitened) - angles
+        degrees = sum(each.shape[0] * each.shape[1] for each in eliminated.whitened) - angles
         return R, session[:-1, -1] + R @ off, session[-1, -1] ** 2, degrees
 
 
 def _student(normal: Array, inverse_degrees: Array) -> Array:
-    """√(ν/χ²_ν) by which a normal number becomes one of Student's t, from another normal number (Wilson & Hilferty)."""
+    """√(ν/χ²_ν), which makes Student's t of a normal number, from a second normal number (Wilson & Hilferty)."""
     ninth = 2.0 / 9.0 * inverse_degrees
     return np.asarray(np.maximum(1.0 - ninth + np.sqrt(ninth) * normal, _LEAST_ROOT) ** -1.5)
 

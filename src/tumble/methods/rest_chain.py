@@ -48,12 +48,12 @@ from tumble.inference.estimate import DETERMINED, Fit
 from tumble.methods.field_check import (
     AS_LIKELY,
     ChangedParameter,
+    CheckPrior,
     CheckResult,
     Evidence,
-    KnownBefore,
     SessionRows,
     changes_in,
-    update,
+    measurement_update,
 )
 from tumble.methods.least_squares import as_normal
 from tumble.reduction.observations import Observations
@@ -104,11 +104,20 @@ class JudgedRest:
 
 
 class RestChain:
-    """The rests of one power-on, judged one after the other. `known` is what was known before the first of them, and
-    `drift` what is usual of drifts, by group of parameters, SI per s; false alarms are to be so many `rests_apart`."""
+    """Tests the rests of one power-on, one after the other.
 
-    def __init__(self, known: KnownBefore, drift: Mapping[str, float], *, rests_apart: float = RESTS_APART) -> None:
-        instrument, components = known.instrument, known.components
+    Parameters
+    ----------
+    prior
+        The prior of the parameters before the first rest.
+    drift
+        Usual size of drifts by group of parameters, SI per s.
+    rests_apart
+        Mean number of rests from one false alarm to the next, at least.
+    """
+
+    def __init__(self, prior: CheckPrior, drift: Mapping[str, float], *, rests_apart: float = RESTS_APART) -> None:
+        instrument, components = prior.instrument, prior.components
         names, m, linear = instrument.names, len(instrument.names), instrument.linear_count
         self.instrument, self._limits = instrument, limits_of(names)
         self._biases = biases = np.array([i for i, n in enumerate(names) if group_name(n) in BIASES], dtype=int)
@@ -119,23 +128,23 @@ class RestChain:
             np.array([getattr(components, f"{kind}_{what}") for kind in kinds]) for what in ("in_run", "time")
         )
         rate = np.array([drift.get(f"{group_name(name)}.drift", 0.0) for name in names[:linear]]) ** 2 * HOUR
-        wanders = np.where(rate > 0.0, known.turned_on[1 : 1 + linear], 0.0)
+        wanders = np.where(rate > 0.0, prior.turned_on[1 : 1 + linear], 0.0)
         wanders_time = np.maximum(2.0 * wanders / np.where(rate > 0.0, rate, np.inf), 1.0)
-        turned_on_doubt = known.turned_on * np.sqrt(known.turned_on_inverse_degrees)
+        turned_on_doubt = prior.turned_on * np.sqrt(prior.turned_on_inverse_degrees)
         self._constant = 1 + m
         self._time = np.concatenate([np.full(1 + m, np.inf), in_run_time, wanders_time])
-        self._steady = np.concatenate([known.turned_on, in_run**2, wanders])
+        self._steady = np.concatenate([prior.turned_on, in_run**2, wanders])
         unsure = np.where(rate > 0.0, turned_on_doubt[1 : 1 + linear], 0.0)
         self._steady_doubt = np.concatenate([turned_on_doubt, 0.0 * in_run, unsure])
         self._columns = np.concatenate([np.arange(1 + m), 1 + biases, np.arange(1, 1 + linear)])
         """Which of gravity and the parameters each of x adds to."""
-        back = np.linalg.inv(known.to_temperature)
-        calibrated = back @ known.calibrated @ back.T
+        back = np.linalg.inv(prior.to_temperature)
+        calibrated = back @ prior.calibrated @ back.T
         n = len(self._steady)
         rest = np.zeros((n - 1 - m,) * 2)
         self._P = block_diag(calibrated, rest) + np.diag(self._steady)
-        self._D = block_diag(known.doubt_of(calibrated), rest) + np.diag(self._steady_doubt)
-        self._doubt, self._values = self._D[: 1 + m, : 1 + m], back[1:, 1:] @ known.values
+        self._D = block_diag(prior.u_of_calibrated(calibrated), rest) + np.diag(self._steady_doubt)
+        self._doubt, self._values = self._D[: 1 + m, : 1 + m], back[1:, 1:] @ prior.values
         self._x, self._Phi = np.zeros(n), np.eye(n)
         self._information, self._score = np.zeros((n, n)), np.zeros(n)
         self._squares = self._degrees = 0.0
@@ -157,10 +166,18 @@ class RestChain:
         self._said, self._weight, self._change = np.zeros(count), np.zeros(count), np.zeros(count)
         self._begun: list[tuple[int, float]] = [(0, 0.0)] * count
 
-    def add(self, observations: Observations, known: KnownBefore, *, apart: float | None = None) -> JudgedRest:
-        """Judge the next rest, the only one of its observations, `known` being the calibration at its temperature. Its
-        time is that of the rest, s; `apart`, where that does not say it, the seconds since the one before, infinite
-        after another power-on."""
+    def add(self, observations: Observations, prior: CheckPrior, *, apart: float | None = None) -> JudgedRest:
+        """Test the next rest.
+
+        Parameters
+        ----------
+        observations
+            The rest, alone.
+        prior
+            The prior of the parameters by the calibration at the temperature of the rest.
+        apart
+            Time (s) since the rest before, infinite after another power-on. By default the difference of their times.
+        """
         rests = observations.rests
         start, middle = float(rests.start[0]), 0.5 * float(rests.start[0] + rests.stop[0])
         if self._last is not None:  # the processes go on for some time, Eq. (1)
@@ -173,10 +190,12 @@ class RestChain:
             self._D = F[:, None] * self._D * F + np.diag(anew * self._steady_doubt)
             self._Phi, self._mean = F[:, None] * self._Phi, F[:, None] * self._mean
         self._last = middle
-        still = replace(known.components, accel_in_run=0.0, gyro_in_run=0.0)
-        R, d, squares, degrees = SessionRows(observations, replace(known, components=still)).left(known.covariance)
-        R = (R @ known.to_temperature)[:, self._columns]
-        G, z, gain, A = update(R, d - R @ self._x, self._P)
+        still = replace(prior.components, accel_in_run=0.0, gyro_in_run=0.0)
+        R, d, squares, degrees = SessionRows(observations, replace(prior, components=still)).information(
+            prior.covariance
+        )
+        R = (R @ prior.to_temperature)[:, self._columns]
+        G, z, gain, A = measurement_update(R, d - R @ self._x, self._P)
 
         # the rest alone
         n = len(self._biases)
@@ -248,6 +267,7 @@ class RestChain:
             unit=self.instrument.units[worst],
             value=best[worst],
             u=float(abs(self._change[k]) / np.sqrt(self._weight[k])),
+            probability=min(1.0, self.rests * len(self.sums) * float(np.exp(-self.sums.max()))),
             others={names[j]: best[j] for j in others},
             rest=self._begun[k][0],
             since=self._begun[k][1],
@@ -274,7 +294,7 @@ class RestChain:
                 G=(root * inverse).T,
                 values=self._values + now @ self._x,
                 covariance=now @ self._P @ now.T,
-                passed_on=now @ self._Phi,
+                by_x=now @ self._Phi,
                 squares=self._squares - float(z @ z),
                 degrees=self._degrees,
             )

@@ -12,6 +12,8 @@ sizes of the groups beyond the linear model as priors, the covariance is the Cra
 
 All moves between rests are in the log, about one axis each at a constant rate (`tumble.planning.steady_turns`). Errors
 of table and mounting are not in the answer, as the attitudes are unknowns: a degree changes it by parts of a thousand.
+Other units of the device's type may say what is usual of a parameter instead (`Prior`): then `calibrate` has them
+beside the recording, and how large the groups are need not be found out.
 
 Sources. With C the covariance and Σ_i W_iᵀW_i its inverse, the information of each source i, the part of source i is
 C W_iᵀW_i C, and the parts add up to C. A prior of size s of parameter j is W = e_jᵀ/s.
@@ -19,9 +21,8 @@ C W_iᵀW_i C, and the parts add up to C. A prior of size s of parameter j is W 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from tumble.inference.hyperparameters import Components
 from tumble.inference.in_run import InRun, mean_along
 from tumble.inference.likelihood import Linearised, Point, Problem
 from tumble.inference.linearisation import linearised
+from tumble.inference.prior import Prior
 from tumble.inference.sources import by_time_base, clocked
 from tumble.inference.step import joining, tell, whitened_rows
 from tumble.inference.turns_about import TurnsAbout
@@ -91,16 +93,7 @@ class Bound(Brief):
         return float(np.sqrt(np.mean(self.u[positions_by_group(self.names)[group]] ** 2)))
 
 
-class TypePrior(Protocol):
-    """What other units of a device type say of the next one."""
-
-    def prior(self, names: Sequence[str]) -> tuple[list[int], Array]:
-        """Places (k,) of the parameters of these names about which something is said, and the covariance (k, k), SI, of
-        a unit's difference from its expectation. Raises InputError where the units are too few."""
-        ...
-
-
-def stated(setup: Setup, *, gyros: bool = True, device_type: TypePrior | None = None) -> Bound:
+def stated(setup: Setup, *, gyros: bool = True, prior: Prior | None = None) -> Bound:
     """What `calibrate` will state of a recording by a set-up's programme, on the average over instruments.
 
     Parameters
@@ -109,8 +102,8 @@ def stated(setup: Setup, *, gyros: bool = True, device_type: TypePrior | None = 
         The instrument, whose groups beyond the linear model are those of `setup.further`, programme and site.
     gyros
         Whether gyros are calibrated, or accelerometers alone.
-    device_type
-        Other units, as a prior in place of the usual sizes.
+    prior
+        What is known of other units of the type, in place of the usual sizes.
 
     Raises
     ------
@@ -119,9 +112,13 @@ def stated(setup: Setup, *, gyros: bool = True, device_type: TypePrior | None = 
     """
     course = itinerary_of(setup).as_logged(setup.ramp, USUAL.margin_of(setup.rest))
     seen, by_type = expected(view(course, setup, gyros=gyros)), None
-    if device_type is not None:
+    if prior is not None:
         problem = seen.problem
-        places, covariance = device_type.prior(problem.instrument.names)
+        known = prior.places(problem.instrument.names)
+        if not known:
+            raise InputError(f"prior: expected one of the instrument's parameters, found none by {prior.words}")
+        places, of = list(known), list(known.values())
+        covariance = prior.covariance[np.ix_(of, of)]
         by_type = np.zeros((len(places), len(problem.instrument.names)))
         by_type[:, places] = np.linalg.inv(np.linalg.cholesky(covariance))
     return bound_by(seen, setup.turn_rate, setup.clock_u, by_type)

@@ -21,7 +21,8 @@ import numpy as np
 from tumble.brief import Brief
 from tumble.diagnosis.observability import in_words
 from tumble.errors import InputError
-from tumble.planning.bounds import CLOCK, GRAVITY, Bound, TypePrior, stated
+from tumble.inference.prior import Prior
+from tumble.planning.bounds import CLOCK, GRAVITY, Bound, stated
 from tumble.planning.error_propagation import MethodOfPaper
 from tumble.planning.next_positions import ANY, NextPosition, TurnTable, next_positions
 from tumble.planning.pass_errors import ESTIMATORS, LARGEST_DEVIATION, REST_NOISE, PassErrors, remarks
@@ -129,7 +130,7 @@ def plan(
     wanted: Mapping[str, float] | None = None,
     gyros: bool = True,
     table: TurnTable = ANY,
-    device_type: TypePrior | None = None,
+    prior: Prior | None = None,
     progress: Progress = lambda _added, _most: None,
 ) -> Plan:
     """What a calibration by a set-up's programme will state, before it is made.
@@ -152,7 +153,7 @@ def plan(
         Of joint: with False, accelerometers alone.
     table
         How the device can be turned to a next position.
-    device_type
+    prior
         Other units of the type, as a prior in place of the usual sizes.
     progress
         Receives how far the search for more positions is.
@@ -184,7 +185,7 @@ def plan(
     setup = with_all_groups(setup) if terms == "full" else setup
 
     def state(setup: Setup) -> Bound:
-        return stated(setup, gyros=gyros, device_type=device_type)
+        return stated(setup, gyros=gyros, prior=prior)
 
     def following(setup: Setup, wanted: Mapping[str, float]) -> tuple[NextPosition, ...]:
         return next_positions(setup, wanted=wanted, gyros=gyros, table=table)

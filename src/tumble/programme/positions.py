@@ -25,6 +25,7 @@ import numpy as np
 
 from tumble.brief import Brief
 from tumble.errors import ProgrammeError, did_you_mean
+from tumble.plugins import entry_points_of, load
 from tumble.rotation import rotation_matrix
 from tumble.units import DEGREE, Array
 
@@ -127,12 +128,20 @@ def _turn(code: str, turn: str) -> tuple[Array, float]:
     return _AXES[found[1]], float(found[2]) * DEGREE
 
 
+def programmes() -> tuple[str, ...]:
+    """Names of all programmes: the built-in ones, and those of other packages."""
+    return (*dict.fromkeys([*BUILT_IN, *entry_points_of("programmes")]),)
+
+
 def programme(name: str) -> Programme:
-    """The built-in programme of this name. Raises ProgrammeError for any other name."""
-    if name not in BUILT_IN:
-        advice = did_you_mean(name, BUILT_IN)
-        raise ProgrammeError(f"programme: expected one of {', '.join(BUILT_IN)}, found {name!r}{advice}")
-    return BUILT_IN[name]()
+    """The programme of this name, built in or of another package. Raises ProgrammeError for any other name."""
+    if name in BUILT_IN:
+        return BUILT_IN[name]()
+    codes: Sequence[str] | None = load("programmes", name, (list, tuple))
+    if codes is None:
+        advice = did_you_mean(name, programmes())
+        raise ProgrammeError(f"programme: expected one of {', '.join(programmes())}, found {name!r}{advice}")
+    return from_attitudes(codes, name)
 
 
 def programme_of(given: str | Sequence[str]) -> Programme:

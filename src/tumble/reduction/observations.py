@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -67,6 +68,8 @@ class Together:
 class Observations(Brief):
     """All that a method sees of a session. `position` (N,) is the index in the programme of each rest's position,
     where there is one."""
+
+    json_fields: ClassVar = ("rests", "turns", "notes")
 
     accel_block: Block
     gyro_block: Block | None

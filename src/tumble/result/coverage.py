@@ -16,7 +16,7 @@ degrees of freedom, and g what is common to all of them, the uncertainty of grav
 whatever the instability is, and no other function of s and n does so for all (s² is complete); but two launches that
 agree by chance are known no better than each of them is. The larger of both never covers less: up to 99 % without
 instability, 96 % where it is three times n. With the launches of other devices of the type s has more degrees of
-freedom than L − 1 (`tumble.lab.type_spread`).
+freedom than L − 1 (`tumble.result.launch_variances`).
 
 Where no scatter was detected, u is of the noise within rests; how much scatter could be there unseen is said.
 
@@ -121,7 +121,7 @@ def degrees_of_mean(
     """u and degrees of freedom of the mean of launches (module docstring), from the variances that they know of
     themselves with their degrees of freedom, what is common left out, the standard deviation from launch to launch,
     and the standard uncertainty that is common to all. `degrees` are those of the standard deviation where more than
-    these launches show it (`tumble.lab.type_spread`), else L − 1."""
+    these launches show it (`tumble.result.launch_variances`), else L − 1."""
     parts = list(own)
     L = len(parts)
     between, within = run_to_run**2 / L, sum(variance for variance, _ in parts) / L**2

@@ -22,9 +22,8 @@ from pydantic import TypeAdapter, ValidationError
 from tumble.documents import as_json, dotted, faults_of, is_plain, json_of, shown, text_of_document
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath, whole_file
-from tumble.inference.estimate import Fit, Outcome
 from tumble.recording.session import Circumstances, sensors_content
-from tumble.result.parts import LARGEST, Parameter, fit_content
+from tumble.result.parts import LARGEST, Parameter
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import group_name, sensor_kind, within_group, within_kind
 
@@ -96,8 +95,6 @@ _AS_TABLES: Mapping[type, Callable[[Any], Any]] = {
     np.ndarray: np.ndarray.tolist,
     Parameter: _parameter_content,
     SensorModel: lambda model: {"matrix": model.matrix.tolist(), "bias": model.bias.tolist(), "unit": ""},
-    Outcome: Outcome.content,
-    Fit: fit_content,
     Circumstances: _known_content,
 }
 """Parts that stand in the file otherwise than as their fields."""

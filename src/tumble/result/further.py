@@ -170,6 +170,14 @@ def accepted_groups(calibration: Calibration) -> tuple[str, ...]:
     return tuple(name for name in spared if not outcome.of(sensor_kind(name)))
 
 
+def recorded_on(calibration: Calibration) -> list[str]:
+    """When the recordings behind a calibration were made, ISO 8601, each once and in their order; what is not known is
+    left out."""
+    sessions = [launch.circumstances.date for launch in calibration.launches]
+    every = [*sessions, *(member.date for member in calibration.together), calibration.circumstances.date]
+    return sorted({moment for moment in every if moment is not None})
+
+
 def rests_said(recorded: Calibration | Launch) -> str:
     """How far the corrected readings at rest are from g, and turns from the fit."""
     rests, turns = recorded.rests, recorded.turns

@@ -292,11 +292,6 @@ class RecordedImu(ImuTable, extra="ignore"):
     """Which sensors of an autopilot, where they are of one."""
 
 
-def fit_content(fit: Fit) -> dict[str, Any]:
-    """A fit as the file has it."""
-    return {key: getattr(fit, key) for key in ("chi_square", "degrees", "probability", "scatter", "unit")}
-
-
 def _check_site(site: Site) -> Site:
     if not 1.0 <= site.gravity <= 100.0:
         raise ValueError(f"expected a gravity from 1 to 100 m/s^2, found {site.gravity:g}")

@@ -21,6 +21,7 @@ from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.hyperparameters import GUESSED, SHEET, STATED
 from tumble.inference.joint import joint
+from tumble.inference.prior import Prior, with_prior
 from tumble.inference.sources import by_time_base, clocked, of_fit, source
 from tumble.recording.log import Log
 from tumble.recording.session import LogSpec, Session
@@ -37,7 +38,6 @@ from tumble.sensors.grades import guessed_grade
 from tumble.sensors.parameters import Terms, usual_sizes
 
 if TYPE_CHECKING:
-    from tumble.lab.device_type import DeviceType
     from tumble.recording.arrays import Temperatures
 
 _LOG = logging.getLogger(__name__)
@@ -72,7 +72,7 @@ def calibrate(
     frame: Frame = ...,
     terms: Terms = ...,
     without: Iterable[int] = ...,
-    device_type: DeviceType | None = ...,
+    prior: Prior | None = ...,
     progress: Progress = ...,
 ) -> Calibration: ...
 
@@ -110,7 +110,7 @@ def calibrate(
     frame: Frame = "accelerometer",
     terms: Terms = "full",
     without: Iterable[int] = (),
-    device_type: DeviceType | None = None,
+    prior: Prior | None = None,
     progress: Progress = Log.chunks,
     **readings: Any,
 ) -> Calibration:
@@ -118,8 +118,8 @@ def calibrate(
     `session_of_arrays` takes them. `iterations` is for the methods that iterate as the paper does (default 2), `terms`
     for the methods joint and ellipsoid: `linear` leaves out what is not bias, scale factor or axis angle. The rests
     `without`, by their numbers from 1 in the result with all, are left out beside those of [[exclude]]. With
-    `device_type`, as `tumble.device_type` has it of a registry, what other units of the type are like takes the place
-    of what is usual of the grade, for the method joint with all terms. The result is given in `frame` (see `frames`).
+    `prior`, such as `Registry.prior` makes of other units of the type, takes the place of what is usual of the grade,
+    for the method joint with all terms. The result is given in `frame` (see `frames`).
     A recording that cannot be calibrated comes back with the reasons in its outcome;
     unusable input raises an `InputError`.
 
@@ -150,12 +150,12 @@ def calibrate(
             f"{iterations}; only {' and '.join(ITERATED_METHODS)} take a number"
         )
     estimator: Estimator = known[method] if iterations is None else partial(known[method], iterations=iterations)
-    if device_type is not None and (method != "joint" or terms != "full"):
-        raise InputError("device_type: expected the method joint with all terms, whose prior a type is, found another")
+    if prior is not None and (method != "joint" or terms != "full"):
+        raise InputError("prior: expected the method joint with all terms, which takes one, found another")
     if frame != "accelerometer":
         Convention(frame=frame, block=given.accel_block)
     terms = terms if method in WITH_ALL_TERMS else "linear"
-    made = _calibrated(given, method, estimator, frame, terms, progress, device_type)
+    made = _calibrated(given, method, estimator, frame, terms, progress, prior)
     if not given.excluded:
         return made
 
@@ -164,7 +164,7 @@ def calibrate(
     # what is accepted without some rests only is a choice, and no u contains it: the outcome of all counts too
     try:
         every = replace(given, excluded=())
-        whole = _calibrated(every, method, estimator, frame, terms, progress, device_type).outcome
+        whole = _calibrated(every, method, estimator, frame, terms, progress, prior).outcome
     except InputError as error:  # a rest too many for the programme, such as a knocked one
         whole = Outcome(reasons=(str(error),))
     of_whole = f"with what was left out: {whole.verdict}" + (f": {'; '.join(whole.reasons)}" if whole.reasons else "")
@@ -184,15 +184,14 @@ def _calibrated(
     frame: Frame,
     terms: Terms,
     progress: Progress,
-    device_type: DeviceType | None,
+    prior: Prior | None,
 ) -> Calibration:
     """The calibration from what a session does not leave out."""
     systematic = systematic_of(session)
     with ThreadPoolExecutor(max_workers=1) as beside:
         observed = inspected(session, progress, beside)
         taken = observations_for_calibration(observed, biases_jump=method == "joint")
-        others = None if device_type is None else device_type.without(session.device.serial, {observed.sha256})
-        known = (estimator, systematic, terms, others)
+        known = (estimator, systematic, terms, prior)
         estimate = taken if isinstance(taken, Outcome) else estimated(session, taken, *known)
     provenance, bridged = provenance_of(observed.sha256), (*bridged_in(observed.gaps), *observed.segmentation.unused())
     if isinstance(estimate, Outcome):
@@ -215,8 +214,8 @@ def _calibrated(
 
             made = with_magnetometer(made, session.log.magnetometer, estimate[1])
         made = replace(made, sample_rate=observed.rate)
-        if others is not None and estimate[0].of_type:
-            made = replace(made, provenance={**made.provenance, "type": others.model})
+        if prior is not None and estimate[0].of_type:
+            made = replace(made, provenance={**made.provenance, "prior": prior.words})
         if faults:
             without = session.gyro_block is not None and estimate[0].gyro is None
             concerns = {**made.outcome.concerns, **dict.fromkeys(faults, ("gyro",) if without else ("gyro.bias",))}
@@ -283,16 +282,13 @@ def estimated(
     method: Estimator,
     start: Mapping[str, float],
     terms: Terms,
-    device_type: DeviceType | None = None,
+    prior: Prior | None = None,
 ) -> tuple[Estimate, Observations] | Outcome:
-    """The estimate and what it was made from, or why there is none; with what the type of the device says, of which the
-    device itself is no part."""
+    """The estimate and what it was made from, or why there is none."""
     by_clock = clocked(session.log.time_base_u, session.log.increments)
     observations = with_grade(session, observations, terms)
-    if device_type is not None:
-        from tumble.lab.device_type import with_in_run, with_type
-
-        observations = with_in_run(observations, device_type)
+    if prior is not None:
+        observations = replace(observations, in_run={**observations.in_run, **prior.in_run})
     notes = observations.notes
     if session.log.clock_u is None and by_clock:
         notes += (
@@ -325,8 +321,8 @@ def estimated(
         elif estimate.method != "joint":
             estimate = judged(estimate, observations, observations)
             notes += taken_as_nothing(estimate)
-        elif device_type is not None:
-            estimate, said = with_type(estimate, observations, device_type, reference_of(observations))
+        elif prior is not None:
+            estimate, said = with_prior(estimate, observations, prior, reference_of(observations))
             notes += said
     except np.linalg.LinAlgError as error:
         broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"

@@ -21,9 +21,8 @@ from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import GroupFinding, Outcome
 from tumble.inference.prediction import Prediction, prediction
+from tumble.inference.prior import Prior
 from tumble.inference.sources import UncertaintyBudget, by_time_base, clocked, source
-from tumble.lab.device_type import DeviceType
-from tumble.lab.type_spread import TypeSpread, pooled
 from tumble.methods.ellipsoid_fit import TRIAD
 from tumble.recording.log import Log
 from tumble.recording.session import AirConditions, Circumstances, Session
@@ -31,6 +30,7 @@ from tumble.recording.session_file import session_from
 from tumble.result.calibration import Calibration
 from tumble.result.correction import reference_of_parameter
 from tumble.result.coverage import by_gravity, degrees_of_mean, shared_gravity
+from tumble.result.launch_variances import LaunchVariances, pooled, variance_of_type
 from tumble.result.parts import CalibratedTemperature, Launch, Parameter, learned_fraction
 from tumble.result.shared_errors import by_priors
 from tumble.result.uncertainty_budget import contributions_of
@@ -66,12 +66,12 @@ def calibrate_launches(
     iterations: int | None = None,
     frame: Frame = "accelerometer",
     terms: Terms = "full",
-    alike: TypeSpread | None = None,
-    device_type: DeviceType | None = None,
+    alike: Sequence[LaunchVariances] = (),
+    prior: Prior | None = None,
     progress: Progress = Log.chunks,
 ) -> Calibration:
     """Calibrate a device from one session or several, its launches: see `calibrate` and `mean_of_launches`. A
-    `device_type` is a prior of one session alone: in the mean of several it would count as often.
+    `prior` is for one session alone: in the mean of several it would count as often.
 
     >>> import tumble
     >>> request = tumble.Setup.of(grade="mems", positions=12)
@@ -81,17 +81,17 @@ def calibrate_launches(
     """
     if not sessions:
         raise InputError("sessions: expected at least one, found none")
-    if device_type is not None and len(sessions) > 1:
-        raise InputError(f"device_type: expected one session, of which it is a prior, found {len(sessions)}")
+    if prior is not None and len(sessions) > 1:
+        raise InputError(f"prior: expected one session with it, found {len(sessions)}")
     runs = []
-    words: dict[str, Any] = {"iterations": iterations, "frame": frame, "terms": terms, "device_type": device_type}
+    words: dict[str, Any] = {"iterations": iterations, "frame": frame, "terms": terms, "prior": prior}
     for session in map(session_from, sessions):
         made = calibrate(session, method=method, progress=progress, **words)
         runs.append(Run(session=session, calibration=made))
     return mean_of_launches(runs, alike=alike) if len(runs) > 1 else runs[0].calibration
 
 
-def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) -> Calibration:
+def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = ()) -> Calibration:
     """One calibration from several sessions of one device by the same method: means with uncertainties, standard
     deviations from launch to launch, mean increments of each iteration, and every launch. With `alike`, the launches of
     other devices of the type, uncertainties are of the instability that all these show together.
@@ -136,18 +136,18 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
     mean, spread = np.mean(values, axis=0), np.std(values, axis=0, ddof=1)
 
     # how much the device changes from launch to launch, by these launches and, where it is like them, those of its type
-    others = None if alike is None else alike.without(set(digests))
+    others = [each for each in alike if not each.logs & set(digests)]
     pooled_with: tuple[str, ...] = ()
     instability, unlike = [], []
     for name, each, s in zip(names, members, spread.tolist(), strict=True):
         noise = float(np.mean([(p.u or 0.0) ** 2 for p in each]))
-        both = pooled(s**2, count - 1.0, (0.0, 0.0) if others is None else others.of(name, noise))
+        both = pooled(s**2, count - 1.0, variance_of_type(others, name, noise))
         unlike += [name] if both is None else []
         instability.append((s**2, count - 1.0) if both is None else both)
-    if alike is not None:
+    if alike:
         pooled_with = (
-            f"instability from launch to launch: by all launches of the type {alike.model} in the registry, "
-            f"{alike.degrees} degrees of freedom",
+            f"instability from launch to launch: by all launches of the type {first.model} in the registry, "
+            f"{sum(each.degrees for each in alike)} degrees of freedom",
             *([f"more unstable than the type, and by these launches alone: {', '.join(unlike)}"] if unlike else []),
         )
 
@@ -198,7 +198,7 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
         )
     budget = UncertaintyBudget(sources=(source("within launches"),), covariances=of_launches[None])
     for each_source, of_source in (
-        (source("launches", dof=count - 1.0 if others is None else None), covariance - of_launches - common),
+        (source("launches", dof=None if alike else count - 1.0), covariance - of_launches - common),
         (source("gravity", first.site.gravity_u if first.site else None, "m/s^2"), of_gravity),
         (source("clock", clock_u, "1"), of_clock),
         (source("priors"), common - of_gravity - of_clock),

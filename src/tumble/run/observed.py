@@ -11,15 +11,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
-from tumble.brief import Brief
+from tumble.brief import Judged
 from tumble.diagnosis.carried_vertical import sense_faults
 from tumble.diagnosis.channels import accelerometer_faults, channel_faults, dead_zones, mixed_rows, normalised
 from tumble.diagnosis.verdict import no_rests
 from tumble.files import FilePath
-from tumble.inference.estimate import Outcome
+from tumble.inference.estimate import Judgement, Outcome
 from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Circumstances, Session
@@ -40,7 +41,7 @@ Progress = Callable[[Log], Iterable[Chunk]]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
-class Observed(Brief):
+class Observed(Judged):
     """What a session's log shows: the `digest` of its content, perhaps still on its way, the gaps that were bridged,
     the rests and turns that were found and rejected, and the observations of all of them (None where nothing rests);
     `faults`, in sentences, are what is wrong with the recording, `gyro_faults` what spoils the gyros alone, and
@@ -48,6 +49,8 @@ class Observed(Brief):
 
     `trial` are the observations, or, where no rest was found with the gyros, those of the rests that the accelerometers
     alone show: in a wrong unit every turn is too slow to be one."""
+
+    json_fields: ClassVar = ("verdict", "reasons", "gyro", "rate", "segmentation", "observations")
 
     session: Session
     digest: Future[str]
@@ -66,6 +69,16 @@ class Observed(Brief):
     def sha256(self) -> str:
         """The SHA-256 of the log's content."""
         return self.digest.result()
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """What is wrong with the recording."""
+        return self.faults
+
+    @property
+    def gyro(self) -> Judgement:
+        """Whether the gyros can be used."""
+        return Judgement(reasons=(*self.faults, *self.gyro_faults, *self.gyro_bias_faults))
 
     @property
     def circumstances(self) -> Circumstances:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.session import Session
 from tumble.recording.session_file import SESSION_FILE, session_from, session_of
 from tumble.reduction.noise.allan_deviation import allan_deviation, pooled
+from tumble.reduction.noise.filter_values import FilterValue, filter_values
 from tumble.reduction.noise.wavelet_moments import Panel, identify
 from tumble.run.observed import Progress, inspect_session
 from tumble.units import Array
@@ -45,9 +46,16 @@ class RecordedNoise(Brief):
     """Allan deviations and noise coefficients of the accelerometers and of the gyros, the sample rate, Hz, and where
     they are from in words."""
 
+    json_fields: ClassVar = ("source", "rate", "panels", "filters")
+
     panels: tuple[Panel, ...]
     rate: float
     source: str
+
+    @property
+    def filters(self) -> list[FilterValue]:
+        """The values that filters ask for."""
+        return filter_values(self.panels, self.rate)
 
 
 def noise(*recordings: Session | FilePath, layout: Mapping[str, Any] | None = None) -> RecordedNoise:

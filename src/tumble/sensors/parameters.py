@@ -9,7 +9,8 @@ bias, and every further group adds to it: a group is the constant array ∂K/∂
 change no reading at rest: lever arms and delays act in a turn alone, and are named by `Motion`.
 
 Everything that deals with parameters loops over this table: estimation, bounds, planning, simulation, frames, the
-calibration file, terminal, report, registry and limits. A further group is one entry.
+calibration file, terminal, report, registry and limits. A further group is one entry, or one of another package
+(`tumble.plugins`).
 
 The groups are those of docs/explanation/mathematics.md (1) and (2); their usual sizes those of data sheets of each
 class.
@@ -20,12 +21,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from operator import attrgetter
 from typing import Literal
 
 import numpy as np
 
+from tumble.errors import InputError
+from tumble.plugins import load_all
 from tumble.sensors.model import Block, SensorKind
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, coarsest, engineering, quantity
 
@@ -333,9 +336,28 @@ FURTHER: list[ParameterGroup] = [
 """The groups beyond the linear model, in the order of the calibration file."""
 
 
+@cache
+def _brought() -> tuple[ParameterGroup, ...]:
+    """The groups of other packages. Raises InputError for one whose name is taken or not of accelerometers or gyros."""
+    found = load_all("parameters", ParameterGroup).values()
+    taken = {group.name for group in (*LINEAR, *FURTHER)}
+    for group in found:
+        if group.name in taken or not re.fullmatch(rf"{group.kind}\.[a-z0-9_]+", group.name):
+            raise InputError(
+                f"entry point tumble.parameters: expected the name of a group that is new, such as {group.kind}.fifth, "
+                f"found {group.name!r}; rename it in its package"
+            )
+    return tuple(found)
+
+
+def further_groups() -> tuple[ParameterGroup, ...]:
+    """The groups beyond the linear model: those of the table, and those of other packages."""
+    return (*FURTHER, *_brought())
+
+
 def groups() -> tuple[ParameterGroup, ...]:
     """All groups, in the order of the calibration file."""
-    return (*LINEAR, *FURTHER)
+    return (*LINEAR, *further_groups())
 
 
 @lru_cache(maxsize=4096)
@@ -344,7 +366,10 @@ def group_name(parameter: str) -> str:
     "accel.single_delay" of "accel.delay.x"."""
     parts = parameter.split(".")
     stem = ".".join(parts[:2])
-    if len(parts) > 2 and (name := next((group.name for group in FURTHER if group.stem == stem), None)) is not None:
+    if (
+        len(parts) > 2
+        and (name := next((group.name for group in further_groups() if group.stem == stem), None)) is not None
+    ):
         return name
     return ".".join([stem, *(parts[-1:] if parts[-1] in _ENDINGS.values() else [])])
 
@@ -454,7 +479,7 @@ def _limits_of(parameters: tuple[str, ...]) -> Array:
 def usual_sizes(grade: str, prior: Mapping[str, float] | None = None) -> dict[str, float]:
     """Standard deviations, SI, by group of the groups beyond the linear model in instruments of a grade, or those of
     a data sheet (`prior`)."""
-    return {group.name: group.usual[grade] for group in FURTHER if grade in group.usual} | dict(prior or {})
+    return {group.name: group.usual[grade] for group in further_groups() if grade in group.usual} | dict(prior or {})
 
 
 def positions_by_group(parameters: Iterable[str]) -> dict[str, list[int]]:
@@ -480,7 +505,7 @@ def prior_of(key: str, text: str) -> tuple[str, float]:
     name = f"{kind}.{of}.{ending}" if of else f"{kind}.{what}"
     group = named_group(name)
     if group is None or group.linear:
-        known = ", ".join(g.name.replace(".", "_") for g in FURTHER if g.variable is None)
+        known = ", ".join(g.name.replace(".", "_") for g in further_groups() if g.variable is None)
         raise ValueError(
             f"{key}: expected one of {known}, or accel_temperature, gyro_temperature, accel_curvature, gyro_curvature, "
             "accel_hysteresis, gyro_hysteresis, accel_drift, gyro_drift, "

@@ -14,7 +14,7 @@ from tumble.documents import json_of, text_of_document
 from tumble.errors import InputError
 from tumble.files import FilePath, nothing_left, whole_file
 from tumble.planning.setup import Setup
-from tumble.programme.positions import BUILT_IN
+from tumble.programme.positions import programmes
 from tumble.recording.session import Session
 from tumble.recording.session_file import SESSION_FILE, session_of, write_session
 from tumble.sensors.model import Block
@@ -177,7 +177,7 @@ def _content(scenario: Scenario, log_format: LogFormat) -> dict[str, Any]:
         content["log"]["temperature"] = {"columns": names, "unit": "degC"}
     if (listed := scenario.programme) is not None:
         attitudes = [{"attitude": position.attitude} for position in listed.positions]
-        content["programme"] = {"name": listed.name} if listed.name in BUILT_IN else {"position": attitudes}
+        content["programme"] = {"name": listed.name} if listed.name in programmes() else {"position": attitudes}
     return content
 
 

@@ -38,7 +38,7 @@ from tumble.recording.session import Channels, Session
 from tumble.recording.session_file import description_of, session_from
 from tumble.recording.text.dialect import DIALECT_KEYS
 from tumble.recording.text.text_log import times_of
-from tumble.result.accepted import accepted_accelerometers, accepted_part
+from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.correction import corrected
 from tumble.sensors.compensation import Compensator
@@ -46,7 +46,6 @@ from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import groups, positions_by_group
 from tumble.units import Array, Unit
 from tumble.use.corrector import Stream
-from tumble.use.verify import check_device, rests_of
 
 _SLICE = 1 << 14
 """Rows that are corrected at a time: what is made of them on the way fits the cache of a core."""
@@ -286,39 +285,26 @@ def _corrected(
                 whole[kind][: len(vectors) - late] = vectors[late:]
 
 
-# -------------------- was it worth it --------------------
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class RestResidual:
-    """|f| − g (m/s²) of a rest's mean, taken as it is and corrected; its start and stop, s, and file."""
-
-    file: int
-    start: float
-    stop: float
-    before: float
-    after: float
-
-
-def rest_residuals(calibration: Calibration | FilePath, session: Session | FilePath) -> tuple[RestResidual, ...]:
-    """Every rest of a session before and after correction. Raises InputError as `apply_to_session` does, and where
-    nothing rests.
-
-    >>> import tumble
-    >>> request = tumble.Setup.of(grade="mems", positions=12)
-    >>> folders = [tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2)]
-    >>> rests = tumble.rest_residuals(tumble.calibrate(folders[0]), folders[1])
-    >>> max(abs(rest.after) for rest in rests) < max(abs(rest.before) for rest in rests)
-    True
-    """
-    calibration = accepted_accelerometers(calibration_from(calibration), "rests show what is corrected")
-    session = session_from(session)
-    _parts(calibration, session)
-    _, observations, celsius = rests_of(calibration, session, otherwise="; leave out --verify")
-    rests, g = observations.rests, session.site.gravity
-    forces = session.accel_block.nominal().apply(rests.accel), calibration.compensator.force(rests.accel, celsius)
-    before, after = (np.linalg.norm(force, axis=1) - g for force in forces)
-    return tuple(
-        RestResidual(file=int(f), start=float(start), stop=float(stop), before=float(b), after=float(a))
-        for f, start, stop, b, a in zip(rests.file, rests.start, rests.stop, before, after, strict=True)
-    )
+def check_device(calibration: Calibration, session: Session) -> None:
+    """Raise InputError for a session of another device than the calibration's, or one whose sensors have other
+    thermometers, where they depend on temperature. A session without thermometers passes."""
+    if session.device.serial != calibration.serial:
+        raise InputError(
+            f"{session.name}: expected a session of device {calibration.serial!r}, which was calibrated, found "
+            f"{session.device.serial!r}"
+        )
+    temperature = session.log.temperature
+    if (
+        temperature is None
+        or (calibration.accel is None and calibration.gyro is None)
+        or not calibration.compensator.warm
+    ):
+        return
+    compensator = calibration.compensator
+    for made, now in ((compensator.accel, session.accel_block), (compensator.gyro, session.gyro_block)):
+        if made is not None and now is not None and not np.array_equal(made.thermometer, now.thermometer):
+            then = ", ".join(calibration.temperature.thermometers.get(made.kind, ())) or "one for all sensors"
+            raise InputError(
+                f"{session.name}: log.temperature.columns: expected a thermometer for each sensor {made.kind} as in "
+                f"the calibration, {then}, found {', '.join(temperature.names(made.kind))}"
+            )

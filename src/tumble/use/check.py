@@ -1,202 +1,386 @@
-"""The field check: whether a calibration still holds, from a few rests in any attitude, and what has changed.
+"""Whether a calibration still holds for its device, by rests in any attitude, and what has changed.
 
-What is known of the parameters at the check is the calibration, with
+The parameters at the time of the check have the values of the calibration and the prior covariance P, with
 
     P = Σ + diag(s²),   D = N Σ N + diag(s²/√ν_s),   N = diag(ν^(−1/4))                                         (1)
 
-Σ its covariance, estimated with ν degrees of freedom for each parameter, and s what turning on again changes. That is
-√2 times what is usual of the grade, s_g (`tumble.sensors.grades`), where 1/ν_s = 0: a single launch is as far from the
-mean of all as the one that is checked. Where launches of the device are known, those behind the calibration and those
-behind its other ones in a registry, with the pooled standard deviation s_L of ν_L degrees of freedom, s_g becomes
+Σ is the covariance of the calibration, estimated with ν degrees of freedom for each parameter, and s² the variance of
+what turning the device on again changes. It is twice the variance s_g² that is usual for the grade
+(`tumble.sensors.grades`), with 1/ν_s = 0: a single launch is as far from the mean of all launches as the one that is
+checked. If several launches of the device are known, those behind the calibration and those behind its other ones in a
+registry, with the pooled variance s_L² of ν_L degrees of freedom, s_g² is replaced by
 
     s² = max(s_L², [4 s_g² + ν_L s_L²]/(ν_L + 4)),   ν_s = ν_L or ν_L + 4                                         (2)
 
-for two launches that happen to agree do not say that the third will: s_g counts as if it were known by four degrees.
-The mean of several launches has its part in Σ, so that it is without the factor √2. D says how well P itself is known,
-and with it by how much more than normal numbers the tests exceed a limit. Groups of parameters that the calibration
-does not have, and drifts, which belong to a session, are zero with the usual size of the grade. Where the calibration
-and the session have temperatures, parameters are taken to that of the session by their slopes and curvatures, with the
-usual size of those that are not known. Where both use the same stated gravity, its error is in the scale factors too,
-with the opposite sign.
+because two launches that happen to agree do not predict that the third will: s_g² counts as if it had been estimated
+with four degrees of freedom. If the calibration is the mean of several launches, Σ contains the uncertainty of this
+mean, and the factor two is absent. D is the uncertainty of P itself (`tumble.methods.field_check`, Eq. (3)).
 
-Rests and turns scatter as they did in the calibration, and in-run biases are as large as is usual of the grade.
+Groups of parameters that the calibration does not have, and drifts, which belong to a session, are zero with the
+standard deviation usual for the grade. If the temperatures of calibration and check are known, the parameters are
+taken to that of the check by their slopes and curvatures, unknown ones with their usual size. If both use the same
+stated gravity, the error of this gravity is in the scale factors too, with the opposite sign.
+
+Rests and turns scatter as they did in the calibration, and in-run biases have the size usual for the grade. With this
+prior the changes are tested as in `tumble.methods.field_check`. The rests are also compared with gravity one by one, as
+in `tumble.use.positions`. These differences alone decide for a table of readings, for the rests of the calibration
+itself, whose parameters cannot be tested with themselves, and for a calibration in the frame of the case.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from tumble.brief import Brief
+from tumble.brief import Judged
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
-from tumble.inference.estimate import Outcome
+from tumble.inference.estimate import Fit, Outcome
 from tumble.inference.prediction import prediction
 from tumble.inference.variables import variables_of
-from tumble.lab.type_spread import KnownLaunches, known_launches
-from tumble.methods.field_check import ChangedParameter, CheckResult, KnownBefore, field_check
+from tumble.methods.field_check import (
+    MISFIT_CHANCE,
+    ChangedParameter,
+    CheckPrior,
+    CheckResult,
+    ParameterTest,
+    field_check,
+)
+from tumble.methods.rest_chain import JudgedRest
 from tumble.planning.bounds import components_of
-from tumble.recording.session import Circumstances, Session, Site
+from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.correction import reference_of_parameter
 from tumble.result.coverage import by_gravity, shared_gravity
+from tumble.result.launch_variances import LaunchVariances, launch_variances
 from tumble.result.parts import learned_fraction
 from tumble.run.calibrate import grade_of, provenance_of
 from tumble.run.from_estimate import readings_of_session, reference_of, references_of
-from tumble.run.observed import inspect_session, observations_for_calibration
+from tumble.run.observed import Observed, inspect_session, observations_for_calibration
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_of, sensor_kind, shown_in, to_temperature, usual_sizes, variable_of
-from tumble.use.verify import check_device
+from tumble.units import ZERO_CELSIUS, engineering
+from tumble.use.apply import check_device
+from tumble.use.positions import PositionResiduals, residuals_in, table_observations
 
 _FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
 _RAW = ("count", "V")
 
 USUAL_DEGREES = 4.0
-"""Degrees of freedom for which what is usual of a grade counts: it is known to a third."""
+"""Degrees of freedom with which the variances of a grade count: these are known to a third."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CheckedRest:
+    """A rest, or a position of a table, compared with gravity.
+
+    Attributes
+    ----------
+    label : str
+        Name of the rest or the position.
+    difference : float
+        Gravity less the modulus of the corrected reading, m/s².
+    u, sigmas : float or None
+        Standard uncertainty of the difference, m/s², and the difference in units of it. In a stream they are those of
+        the prediction by the calibration, the power-on and the rests before. None, or not a number, if nothing predicts
+        the rest.
+    start, stop : float or None
+        Times, s.
+    celsius : float or None
+        Temperature, °C.
+    outside : tuple of str
+        Of "temperature" and "force", what is outside of the range that was calibrated; in a stream only.
+    judged : JudgedRest or None
+        In a stream, the tests of the biases by this rest.
+    why : str
+        In a stream, why a quiet stretch is not used as a rest; empty if it is.
+    """
+
+    label: str
+    difference: float
+    u: float | None = None
+    sigmas: float | None = None
+    start: float | None = None
+    stop: float | None = None
+    celsius: float | None = None
+    outside: tuple[str, ...] = ()
+    judged: JudgedRest | None = None
+    why: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
-class FieldCheck(Brief):
-    """What a session of `rests` rests and `turns` turns says of a calibration: the `result`, in SI, what was supposed,
-    in sentences, the calibration in the frame `accelerometer` with the instrument it was taken for, and where, when,
-    how and with which sample rate (Hz) the session was recorded."""
+class FieldCheck(Judged):
+    """Result of the check of a calibration.
 
-    calibration: Calibration
-    session: str
-    sha256: str
-    rests: int
-    turns: int
-    result: CheckResult
-    notes: tuple[str, ...]
-    frame: str
-    instrument: Instrument
-    temperature: float | None
-    references: Mapping[str, tuple[float, ...]]
-    site: Site
-    circumstances: Circumstances
-    sample_rate: float
+    Attributes
+    ----------
+    source : str
+        The session, table or stream.
+    rests : tuple of CheckedRest
+        Its rests or positions.
+    left_out : bool
+        Whether these are the calibration's own, each left out in turn.
+    rest_limit : float or None
+        What the largest |difference|/u exceeds by chance in one of 100 cases; None in a stream.
+    turns : int
+        Turns between the rests that were used.
+    changes : tuple of ChangedParameter
+        What has changed.
+    parameters : tuple of ParameterTest
+        The test of every parameter that the rests and turns determine; empty if the rests alone decide.
+    largest, limit : float or None
+        The largest |change|/u of these, and what it exceeds by chance in CHANCE of all checks.
+    unseen : tuple of str
+        Groups of parameters that the rests and turns do not determine.
+    misfit : Fit or None
+        Residuals that no change explains.
+    rests_agree : bool
+        Whether the rests alone show no change, where no change explains the whole session.
+    notes : tuple of str
+        What was assumed.
+    updated : Calibration or None
+        The calibration, updated by the check: parameters that have changed are known by the check alone. None if no
+        change explains the session, and if the parameters were not tested with a session.
+    """
+
+    json_fields: ClassVar = (
+        "verdict", "reasons", "source", "rests", "left_out", "rest_limit", "turns", "changes", "parameters", "largest",
+        "limit", "unseen", "misfit", "notes",
+    )  # fmt: skip
+
+    source: str
+    rests: tuple[CheckedRest, ...]
+    left_out: bool = False
+    rest_limit: float | None = None
+    turns: int = 0
+    changes: tuple[ChangedParameter, ...] = ()
+    parameters: tuple[ParameterTest, ...] = ()
+    largest: float | None = None
+    limit: float | None = None
+    unseen: tuple[str, ...] = ()
+    misfit: Fit | None = None
     rests_agree: bool = False
-    """Whether the rests alone find nothing changed, where the session as a whole is not explained."""
+    notes: tuple[str, ...] = ()
+    updated: Calibration | None = None
 
     @property
     def valid(self) -> bool:
-        """Whether the calibration still holds, as far as the session sees."""
-        return self.result.valid
+        """Whether no change is shown."""
+        return not self.reasons
+
+    @property
+    def explained(self) -> bool:
+        """Whether chance and the changes explain the rests and turns."""
+        return self.misfit is None or self.misfit.probability >= MISFIT_CHANCE
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """What has changed, in sentences; none where the calibration holds."""
-        if self.result.explained:
-            return tuple(change_text(change) for change in self.result.changes)
-        fit = self.result.misfit
+        """What has changed, in sentences; empty if no change is shown."""
+        if self.misfit is None:
+            return beyond_limit(self.rests, self.rest_limit)
+        if self.explained:
+            return tuple(change_text(change) for change in self.changes)
         agree = "its rests alone agree with the calibration, so that the turns are to blame; "
         turns = agree if self.rests_agree else ""
         return (
             f"no change of biases, scale factors or axes explains the session, so that it says nothing of them: "
-            f"χ² {fit.chi_square:.1f} for {fit.degrees:.0f}, by chance with probability {fit.probability:.1g}; {turns}"
+            f"χ² {self.misfit.chi_square:.1f} for {self.misfit.degrees:.0f}, by chance with probability "
+            f"{self.misfit.probability:.1g}; {turns}"
             "look at it with `tumble inspect`, repeat the check at rest, or calibrate",
         )
 
-    def updated(self) -> Calibration:
-        """The calibration with what the check says of the parameters; those that have changed are known by the check
-        alone. It says so in its notes. Raises CalibrationError where no change explains the session."""
-        if not self.result.explained:
-            raise CalibrationError(f"{self.session}: expected a check that is explained, found {self.reasons[-1]}")
-        return _updated(self, self.reasons).in_frame(self.frame)
+
+def tested(result: CheckResult) -> dict[str, Any]:
+    """The fields of a `FieldCheck` that describe the tests of the parameters."""
+    same = {name: getattr(result, name) for name in ("changes", "largest", "limit", "unseen", "misfit")}
+    return same | {"parameters": tuple(result.tests.values())}
 
 
 def change_text(change: ChangedParameter) -> str:
-    """That a parameter has changed, by how much, and what would explain as much."""
+    """A sentence that says by how much a parameter has changed, and what would explain as much."""
     (size, unit), value = shown_in(change.name, change.unit, change.value), change.value
     text = f"{change.name} has changed by {value / size:+.3g} {unit} (u {change.u / size:.2g} {unit})"
     for name, value in change.others.items():
         size, unit = shown_in(name, group_of(name).unit, value)
         text += f", or {name} by {value / size:+.3g} {unit}"
-    return text
+    return text + f"; by chance with probability {change.probability:.1g} at most"
+
+
+def beyond_limit(rests: Sequence[CheckedRest], limit: float | None) -> tuple[str, ...]:
+    """Sentences on the rests whose difference from gravity is beyond the limit."""
+    if limit is None:
+        return ()
+    size, unit = engineering("m/s^2", max((abs(rest.difference) for rest in rests if rest.sigmas), default=0.0))
+    return tuple(
+        f"{rest.label}: g − |f| is {rest.difference / size:+.3g} {unit}, {abs(rest.sigmas):.1f} of its standard "
+        f"uncertainty, expected at most {limit:.1f}"
+        for rest in rests
+        if rest.sigmas is not None and abs(rest.sigmas) > limit
+    )
 
 
 def check_calibration(
-    calibration: Calibration | FilePath, session: Session | FilePath, *, launches: Sequence[KnownLaunches] = ()
+    calibration: Calibration | FilePath,
+    readings: Session | FilePath,
+    *,
+    launches: Sequence[LaunchVariances] = (),
 ) -> FieldCheck:
-    """Whether a calibration, or that of a file, still holds for its device, by three to five rests in any attitude and
-    the turns between them: a `Session` or its folder. With `launches`, as `tumble.device_launches` has them, it is
-    judged by how much the device has changed from power-on to power-on in all its calibrations.
+    """Check whether a calibration still holds.
 
-    Raises CalibrationError for a calibration that was not accepted, has no uncertainties or is in the frame of the
-    case, and InputError for a session of another device or without rests.
+    Parameters
+    ----------
+    calibration
+        An accepted calibration of accelerometers, or its file.
+    readings
+        A session of the device with three or more rests in any attitude, or its folder; or a file with a table of
+        readings at rest, one row per position, in the unit of the table that the calibration was made from. The session
+        or table of the calibration itself is checked by leaving out each of its positions in turn.
+    launches
+        Launches of the device behind its other calibrations, by which it is judged how much turning it on again
+        changes. By default this is what is usual for its grade.
 
+    Returns
+    -------
+    FieldCheck
+        The differences of the rests from gravity, and what has changed.
+
+    Raises
+    ------
+    CalibrationError
+        For a calibration that is not accepted, or has no uncertainties.
+    InputError
+        For readings of another device, of other sensors, or without rests.
+
+    Examples
+    --------
     >>> import tumble
-    >>> wanted = tumble.Setup.of(grade="mems", positions=18)
-    >>> calibration = tumble.calibrate(tumble.simulate_session("calibrated", wanted, seed=1))
+    >>> request = tumble.Setup.of(grade="mems", positions=18)
+    >>> calibration = tumble.calibrate(tumble.simulate_session("calibrated", request, seed=1))
     >>> again = tumble.simulate_session("again", tumble.Setup.of(grade="mems", positions=4), seed=1)
-    >>> found = tumble.check_calibration(calibration, again)
-    >>> found.rests, found.valid
+    >>> check = tumble.check_calibration(calibration, again)
+    >>> len(check.rests), check.valid
     (4, True)
     """
-    given, session = calibration_from(calibration), session_from(session)
-    given = accepted_accelerometers(given, "a check has its attitudes")
-    check_given(given, session)
-    own = given.in_frame("accelerometer")
+    given = accepted_for_check(calibration)
+    if not isinstance(readings, Session) and not Path(readings).is_dir():
+        rows, table = table_observations(given, Path(readings))
+        residuals = residuals_in(given, rows, table.sha256)
+        labels = (f"position {i} (line {line})" for i, line in enumerate(table.lines, 1))
+        rests = tuple(_rest(residuals, i, label=label) for i, label in enumerate(labels))
+        return FieldCheck(source=str(readings), rests=rests, left_out=residuals.left_out, rest_limit=residuals.limit)
+    session = session_from(readings)
+    check_session(given, session)
     observed = inspect_session(replace(session, programme=None))
     observations = observations_for_calibration(observed)
     if isinstance(observations, Outcome):
         raise InputError(f"{session.name}: expected rests to check with, found {'; '.join(observations.reasons)}")
+    grade, guessed_from = grade_of(session, observations)
+
+    # each rest against gravity
+    residuals = residuals_in(given, observations, observed.sha256, grade)
+    at, kelvin = observations.rests, observations.rests.temperature
+    times = zip(at.start.tolist(), at.stop.tolist(), strict=True)
+    rests = tuple(
+        _rest(
+            residuals,
+            i,
+            label=f"rest {i + 1} ({start:z.1f}–{stop:z.1f} s)",
+            start=start,
+            stop=stop,
+            celsius=None if kelvin is None else float(kelvin[i]) - ZERO_CELSIUS,
+        )
+        for i, (start, stop) in enumerate(times)
+    )
+    by_rests = FieldCheck(
+        source=session.name,
+        rests=rests,
+        left_out=residuals.left_out,
+        rest_limit=residuals.limit,
+        notes=given.absent,
+    )
+    beyond = sum(rest.sigmas is not None and abs(rest.sigmas) > residuals.limit for rest in rests)
+    if beyond:
+        does = "explains them" if residuals.by_turn_on else "does not explain them"
+        turned_on = f"{beyond} rests differ from gravity by more than their u: a usual change from one power-on to the "
+        turned_on += f"next {does}"
+        by_rests = replace(by_rests, notes=(*by_rests.notes, *(() if residuals.left_out else (turned_on,))))
+    if residuals.left_out or given.frame == "case":
+        return by_rests
+
+    # all parameters
+    own = given.in_frame("accelerometer")
     if own.gyro is None and observations.gyro_block is not None:
         observations = observations.of_accelerometers()
-    grade, guessed_from = grade_of(session, observations)
-    launches = _launches(own, launches)
-    known = known_before(own, observations, grade, session.device.prior, launches)
-    result = field_check(observations, known)
+    launches, sheet = _launches(own, launches), session.device.prior
+    prior = prior_at_check(own, observations, grade, sheet, launches)
+    result = field_check(observations, prior)
     rests_agree = False
     if not result.explained and observations.gyro_block is not None:
         at_rest = observations.of_accelerometers()
-        rests_agree = field_check(at_rest, known_before(own, at_rest, grade, session.device.prior, launches)).valid
-
-    # what was supposed
-    origin = f", guessed from {guessed_from}; [device] grade says another" if guessed_from else ""
-    count = sum(each.degrees + 1 for each in launches)
-    of_device = f", or as from launch to launch of {count} launches of the device" if launches else ""
-    notes = [
-        *own.absent,
-        f"what turning on again changes: as usual of the grade {grade}{of_device}{origin}; it is allowed for, and "
-        "`tumble verify` judges the same session without",
-    ]
-    then, now = own.reference_temperature, reference_of(observations)
-    if then is None or now is None:
-        notes.append("the temperatures of calibration and check are not both known: no difference is allowed for")
-    elif abs(now - then) > 1.0:
-        notes.append(f"calibrated at {then:.1f} °C, checked at {now:.1f} °C: parameters by their slopes and curvatures")
-    return FieldCheck(
-        calibration=own,
-        session=session.name,
-        sha256=observed.sha256,
-        rests=len(observations.rests),
+        rests_agree = field_check(at_rest, prior_at_check(own, at_rest, grade, sheet, launches)).valid
+    check = replace(
+        by_rests,
         turns=0 if observations.turns is None else len(observations.turns),
-        result=result,
+        **tested(result),
         rests_agree=rests_agree,
-        notes=tuple(notes),
-        frame=given.frame,
-        instrument=known.instrument,
-        temperature=now,
-        references=references_of(observations),
-        site=session.site,
-        circumstances=observed.circumstances,
-        sample_rate=observed.rate,
+        notes=(*by_rests.notes, *_assumptions(own, reference_of(observations), grade, guessed_from, launches)),
+    )
+    if not result.explained:
+        return check
+    updated = _updated(own, check, result, prior.instrument, observations, observed)
+    return replace(check, updated=updated.in_frame(given.frame))
+
+
+def _rest(residuals: PositionResiduals, i: int, **of_rest: Any) -> CheckedRest:
+    """The i-th position, with its other fields."""
+    return CheckedRest(
+        difference=float(residuals.difference[i]),
+        u=float(residuals.u[i]),
+        sigmas=float(residuals.sigmas[i]),
+        **of_rest,
     )
 
 
-def check_given(calibration: Calibration, session: Session) -> None:
-    """A calibration that can be checked, and a session of its device."""
-    if calibration.covariance is None:
-        raise CalibrationError(f"calibration of {calibration.serial!r}: expected one with uncertainties, found none")
+def _assumptions(
+    calibration: Calibration, now: float | None, grade: str, guessed_from: str, launches: Sequence[LaunchVariances]
+) -> tuple[str, str] | tuple[str]:
+    """Notes on what turning on again changes, and on the temperature, which is `now` in °C."""
+    origin = f", guessed from {guessed_from}; [device] grade states another" if guessed_from else ""
+    count = sum(each.degrees + 1 for each in launches)
+    of_device = f", or as from launch to launch of {count} launches of the device" if launches else ""
+    turning_on = (
+        f"what turning on again changes: as usual of the grade {grade}{of_device}{origin}; it is allowed for in the "
+        "tests of the parameters, and not in u of g − |f|"
+    )
+    then = calibration.reference_temperature
+    if then is None or now is None:
+        warmth = "the temperatures of calibration and check are not both known: no difference is allowed for"
+        return turning_on, warmth
+    if abs(now - then) > 1.0:
+        warmth = f"calibrated at {then:.1f} °C, checked at {now:.1f} °C: parameters by their slopes and curvatures"
+        return turning_on, warmth
+    return (turning_on,)
+
+
+def accepted_for_check(calibration: Calibration | FilePath) -> Calibration:
+    """The accepted part of a calibration; raise CalibrationError without accelerometers or uncertainties."""
+    given = accepted_accelerometers(calibration_from(calibration), "a check has its attitudes")
+    if given.covariance is None:
+        raise CalibrationError(f"calibration of {given.serial!r}: expected one with uncertainties, found none")
+    return given
+
+
+def check_session(calibration: Calibration, session: Session) -> None:
+    """Raise InputError for a session of another device than the calibration's, or of other sensors."""
     check_device(calibration, session)
     for block, model in ((session.accel_block, calibration.accel), (session.gyro_block, calibration.gyro)):
         if block is not None and model is not None and len(model.bias) != block.size:
@@ -214,24 +398,35 @@ def check_given(calibration: Calibration, session: Session) -> None:
             )
 
 
-def _launches(calibration: Calibration, others: Sequence[KnownLaunches]) -> Sequence[KnownLaunches]:
+def _launches(calibration: Calibration, others: Sequence[LaunchVariances]) -> Sequence[LaunchVariances]:
     """The launches behind a calibration and those of other ones of its device, each once."""
-    own = known_launches(calibration)
+    own = launch_variances(calibration)
     return others if own is None else (own, *(each for each in others if not each.logs & own.logs))
 
 
-# What was known before
+# -------------------- the prior --------------------
 
 
-def known_before(
+def prior_at_check(
     calibration: Calibration,
     observations: Observations,
     grade: str,
     data_sheet: Mapping[str, float],
-    launches: Sequence[KnownLaunches] = (),
-) -> KnownBefore:
-    """Parameters and covariance at the check by the calibration, in the frame `accelerometer`, Eq. (1), of a device of
-    which `launches` of other calibrations are known."""
+    launches: Sequence[LaunchVariances] = (),
+) -> CheckPrior:
+    """The prior of the parameters at the check, Eq. (1).
+
+    Parameters
+    ----------
+    calibration
+        In the frame `accelerometer`.
+    observations
+        The rests and turns of the check.
+    grade, data_sheet
+        Grade of the device, and standard deviations that its data sheet states instead, by group.
+    launches
+        Launches behind other calibrations of the device.
+    """
     usual = usual_sizes(grade, data_sheet)
     instrument = Instrument.of(
         observations.accel_block, observations.gyro_block, set(usual), variables_of(observations)
@@ -259,21 +454,20 @@ def known_before(
         by_name = {p.name: c for p, c in zip(calibration.parameters, change.tolist(), strict=True)}
         whole[0, 1:] = whole[1:, 0] = gravity * np.array([by_name.get(name, 0.0) for name in names])
 
-    # at the temperature of the session
+    # at the temperature of the check
     now, J = references_of(observations), np.eye(len(whole))
     if calibration.reference_temperature is not None and now:
         here = replace(calibration, temperature=replace(calibration.temperature, references=now))
         warmer = [reference_of_parameter(here, name) - reference_of_parameter(calibration, name) for name in names]
         J[1:, 1:] = to_temperature(names, np.array(warmer))
-    # s² and 1/ν_s of another power-on, Eq. (2); a single launch is as far from the mean of all as the one checked,
-    # while u of several together has what they change by
+    # s² and 1/ν_s of another power-on, Eq. (2)
     single = len(calibration.launches) < 2 and not calibration.together
     others = _launches(calibration, launches)
     turned_on, inverse_degrees = np.zeros((2, len(whole)))
     for i, name in enumerate(linear, 1):
-        seen = [(each.degrees, each.variances[name][0]) for each in others if name in each.variances]
-        degrees = sum(count for count, _ in seen)
-        own = sum(count * between for count, between in seen) / max(degrees, 1)
+        pooled_from = [(each.degrees, each.variances[name][0]) for each in others if name in each.variances]
+        degrees = sum(count for count, _ in pooled_from)
+        own = sum(count * between for count, between in pooled_from) / max(degrees, 1)
         pooled = USUAL_DEGREES * spread_of(TURN_ON[grade], name) ** 2 + degrees * own
         pooled /= USUAL_DEGREES + degrees
         turned_on[i] = max(own, pooled) * (2.0 if single else 1.0)
@@ -283,7 +477,7 @@ def known_before(
     inverse = {p.name: 1.0 / p.dof for p in calibration.parameters if p.dof is not None}
     fits = calibration.fits
     scatter: dict[str, Any] = {name: fits[fit].scatter for name, fit in _FITS.items() if fit in fits}
-    return KnownBefore(
+    return CheckPrior(
         instrument=instrument,
         values=J[1:, 1:] @ values,
         calibrated=J @ whole @ J.T,
@@ -295,12 +489,19 @@ def known_before(
     )
 
 
-# The updated calibration
+# -------------------- the updated calibration --------------------
 
 
-def _updated(check: FieldCheck, reasons: tuple[str, ...]) -> Calibration:
-    """The calibration by the check, at the temperature of the check."""
-    before, result, instrument = check.calibration, check.result, check.instrument
+def _updated(
+    before: Calibration,
+    check: FieldCheck,
+    result: CheckResult,
+    instrument: Instrument,
+    observations: Observations,
+    observed: Observed,
+) -> Calibration:
+    """The calibration by the check, at the temperature of the check, in the frame `accelerometer`. Fields that describe
+    the recording of the calibration are emptied."""
     assert before.covariance is not None
     u, changed = np.sqrt(np.diag(result.covariance)), {change.name for change in result.changes}
     parameters, at = [], []
@@ -315,47 +516,48 @@ def _updated(check: FieldCheck, reasons: tuple[str, ...]) -> Calibration:
         parameters.append(replace(p, value=value, u=own_u, deviation=None, run_to_run=None, dof=dof, learned=learned))
         at.append(i)
     others = [i for i, p in enumerate(before.parameters) if sensor_kind(p.name) == "mag"]  # took no part
-    gyro = instrument.gyro
-    warm = before.reference_temperature is not None
+    gyro, warm = instrument.gyro, before.reference_temperature is not None
     at_rate = None if before.prediction is None else before.prediction.at_rate
+    predicted = None
+    if before.site is not None:
+        gravity = before.site.gravity
+        predicted = prediction(instrument, result.values, result.covariance, gravity=gravity, rate=at_rate)
     note = (
         f"no calibration of its own: that of {before.provenance.get('created', 'an unknown date')}, updated by a field "
-        f"check of {check.rests} rests ({check.session}): "
-        f"{'; '.join(reasons) or 'nothing had changed beyond chance'}"
+        f"check of {len(check.rests)} rests ({check.source}): "
+        f"{'; '.join(check.reasons) or 'nothing had changed beyond chance'}"
     )
-    return Calibration(
-        # the device and its sensors
-        device=before.device,
-        axes=before.axes,
-        readings=before.readings,
-        frame=before.frame,
-        # what still rests on the calibration
-        absent=before.absent,
-        method=before.method,
-        outcome=before.outcome,
-        fits=before.fits,
-        groups=tuple(group for group in before.groups if variable_of(group.name) != "time"),
-        mag=before.mag,
-        # what the check says
+    return replace(
+        before,
         parameters=(*parameters, *(before.parameters[i] for i in others)),
         covariance=block_diag(result.covariance[np.ix_(at, at)], before.covariance[np.ix_(others, others)]),
         accel=instrument.model(instrument.accel, result.values),
         gyro=None if gyro is None else instrument.model(gyro, result.values),
-        prediction=None
-        if before.site is None
-        else prediction(instrument, result.values, result.covariance, gravity=before.site.gravity, rate=at_rate),
+        groups=tuple(group for group in before.groups if variable_of(group.name) != "time"),
+        prediction=predicted,
         temperature=replace(
             before.temperature,
-            reference=check.temperature if warm else None,
-            range=before.temperature_range,  # on which it still rests
-            references=check.references if warm else {},
+            reference=reference_of(observations) if warm else None,
+            range=before.temperature_range,
+            references=references_of(observations) if warm else {},
         ),
-        site=before.site if before.site == check.site else None,
-        circumstances=check.circumstances,
-        sample_rate=check.sample_rate,
+        site=before.site if before.site == observations.site else None,
+        circumstances=observed.circumstances,
+        sample_rate=observed.rate,
         notes=(note, *before.notes),
         provenance={
-            **provenance_of(check.sha256),
+            **provenance_of(observed.sha256),
             "calibrated_log_sha256": before.provenance.get("log_sha256", "unknown"),
         },
+        iterations=(),
+        rests=(),
+        turns=(),
+        programme=None,
+        launches=(),
+        clock_u=0.0,
+        together=(),
+        hyperparameters=(),
+        integral=None,
+        process_bias=(),
+        budget=(),
     )

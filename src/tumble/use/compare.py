@@ -1,18 +1,19 @@
-"""Two calibrations compared: differences in units of their combined uncertainty, in one frame.
+"""Comparison of two calibrations: differences in units of their combined uncertainty, in one frame.
 
-With d = second − first, how the second differs from the first or what has changed since,
+The difference d = second − first of a parameter has
 
     u(d)² = u₁² + u₂² − 2 Σ g₁ g₂,    U(d) = t₉₅.₄₅(ν) u(d),    E_n = d / U(d)
 
-(ISO/IEC 17043, annex B, with ν of Welch and Satterthwaite in place of k = 2: `tumble.result.coverage`). g₁ and g₂
-are what one standard uncertainty of what both share changes in each, gravity, the time base and what only priors say
-of the device (`tumble.result.shared_errors`): the error of these is no part of a difference. |E_n| ≤ 1 is
-agreement of a parameter. One honest value in twenty-two lies beyond, so that of 21 parameters one or two may. All m
-agree where chance makes the largest of them in CHANCE of all comparisons or oftener: Bonferroni, Student's t.
+(ISO/IEC 17043, annex B, with ν of Welch and Satterthwaite in place of k = 2: `tumble.result.coverage`). The sum is over
+the errors that both calibrations have in common: those of gravity, of the time base, and of what only priors say of the
+device (`tumble.result.shared_errors`). g₁ and g₂ are the changes of the parameter in both by one standard uncertainty
+of such an error, which is thus no part of the difference. |E_n| ≤ 1 means that the two agree in this parameter, and one
+in twenty-two is larger by chance. All m parameters agree if chance makes the largest |E_n| of m as large with a
+probability of at least CHANCE (Bonferroni's inequality, Student's t).
 
-χ² = dᵀ C⁻¹ d with C = C₁ + C₂ − Σ (g₁g₂ᵀ + g₂g₁ᵀ) judges all m of them together, correlations included; what
-neither has learned anything of is left out. Where u was
-estimated with ν degrees of freedom, the fewest of all differences, χ²/m is F distributed with m and ν (Hotelling).
+All m together, correlations included, are tested with χ² = dᵀ C⁻¹ d, C = C₁ + C₂ − Σ (g₁g₂ᵀ + g₂g₁ᵀ), without those
+of which neither has learned anything. If uncertainties were estimated, with ν the fewest degrees of freedom, χ²/m has
+the F distribution with m and ν degrees of freedom (Hotelling).
 """
 
 from __future__ import annotations
@@ -20,31 +21,28 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import inf, sqrt
-from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
-from tumble.brief import Brief
+from tumble.brief import Judged
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.coverage import UNLEARNED, apart, expanded_of, welch_satterthwaite
-from tumble.result.file import text_of
 from tumble.result.further import remarks as remarks_of
 from tumble.result.shared_errors import shared_errors
 from tumble.scipy_compiled import special
 from tumble.units import Array
-from tumble.use.foreign import IMU_TK, KALIBR, foreign_calibration
 
 CHANCE = 0.01
-"""How often the largest difference of two calibrations that agree is called one."""
+"""Probability that the largest difference of two calibrations that agree is significant."""
 LEAST_PROBABILITY = 1e-3
-"""Two calibrations contradict each other where chance exceeds their χ² less often than this."""
+"""Two calibrations contradict each other if chance exceeds their χ² with a smaller probability than this."""
 
 
 class KnownValue(Protocol):
-    """A value as it is known, SI, in a calibration or over time."""
+    """A value with its standard uncertainty and degrees of freedom, SI."""
 
     @property
     def value(self) -> float: ...
@@ -56,9 +54,20 @@ class KnownValue(Protocol):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Difference:
-    """A parameter of both calibrations, SI; `u` is the standard uncertainty of their difference without what both
-    share, None where one of them has none, 0 where both know no more than their prior; `dof` its degrees of freedom,
-    None where it is known."""
+    """A parameter in both calibrations, SI.
+
+    Attributes
+    ----------
+    first, second : float
+        Its values.
+    u : float or None
+        Standard uncertainty of the difference, without errors in common. None if one of the two has no uncertainty,
+        zero if both have no more than the prior.
+    dof : float or None
+        Degrees of freedom of `u`; None means infinite.
+    """
+
+    json_fields: ClassVar[tuple[str, ...]] = ("name", "unit", "first", "second", "value", "u", "dof", "e_n")
 
     name: str
     unit: str
@@ -69,8 +78,8 @@ class Difference:
 
     @classmethod
     def between(cls, first: KnownValue, second: KnownValue, g: Array, h: Array, **others: Any) -> Self:
-        """The difference of a parameter of which what both share changes the first by `g` (k,), the second by `h` (k,);
-        `others` are the other fields."""
+        """The difference of a parameter that k errors in common change by `g` (k,) in the first and by `h` (k,) in the
+        second, with the other fields of the class."""
         parts: list[tuple[float, float | None]] = [
             (float(((g - h) ** 2).sum()), None),
             apart(first.u, first.dof, g.tolist()),
@@ -100,17 +109,33 @@ class Difference:
 
     @property
     def by_chance(self) -> float | None:
-        """How probable chance alone makes so large a difference; None where there is no E_n number."""
+        """Probability that chance makes the difference as large; None without an E_n number."""
         if self.e_n is None or not self.u:
             return None
         return float(2.0 * special.stdtr(inf if self.dof is None else self.dof, -abs(self.value) / self.u))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
-class Comparison(Brief):
-    """All that two calibrations have in common, in the frame of both. `covariance` (m, m) is that of the differences;
-    `chi_square` with its `degrees` of freedom and the `probability` that chance alone exceeds it; all three are None
-    without covariances. `missing` are parameters of one calibration only; `remarks` what a user should know."""
+class Comparison(Judged):
+    """Differences of two calibrations in one frame.
+
+    Attributes
+    ----------
+    covariance : (m, m) array or None
+        Covariance of the differences.
+    chi_square, degrees, probability : float or None
+        χ² of all differences, its degrees of freedom, and the probability that chance exceeds it; None without
+        covariances.
+    missing : tuple of str
+        Parameters of one calibration only.
+    remarks : tuple of str
+        What a user should know.
+    """
+
+    json_fields: ClassVar = (
+        *("verdict", "reasons", "frame", "differences", "covariance", "chi_square", "degrees", "probability"),
+        *("largest_by_chance", "missing", "remarks"),
+    )
 
     frame: str
     differences: tuple[Difference, ...]
@@ -133,48 +158,54 @@ class Comparison(Brief):
 
     @property
     def largest_by_chance(self) -> float | None:
-        """How probable chance alone makes one of so many differences as large as the largest; None without any."""
+        """Upper bound of the probability that chance makes the largest difference as large; None without any."""
         judged = [d.by_chance for d in self.differences if d.by_chance is not None]
         return min(1.0, len(judged) * min(judged)) if judged else None
 
     @property
     def changed(self) -> list[str]:
-        """The parameters whose difference by itself is beyond chance."""
+        """The parameters whose difference is beyond chance by itself."""
         judged = [d for d in self.differences if d.by_chance is not None]
         return [d.name for d in judged if len(judged) * (d.by_chance or 0.0) < CHANCE]
 
     @property
     def contradicts(self) -> bool:
-        """Whether chance makes so large a χ² too seldom."""
+        """Whether χ² of all parameters is beyond chance."""
         return self.probability is not None and self.probability < LEAST_PROBABILITY
 
 
-def compare_calibrations(
-    first: Calibration | FilePath, second: Calibration | FilePath, *, gyro: FilePath | None = None
-) -> Comparison:
-    """Compare two calibrations parameter by parameter. The second is converted to the frame of the first where they
-    differ; to the case only what is in it already can be compared, so then the first is converted.
+def compare_calibrations(first: Calibration | FilePath, second: Calibration | FilePath) -> Comparison:
+    """Compare two calibrations parameter by parameter.
 
-    The second may be the file of a result of Kalibr, or of imu_tk, whose gyros are in another file, `gyro`: then the
-    first is taken into the frame of the accelerometers.
+    Parameters
+    ----------
+    first, second
+        Calibrations or their files. The second is converted to the frame of the first if they differ. Nothing can be
+        converted to the frame of the case; if the first is in it, the first is converted.
 
-    Raises InputError where they have no parameter in common, CalibrationError where they cannot be converted.
+    Returns
+    -------
+    Comparison
+        Differences second − first, with their uncertainties.
 
+    Raises
+    ------
+    InputError
+        If they have no parameter in common.
+    CalibrationError
+        If they cannot be converted.
+
+    Examples
+    --------
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
-    >>> found = tumble.compare_calibrations(tumble.calibrate(folder), tumble.calibrate(folder, method="ellipsoid"))
-    >>> found.agree, len(found.differences)
-    (True, 9)
+    >>> full, linear = (tumble.calibrate(folder, terms=terms) for terms in ("full", "linear"))
+    >>> comparison = tumble.compare_calibrations(full, linear)
+    >>> comparison.agree, len(comparison.differences)
+    (True, 21)
     """
-    first = calibration_from(first)
-    if not isinstance(second, Calibration) and not text_of(Path(second)).lstrip().startswith("{"):  # no JSON
-        second = foreign_calibration(second, gyro, first)
-    elif gyro is not None:
-        raise InputError(f"{gyro}: expected a file of gyros beside one of imu_tk only, found it beside a calibration")
-    else:
-        second = calibration_from(second)
-    foreign = second.method in (KALIBR, IMU_TK)
-    frame = second.frame if first.frame == "case" or foreign else first.frame
+    first, second = calibration_from(first), calibration_from(second)
+    frame = second.frame if first.frame == "case" else first.frame
     a, b = first.in_frame(frame), second.in_frame(frame)
     common = [name for name in a if name in b]
     if not common:
@@ -211,15 +242,15 @@ def compare_calibrations(
         degrees=degrees,
         probability=probability,
         missing=tuple(name for name in (*a, *b) if name not in common),
-        remarks=(*remarks, *(second.notes if foreign else ())),
+        remarks=tuple(remarks),
     )
 
 
 def _chi_square(
     differences: Array, covariance: Array | None, fewest: float | None
 ) -> tuple[float, int, float] | tuple[None, None, None]:
-    """dᵀ C⁻¹ d in units of the uncertainties, the rank of C, and the probability that chance alone exceeds it, C being
-    known (None) or estimated with the `fewest` degrees of freedom."""
+    """dᵀ C⁻¹ d, the rank of C, and the probability that chance exceeds it, where C is exact (None) or estimated with
+    the `fewest` degrees of freedom."""
     if covariance is None or np.any(np.diag(covariance) <= 0.0):
         return None, None, None
     u = np.sqrt(np.diag(covariance))
@@ -232,7 +263,7 @@ def _chi_square(
 
 
 def _remarks(first: Calibration, second: Calibration, frame: str) -> Iterator[str]:
-    """What a reader must know about the two."""
+    """Remarks on the two calibrations."""
     if first.serial != second.serial:
         yield f"different devices: {first.serial} and {second.serial}"
     for which, calibration in (("first", first), ("second", second)):

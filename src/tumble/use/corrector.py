@@ -29,7 +29,6 @@ from tumble.sensors.fixed_point import ACROSS, ALONG, TOO_FAST, TOO_MUCH, TOO_WA
 from tumble.sensors.instrument import Instrument, functions, measured_by
 from tumble.sensors.parameters import FORCE, group_name
 from tumble.units import G_STANDARD, ZERO_CELSIUS, Array, BoolArray, IntArray
-from tumble.use.error_sources import derivative, white_noise
 
 LONGEST_STEP = 3.5
 """Of usual intervals: neighbours on either side that are further apart say nothing of the angular acceleration."""
@@ -393,3 +392,23 @@ class Corrector:
                 f"{'none' if given is None else f'an array of shape {np.shape(given)}'}"
             )
         return readings
+
+
+def white_noise(given: Calibration) -> dict[str, Array]:
+    """The density (n,) of the white noise of "accel" and "gyro", unit/√Hz, as the rests have it, where they do."""
+    white = {}
+    for kind in ("accel", "gyro"):
+        rests = [sensors.noise for rest in given.rests if (sensors := getattr(rest, kind)) is not None]
+        if rests:
+            white[kind] = np.sqrt(np.mean(np.square(rests), axis=0))
+    return white
+
+
+def derivative(instrument: Instrument, values: Array, warmer: float) -> Array:
+    """∂K/∂θ (n, 15, m) of accelerometers and gyros about the calibration, of slopes, curvatures and hysteresis that of
+    the parameters which they change, at a temperature so many K from the reference."""
+    D = instrument.linearised(values)[1].copy()
+    by = {"temperature": warmer, "temperature²": warmer**2, "hysteresis": float(warmer != 0.0)}
+    for own, base, variable in instrument.changes:
+        D[:, :, own] = by[variable] * D[:, :, base]
+    return D

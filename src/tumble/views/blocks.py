@@ -46,7 +46,7 @@ class Facts:
 class Table:
     """Rows of cells. Columns in `text` are words, set to the left; all others are numbers, set to the right, never
     broken. The first `named_by` columns together name a row. A long table may stand on a page in `halves` beside each
-    other; one with `tones`, the colours of its cells, has a card a row on a narrow screen."""
+    other."""
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -54,7 +54,6 @@ class Table:
     caption: str = ""
     dense: bool = False
     halves: bool = False
-    tones: tuple[tuple[Tone | Literal[""], ...], ...] = ()
     named_by: int = 1
     kind: Literal["table"] = "table"
 

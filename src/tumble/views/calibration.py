@@ -29,6 +29,7 @@ from tumble.result.further import (
     verdicts,
 )
 from tumble.result.parts import Parameter
+from tumble.result.unaided import unaided_lines
 from tumble.run.calibrate import ITERATED_METHODS
 from tumble.sensors.parameters import sensor_kind
 from tumble.units import Array, engineering
@@ -57,7 +58,7 @@ WHAT_AN_INCREMENT_SAYS = (
     "gravity are in every iteration alike and in no increment: small increments say that the iterations have "
     "converged, not that the result is as exact as they are small. How exact it is, u says."
 )
-"""What is said of iterations beside their increments."""
+"""Explanation below the increments of iterations."""
 
 
 def calibration_blocks(
@@ -68,9 +69,22 @@ def calibration_blocks(
     every: bool = False,
     budget: bool = False,
 ) -> list[Block]:
-    """All that `tumble calibrate` says, the verdict first; `others` are calibrations of the same sessions by other
-    methods. Tables have the parameters of the linear model, and groups, rests and fits are a line each; with `every`,
-    all parameters, and tables of these; with `budget`, what every u is made of."""
+    """What `tumble calibrate` prints, the verdict first.
+
+    Parameters
+    ----------
+    calibration
+        The result.
+    truth
+        True values by the names of parameters, where they are known.
+    others
+        Calibrations of the same sessions by other methods.
+    every
+        Show all parameters, and tables of groups, rests, turns and fits instead of a line each; without it the tables
+        have the parameters of the linear model.
+    budget
+        Show what every u is made of.
+    """
     parameters = calibration.parameters if every else linear_parameters(calibration.parameters)
     several, passport = bool(calibration.launches), any(p.deviation is not None for p in parameters)
     device, spared = device_name(calibration.serial, calibration.model), accepted_groups(calibration)
@@ -79,43 +93,33 @@ def calibration_blocks(
         *verdicts(calibration),
         *([f"accepted all the same: {', '.join(spared)}"] if spared else []),
         *(f"remark: {remark}" for remark in calibration.outcome.remarks),
+        parameter_table(calibration, parameters, truth),
     ]
-    if parameters:
-        blocks.append(parameter_table(calibration, parameters, truth))
-    if every and group_lines(calibration):
-        blocks.append(group_table(calibration))
     if every:
-        blocks += unknown_blocks(calibration)
+        blocks += [group_table(calibration), *unknown_blocks(calibration)]
     if budget:
         from tumble.views.uncertainty_budget import budget_blocks
 
         blocks += budget_blocks(calibration, every=every)
     if several:
         blocks += [launch_table(calibration, parameters, deviations=which) for which in (False, True)[: 1 + passport]]
-    if calibration.together:
-        sessions = []
-        for member in calibration.together:
-            low, high = (f"{celsius:z.1f}" for celsius in member.temperatures)
-            counts = {"rests": str(member.rests), "turns": str(member.turns)}
-            sessions.append({"session": member.session, **counts, "from °C": low, "to °C": high})
-        blocks.append(table(sessions, words=("session",)))
+    blocks.append(_session_table(calibration))
     if calibration.method in ITERATED_METHODS and calibration.iterations:
         blocks += [iteration_table(calibration, parameters), WHAT_AN_INCREMENT_SAYS]
-    if parameters:
-        blocks += [method_table(calibration, other, parameters) for other in others]
+    blocks += [method_table(calibration, other, parameters) for other in others]
     if every and not several:
         from tumble.views.report.recording import recordings, tables_of
 
         blocks += [shown for shown in tables_of(recordings(calibration)[0]) if shown]
-    rests = [rests_said(calibration)] if calibration.rests and not several else []
-    lines = rests if every else _short_lines(calibration, rests)
+    lines = [] if calibration.prediction is None else [predicted(calibration.prediction)]
+    lines += unaided_lines(calibration)
+    lines += [rests_said(calibration)] if calibration.rests and not several else []
+    lines += [] if every else _group_and_fit_lines(calibration)
     if truth is not None:
         z = [(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth]
         rms = math.sqrt(sum(v * v for v in z) / max(len(z), 1))
         known = f"{len(z)} parameters, rms of (value − truth)/u {rms:.2f}, expected about 1"
         lines.append(f"truth: {known if z else 'no parameter was estimated that it has'}")
-    if calibration.prediction is not None:
-        lines.append(predicted(calibration.prediction))
     if decided := decided_by_priors(calibration):
         lines.append(decided)
     if calibration.site is not None and not calibration.site.gravity_is_unit:
@@ -135,19 +139,20 @@ def parameter_table(
     several, expanded = bool(calibration.launches), other_factors(parameters)
     passport = any(p.deviation is not None for p in parameters)
 
-    def before(p: Parameter, size: float) -> dict[str, str]:
-        row = {"k": factor(p) if p.u else "", "U (95 %)": with_expanded(p, size)[1]} if expanded else {}
+    def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
+        value, u = cells(p.value, p.u, size)
+        row = {"mean" if several else "value": value, "u (k=1)": u}
+        row |= {"k": factor(p) if p.u else "", "U (95 %)": with_expanded(p, size)[1]} if expanded else {}
         row |= {"run to run": to_digits_of(p.run_to_run, p.u, size)} if several else {}
-        return row | ({"deviation": to_digits_of(p.deviation, p.u, size)} if passport else {})
-
-    def after(p: Parameter, size: float) -> dict[str, str]:
+        row |= {"deviation": to_digits_of(p.deviation, p.u, size)} if passport else {}
+        row |= {"unit": unit}
         if truth is None:
-            return {}
+            return row
         true = truth.get(p.name) if p.u else None
         distance = "" if true is None or not p.u else f"{(p.value - true) / p.u:+z.2f}"
-        return {"truth": to_digits_of(true, p.u, size), "(value − truth)/u": distance}
+        return row | {"truth": to_digits_of(true, p.u, size), "(value − truth)/u": distance}
 
-    return quantity_table(parameters, before, after, headings=("parameter", "mean" if several else "value", "u (k=1)"))
+    return quantity_table(parameters, shown_units(parameters), row)
 
 
 def whole_table(calibration: Calibration) -> Table:
@@ -156,18 +161,16 @@ def whole_table(calibration: Calibration) -> Table:
     parameters = calibration.parameters
     factors, priors = other_factors(parameters), any(p.prior is not None for p in parameters)
 
-    def after(p: Parameter, size: float) -> dict[str, str]:
-        row = {}
+    def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
+        value, u = cells(p.value, p.u, size)
+        row = {"value": value, "u": u, "U (95 %)": with_expanded(p, size)[1], "unit": unit}
         if factors:
-            row = {"k": factor(p), "dof": "" if p.dof is None else f"{p.dof:.0f}" if p.k else f"{p.dof:.1g}"}
+            row |= {"k": factor(p), "dof": "" if p.dof is None else f"{p.dof:.0f}" if p.k else f"{p.dof:.1g}"}
         if priors:
             row |= {"prior": "" if p.prior is None else f"{p.prior / size:.2g}", "learned": percent(p.learned)}
         return row
 
-    def expanded(p: Parameter, size: float) -> dict[str, str]:
-        return {"U (95 %)": with_expanded(p, size)[1]}
-
-    return quantity_table(parameters, expanded, after, headings=("parameter", "value", "u"))
+    return quantity_table(parameters, shown_units(parameters), row)
 
 
 def group_table(calibration: Calibration, *, of_a_page: bool = False) -> Table:
@@ -177,11 +180,12 @@ def group_table(calibration: Calibration, *, of_a_page: bool = False) -> Table:
     for line in group_lines(calibration):
         largest = line.largest
         value, u = ("", "") if largest is None else cells(abs(largest.value), largest.u, line.size)
+        prior = "" if line.prior is None else significant(line.prior / line.size, 4)
         row = {"group": line.name} | ({"what it is": line.words} if of_a_page else {})
-        row |= {"largest": value, "u" if of_a_page else "u (k=1)": u}
-        row |= {"prior": "" if line.prior is None else significant(line.prior / line.size, 4)} if of_a_page else {}
-        row |= {"unit": line.shown if largest or of_a_page else "", "learned": line.learned_percent, "": line.remark}
-        rows.append(row)
+        row |= {"largest": value, "u (k=1)": u} | ({"prior": prior} if of_a_page else {})
+        rows.append(
+            row | {"unit": line.shown if largest or of_a_page else "", "learned": line.learned_percent, "": line.remark}
+        )
     return table(rows, words=("group", "what it is", "unit", ""), dense=True)
 
 
@@ -216,58 +220,62 @@ def launch_table(
     """The value of every parameter in every launch, the mean and the standard deviation from launch to launch, as in
     the paper's Tables 1 to 3; with `deviations`, those from the systematic values, which is what the paper has. On a
     page to the digits of U, without the mean, which stands in the table of results."""
-    units, rows = shown_units(calibration.parameters), []
-    launches = [{q.name: q for q in launch.parameters} for launch in calibration.launches]
+    names = [launch.session for launch in calibration.launches]
+    headings = [f"{i}: {name}" if names.count(name) > 1 else name for i, name in enumerate(names, 1)]
+    by_name = [{q.name: q for q in launch.parameters} for launch in calibration.launches]
 
-    def shown(q: Parameter, size: float) -> str:
-        if of_a_page:
-            return with_expanded(q, size)[0]
+    def shown(q: Parameter | None, size: float) -> str:
+        if q is None or of_a_page:
+            return "" if q is None else with_expanded(q, size)[0]
         return to_digits_of(q.deviation if deviations else q.value, q.u, size)
 
-    for p in parameters:
-        size, unit = units[p.name]
-        values = [shown(own[p.name], size) if p.name in own else "" for own in launches]
+    def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
         u = p.u if p.u is None or not of_a_page else (p.k or 0.0) * p.u
-        mean = [] if of_a_page else [shown(p, size)]
-        rows.append((p.name, *values, *mean, to_digits_of(p.run_to_run, u, size), unit))
-    names = [launch.session for launch in calibration.launches] + ([] if of_a_page else ["mean"])
-    return Table(
-        columns=("deviation of" if deviations else "parameter", *names, "run to run", "unit"),
-        rows=tuple(rows),
-        text=(0, len(names) + 2),
-    )
+        row = {heading: shown(there.get(p.name), size) for heading, there in zip(headings, by_name, strict=True)}
+        row |= {} if of_a_page else {"mean": shown(p, size)}
+        return row | {"run to run": to_digits_of(p.run_to_run, u, size), "unit": unit}
+
+    name = "deviation of" if deviations else "parameter"
+    return quantity_table(parameters, shown_units(calibration.parameters), row, name=name)
 
 
 def iteration_table(calibration: Calibration, parameters: Sequence[Parameter]) -> Table:
     """What every iteration added to every parameter, of several launches the mean, beside the uncertainty."""
-    heading = "mean increment of" if calibration.launches else "increment of"
-    units, rows = shown_units(calibration.parameters), []
-    for p in parameters:
-        size, unit = units[p.name]
+
+    def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
         steps = {f"iteration {i}": f"{step[p.name] / size:.3g}" for i, step in enumerate(calibration.iterations, 1)}
-        rows.append({heading: p.name, **steps, "u (k=1)": cells(p.value, p.u or 0.0, size)[1], "unit": unit})
-    return table(rows, words=(heading, "unit"))
+        return steps | {"u (k=1)": cells(p.value, p.u or 0.0, size)[1], "unit": unit}
+
+    name = "mean increment of" if calibration.launches else "increment of"
+    return quantity_table(parameters, shown_units(calibration.parameters), row, name=name)
 
 
 def method_table(calibration: Calibration, other: Calibration, parameters: Sequence[Parameter]) -> Table:
     """The parameters by another method beside those of a calibration, and the difference other − this, also in % of
     this, as in the last column of the paper's Table 1."""
-    units, theirs, rows = shown_units(calibration.parameters), {p.name: p for p in other.parameters}, []
-    for p in parameters:
-        if p.name not in theirs:
-            continue
-        (size, unit), value = units[p.name], theirs[p.name].value
-        rows.append(
-            {
-                "parameter": p.name,
-                calibration.method: to_digits_of(p.value, p.u, size),
-                other.method: to_digits_of(value, p.u, size),
-                "difference": to_digits_of(value - p.value, 0.1 * (p.u or 0.0), size),
-                "%": f"{difference_percent(value, p.value):+z.2f}" if p.value else "",
-                "unit": unit,
-            }
-        )
-    return table(rows)
+
+    def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
+        value = other[p.name].value
+        return {
+            calibration.method: to_digits_of(p.value, p.u, size),
+            other.method: to_digits_of(value, p.u, size),
+            "difference": to_digits_of(value - p.value, 0.1 * (p.u or 0.0), size),
+            "%": f"{difference_percent(value, p.value):+z.2f}" if p.value else "",
+            "unit": unit,
+        }
+
+    both = [p for p in parameters if p.name in other]
+    return quantity_table(both, shown_units(calibration.parameters), row)
+
+
+def _session_table(calibration: Calibration) -> Table:
+    """Sessions that are one estimate together."""
+    sessions = []
+    for member in calibration.together:
+        low, high = (f"{celsius:z.1f}" for celsius in member.temperatures)
+        counts = {"rests": str(member.rests), "turns": str(member.turns)}
+        sessions.append({"session": member.session, **counts, "from °C": low, "to °C": high})
+    return table(sessions, words=("session",))
 
 
 def difference_percent(value: Array | float, reference: Array | float) -> Array:
@@ -278,9 +286,9 @@ def difference_percent(value: Array | float, reference: Array | float) -> Array:
 # -------------------- lines --------------------
 
 
-def _short_lines(calibration: Calibration, rests: list[str]) -> list[str]:
-    """In a line each: the groups beyond the linear model, with what the session has learned of each; the rests; and
-    chi-square of each kind of residuals, with its degrees of freedom and the scatter added."""
+def _group_and_fit_lines(calibration: Calibration) -> list[str]:
+    """In a line each: the groups beyond the linear model, with what the session has learned of each; and chi-square of
+    each kind of residuals, with its degrees of freedom and the scatter added."""
     groups, fits = [], []
     for line in group_lines(calibration):
         widened = f" ({line.remark})" if line.largest is not None and line.remark else ""
@@ -292,7 +300,6 @@ def _short_lines(calibration: Calibration, rests: list[str]) -> list[str]:
         else:
             scatter = f", scatter {in_engineering(fit.unit, fit.scatter)}" if fit.scatter > 0.0 else ""
             fits.append(f"{name} {fit.chi_square:.1f} for {fit.degrees:.1f}{scatter}")
-    lines += rests
     return [*lines, f"chi-square for degrees of freedom: {'; '.join(fits)}"] if fits else lines
 
 

@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from tumble.reduction.noise.filter_values import filter_values
 from tumble.reduction.noise.wavelet_moments import LINEAR, MISFIT, Coefficient, NoiseParameters, Panel
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD, engineering, rounded
 from tumble.views.blocks import Block, table
-from tumble.views.render.data import Content, fields
 from tumble.views.render.pictures import write_picture
 
 if TYPE_CHECKING:
@@ -86,23 +84,13 @@ def noise_blocks(noise: RecordedNoise, *, filters: bool = False) -> list[Block]:
                 blocks.append(f"{channel}: {none}")
     if filters:
         values, reasons = [], dict[str, list[str]]()
-        for v in filter_values(noise.panels, noise.rate):
+        for v in noise.filters:
             sizes = {"at rest": f"{v.measured:.2g}", "value": f"{v.value:.2g}", "unit": v.unit}
             values.append({"filter": v.filter, "parameter": v.parameter} | sizes)
             reasons.setdefault(v.why, []).append(v.filter)
         blocks.append(table(values, words=("filter", "parameter", "unit")))
         blocks += (f"{', '.join(dict.fromkeys(who))}: {why}." for why, who in reasons.items())
     return blocks
-
-
-def noise_data(noise: RecordedNoise) -> Content:
-    """Noise coefficients of every channel, and the values for filters."""
-    channels = [
-        {"name": name, "unit": panel.unit, "noise": parameters}
-        for panel in noise.panels
-        for name, parameters in zip(panel.channels, panel.parameters, strict=True)
-    ]
-    return fields(noise, "source rate") | {"channels": channels, "filters": filter_values(noise.panels, noise.rate)}
 
 
 def plot(panels: Sequence[Panel], path: Path) -> None:

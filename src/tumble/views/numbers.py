@@ -7,7 +7,7 @@ Cells of tables have a hyphen for a minus and nothing where a number is not know
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Protocol, TypeVar
 
 from tumble.result.coverage import expanded_of
@@ -20,32 +20,34 @@ NONE = "—"
 """What a page shows where there is no number."""
 
 
-class WithUncertainty(Protocol):
-    """What has a value and a standard uncertainty, SI; u is None where it is not known."""
+class Named(Protocol):
+    """What has the name of a parameter."""
+
+    @property
+    def name(self) -> str: ...
+
+
+class Quantity(Named, Protocol):
+    """What has a value and a unit too, SI: a parameter of a calibration or of a registry."""
+
+    @property
+    def value(self) -> float: ...
+    @property
+    def unit(self) -> str: ...
+
+
+class Estimated(Protocol):
+    """A value with its standard uncertainty, SI, and the degrees of freedom of this, as far as they are known."""
 
     @property
     def value(self) -> float: ...
     @property
     def u(self) -> float | None: ...
-
-
-class Quantity(WithUncertainty, Protocol):
-    """What has a name and a unit too: a parameter of a calibration or of a registry, a hyperparameter of the model."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def unit(self) -> str: ...
-
-
-class Estimated(WithUncertainty, Protocol):
-    """What has the degrees of freedom of its u."""
-
     @property
     def dof(self) -> float | None: ...
 
 
-Q = TypeVar("Q", bound=Quantity)
+Q = TypeVar("Q", bound=Named)
 Units = Mapping[str, tuple[float, str]]
 """The unit in which each quantity is shown, by its name: (size in SI, name of the unit)."""
 
@@ -83,21 +85,41 @@ def to_digits_of(value: float | None, u: float | None, size: float) -> str:
 
 
 def quantity_table(
-    quantities: Sequence[Q],
-    before: Callable[[Q, float], dict[str, str]] = lambda _, __: {},
-    after: Callable[[Q, float], dict[str, str]] = lambda _, __: {},
+    quantities: Iterable[Q],
+    units: Units,
+    row: Callable[[Q, float, str], dict[str, str]],
     *,
-    headings: tuple[str, str, str] = ("parameter", "value", "u (k=1)"),
+    name: str = "parameter",
+    words: Collection[str] = (),
+    caption: str = "",
+    dense: bool = False,
+    halves: bool = False,
 ) -> Table:
-    """Quantities by name with their standard uncertainties, a row each, and further cells, by their headings, `before`
-    and `after` the unit, of a quantity that is shown in a unit of some size."""
-    units, rows = shown_units(quantities), []
-    for quantity in quantities:
-        size, unit = units[quantity.name]
-        row = dict(zip(headings, (quantity.name, *cells(quantity.value, quantity.u, size)), strict=True))
-        rows.append(row | before(quantity, size) | {"unit": unit} | after(quantity, size))
-    words = (headings[0], "unit", "what it is")
-    return table(rows, words=words, columns=() if rows else (*headings, "unit"))
+    """A table with one row for each quantity, which begins with its name.
+
+    Parameters
+    ----------
+    quantities
+        What has a `name`.
+    units
+        The unit in which each is shown, by its name: `shown_units` or `units_of_values`.
+    row
+        The further cells of a quantity by their headings, from the quantity, the size in SI of the unit in which it is
+        shown, and the name of this unit.
+    name
+        Heading of the names.
+    words
+        Headings of further columns of words beside "unit".
+    caption, dense, halves
+        As in `Table`.
+
+    Returns
+    -------
+    Table
+        Without quantities it has no columns, and nothing of it is shown.
+    """
+    rows = [{name: q.name} | row(q, *units[q.name]) for q in quantities]
+    return table(rows, words={name, "unit", *words}, caption=caption, dense=dense, halves=halves)
 
 
 def in_engineering(unit: str, value: float, digits: int = 3, none: str = "–") -> str:

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.bench.follow.rests import Progress
+from tumble.bench.follow.progress import Progress
 from tumble.bench.follow.wishes import Task
 from tumble.bench.state import EstimateShown, GroupShown
 from tumble.inference.estimate import FIT_SIGMAS, Estimate
@@ -21,8 +21,8 @@ from tumble.recording.session import Exclusion, Session
 from tumble.reduction.blocks.reducer import Reduction
 from tumble.reduction.observations import observe
 from tumble.reduction.rests.blemishes import without_blemishes
-from tumble.reduction.rests.matching import Match, without_numbered
-from tumble.reduction.rests.segmentation import RestSpan
+from tumble.reduction.rests.matching import Match, without_numbered, without_times
+from tumble.reduction.rests.segmentation import RestSpan, find_rests
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import group_name, positions_by_group, shown_in, usual_sizes
 from tumble.units import G_STANDARD, Array
@@ -46,7 +46,7 @@ class Estimates:
     def __init__(self, task: Task, worker: Executor) -> None:
         self.shown: EstimateShown | None = None
         self._task, self._worker = task, worker
-        self._made_of: tuple[tuple[int, ...], int] = (), 0
+        self._made_of = 0, 0
         self._future: Future[EstimateShown] | None = None
 
     @property
@@ -64,20 +64,29 @@ class Estimates:
             return
         log.error("an estimate has failed", exc_info=error)
         cause = f"the estimate has failed ({type(error).__name__}: {error}); the recording goes on"
-        self.shown = {**_NO_ESTIMATE, "rests": len(self._made_of[0]), "cause": " ".join(cause.split())}
+        self.shown = {**_NO_ESTIMATE, "rests": self._made_of[0], "cause": " ".join(cause.split())}
 
     def ask(self, progress: Progress, excluded: tuple[Exclusion, ...]) -> None:
         """Have one made when there is another rest to make it from."""
         if self._future is not None:
             return
-        spans, current = progress.spans, progress.current
-        if current is not None and spans and spans[-1].last > current.first and not progress.judged[-1].enough:
-            spans = spans[:-1]
-        made_of = tuple(span.first for span in spans), len(excluded)
-        if made_of == self._made_of or len(spans) < 2:
+        rests = [rest for group in progress.groups for rest in group]
+        unfinished = progress.current if progress.current is not None and not progress.judged[-1].enough else None
+        settled = rests[:-1] if unfinished is not None else rests
+        made_of = len(settled), len(excluded)
+        if made_of == self._made_of or len(settled) < 2:
             return
         self._made_of = made_of
-        self._future = self._worker.submit(_shown, self._task, progress.reduction, spans, excluded)
+        until = np.inf if unfinished is None else unfinished.start
+        self._future = self._worker.submit(_shown, self._task, progress.reduction, until, excluded)
+
+
+def settled_rests(
+    session: Session, reduction: Reduction, until: float, excluded: tuple[Exclusion, ...]
+) -> tuple[RestSpan, ...]:
+    """The rests that a calibration would find, of those that begin before the time `until`, s."""
+    found = find_rests(reduction, session.accel_block, session.gyro_block)
+    return tuple(span for span in without_times(reduction, found, excluded).rests if span.start < until)
 
 
 def estimate_so_far(
@@ -89,7 +98,7 @@ def estimate_so_far(
     if len(match.rests) < 2:
         return None
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        seen = observe(without_blemishes(reduction), match, session.accel_block, session.gyro_block, session.site)
+        seen = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
         for usual in (usual_sizes(grade, session.device.prior), {}):  # few rests bear the linear model alone
             with contextlib.suppress(np.linalg.LinAlgError):
                 return joint(replace(seen, usual=usual), quick=True)
@@ -100,11 +109,13 @@ def estimate_so_far(
 
 
 def _shown(
-    task: Task, reduction: Reduction, spans: tuple[RestSpan, ...], excluded: tuple[Exclusion, ...]
+    task: Task, reduction: Reduction, until: float, excluded: tuple[Exclusion, ...]
 ) -> EstimateShown:
-    """An estimate for the page."""
+    """An estimate for the page, from the rests that begin before the time `until`, s."""
     began = time.thread_time()
     session, wanted = task.session, task.wanted
+    reduction = without_blemishes(reduction)
+    spans = settled_rests(session, reduction, until, excluded)
     estimate = estimate_so_far(session, task.grade, reduction, spans, excluded)
     if estimate is None:
         return {**_NO_ESTIMATE, "rests": len(spans)}

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.bench.follow.rests import CALM_BLOCKS, Progress, nearest_positions, verticals
+from tumble.bench.follow.progress import LATEST_BLOCKS, Progress, nearest_positions, verticals
 from tumble.bench.follow.wishes import Task
 from tumble.programme.positions import Programme
 from tumble.programme.sheet_words import move_text
@@ -19,6 +19,8 @@ STUCK_SECONDS = 1.0
 FULL = 0.999
 _LEAST_RUN = 20
 _AGAIN_SECONDS = 10.0
+SAME_SECONDS = 2.0
+"""Faults of one kind that begin closer together are one."""
 WRONG_WAY = 30.0 * DEGREE
 """A turn that has gone so far against its sense is wrong, before it ends."""
 KNOCK_SECONDS = 5.0
@@ -40,10 +42,9 @@ class Fault:
     place: int | None = None
     choices: tuple[str, ...] = ("again", "go_on")
 
-    @property
-    def key(self) -> tuple[str, int]:
-        """What an answer to it is kept under."""
-        return self.kind, round(self.start)
+    def is_like(self, other: Fault) -> bool:
+        """Whether this is the same as another that was seen before: where a rest begins is known to some blocks."""
+        return self.kind == other.kind and abs(self.start - other.start) < SAME_SECONDS
 
 
 # -------------------- samples --------------------
@@ -137,7 +138,7 @@ def faults_of_rests(task: Task, progress: Progress) -> Iterator[Fault]:
     if blocks.temperature is not None:
         first, limit = groups[0][0], task.wanted.warming
         change = blocks.temperature - float(blocks.temperature[first.first : first.last].mean())
-        now = float(change[-CALM_BLOCKS:].mean())
+        now = float(change[-LATEST_BLOCKS:].mean())
         if steps := int(abs(now) / limit):
             since = float(blocks.edges[int(np.argmax(np.abs(change) >= steps * limit))])
             said = (
@@ -184,7 +185,7 @@ def _off_course(task: Task, programme: Programme, progress: Progress) -> Iterato
         yield Fault(kind=kind, said=said, start=groups[k][0].start, stop=stop, place=k)
         return
     turn, turned_now = task.turn_b(len(groups)), progress.turned
-    if progress.lasts or turn is None or turned_now is None:
+    if progress.current is not None or turn is None or turned_now is None:
         return
     if -float(turned_now @ turn[0]) * np.sign(turn[1]) >= WRONG_WAY:
         said = f"this is the wrong way: wanted {move_text(task.move(len(groups)))}; turn back"

@@ -1,9 +1,10 @@
-"""From a source to the log of a session: what is received is on disk before anything else is done with it, by a thread
-that does nothing else.
+"""From a source to the log of a session: what is received is on disk before anything else is done with it.
 
-Lines are appended whole, in one write without a buffer, so that a process that is killed leaves all it has received,
-and are forced to the disk once a second, so that a machine that loses its power leaves all but the last second. Where
-the disk takes no more, lines are kept in memory and written when it does again; what is lost is whole lines.
+A thread that does nothing else appends rows to the log in the order in which they are received, whatever their times
+are: whoever reads the log decides which of them are wrong (`tumble.recording.rows`). Lines are appended whole, in one
+write without a buffer, so that a process that is killed leaves all it has received, and are forced to the disk once a
+second, so that a machine that loses its power leaves all but the last second. Where the disk takes no more, lines are
+kept in memory and written when it does again; what is lost is whole lines.
 """
 
 from __future__ import annotations
@@ -13,11 +14,10 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from tumble.bench.record.order import Order
 from tumble.bench.state import Received
 from tumble.errors import InputError
 from tumble.recording.live.lines import Lines, numbers_in
@@ -28,12 +28,12 @@ log = logging.getLogger(__name__)
 
 READ_SECONDS = 0.05
 SILENT_SECONDS = 2.0
-NOTHING_RECEIVED: Received = {"refused": 0, "why": "", "late": 0, "repeated": 0, "ended": False, "trouble": []}
+NOTHING_RECEIVED: Received = {"refused": 0, "why": "", "ended": False, "trouble": []}
 SYNC_SECONDS = 0.9
 KEPT_BYTES = 1 << 26
 """What is kept in memory while the disk takes nothing, at most."""
 REFUSED_BYTES = 1 << 22
-"""What is kept of what was no row, at most."""
+"""What is kept of what is no row, at most."""
 _WRITE_BYTES = 1 << 20
 _LINE_BYTES = 1 << 16
 _LOCKED = 1 << 40
@@ -41,15 +41,14 @@ _LOCKED = 1 << 40
 
 
 class Recorder:
-    """A log file that grows by whole lines. `refused` is the file beside it for what was received and is no row;
-    `held` that for rows which wait for late ones before them; `trouble` is what the disk does not do, in words."""
+    """A log file that grows by whole lines, and the file `refused` beside it of what was received and is no row.
+    `trouble` says what the disk does not do."""
 
     def __init__(self, path: Path, header: str) -> None:
         """Go on with a log, or begin one with a header.
 
         Raises InputError if the log has another header, or another process is recording it."""
-        self.path = path
-        self.refused, self.held = path.with_name("refused.txt"), path.with_name("held.csv")
+        self.path, self.refused = path, path.with_name("refused.txt")
         self.trouble: str | None = None
         self._lost = 0
         self._pending = bytearray()
@@ -71,7 +70,7 @@ class Recorder:
                     f"{path}: expected a log that nobody records, found one that another process does"
                 ) from None
             if not self._whole_lines(keep_rest=True):
-                self.append([header])
+                self.append(header.encode() + b"\n")
                 return
             first = self._at(_LINE_BYTES, 0).split(b"\n", 1)[0]
             found = first.decode("utf-8", errors="replace").strip()
@@ -99,9 +98,9 @@ class Recorder:
         os.ftruncate(self._descriptor, whole)
         return whole
 
-    def append(self, lines: Iterable[str]) -> None:
-        """Add lines to the log; what the disk does not take now is tried again with the next."""
-        self._pending += _text(lines).encode("utf-8")
+    def append(self, lines: bytes) -> None:
+        """Add whole lines to the log; what the disk does not take now is tried again with the next."""
+        self._pending += lines
         try:
             while self._pending:
                 written = os.write(self._descriptor, self._pending[:_WRITE_BYTES])
@@ -122,12 +121,6 @@ class Recorder:
             if file.tell() < REFUSED_BYTES:
                 file.write(raw.rstrip(b"\n") + b"\n")
 
-    def hold(self, lines: Iterable[str]) -> None:
-        text = _text(lines)
-        if text or self.held.exists():
-            with self._troubled():
-                self.held.write_text(text, encoding="utf-8")
-
     @contextmanager
     def _troubled(self) -> Iterator[None]:
         """What the disk does not do is said, and the recording goes on."""
@@ -136,24 +129,17 @@ class Recorder:
         except OSError as error:
             self.trouble = f"the disk takes nothing: {error.strerror}"
 
-    def waiting(self) -> list[str]:
-        """Whole rows that waited when the recording ended."""
-        if not self.held.exists():
-            return []
-        return self.held.read_text(encoding="utf-8", errors="replace").split("\n")[:-1]
-
-    def last_line(self) -> str:
-        """The last row of the log, empty where there is only a header."""
-        size = os.fstat(self._descriptor).st_size
-        tail = self._at(_LINE_BYTES, max(0, size - _LINE_BYTES))
-        lines = tail.decode("utf-8", errors="replace").rstrip("\n").split("\n")
-        return lines[-1] if len(lines) > 1 or size > _LINE_BYTES else ""
+    def rows(self) -> Iterator[bytes]:
+        """The rows of the log as it is now, from the first."""
+        with self.path.open("rb") as file:
+            file.readline()
+            yield from file
 
     def sync_if_due(self) -> None:
         """Force the log to the disk if that was not done for a second."""
         if time.monotonic() - self._synced >= SYNC_SECONDS:
             if self._pending:
-                self.append([])
+                self.append(b"")
             with self._troubled():
                 os.fsync(self._descriptor)
             self._synced = time.monotonic()
@@ -161,7 +147,7 @@ class Recorder:
     def close(self) -> None:
         """End the recording; it may go on later. What the disk does not take now is lost, and the log ends with a whole
         line."""
-        self.append([])
+        self.append(b"")
         if self._pending:
             self._lost += self._pending.count(b"\n")
             self._pending.clear()
@@ -171,8 +157,6 @@ class Recorder:
         with self._troubled():
             os.fsync(self._descriptor)
         os.close(self._descriptor)
-        if self.held.exists() and not self.held.stat().st_size:
-            self.held.unlink()
 
 
 def growing_file(spec: LogSpec) -> Path:
@@ -182,13 +166,9 @@ def growing_file(spec: LogSpec) -> Path:
     return path
 
 
-def _text(lines: Iterable[str]) -> str:
-    return "".join(f"{line}\n" for line in lines)
-
-
 class Intake:
-    """Records a source into the log of a session until it is stopped; `rows` are recorded, and the source may have
-    `ended`."""
+    """Records a source into the log of a session until it is stopped. `rows` are recorded; `ended` says whether the
+    source has."""
 
     def __init__(self, source: LineSource, session: Session, *, now: Callable[[], float] = time.monotonic) -> None:
         spec = session.log
@@ -200,24 +180,14 @@ class Intake:
         self._failure = ""
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="intake", daemon=True)
-        try:
-            recorded = self.lines.feed(self.recorder.last_line().encode() + b"\n") if spec.time is not None else []
-            self.order = Order(
-                unordered=source.unordered,
-                seconds=spec.time_factor,
-                refuse=self.recorder.refuse,
-                last=recorded[-1].time if recorded else None,
-            )
-            waited = [row for line in self.recorder.waiting() for row in self.lines.feed(line.encode() + b"\n")]
-            self.recorder.append(self.order.feed(waited))
-            self.recorder.hold(self.order.waiting)
-            if self.order.last is not None:
-                source.skip_to(self.order.last * spec.time_factor)
-        except BaseException:
-            self.recorder.close()
-            raise
+        self._recorded: Iterator[bytes] | None = None
+        """Rows that are in the log already and that the source, which begins anew, sends again."""
+        if source.begins_anew:
+            self._recorded = self.recorder.rows()
+            source.hurry(sum(1 for _ in self.recorder.rows()))
 
     def start(self) -> None:
+        """Begin to record."""
         self._thread.start()
 
     def _run(self) -> None:
@@ -239,47 +209,44 @@ class Intake:
                     self._stop.wait(READ_SECONDS)
             self.source.close()
         finally:  # with a complete log
-            self.recorder.append(self.order.end())
-            self.recorder.hold([])
             self.recorder.close()
 
     def _take(self, data: bytes) -> None:
-        waited = bool(self.order.waiting)
-        rows: list[str] = []
-        if data or waited:
-            lines, whole = self.lines, self.lines.cut(data)
-            # where nothing is wrong with any of the rows they need be looked at together only
-            numbers = numbers_in(whole, len(lines.columns)) if lines.clock is not None and lines.in_order else None
-            if numbers is not None and self.order.passes(numbers[:, lines.columns.index(lines.clock or "")]):
-                rows = whole[:-1].decode("ascii").split("\n")
-            rows = rows or self.order.feed(lines.rows(whole))
-        if rows:
-            self.recorder.append(rows)
-            self.rows += len(rows)
+        """Append the rows in what was received."""
+        whole = self.lines.cut(data)
+        plain = self.lines.in_order and self._recorded is None
+        if not plain or numbers_in(whole, len(self.lines.columns)) is None:
+            rows = [row.text.encode() + b"\n" for row in self.lines.rows(whole)]
+            whole = b"".join(filter(self._is_new, rows))
+        if whole:
+            self.recorder.append(whole)
+            self.rows += whole.count(b"\n")
             self._heard = self._now()
-        if waited or self.order.waiting:
-            self.recorder.hold(self.order.waiting)
         self.recorder.sync_if_due()
 
+    def _is_new(self, row: bytes) -> bool:
+        """Whether a row is not in the log yet; from the first new one on all are."""
+        if self._recorded is not None and next(self._recorded, None) == row:
+            return False
+        self._recorded = None
+        return True
+
     def stop(self) -> None:
+        """End the recording."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
 
     @property
     def received(self) -> Received:
-        """What was wrong with what has come so far: what was refused (a row whose time leaps too), late or repeated."""
+        """What was wrong with what has come so far."""
         silent = 0.0 if self.ended else self._now() - self._heard
-        trouble = [said for said in (self.recorder.trouble, self.source.trouble, self._failure) if said]
-        if self.order.restarted:
-            trouble.append("the clock of the unit has started anew: this is another power-on, record it as one")
+        trouble = [each for each in (self.recorder.trouble, self.source.trouble, self._failure) if each]
         if silent > SILENT_SECONDS and not self.source.trouble:
             trouble.append(f"nothing has come for {silent:.0f} s")
         return {
-            "refused": self.lines.refused + self.order.leapt,
-            "why": self.lines.last_refused or ("a time far from the next" if self.order.leapt else ""),
-            "late": self.order.late,
-            "repeated": self.order.repeated,
+            "refused": self.lines.refused,
+            "why": self.lines.last_refused,
             "ended": self.ended,
             "trouble": trouble,
         }

@@ -15,7 +15,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 REQUEST_SECONDS = 10.0
 """How long a connection may be without a whole head of a request."""
 MOST = 256
-"""Connections at once: four pages with six connections each on eight benches, and some."""
+"""Connections at once: forty pages with six connections each, and some."""
 ACCEPTED_AT_ONCE = 4
 """Connections that are accepted before those that are too many are ended."""
 WAITING = 128

@@ -1,11 +1,11 @@
-"""A bench is run: its server until the process is ended, and the link to it."""
+"""Runs a bench: its server until the process is ended, and the link to it."""
 
 from __future__ import annotations
 
 import socket
 import tempfile
 import webbrowser
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -20,40 +20,38 @@ _ANY = ("0.0.0.0", "::")
 
 
 def serve(
-    stations: Callable[[], Sequence[Station]],
+    station_of: Callable[[], Station],
     *,
-    folders: Sequence[Path],
+    folder: Path,
     host: str = LOOPBACK,
     port: int = 8422,
     browser: bool = False,
     say: Callable[[str], None],
 ) -> None:
-    """Serve the pages of stations, which are opened when the address is had, until the process is interrupted. `say`
-    gets the link. Of `folders` that are new nothing is left where they cannot be opened or started."""
-    with needs_extra("the bench page", "bench", "fastapi", "uvicorn", "starlette"):
+    """Serve the page of a station until the process is interrupted.
+
+    The station is opened when the address is had. Of a `folder` that is new nothing is left where it cannot be opened or
+    started. `say` gets the link."""
+    with needs_extra("the bench page", "bench", "uvicorn", "starlette"):
         import uvicorn
 
         from tumble.bench.web.connections import ACCEPTED_AT_ONCE, WAITING, Connection
         from tumble.bench.web.server import app_of
     with _listening(host, port) as bound, ExitStack() as running:
         with ExitStack() as new:
-            for folder in folders:
-                if not folder.exists():
-                    begun = new.enter_context(nothing_left(folder))
-                    begun.written += [folder / name for name in (SESSION_FILE, "log.csv")]
-            opened = stations()
+            if not folder.exists():
+                begun = new.enter_context(nothing_left(folder))
+                begun.written += [folder / name for name in (SESSION_FILE, "log.csv")]
+            station = station_of()
             try:
-                for station in opened:
-                    station.start()
+                station.start()
             except BaseException:  # before what is new is taken away
-                for station in opened:
-                    station.stop()
+                station.stop()
                 raise
-        for station in opened:
-            running.callback(station.stop)
+        running.callback(station.stop)
         port = bound.getsockname()[1]
         access = Access(host=host, port=port, token=lasting_token())
-        app = app_of(opened, access)
+        app = app_of(station, access)
 
         class Server(uvicorn.Server):
             """Ends the streams of its pages when it ends, and lets so many connections be waiting."""
@@ -70,6 +68,7 @@ def serve(
             app,
             http=Connection,
             ws="none",
+            lifespan="off",
             backlog=ACCEPTED_AT_ONCE,
             log_config=None,
             log_level="error",  # what strangers send that is no request is none

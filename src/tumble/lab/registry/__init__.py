@@ -1,16 +1,12 @@
-"""The registry: devices, launches, calibrations and limits over years.
+"""The registry: devices, launches, calibrations and limits over years, in a file of SQLite or a PostgreSQL database.
 
-An SQLite file, or a PostgreSQL database by its URL; the same code. Records are added and never changed: a correction is
-a record of its own that supersedes another, and the database itself refuses updates and deletions.
+Records are added and never changed; the database itself refuses updates and deletions.
 
-    types      records, limits and forecasts as they are read back
-    store      all that is asked of the database: transactions, tables, rows
-    adding     a calibration file as something to add; adding calibrations, and limits of device types
-    series     each parameter over the calibrations of a device, in one frame; verdicts; launches of a device or type
+    registry   the class `Registry`: what is added, listed, judged and learned
+    records    records and limits as they are read back, and when a device is due
     trend      run to run, drift a year, as found against as left; when a drift meets a limit
-    monitor    the history of a device against the limits that are in force
-    due        the records of a device; when which device is to be calibrated again
-    exchange   export and import as JSON lines
+    tables     the tables of the database
+    database   where the registry is; transactions of readers and writers
 
-Needs the extra `tumble[registry]`.
+Needs the extra `tumble[lab]`.
 """

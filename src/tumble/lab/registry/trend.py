@@ -1,4 +1,4 @@
-"""What the calibrations of a device say together: run to run, drift a year, as found against as left.
+"""The trend of a device: run to run, drift a year, as found against as left, and when a drift meets a limit.
 
 A parameter y, calibrated at the times t_i (years), is modelled as
 
@@ -15,20 +15,16 @@ are together what their degrees of freedom ν expect (p parameters a_s, b); zero
 its variance follow by weighted least squares, and U = t(ν) u(b) with Student's t for 95.45 %, the probability of ±2u of
 a normal distribution.
 
-The u_i are without the uncertainty of gravity where all calibrations used the same stated gravity, without that of the
-time base where all state the same, and without what only priors say of the device: with g_i what one standard
-uncertainty of these changes in y_i, u_i² is less by |g_i|² and more by |g_i − ḡ|², for what is the same every time is
-no part of a drift, nor of a change between two that share it (`tumble.result.shared_errors`). The level of the
-line has |ḡ|² in its variance. A parameter of which no more than its prior is known has neither τ nor drift.
+The u_i are without what all calibrations share: the uncertainty of the same stated gravity, that of the same time
+base, and what only priors say of the device. With g_i what one standard uncertainty of these changes in y_i, u_i² is
+less by |g_i|² and more by |g_i − ḡ|², for what is the same every time is no part of a drift, nor of a change between
+two that share it (`tumble.result.shared_errors`). The level of the line has |ḡ|² in its variance. A parameter of which
+no more than its prior is known has neither τ nor drift.
 
 A change has the expanded uncertainty U = t(ν) u with ν by Welch and Satterthwaite (`tumble.result.coverage`).
 Whether the last one is beyond chance says the comparison of the two calibrations (`tumble.use.compare`).
 
-Source: Mandel & Paule, Anal. Chem. 42 (1970) 1194, for τ; JCGM 100 (GUM) G.4 for t; ISO 13528, 9.7 for E_n.
-
-When the drift of a parameter carries it to a limit, and how well that is known.
-
-On the line of a trend (`tumble.lab.registry.trend`) the parameter is at the time t, with Δ = t − t̄,
+On this line the parameter is at the time t, with Δ = t − t̄,
 
     y(t) = a + b Δ,   u(y)² = u_a² + 2 c Δ + u_b² Δ² + τ²                                                        (1)
 
@@ -36,38 +32,78 @@ c the covariance of a and b, τ the instability from run to run, so that it is t
 is expected to be met where y(t) is the limit; it may be met, with 95.45 %, between the two times at which
 |limit − y(t)| = t(ν) u(y), the roots of a quadratic (Fieller). These are finite where the drift is beyond its U; a
 drift that is not gives no forecast.
+
+Sources: Mandel & Paule, Anal. Chem. 42 (1970) 1194, for τ; JCGM 100 (GUM) G.4 for t; ISO 13528, 9.7 for E_n; Fieller,
+J. R. Stat. Soc. B 16 (1954) 175.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 
-from tumble.lab.registry.series import Series, SeriesPoint
-from tumble.lab.registry.types import Forecast
+from tumble.lab.conformity import Result, judge_value
+from tumble.lab.limits import Limits
+from tumble.lab.registry.records import Forecast, Record, State
 from tumble.methods.least_squares import scatter_of
-from tumble.result.coverage import apart, shared_gravity
-from tumble.result.shared_errors import shared_time_base
+from tumble.result.calibration import Calibration
+from tumble.result.coverage import apart, by_gravity
+from tumble.result.shared_errors import by_priors, of_time_base
 from tumble.scipy_compiled import special
 from tumble.units import Array
-from tumble.use.compare import Difference
+from tumble.use.compare import Comparison, Difference, compare_calibrations
 
 YEAR = timedelta(days=365.25)
+HORIZON = 50.0
+"""Years after the latest calibration, further than which nothing is forecast."""
 COVERED = float(special.ndtr(2.0))
 """One-sided probability of two standard deviations of a normal distribution."""
+
+Past = Sequence[tuple[Record, Calibration]]
+"""The records of a device with their calibrations, all in one frame, in the order in which they were performed."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Point:
+    """A parameter in one calibration, SI.
+
+    Parameters
+    ----------
+    number, performed, state
+        Of the record.
+    value, u, dof
+        Value, standard uncertainty, and its degrees of freedom; None where the uncertainty is known.
+    launches
+        Value and standard uncertainty in each launch, if the calibration is the mean of several.
+    shared
+        Change of the value with one standard uncertainty of each source whose error another calibration may share.
+    """
+
+    json_fields: ClassVar = ("number", "performed", "state", "value", "u", "dof")
+
+    number: int
+    performed: datetime
+    state: State
+    value: float
+    u: float | None
+    dof: float | None = None
+    launches: tuple[tuple[float, float | None], ...] = ()
+    shared: Mapping[Hashable, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Drift:
-    """A drift in SI a year with its standard and its expanded uncertainty; without degrees of freedom nothing says how
-    unstable the device is from run to run, and there is no expanded one. The line: `level` (SI) at `since` (years
-    since the first calibration) in the last stretch, with its standard uncertainty and its covariance with the
-    drift."""
+    """A drift in SI a year with its standard and its expanded uncertainty.
+
+    Without degrees of freedom nothing shows how unstable the device is from run to run, and there is no expanded
+    uncertainty. The line: `level` (SI) at `since` (years since the first calibration) in the last stretch, with its
+    standard uncertainty and its covariance with the drift."""
 
     per_year: float
     u: float
@@ -86,7 +122,9 @@ class Drift:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Change(Difference):
-    """What changed between two records. Not by `adjustment`: in use."""
+    """What changed between two records: by an `adjustment`, or in use."""
+
+    json_fields: ClassVar[tuple[str, ...]] = (*Difference.json_fields, "earlier", "later", "adjustment")
 
     earlier: int
     later: int
@@ -94,11 +132,20 @@ class Change(Difference):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Trend:
-    """A parameter over time. `run_to_run` is the standard deviation of launches about the means of their calibrations,
-    SI, with its degrees of freedom; `instability` is τ; None where no two launches or calibrations show it."""
+class ParameterTrend:
+    """A parameter over the calibrations that have it.
 
-    series: Series
+    Parameters
+    ----------
+    run_to_run, run_to_run_degrees
+        Standard deviation of launches about the means of their calibrations, SI, and its degrees of freedom.
+    instability
+        τ; None where no two launches or calibrations show it.
+    """
+
+    name: str
+    unit: str
+    points: tuple[Point, ...]
     run_to_run: float | None
     run_to_run_degrees: int
     instability: float | None
@@ -111,15 +158,133 @@ class Trend:
         return next((change for change in reversed(self.changes) if not change.adjustment), None)
 
 
-def trend_of(series: Series) -> Trend:
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Trend:
+    """A device over its calibrations against the limits of the periodic check that are in force now.
+
+    Parameters
+    ----------
+    latest
+        Its latest record.
+    frame
+        In which all values are.
+    limits
+        Lowest and highest value by parameter, SI.
+    comparison
+        The latest calibration that is no adjustment with the one before it; None without two.
+    """
+
+    json_fields: ClassVar = ("serial", "frame", "limits", "parameters", "changed", "forecasts")
+
+    latest: Record
+    frame: str
+    parameters: tuple[ParameterTrend, ...]
+    limits: Mapping[str, tuple[float, float]]
+    comparison: Comparison | None = None
+
+    @property
+    def serial(self) -> str:
+        return self.latest.serial
+
+    @property
+    def latest_verdicts(self) -> Mapping[str, Result]:
+        """The verdict on the latest value of every parameter that has limits."""
+        return {t.name: self._verdict(t, t.points[-1]) for t in self.parameters if t.name in self.limits}
+
+    def verdicts(self, trend: ParameterTrend) -> Mapping[int, Result]:
+        """The verdicts on a parameter in every record, by number; none without limits."""
+        limited = trend.name in self.limits
+        return {point.number: self._verdict(trend, point) for point in trend.points} if limited else {}
+
+    def _verdict(self, trend: ParameterTrend, point: Point) -> Result:
+        return judge_value(point.value, point.u, *self.limits[trend.name], dof=point.dof)
+
+    @property
+    def forecasts(self) -> list[Forecast]:
+        """When parameters that are inside their limits meet them by their drift, the earliest first."""
+        passing = {name for name, verdict in self.latest_verdicts.items() if verdict == "pass"}
+        met = [forecast(trend, self.limits[trend.name]) for trend in self.parameters if trend.name in passing]
+        return sorted((each for each in met if each is not None), key=lambda each: each.earliest)
+
+    @property
+    def changed(self) -> list[str]:
+        """The parameters that have changed by more than chance makes since the calibration before, or where none does
+        by itself, that they have together."""
+        if self.comparison is None:
+            return []
+        names = {trend.name for trend in self.parameters}
+        together = len(names) > 1 and self.comparison.contradicts
+        return [name for name in self.comparison.changed if name in names] or ["all parameters together"] * together
+
+
+def trend_of(past: Past, limits: Limits | None, names: Iterable[str], comparison: Comparison | None = None) -> Trend:
+    """The trend of a device over its past: of the parameters `names`, in the order of the latest calibration."""
+    points: dict[str, list[Point]] = {name: [] for name in names}
+    units: dict[str, str] = {}
+    for record, calibration in reversed(past):
+        launches: dict[tuple[str, str], list[tuple[float, float | None]]] = {}
+        for p in (p for launch in calibration.launches for p in launch.parameters):
+            launches.setdefault((p.name, p.unit), []).append((p.value, p.u))
+        sources = _sources(calibration)
+        for i, p in enumerate(calibration.parameters):
+            if p.name in points and units.setdefault(p.name, p.unit) == p.unit:
+                point = Point(
+                    number=record.number,
+                    performed=record.performed,
+                    state=record.state,
+                    value=p.value,
+                    u=p.u,
+                    dof=p.dof,
+                    launches=tuple(launches.get((p.name, p.unit), ())),
+                    shared={source: float(change[i]) for source, change in sources.items()},
+                )
+                points[p.name].append(point)
+    (latest, calibration), ends = past[-1], dict[str, tuple[float, float]]()
+    if limits is not None:
+        ends = {name: between for name in units if (between := limits.of(name, "periodic")) is not None}
+    return Trend(
+        latest=latest,
+        frame=calibration.frame,
+        parameters=tuple(parameter_trend(name, unit, points[name][::-1]) for name, unit in units.items()),
+        limits=ends,
+        comparison=comparison,
+    )
+
+
+def _sources(calibration: Calibration) -> dict[Hashable, Array]:
+    """Changes (m,) of the parameters with one standard uncertainty of each source of error that another calibration of
+    the device shares if it has the same: the stated gravity, the time base, what priors are of."""
+    parameters, covariance, site = calibration.parameters, calibration.covariance, calibration.site
+    sources: dict[Hashable, Array] = {("prior", name): g for name, g in by_priors(parameters, covariance).items()}
+    if site is not None and site.gravity_u > 0.0:
+        sources["gravity", site.gravity, site.gravity_u] = by_gravity(parameters, covariance, site)
+    if calibration.clock_u > 0.0:
+        sources["time base", calibration.clock_u] = of_time_base(calibration)
+    return sources
+
+
+def latest_comparison(past: Past) -> Comparison | None:
+    """The last calibration of a device that is no adjustment compared with the one before it; None where there are no
+    two with parameters in common."""
+    at = next((i for i in range(len(past) - 1, 0, -1) if past[i][0].state != "as-left"), None)
+    if at is None:
+        return None
+    earlier, later = past[at - 1][1], past[at][1]
+    if not {p.name for p in later.parameters} & {p.name for p in earlier.parameters}:
+        return None
+    return compare_calibrations(earlier, later)
+
+
+def parameter_trend(name: str, unit: str, points: Sequence[Point]) -> ParameterTrend:
     """Run-to-run instability, drift and changes of a parameter."""
-    points = series.points
     spreads = [np.array([value for value, _ in p.launches]) for p in points if len(p.launches) > 1]
     degrees = sum(len(values) - 1 for values in spreads)
     squares = sum(float(np.sum((values - values.mean()) ** 2)) for values in spreads)
     instability, drift = _instability_and_drift(points)
-    return Trend(
-        series=series,
+    return ParameterTrend(
+        name=name,
+        unit=unit,
+        points=tuple(points),
         run_to_run=math.sqrt(squares / degrees) if degrees else None,
         run_to_run_degrees=degrees,
         instability=instability,
@@ -129,8 +294,8 @@ def trend_of(series: Series) -> Trend:
                 earlier,
                 later,
                 *_shared([earlier, later]),
-                name=series.name,
-                unit=series.unit,
+                name=name,
+                unit=unit,
                 earlier=earlier.number,
                 later=later.number,
                 adjustment=later.state == "as-left",
@@ -140,28 +305,16 @@ def trend_of(series: Series) -> Trend:
     )
 
 
-def years(points: Sequence[SeriesPoint]) -> Array:
-    """When points were measured, years since the first."""
-    return np.array([(p.performed - points[0].performed) / YEAR for p in points], dtype=float)
-
-
-def _shared(points: Sequence[SeriesPoint]) -> Array:
-    """Changes (n, k) of the points with one standard uncertainty of all that they share: gravity, the time base, and
-    what only priors say of the device."""
-    columns = []
-    if all(shared_gravity(points[0].site, p.site) for p in points):
-        columns.append([p.by_gravity for p in points])
-    if all(shared_time_base(points[0].clock_u, p.clock_u) for p in points):
-        columns.append([p.by_clock for p in points])
-    names = [name for name in points[0].by_priors if all(name in p.by_priors for p in points)]
-    columns += [[p.by_priors[name] for p in points] for name in names]
-    return np.array(columns, dtype=float).reshape(-1, len(points)).T
+def _shared(points: Sequence[Point]) -> Array:
+    """Changes (n, k) of the points with one standard uncertainty of every source that all of them share."""
+    common = [source for source in points[0].shared if all(source in p.shared for p in points)]
+    return np.array([[p.shared[source] for source in common] for p in points]).reshape(len(points), len(common))
 
 
 # -------------------- drift --------------------
 
 
-def _instability_and_drift(points: Sequence[SeriesPoint]) -> tuple[float | None, Drift | None]:
+def _instability_and_drift(points: Sequence[Point]) -> tuple[float | None, Drift | None]:
     """τ and the drift, as far as the points say anything about them (module docstring)."""
     if not points or not all(p.u and all(u for _, u in p.launches) for p in points):
         return None, None
@@ -184,7 +337,8 @@ def _instability_and_drift(points: Sequence[SeriesPoint]) -> tuple[float | None,
 
     # a column for the level of each stretch between adjustments and, where any has two times, one of the years
     stretch = np.cumsum([i > 0 and p.state == "as-left" for i, p in enumerate(points)])
-    t, y = years(points), np.array([p.value for p in points])
+    t = np.array([(p.performed - points[0].performed) / YEAR for p in points], dtype=float)
+    y = np.array([p.value for p in points])
     X = (stretch[:, None] == np.arange(stretch[-1] + 1)).astype(float)
     levels = X.shape[1]
     drifts = any(np.ptp(t[stretch == s]) > 0.0 for s in range(levels))
@@ -222,14 +376,10 @@ def _instability_and_drift(points: Sequence[SeriesPoint]) -> tuple[float | None,
     )
 
 
-HORIZON = 50.0
-"""Years after the latest calibration, further than which nothing is forecast."""
-
-
-def forecast(trend: Trend, limits: tuple[float, float]) -> Forecast | None:
+def forecast(trend: ParameterTrend, limits: tuple[float, float]) -> Forecast | None:
     """When the last stretch of a trend meets the limit (SI) towards which it drifts; None without a drift beyond its U,
     without a limit on that side, where the limit is met already, and beyond HORIZON."""
-    drift, points = trend.drift, trend.series.points
+    drift, points = trend.drift, trend.points
     if drift is None or not drift.beyond_u:
         return None
     limit = limits[1] if drift.per_year > 0.0 else limits[0]
@@ -250,8 +400,8 @@ def forecast(trend: Trend, limits: tuple[float, float]) -> Forecast | None:
         return points[0].performed + moment
 
     return Forecast(
-        name=trend.series.name,
-        unit=trend.series.unit,
+        name=trend.name,
+        unit=trend.unit,
         limit=limit,
         expected=at(expected),
         earliest=at(max(earliest, now)),

@@ -3,7 +3,7 @@
 A recording is a list of `Message` kinds (a topic of a bag, a message of a flight log, a group of arrays), each with the
 sensors found in it and their units. `as_log` writes those of one kind, or accelerometers and gyros of two kinds, as one
 Parquet file, which a session can name. One reader per format, each behind the extra `formats`; a ROS 2 bag may also be
-a folder, and a log of ArduPilot a text.
+a folder, and a log of ArduPilot a text. Other packages bring a `Reader` each (`tumble.plugins`).
 """
 
 from __future__ import annotations
@@ -20,8 +20,10 @@ import numpy as np
 import polars as pl
 
 from tumble.errors import InputError, needs_extra
+from tumble.plugins import load_all
 from tumble.recording.columns.names import Sensors
 from tumble.recording.columns.patterns import ACCEL, GYRO, MAGNETOMETER
+from tumble.recording.readers import ENDINGS as READ_ENDINGS
 from tumble.recording.readers import write_tables
 from tumble.recording.session import AutopilotSensor
 
@@ -35,6 +37,9 @@ _READERS = {
 
 ENDINGS: tuple[str, ...] = tuple(ending for _, endings in _READERS.values() for ending in endings)
 """Endings of the files that can be read; a ROS 2 bag may also be a folder."""
+
+_NO_RECORDINGS = (*READ_ENDINGS, ".txt", ".log", ".json", ".xlsx", ".zip")
+"""Endings of files for which no other package is asked."""
 
 _DATAFLASH_TEXT = b"FMT,"
 _NO_TEXT = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
@@ -84,6 +89,22 @@ class Message:
         return (*named, *dict.fromkeys(self.temperatures))
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Reader:
+    """What reads the recordings of a format.
+
+    Attributes
+    ----------
+    endings
+        How names of its files end, in lower case and with the dot.
+    messages
+        Gives the kinds of messages in a file. Whatever it raises is said of a damaged file.
+    """
+
+    endings: tuple[str, ...]
+    messages: Callable[[Path], list[Message]]
+
+
 def triads_of(columns: Iterable[str], units: Mapping[str, str]) -> dict[str, Sensors]:
     """The sensors accel_x, gyro_x, field_x, … of which there are columns, by kind, in the units of these names."""
     names = set(columns)
@@ -95,7 +116,15 @@ def triads_of(columns: Iterable[str], units: Mapping[str, str]) -> dict[str, Sen
 
 def is_recording(path: Path) -> bool:
     """Whether a file, or the folder of a ROS 2 bag, is in one of the formats, by its ending or its first bytes."""
-    return _reader(path) is not None
+    return _reader(path) is not None or _brought(path) is not None
+
+
+def _brought(path: Path) -> Reader | None:
+    """The reader of another package for a file with this ending."""
+    ending = path.suffix.lower()
+    if not ending or ending in _NO_RECORDINGS or path.is_dir():
+        return None
+    return next((reader for reader in load_all("readers", Reader).values() if ending in reader.endings), None)
 
 
 def _reader(path: Path) -> str | None:
@@ -120,17 +149,21 @@ def messages(*paths: Path) -> list[Message]:
     found: list[Message] = []
     nothing: list[str] = []
     for path in paths:
-        reader = _reader(path)
-        if reader is None:
+        reader, brought = _reader(path), None
+        if reader is None and (brought := _brought(path)) is None:
             raise InputError(f"{path}: expected a recording that ends in {', '.join(ENDINGS)}, found another")
         if not path.exists():
             raise InputError(f"{path}: expected a recording, found no such file")
-        with needs_extra(f"{path}: reading it", "formats", _READERS[reader][0]):
-            module = import_module(f"tumble.recording.formats.{reader}")
+        if brought is not None:
+            messages_of, none = brought.messages, "none"
+        else:
+            with needs_extra(f"{path}: reading it", "formats", _READERS[reader or ""][0]):
+                module = import_module(f"tumble.recording.formats.{reader}")
+            messages_of, none = module.messages, module.NOTHING
         with _intact(path):
-            read: list[Message] = module.messages(path)
+            read: list[Message] = messages_of(path)
         found += [replace(message, rows=partial(_rows, path, message)) for message in read]
-        nothing.append(module.NOTHING)
+        nothing.append(none)
     if not any(message.accel for message in found):
         alone = "gyros alone" if any(message.gyro for message in found) else nothing[0]
         raise InputError(f"{paths[0]}: expected messages with accelerometers, found {alone}")

@@ -1,7 +1,7 @@
 """Where rows come from: whatever is named after --listen, as bytes of lines.
 
     file:PATH   replay:FOLDER@20x   stdin   udp:[HOST:]PORT   tcp:[HOST:]PORT   serial:DEVICE:BAUD
-    mavlink:udp:[HOST:]PORT   mavlink:DEVICE:BAUD   simulator[:PROGRAMME]
+    mavlink:udp:[HOST:]PORT   mavlink:DEVICE:BAUD
 
 A source that is interrupted says so in `trouble` and tries again; only a file that is replayed, and standard input,
 come to an end.
@@ -29,7 +29,7 @@ from typing import Any
 
 from tumble.documents import whole_number
 from tumble.errors import InputError, needs_extra
-from tumble.recording.session import LogSpec
+from tumble.recording.session import LogSpec, Session
 from tumble.recording.session_file import read_session
 from tumble.units import G_STANDARD
 
@@ -48,26 +48,38 @@ class Ended(Exception):  # noqa: N818
 
 
 class LineSource:
-    """Something that sends lines. `unordered`: rows may come in another order than they were sent in; `trouble`: what
-    interrupts it."""
+    """Something that sends lines.
+
+    Attributes
+    ----------
+    begins_anew : bool
+        Whether it sends everything from its beginning when it is opened again.
+    trouble : str or None
+        What interrupts it.
+    session : Session or None
+        Describes the lines, of a session that is replayed.
+    """
 
     name = ""
-    unordered = False
+    begins_anew = False
     trouble: str | None = None
+    session: Session | None = None
 
     def read(self, timeout: float) -> bytes:
         """What has come, nothing after `timeout` s without. Raises Ended."""
         raise NotImplementedError
 
-    def skip_to(self, at: float) -> None:
-        """Go on after this time of the log, s, where the source can choose."""
+    def hurry(self, rows: int) -> None:
+        """Send the first rows at once, which are recorded already."""
 
     def close(self) -> None:
         """Listen no more."""
 
 
 class GrowingFile(LineSource):
-    """A text file that another program writes: from its beginning, or from a place on."""
+    """A text file that another program writes, from its beginning."""
+
+    begins_anew = True
 
     def __init__(self, path: Path) -> None:
         self.name = f"file:{path}"
@@ -114,9 +126,7 @@ class StandardInput(LineSource):
 
 
 class Udp(LineSource):
-    """Datagrams of whole lines."""
-
-    unordered = True
+    """Datagrams of whole lines, in the order in which they arrive."""
 
     def __init__(self, host: str, port: int) -> None:
         self.name = f"udp:{host}:{port}"
@@ -233,10 +243,8 @@ class Serial(LineSource):
 class Mavlink(LineSource):
     """MAVLink on a UDP port or a serial line."""
 
-    unordered = True
-
     def __init__(self, where: str) -> None:
-        with needs_extra("MAVLink", "bench", "pymavlink"):
+        with needs_extra("MAVLink", "formats", "pymavlink"):
             from pymavlink import mavutil
         self.name = f"mavlink:{where}"
         kind, _, rest = where.partition(":")
@@ -287,9 +295,12 @@ class Replay(LineSource):
     """The log of a session, as fast as it was recorded or so many times as fast; `speed` infinite: at once. That of a
     CSV file with commas as it is written there; that of another file as lines of CSV."""
 
+    begins_anew = True
+
     def __init__(self, folder: Path, speed: float) -> None:
         self.name, self._speed = f"replay:{folder.name}@{speed:g}x", speed
-        log = read_session(folder).log
+        self.session = read_session(folder)
+        log = self.session.log
         file = log.files[0]
         if len(log.files) > 1 or not isinstance(file, Path) or log.clock:
             raise InputError(
@@ -309,10 +320,10 @@ class Replay(LineSource):
         self._lines = _timed(log, self._header.decode("utf-8-sig").strip().split(","), lines)
         self._next: tuple[float, bytes] | None = next(self._lines, None)
         self._begun: tuple[float, float] | None = None
+        self._at_once = 0
 
-    def skip_to(self, at: float) -> None:
-        while self._next is not None and self._next[0] <= at * (1.0 + 1e-15):
-            self._next = next(self._lines, None)
+    def hurry(self, rows: int) -> None:
+        self._at_once = rows
 
     def read(self, timeout: float) -> bytes:
         if self._header:
@@ -320,6 +331,12 @@ class Replay(LineSource):
             return header
         if self._next is None:
             raise Ended
+        if self._at_once:
+            out = bytearray()
+            while self._next is not None and self._at_once and len(out) < _READ_BYTES:
+                out += self._next[1]
+                self._at_once, self._next = self._at_once - 1, next(self._lines, None)
+            return bytes(out)
         self._begun = self._begun or (time.monotonic(), self._next[0])
         started, first = self._begun
         due = started + (self._next[0] - first) / self._speed
@@ -381,13 +398,9 @@ def source_of(text: str) -> LineSource:
             return Serial(before, number)
         case "mavlink" if rest:
             return Mavlink(rest)
-        case "simulator":
-            from tumble.bench.record.virtual_table import VirtualTable
-
-            return VirtualTable(rest or "rough-table")
     raise InputError(
-        "--listen: expected file:PATH, replay:FOLDER@20x, stdin, udp:PORT, tcp:PORT, serial:DEVICE:BAUD, "
-        f"mavlink:udp:PORT or simulator, found {text!r}"
+        "--listen: expected file:PATH, replay:FOLDER@20x, stdin, udp:PORT, tcp:PORT, serial:DEVICE:BAUD "
+        f"or mavlink:udp:PORT, found {text!r}"
     )
 
 

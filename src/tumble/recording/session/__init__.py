@@ -18,8 +18,8 @@ from pydantic import AfterValidator, Field, model_validator
 from tumble.brief import Brief
 from tumble.documents import shown
 from tumble.errors import InputError, ProgrammeError
-from tumble.programme.positions import BUILT_IN, Programme, attitude, programme_of
-from tumble.recording.session.table import SessionTable, check_span, key, one_of
+from tumble.programme.positions import BUILT_IN, Programme, attitude, programme_of, programmes
+from tumble.recording.session.table import SessionTable, check_known, check_span, key, one_of
 from tumble.recording.text.dialect import Dialect
 from tumble.sensors.model import Block
 from tumble.units import TIME_UNITS, Array, Unit
@@ -236,10 +236,14 @@ class ListedPosition(SessionTable):
         return self
 
 
-class ProgrammeSpec(SessionTable):
-    """[programme]: either the name of a built-in programme, or positions in order."""
+def _check_programme(name: str) -> str:
+    return name if name in BUILT_IN else check_known(name, programmes())
 
-    name: Annotated[str, one_of(BUILT_IN)] | None = key("the name of a built-in programme")
+
+class ProgrammeSpec(SessionTable):
+    """[programme]: either the name of a programme, or positions in order."""
+
+    name: Annotated[str, AfterValidator(_check_programme)] | None = key("the name of a programme")
     position: list[ListedPosition] | None = key("one or more tables [[programme.position]]", min_length=1)
 
     @model_validator(mode="after")

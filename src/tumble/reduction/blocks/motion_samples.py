@@ -42,6 +42,14 @@ class MotionSamples:
         out._less = self, first, rate
         return out
 
+    def since(self, first: int) -> MotionSamples:
+        """A copy of the samples from `first` on, which more may be added to."""
+        out = MotionSamples(self._columns - 7)
+        if first < self.count:
+            rates, forces, dt, spare = self.read_with_spare(first, self.count)
+            out.append(rates, forces, dt, spare if spare.shape[1] else None)
+        return out
+
     def append(self, rates: Array, forces: Array, dt: Array, spare: Array | None = None) -> None:
         """Add samples: mean rates (m, 3) and mean forces (m, 3) over intervals dt (m,), and what is `spare` (m, ·)."""
         with self._lock:

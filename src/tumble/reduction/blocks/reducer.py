@@ -173,6 +173,11 @@ class _Growing:
         self._values[self._count : stop] = rows
         self._count = stop
 
+    def forget(self, count: int) -> None:
+        """Drop the first `count` rows; the views that were given out stay as they are."""
+        self._values = self._values[count:].copy()
+        self._count -= count
+
     @property
     def rows(self) -> Array:
         """All rows so far."""
@@ -203,6 +208,11 @@ class _Channels:
         self.means.add(out / weights[:, None])
         self.weights.add(weights[:, None])
         self.ends.add(values[ends])
+
+    def forget(self, blocks: int) -> None:
+        """Drop the first blocks of the file."""
+        for rows in (self.means, self.weights, self.ends):
+            rows.forget(blocks)
 
     def series(self, seconds: float) -> ChannelSeries:
         """What there is of the file; what is left after the last block takes so many `seconds`."""
@@ -328,6 +338,28 @@ class Reducer:
             temperature=self._temperature.rows if len(self._temperature.rows) else None,
             **{kind: channels.series(left) for kind, channels in self._channels.items()},
         )
+
+    def forget(self, blocks: int) -> None:
+        """Drop the first blocks of the present file, their samples, and all files before it.
+
+        The other blocks stay as they are, and so do the states of the channels, which are those of all samples.
+        Reductions that were given out keep what they have.
+
+        Parameters
+        ----------
+        blocks
+            How many blocks of the present file to drop, at most those that there are.
+        """
+        samples = blocks * self.size
+        for channels in self._channels.values():
+            channels.forget(blocks)
+        self._edges.forget(blocks)
+        if len(self._temperature.rows):
+            self._temperature.forget(blocks)
+        self._unrecorded = {b - blocks: seconds for b, seconds in self._unrecorded.items() if b >= blocks}
+        if self._stored is not None:
+            self._stored = self._stored.since(self._first + samples)
+        self._files, self._first, self._count = [], 0, self._count - samples
 
     def now(self) -> Reduction:
         """The reduction of what was fed so far, to the bit that of a log which ends here. No block is copied; more may

@@ -29,7 +29,7 @@ seconds, which shows a turn about a nearly vertical axis by the little it tilts.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -111,6 +111,8 @@ class LevelJump:
 class Segmentation:
     """Rests of a log in the order of time, what was rejected, and the thresholds that were found:
     rate_limit (rad/s; None without gyros) and scatter_limit (m/s²)."""
+
+    json_fields: ClassVar = ("scatter_limit", "rate_limit", "rejected")
 
     rests: tuple[RestSpan, ...]
     rejected: tuple[Rejected, ...]

@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise
+from typing import ClassVar
 
 import numpy as np
 
@@ -63,6 +64,8 @@ class Turns:
     by from sample to sample times the interval, docs/explanation/mathematics.md (18). All are resolved in the
     non-rotating frame that is the body at the start of the turn. `aliased` (K,), rad², is the variance of the rotation
     if what changes in the rate from sample to sample were independent, which it is in samples that are no means."""
+
+    json_fields: ClassVar = ("first", "last", "duration", "C", "covariance")
 
     first: IntArray
     last: IntArray

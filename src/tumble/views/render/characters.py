@@ -42,10 +42,7 @@ def printed(document: Document, change: Callable[[str], str]) -> dict[str, Any]:
     blocks = (block for part in content["parts"] for section in part["sections"] for block in section["blocks"])
     for table in (block for block in blocks if block["kind"] == "table"):
         table["rows"] = [
-            [
-                cell if i in table["text"] else _MINUS.sub("−", cell) or ("" if table["tones"] else "—")
-                for i, cell in enumerate(row)
-            ]
+            [cell if i in table["text"] else _MINUS.sub("−", cell) or "—" for i, cell in enumerate(row)]
             for row in table["rows"]
         ]
     return content

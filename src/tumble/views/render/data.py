@@ -9,29 +9,12 @@ in its `_data` function.
 
 from __future__ import annotations
 
-import json
-import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
-import click
-
-from tumble.documents import as_json
 from tumble.inference.estimate import Judgement
 
 Content = dict[str, Any]
-_FINITE: Mapping[type, Callable[[Any], Any]] = {float: lambda number: number if math.isfinite(number) else None}
-"""A number that is not finite is null."""
-
-
-def print_data(content: Content) -> None:
-    """Print a result as JSON on standard output, in characters that every terminal has."""
-    click.echo(json.dumps({"format": 1} | as_json(content, _FINITE), indent=1, allow_nan=False))
-
-
-def print_line(content: Content) -> None:
-    """The same on one line, at once."""
-    click.echo(json.dumps({"format": 1} | as_json(content, _FINITE), allow_nan=False))
 
 
 def fields(result: object, names: str) -> Content:

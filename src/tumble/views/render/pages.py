@@ -1,6 +1,8 @@
-"""A document as one page of HTML that needs nothing else, no script, no font, no other file, and as PDF/A-2b, set by
-typst from the same content: what comes from files is data to the templates, never markup. Fonts of a PDF are those
-that typst and matplotlib bring along, so that it is the same bytes on every machine.
+"""A document as a page of HTML, and as PDF/A-2b.
+
+The page needs nothing else: no script, no font, no other file; styles for print are in it. The PDF, of certificates, is
+set by typst from the same content, with the fonts of typst and matplotlib, so that it is the same bytes on every
+machine. What comes from files is data to the templates, never markup.
 """
 
 from __future__ import annotations
@@ -12,18 +14,12 @@ from contextlib import suppress
 from datetime import datetime
 from importlib.resources import files
 
-import typst
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
-from matplotlib import get_data_path
 
+from tumble.errors import needs_extra
 from tumble.views.blocks import Document
 from tumble.views.render.characters import drawable, printed, visible
-
-
-def written(document: Document, ending: str) -> bytes:
-    """A document as the file of this ending, .html or .pdf."""
-    return page(document).encode() if ending == ".html" else pdf(document)
 
 
 def page(document: Document) -> str:
@@ -56,6 +52,9 @@ def pdf(document: Document) -> bytes:
 
 def set_in_type(template: str, content: str, *, timestamp: int) -> bytes:
     """The PDF/A-2b that a template makes of `content`, as JSON, with a date in seconds since 1970."""
+    with needs_extra("a PDF", "report", "matplotlib", "typst"):
+        import typst
+        from matplotlib import get_data_path
     fonts = typst.Fonts(include_system_fonts=False, font_paths=[f"{get_data_path()}/fonts/ttf"])
     source = files("tumble.views.render").joinpath(f"templates/{template}").read_bytes()
     compiler = typst.Compiler(source, font_paths=fonts, sys_inputs={"document": content})

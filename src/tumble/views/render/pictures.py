@@ -48,25 +48,21 @@ STYLE: Any = {
     "legend.fontsize": 7.5,
     "lines.linewidth": 1.2,
 }
-"""How every picture of a report looks."""
+"""How every picture looks."""
 
-PLAIN: Any = {"svg.fonttype": "none", "svg.hashsalt": "tumble", "font.size": 9.0}
-"""How a picture that stands alone looks; letters are text."""
 _DATA_OF_THE_FILE = {"Creator": None, "Date": None, "Format": None, "Type": None}
 _UNDATED: Mapping[str, dict[str, Any]] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
 
 
-def write_picture(
-    path: Path, what: str, size: tuple[float, float], draw: Callable[[Figure], None], style: Any = PLAIN
-) -> None:
-    """Write a picture of this size in inches that `draw` fills, by the ending of the file.
+def write_picture(path: Path, what: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> None:
+    """Write a picture of this size in inches that `draw` fills, by the ending of the file; letters of an SVG are text.
 
     Raises MissingExtraError, saying `what` it is, without matplotlib, InputError for another ending."""
     ending = ending_in(path, ".svg", ".png", ".pdf")
     with needs_extra(what, "report", "matplotlib"):
         from matplotlib import rc_context
         from matplotlib.figure import Figure
-    with rc_context(style):
+    with rc_context(STYLE | {"svg.fonttype": "none"}):
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
         with whole_file(path) as temporary:
@@ -75,12 +71,16 @@ def write_picture(
 
 def svg_of(size: tuple[float, float], draw: Callable[[Figure], None], style: Any, metadata: Any, **saving: Any) -> str:
     """The SVG of a figure of this size in inches that `draw` fills."""
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
-
+    with needs_extra("a figure", "report", "matplotlib"):
+        from matplotlib import rc_context
+        from matplotlib.figure import Figure
     with rc_context(style):
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
+        layout = figure.get_layout_engine()
+        assert layout is not None
+        layout.execute(figure)  # once: savefig would draw the figure twice to lay it out
+        figure.set_layout_engine("none")
         out = io.StringIO()
         figure.savefig(out, format="svg", metadata=metadata, **saving)
     return out.getvalue()

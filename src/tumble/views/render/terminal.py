@@ -56,8 +56,10 @@ def _lines(block: Block, width: int | None) -> Iterator[str]:
         sentences = [f"{name}: {value}" for name, value in block.rows]
     else:
         return  # a picture
+    hanging = "  " if isinstance(block, Items) else ""
     for sentence in sentences:
-        yield from [sentence] if width is None else wrap(sentence, width, break_on_hyphens=False) or [""]
+        broken = wrap(sentence, width or len(sentence) + 1, subsequent_indent=hanging, break_on_hyphens=False)
+        yield from [sentence] if width is None else broken or [""]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -93,6 +95,8 @@ class _Column:
 
 
 def _table_lines(table: Table, width: int) -> Iterator[str]:
+    if not table.columns:
+        return
     by_column = [list(cells) for cells in zip(table.columns, *table.rows, strict=True)]
     columns = [_Column.of(cells, words=i in table.text) for i, cells in enumerate(by_column)]
     if _together(columns) > width:

@@ -1,14 +1,14 @@
-"""Reports: what a calibration found and what it rests on, as a document that a laboratory signs.
+"""Reports: what a calibration found and what it rests on, as one page of HTML that needs nothing else and prints well.
 
-    calibration files → document (sections of blocks: plain text, numbers, pictures) → page (HTML) or pdf (PDF/A)
+    calibration files → document (sections of blocks: plain text, numbers, pictures) → page
 
-The content is put together once; the templates only show it. Needs the extra `tumble[report]`.
+Needs the extra `tumble[report]`. What a laboratory adds, limits and certificates, is in `tumble.lab.report`.
 
-    document     the order of the sections, the first page, what a certificate adds
-    result       parameters, limits, several calibrations, correlations, iterations
-    application  how to apply it: matrices, the whole correction, test vectors, the frame
-    recording    site, rests and turns against the programme, residuals, noise
-    over_temperature, figures, drawings
-                 plots; drawings: sphere and frame
+    document     the order of the sections, the first page
+    result       verdict, parameters, launches, several calibrations, correlations
+    application  how to apply it: frame, matrices, the whole correction, test vectors
+    recording    rests and turns against the programme, residuals, noise
+    over_temperature, figures
+                 the section on temperature; the sphere and the residuals
     write        from files to a file
 """

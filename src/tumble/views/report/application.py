@@ -1,4 +1,4 @@
-"""How a calibration is applied, in a report: the model, matrices, the whole correction with test vectors, the frame."""
+"""How a calibration is applied, in a report: frame, model, matrices, and the whole correction with test vectors."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from tumble.result.further import SENSORS, further_parameters, left_by_matrix
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import group_name, variable_of
 from tumble.units import Array
-from tumble.views.blocks import Block, Figure, Formula, Matrices, Matrix, Section, Text, section, table
+from tumble.views.blocks import Block, Formula, Matrices, Matrix, Section, Text, section, table
 from tumble.views.numbers import fixed, significant, unit_text
-from tumble.views.report import drawings
 
 _TEST_VECTORS = {"accel": (1.0, -2.0, 9.5), "gyro": (0.1, -0.2, 0.3), "mag": (0.4, -0.2, 0.3)}
 """True values (m/s², rad/s, unit of the field) near which the readings of the test vectors are."""
@@ -60,10 +59,18 @@ _IN_MOTION = {
 
 
 def application(calibration: Calibration) -> Section:
-    """The model, what a reading is, the matrices and a test vector for each block, and what is beyond them."""
+    """The model and its frame, what a reading is, the matrices and a test vector for each block, and what is beyond
+    them."""
     models = {"accel": calibration.accel, "gyro": calibration.gyro, "mag": calibration.mag}
     known = {kind: model for kind, model in models.items() if model is not None}
-    blocks: list[Block] = ["The sensors follow the model", Formula(name="model")]
+    frame = _FRAMES.get(calibration.frame, "It is described in the documentation of the software.")
+    if calibration.frame == "accelerometer" and "accel.bias.0" in calibration:
+        frame = _NUMBERED_FRAME
+    blocks: list[Block] = [
+        f"Body frame “{calibration.frame}”, right-handed. {frame}",
+        "The sensors follow the model",
+        Formula(name="model"),
+    ]
     meant = (
         "with the specific force (m/s²; at rest, axis up, +g) or the angular rate (rad/s) in the body frame as the "
         "true value. "
@@ -145,7 +152,7 @@ def _test_vector(reading: Array, true: Array, unit: str) -> Matrices:
     )
 
 
-def terms_of(calibration: Calibration) -> str:
+def added_terms(calibration: Calibration) -> str:
     """What the whole correction takes from a reading beside matrix and bias, in formulas."""
     return "; ".join(_present(calibration, {**_TERMS, **_IN_MOTION, **_OVER_TEMPERATURE}))
 
@@ -204,19 +211,3 @@ def test_reading(kind: str, model: SensorModel) -> Array:
 
 def _numbers(matrix: Array) -> tuple[tuple[str, ...], ...]:
     return tuple(tuple(fixed(float(v), MODEL_DIGITS) for v in row) for row in matrix)
-
-
-def frame(calibration: Calibration, name: str) -> Section:
-    """The body frame in words and as a picture."""
-    words = _FRAMES.get(calibration.frame, "It is described in the documentation of the software.")
-    if calibration.frame == "accelerometer" and any(p.name == "accel.bias.0" for p in calibration.parameters):
-        words = _NUMBERED_FRAME
-    picture = None
-    if calibration.accel is not None:
-        times = drawings.lean_factor([m for m in (calibration.accel, calibration.gyro) if m is not None])
-        larger = f", their deviations from the body axes drawn {times:.0f} times larger" if times > 1.0 else ""
-        caption = f"The body frame X, Y, Z and the sensing axes in it{larger}."
-        svg = drawings.frame(name, calibration.accel, calibration.gyro)
-        picture = Figure(svg=svg, caption=caption, width=drawings.FRAME)
-    said = f"Body frame “{calibration.frame}”, right-handed. {words}"
-    return section("The frame", said, picture)

@@ -1,34 +1,112 @@
-"""Figures of a report: residuals, convergence, noise and drift, several calibrations beside each other."""
+"""Figures of a report: where the vertical was in the body at each rest, and residuals.
+
+The sphere is orthographic, seen from a fixed direction; picture coordinates are x right, y up, z towards the viewer.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tumble.inference.estimate import FIT_SIGMAS
-from tumble.result.calibration import Calibration
-from tumble.result.coverage import expanded
-from tumble.result.further import by_group, linear_parameters
-from tumble.result.parts import Parameter, RestResult, SensorsAtRest, TurnResult
-from tumble.sensors.parameters import within_group
-from tumble.units import Array, engineering
-from tumble.views.numbers import raised, shown_units
-from tumble.views.render.characters import drawable
-from tumble.views.render.pictures import COLOURS, GREY, INK, PAGE, drawn, grid
+from tumble.result.parts import RestResult, TurnResult
+from tumble.units import DEGREE, Array, engineering
+from tumble.views.render.pictures import COLOURS, FAINT, GREY, INK, PAGE, drawn, grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+SPHERE = 0.66
+"""Width of the drawing as a part of the page."""
 
-def _rest_ticks(axes: Axes, count: int, most: int = 25) -> None:
-    """Numbers of rests below an axis, no more than fit."""
-    step = max(1, math.ceil(count / most))
-    axes.set_xticks(range(1, count + 1, step))
-    axes.set_xlim(0.4, count + 0.6)
+_SAME = 8.0 * DEGREE
+"""Directions so near to each other are labelled together."""
+
+_MOST_NUMBERS = 20
+"""More rests than these are not numbered in the picture."""
+
+_MOST_TICKS = 25
+"""Rests that are numbered below a figure."""
+
+_CIRCLE = np.linspace(0.0, 2.0 * math.pi, 181)
+
+_AZIMUTH, _ABOVE = 32.0 * DEGREE, 24.0 * DEGREE
+_TOWARDS = np.array([math.cos(_AZIMUTH) * math.cos(_ABOVE), math.sin(_AZIMUTH) * math.cos(_ABOVE), math.sin(_ABOVE)])
+"""From the body to a viewer at this azimuth, from X towards Y, and elevation."""
+_RIGHT = np.array([-math.sin(_AZIMUTH), math.cos(_AZIMUTH), 0.0])
+FRONT = np.stack([_RIGHT, np.cross(_TOWARDS, _RIGHT), _TOWARDS])
+"""Body → picture (right, up, towards the viewer)."""
+BACK = np.diag([-1.0, 1.0, -1.0]) @ FRONT
+"""The other side of the sphere, seen after half a turn about the vertical of the picture."""
+
+
+def sphere(name: str, found: Array, nominal: Array) -> str:
+    """Both sides of the sphere of directions in the body with the vertical (N, 3) of every rest, by its number, and
+    those of the programme (M, 3)."""
+    together: list[list[int]] = []  # rests in groups whose directions are nearly one
+    for i, direction in enumerate(found):
+        near = [group for group in together if float(found[group[0]] @ direction) > math.cos(_SAME)]
+        if near:
+            near[0].append(i)
+        else:
+            together.append([i])
+
+    def draw(figure: Figure) -> None:
+        for axes, view, title in zip(figure.subplots(1, 2), (FRONT, BACK), ("front", "back"), strict=True):
+            axes.set(aspect="equal", xlim=(-1.3, 1.3), ylim=(-1.22, 1.22))
+            axes.set_axis_off()
+            axes.set_title(title, loc="center", fontweight="normal", color=GREY)
+            _globe(axes, view)
+            if len(nominal):
+                seen, ring = _in_front(nominal @ view.T), {"markeredgecolor": COLOURS[1], "markeredgewidth": 0.9}
+                axes.plot(*seen, "o", label="programme", markerfacecolor="none", markersize=9, **ring)
+            rests = found @ view.T
+            axes.plot(*_in_front(rests), "o", color=COLOURS[0], markersize=3.5, label="vertical at a rest")
+            for members in together if len(found) <= _MOST_NUMBERS else ():
+                x, y, z = rests[members].mean(axis=0)
+                if z >= 0.0:
+                    numbers: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": 7}
+                    text = ", ".join(str(i + 1) for i in members)
+                    axes.annotate(text, (x, y), (0, 6), textcoords="offset points", **numbers)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+
+    return drawn(name, SPHERE * PAGE, 0.62 * SPHERE * PAGE, draw)
+
+
+def _in_front(seen: Array) -> Array:
+    """Picture coordinates (2, N) of directions (N, 3) on the near side."""
+    return np.asarray(seen[seen[:, 2] >= 0.0, :2].T)
+
+
+def _globe(axes: Axes, view: Array) -> None:
+    axes.fill(np.cos(_CIRCLE), np.sin(_CIRCLE), facecolor="#f4f6f8", edgecolor=GREY, linewidth=0.8)
+    for p, q, sine in [(p, q, s) for p, q in ((0, 1), (1, 2), (2, 0)) for s in (-0.5, 0.0, 0.5)]:
+        circle = np.zeros((len(_CIRCLE), 3))
+        radius = math.sqrt(1.0 - sine**2)
+        circle[:, p], circle[:, q], circle[:, 3 - p - q] = radius * np.cos(_CIRCLE), radius * np.sin(_CIRCLE), sine
+        seen = circle @ view.T
+        seen[seen[:, 2] < 0.0] = np.nan
+        axes.plot(seen[:, 0], seen[:, 1], color=GREY if sine == 0.0 else FAINT, linewidth=0.6 if sine == 0.0 else 0.4)
+    for axis, sign in ((axis, sign) for axis in range(3) for sign in (1.0, -1.0)):
+        x, y, z = sign * view[:, axis]
+        if z > 0.0:
+            axes.plot(x, y, "+", color=INK, markersize=6, markeredgewidth=0.8)
+            mark = f"{'+' if sign > 0 else '−'}{'XYZ'[axis]} up"
+            axes.annotate(mark, (x, y), (0, -9), textcoords="offset points", ha="center", va="top", color=GREY)
+
+
+def farthest_from(found: Array) -> float:
+    """The largest angle (rad) from any direction to the nearest of these (N, 3), to about a degree."""
+    n = 5000
+    k = np.arange(n) + 0.5
+    z, azimuth = 1.0 - 2.0 * k / n, math.pi * (1.0 + math.sqrt(5.0)) * k
+    radius = np.sqrt(1.0 - z**2)
+    everywhere = np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z])
+    return float(np.arccos(np.clip((everywhere @ found.T).max(axis=1), -1.0, 1.0)).max())
 
 
 def residuals(name: str, rests: Sequence[RestResult], turns: Sequence[TurnResult]) -> str:
@@ -52,103 +130,7 @@ def residuals(name: str, rests: Sequence[RestResult], turns: Sequence[TurnResult
         figure.legend(*bottom.get_legend_handles_labels(), loc="outside lower right", ncols=3)
         for axes in (top, bottom):
             grid(axes)
-        _rest_ticks(bottom, len(rests))
+        bottom.set_xticks(range(1, len(rests) + 1, math.ceil(len(rests) / _MOST_TICKS)))
+        bottom.set_xlim(0.4, len(rests) + 0.6)
 
     return drawn(name, PAGE, 3.5, draw)
-
-
-def convergence(name: str, steps: Sequence[Mapping[str, float]], parameters: Sequence[Parameter]) -> str:
-    """The largest increment of each kind of parameter in every iteration, in units of its standard uncertainty."""
-    kinds = by_group(p for p in parameters if p.u)
-
-    def draw(figure: Figure) -> None:
-        axes = figure.add_subplot()
-        for i, (kind, alike) in enumerate(kinds.items()):
-            sizes = np.array([max(abs(step.get(p.name, 0.0)) / (p.u or 1.0) for p in alike) for step in steps])
-            shown = np.where(sizes > 0.0, sizes, np.nan)
-            axes.plot(
-                np.arange(1, len(steps) + 1), shown, "o-", markersize=3, color=COLOURS[i % 6], label=drawable(kind)
-            )
-        axes.axhline(1.0, color=GREY, linewidth=0.8, linestyle="--")
-        axes.set(yscale="log", xlabel="iteration", ylabel="largest increment / u")
-        axes.yaxis.set_major_formatter(
-            lambda value, _: f"10{raised(round(np.log10(value)))}" if 0.0 < value < np.inf else ""
-        )
-        axes.yaxis.set_minor_formatter("")
-        axes.set_xticks(range(1, len(steps) + 1))
-        grid(axes)
-        figure.legend(loc="outside right center")
-
-    return drawn(name, PAGE, 2.3, draw)
-
-
-def noise_and_drift(name: str, rests: Sequence[RestResult], sensors: Mapping[str, Sequence[str]]) -> str:
-    """Noise density and drift of every sensor at every rest, and the temperature; `sensors` are the names of those of
-    "accel" and "gyro"."""
-    kinds = [("accel", "m/s^2", "accelerometers"), ("gyro", "rad/s", "gyros")]
-    present = [kind for kind in kinds if all(getattr(rest, kind[0]) is not None for rest in rests)]
-    temperatures = [rest.temperature for rest in rests if rest.temperature is not None]
-    warm = len(temperatures) == len(rests)
-
-    def draw(figure: Figure) -> None:
-        rows = figure.subplots(len(present) + warm, 2, squeeze=False)
-        for (noise, drift), (kind, unit, title) in zip(rows, present, strict=False):
-            seen: list[SensorsAtRest] = [getattr(rest, kind) for rest in rests]
-            _per_rest(noise, np.array([s.noise for s in seen]), unit, "/√Hz", sensors[kind])
-            _per_rest(drift, np.array([s.drift for s in seen]), unit, "", sensors[kind])
-            noise.set(ylim=(0.0, 1.1 * noise.get_ylim()[1]), title=f"{title}: noise density")
-            drift.set(title=f"{title}: drift over a rest")
-            noise.legend(loc="lower left", ncols=3, handlelength=1.0, columnspacing=1.0)
-        if warm:
-            left, right = rows[-1]
-            right.set_visible(False)
-            left.plot(range(1, len(rests) + 1), temperatures, "o-", markersize=2.5, color=INK, linewidth=0.7)
-            left.set(title="temperature", ylabel="°C")
-            grid(left)
-            _rest_ticks(left, len(rests), most=12)
-        for axes in rows[-1]:
-            axes.set_xlabel("rest")
-
-    return drawn(name, PAGE, 1.65 * (len(present) + warm) + 0.1, draw)
-
-
-def _per_rest(axes: Axes, values: Array, unit: str, per: str, sensors: Sequence[str]) -> None:
-    size, shown = engineering(unit, float(np.sqrt(np.mean(values**2))))
-    for sensor, series in enumerate((values / size).T):
-        label = drawable(sensors[sensor])
-        style: dict[str, Any] = {"markersize": 2.5, "linewidth": 0.7, "color": COLOURS[sensor % 6], "label": label}
-        axes.plot(np.arange(1, len(series) + 1), series, "o-", **style)
-    axes.set_ylabel(shown + per)
-    grid(axes)
-    _rest_ticks(axes, len(values), most=12)
-
-
-def comparison(name: str, titles: Sequence[str], calibrations: Sequence[Calibration]) -> str:
-    """Parameters of the linear model of several calibrations with U (95 %), each as a difference from their mean, one
-    panel a kind."""
-    kinds = by_group(linear_parameters(calibrations[0].parameters))
-    units = shown_units(calibrations[0].parameters)
-    by_name = [{p.name: p for p in calibration.parameters} for calibration in calibrations]
-    style: dict[str, Any] = {"fmt": "o", "markersize": 3, "linewidth": 0.9, "capsize": 1.5}
-
-    def draw(figure: Figure) -> None:
-        columns = min(3, len(kinds))
-        panels = figure.subplots(-(-len(kinds) // columns), columns, squeeze=False).ravel()
-        for axes, (kind, members) in zip(panels, kinds.items(), strict=False):
-            names, (size, unit) = [p.name for p in members], units[members[0].name]
-            means = [np.mean([there[name].value for there in by_name if name in there]) for name in names]
-            for i, (title, there) in enumerate(zip(titles, by_name, strict=True)):
-                values = [there[n].value - mean if n in there else np.nan for n, mean in zip(names, means, strict=True)]
-                bars = np.array([(expanded(there[n]) or 0.0) if n in there else 0.0 for n in names]) / size
-                beside = np.arange(len(names)) + 0.5 * (i + 1) / (len(titles) + 1) - 0.25
-                label = drawable(title)
-                axes.errorbar(beside, np.array(values) / size, bars, color=COLOURS[i % 6], label=label, **style)
-            axes.axhline(0.0, color=GREY, linewidth=0.6)
-            axes.set_xticks(np.arange(len(names)), [drawable(within_group(name)) for name in names])
-            axes.set(ylabel="arcsec" if unit == '"' else drawable(unit), title=drawable(kind))
-            grid(axes)
-        for axes in panels[len(kinds) :]:
-            axes.set_visible(False)
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=min(4, len(titles)))
-
-    return drawn(name, PAGE, 1.7 * -(-len(kinds) // 3) + 0.4, draw)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tumble.result.calibration import Calibration
-from tumble.result.parts import RestResult
 from tumble.result.temperature_curves import (
     Range,
     changing,
@@ -61,15 +60,8 @@ def section(calibration: Calibration, name: str) -> Section | None:
         caption=f"Change from the value at {fixed(reference, 1)} °C (upright line), with the band ±U of the value. "
         "Marks at the foot: temperatures of the rests. Dashed, on grey: not measured.",
     )
-    left, rests = None, warm_rests(calibration)
-    if rests:
-        left = Figure(
-            svg=_residuals(f"{name}-left", rests),
-            caption="What is left of the specific force at each rest, by its temperature, and how far the rest is from "
-            "the fit, in sigmas. Residuals that follow the temperature are what the coefficients do not hold.",
-        )
     numbers = Table(columns=columns, rows=tuple(rows), text=(0, 7), dense=True)
-    return section_of("Over temperature", text, numbers, over, left)
+    return section_of("Over temperature", text, numbers, over)
 
 
 def _curves(name: str, calibration: Calibration, names: Sequence[str], measured: Range, reference: float) -> str:
@@ -116,24 +108,3 @@ def _panel(axes: Axes, calibration: Calibration, members: Sequence[str], measure
     axes.set(xlim=(beyond[0][0], beyond[1][-1]), ylabel=drawable(unit))
     grid(axes)
     axes.legend(loc="best", ncols=3, handlelength=1.0, columnspacing=1.0)
-
-
-def _residuals(name: str, rests: Sequence[RestResult]) -> str:
-    """Residuals of the specific force, and sigmas, of rests over the temperatures of the accelerometers."""
-    celsius = np.array([temperature_of(rest, "accel") for rest in rests])
-    left = np.array([rest.residual for rest in rests])
-    size, unit = engineering("m/s^2", float(np.abs(left).max()))
-
-    def draw(figure: Canvas) -> None:
-        of_force, of_fit = figure.subplots(1, 2)
-        for axes, values, label, title in (
-            (of_force, left / size, unit, "residuals of the specific force"),
-            (of_fit, [rest.sigmas for rest in rests], "sigmas", "distance from the fit"),
-        ):
-            axes.plot(celsius, values, "o", color=COLOURS[0], markersize=3.0)
-            axes.axhline(0.0, color=GREY, linewidth=0.6)
-            margin, ends = 0.03 * float(np.ptp(celsius)), (float(celsius.min()), float(celsius.max()))
-            axes.set(xlim=(ends[0] - margin, ends[1] + margin), xlabel="°C", ylabel=drawable(label), title=title)
-            grid(axes)
-
-    return drawn(name, PAGE, 2.0, draw)

@@ -18,11 +18,10 @@ from tumble.result.calibration import Calibration
 from tumble.result.further import checked, rests_said
 from tumble.result.parts import Launch, TurnResult
 from tumble.rotation import unit_vector
-from tumble.units import DEGREE, G_STANDARD, Array, engineering
+from tumble.units import DEGREE, G_STANDARD, Array
 from tumble.views.blocks import Block, Facts, Figure, Section, Table, Text, section, table
-from tumble.views.inspection import overview
 from tumble.views.numbers import NONE, fixed, in_engineering, significant
-from tumble.views.report import drawings, figures
+from tumble.views.report import figures
 
 MICRO_G = 1e-6 * G_STANDARD
 _MOST_TURNS = 8
@@ -86,13 +85,14 @@ def site_facts(site: Site | None) -> tuple[tuple[str, str], ...]:
     return (*place, ("gravity", gravity))
 
 
-def site(all_of_them: Sequence[RecordedSession]) -> Section:
-    """The site of the recordings, once where they share it."""
-    if all(recording.recorded.site == all_of_them[0].recorded.site for recording in all_of_them):
-        return section("Site", Facts(rows=site_facts(all_of_them[0].recorded.site)))
+def sites(all_of_them: Sequence[RecordedSession]) -> Section | None:
+    """The site of each recording, where they are not at one."""
+    every = [recording.recorded.site for recording in all_of_them]
+    if all(site == every[0] for site in every):
+        return None
     blocks: list[Block] = []
     for recording in all_of_them:
-        blocks += [Text(text=recording.title, tone="small"), Facts(rows=site_facts(recording.recorded.site))]
+        blocks += [Text(text=recording.title, tone="label"), Facts(rows=site_facts(recording.recorded.site))]
     return section("Sites", *blocks)
 
 
@@ -100,38 +100,22 @@ def site(all_of_them: Sequence[RecordedSession]) -> Section:
 
 
 def found(recording: RecordedSession, name: str) -> Section | None:
-    """Every rest and every turn against the programme, and where the vertical was in the body."""
+    """Every rest and every turn against the programme, and, with the `name` of a figure, where the vertical was in
+    the body."""
     if not recording.recorded.rests:
         return None
-    time, sphere, verticals = None, None, recording.verticals()
-    if all(rest.accel is not None for rest in recording.recorded.rests):
-        readings = recording.calibration.readings.get("accel")
-        columns = () if readings is None else readings.columns
-        time = Figure(
-            svg=overview(f"{name}-time", recording.recorded.rests, recording.recorded.turns, columns),
-            caption="The recording: mean readings of the accelerometers at its numbered rests, and between them "
-            "the turns, with their angles as the gyros saw them.",
-        )
-    if verticals is not None:
+    sphere, verticals = None, recording.verticals()
+    if name and verticals is not None:
         nominal = np.array([p.vertical_b for p in recording.positions() if p is not None]).reshape(-1, 3)
-        gap = drawings.farthest_from(verticals) / DEGREE
+        gap = figures.farthest_from(verticals) / DEGREE
         sphere = Figure(
-            svg=drawings.sphere(name, verticals, nominal),
+            svg=figures.sphere(name, verticals, nominal),
             caption="Orientation coverage: where the vertical was in the body at each rest, on both sides of the "
             f"sphere. The direction farthest from any rest is {gap:.0f}° away from the nearest.",
-            width=drawings.SPHERE,
+            width=figures.SPHERE,
         )
     said, (rests, turns, *_) = _programme_said(recording), tables_of(recording)
-    return section(recording.titled("Programme and what was found"), said, time, rests, sphere, turns)
-
-
-def measured(recording: RecordedSession) -> Section | None:
-    """Every rest and every turn as numbers, and how they agree with the result."""
-    if not recording.recorded.rests:
-        return residuals(recording, "")
-    rests, turns, fits = tables_of(recording)
-    residual = f"{rests_said(recording.recorded)}."
-    return section(recording.titled("What was measured"), _programme_said(recording), rests, turns, residual, fits)
+    return section(recording.titled("Programme and what was found"), said, rests, sphere, turns)
 
 
 def tables_of(recording: RecordedSession) -> tuple[Table | None, Table | None, Table | None]:
@@ -197,14 +181,14 @@ def _turn_table(turns: Sequence[TurnResult]) -> Table | None:
 
 
 def residuals(recording: RecordedSession, name: str) -> Section | None:
-    """The plot of residuals, and what chi-square says of them."""
+    """Residuals, with a `name` as a figure, and what chi-square says of them."""
     title, fits = recording.titled("Residuals"), _fit_table(recording.recorded.fits)
     if not recording.recorded.rests:
         return section(title, fits) if fits else None
-    picture = Figure(
-        svg=figures.residuals(name, recording.recorded.rests, recording.recorded.turns),
-        caption="Residual of every rest, and how far rests and turns are from the fit.",
-    )
+    picture = None
+    if name:
+        svg = figures.residuals(name, recording.recorded.rests, recording.recorded.turns)
+        picture = Figure(svg=svg, caption="Residual of every rest, and how far rests and turns are from the fit.")
     return section(title, f"{rests_said(recording.recorded)}.", picture, fits)
 
 
@@ -230,41 +214,31 @@ def _fit_table(fits: Mapping[str, Fit]) -> Table | None:
 # -------------------- noise and drift --------------------
 
 
-def noise(recording: RecordedSession, name: str) -> Section | None:
+def noise(recording: RecordedSession) -> Section | None:
     """Noise density and drift over the rests of every sensor, by its column in the log, else a number."""
-    sensors, rows = {}, []
+    rows = []
     for kind, si in (("accel", "m/s^2"), ("gyro", "rad/s")):
         seen = [getattr(rest, kind) for rest in recording.recorded.rests]
         if not seen or any(each is None for each in seen):
             continue
         density, drift = np.array([s.noise for s in seen]), np.array([s.drift for s in seen])
-        numbered = tuple(f"{kind} {i}" for i in range(len(seen[0].mean)))
         readings = recording.calibration.readings.get(kind)
-        sensors[kind] = numbered if readings is None else readings.columns
-        for i, sensor in enumerate(sensors[kind]):
-            row = {"sensor": sensor}
-            for heading, value, per in (
-                ("noise density, median", float(np.median(density[:, i])), "/√Hz"),
-                ("drift over a rest, rms", float(np.sqrt(np.mean(drift[:, i] ** 2))), ""),
-                ("drift, largest", float(drift[np.argmax(np.abs(drift[:, i])), i]), ""),
-            ):
-                size, unit = engineering(si, value)
-                row[heading] = f"{significant(value / size, 3)} {unit}{per}"
-            rows.append(row)
-    if not rows:
-        return None
+        sensors = [f"{kind} {i}" for i in range(density.shape[1])] if readings is None else readings.columns
+        for i, sensor in enumerate(sensors):
+            rows.append(
+                {
+                    "sensor": sensor,
+                    "noise density, median": in_engineering(si, float(np.median(density[:, i]))) + "/√Hz",
+                    "drift over a rest, rms": in_engineering(si, float(np.sqrt(np.mean(drift[:, i] ** 2)))),
+                    "drift, largest": in_engineering(si, float(drift[np.argmax(np.abs(drift[:, i])), i])),
+                }
+            )
     caption = (
         "Noise density: of the mean of a rest, whatever the colour of the noise. Drift: the change of a reading over a "
         "rest."
     )
-    span = _span([recording])
-    warmth = f", and the temperature: {span}" if span else "; the recording has no temperature"
-    picture = Figure(
-        svg=figures.noise_and_drift(name, recording.recorded.rests, sensors),
-        caption=f"Noise and drift at every rest{warmth}.",
-    )
     shown = table(rows, words=("sensor",), caption=caption)
-    return section(recording.titled("Noise and drift of the rests"), shown, picture)
+    return section(recording.titled("Noise and drift of the rests"), shown) if rows else None
 
 
 def temperature(all_of_them: Sequence[RecordedSession]) -> str:

@@ -1,4 +1,4 @@
-"""From calibration files to a report file."""
+"""From calibration files to the file of a report."""
 
 from __future__ import annotations
 
@@ -10,65 +10,79 @@ from typing import TYPE_CHECKING
 
 from tumble.errors import InputError, needs_extra
 from tumble.files import FilePath, ending_in, whole_file
-from tumble.result.calibration import Calibration, calibration_of, read_calibration, text_and_name
+from tumble.result.calibration import Calibration, calibration_of, text_and_name
 
 if TYPE_CHECKING:
+    from tumble.views.blocks import Document
     from tumble.views.report.document import ReportedFile
 
-ENDINGS = (".html", ".pdf")
 
+def write_report(calibrations: Calibration | FilePath | Sequence[Calibration | FilePath], out: FilePath) -> list[str]:
+    """Write the report of a calibration, or of several of one device, as a page of HTML that prints well.
 
-def write_report(
-    calibrations: Calibration | FilePath | Sequence[Calibration | FilePath],
-    out: FilePath,
-    *,
-    limits: FilePath | None = None,
-    certificate: FilePath | None = None,
-) -> list[str]:
-    """Write the report of a calibration, in memory or a file, or of several of one device, to `out`, HTML or PDF by
-    its ending, and return why it is not accepted: the reasons of the calibrations, and what is not within the
-    acceptance limits of the file `limits`. With the file `certificate` it is the certificate of one calibration, whose
-    limits that file names.
+    Parameters
+    ----------
+    calibrations
+        A calibration or its file, or several of one device.
+    out
+        The file to write: .html. To have a PDF print the page.
 
-    Raises InputError for files that cannot be used, MissingExtraError without the extra `tumble[report]`.
+    Returns
+    -------
+    list of str
+        Why a calibration is not accepted.
 
+    Raises
+    ------
+    InputError
+        For files that cannot be used.
+    MissingExtraError
+        Without the extra `tumble[report]`.
+
+    Examples
+    --------
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> tumble.calibrate(folder).write("calibration.json")
     >>> tumble.write_report("calibration.json", "report.html")
     []
     """
+    if Path(out).suffix.lower() == ".pdf":
+        raise InputError(
+            f"{out}: expected a file that ends in .html, found '.pdf'; print the page for a PDF (of a certificate, "
+            "--certificate, there is one)"
+        )
+    ending_in(Path(out), ".html")
+    sources = sources_of(calibrations)
+    from tumble.views.report.document import reasons_of, report_of
+
+    write_document(report_of(sources), out)
+    return reasons_of(sources)
+
+
+def sources_of(calibrations: Calibration | FilePath | Sequence[Calibration | FilePath]) -> list[ReportedFile]:
+    """Calibrations with the names of their files and the SHA-256 of what is in them."""
+    from tumble.views.report.document import ReportedFile
+
     given = [calibrations] if isinstance(calibrations, Calibration | str | os.PathLike) else calibrations
+    sources = []
+    for each in given:
+        text, name = text_and_name(each)
+        content = text.encode() if isinstance(each, Calibration) else Path(each).read_bytes()
+        file, digest = name if isinstance(each, Calibration) else Path(each).name, hashlib.sha256(content).hexdigest()
+        sources.append(ReportedFile(file=file, sha256=digest, calibration=calibration_of(text, name)))
+    return sources
+
+
+def write_document(document: Document, out: FilePath) -> None:
+    """Write a document as HTML or PDF by the ending of `out`. Raises InputError where it cannot be written, and
+    MissingExtraError without the extra `tumble[report]`."""
     out = Path(out)
-    ending = ending_in(out, *ENDINGS)
-    from tumble.lab.certificate import judged_by, read_certificate
-    from tumble.lab.limits import limits_of
-
-    stated = None if certificate is None else read_certificate(Path(certificate))
-    acceptance = None if stated is None else judged_by(stated)
-    if limits is not None:
-        acceptance = limits_of(Path(limits))
-    as_found = None if stated is None or stated.as_found is None else read_calibration(stated.as_found)
-    with needs_extra("a report", "report", "jinja2", "matplotlib", "typst"):
-        from tumble.views.render.pages import written
-        from tumble.views.report.document import as_certified, document, not_accepted
-
-        sources = list(map(_source, given))
-        sources = sources if stated is None else [as_certified(source, stated) for source in sources]
-        content = written(document(sources, acceptance, stated, as_found), ending)
+    with needs_extra("a report", "report", "jinja2"):
+        from tumble.views.render.pages import page, pdf
+    content = page(document).encode() if out.suffix.lower() == ".html" else pdf(document)
     try:
         with whole_file(out) as temporary:
             temporary.write_bytes(content)
     except OSError as error:
         raise InputError(f"{out}: cannot be written: {error.strerror}") from error
-    return not_accepted(sources, acceptance)
-
-
-def _source(given: Calibration | FilePath) -> ReportedFile:
-    """A calibration with the name of its file and the SHA-256 of the bytes that are there."""
-    from tumble.views.report.document import ReportedFile
-
-    text, name = text_and_name(given)
-    content = text.encode() if isinstance(given, Calibration) else Path(given).read_bytes()
-    file = name if isinstance(given, Calibration) else Path(given).name
-    return ReportedFile(file=file, sha256=hashlib.sha256(content).hexdigest(), calibration=calibration_of(text, name))

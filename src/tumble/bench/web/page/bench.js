@@ -25,7 +25,7 @@ function header() {
   say(of("serial"), unit.serial);
   const parts = [rest && `${rest.number}${rest.of ? ` of ${rest.of}` : ""}`, state.to_go && `${about(state.to_go)} to go`, session];
   say(of("count"), parts.filter(Boolean).join(" · "));
-  const faults = [[received.lost, "lost"], [received.late, "late"], [received.repeated, "repeated"], [received.refused, "refused"]];
+  const faults = [[received.lost, "lost"], [received.refused, "refused"]];
   const said = faults.filter(([count]) => count).map(([count, what]) => `${count} ${what}`).join(", ");
   const rate = received.rate ? `${number(received.rate)} Hz` : "–";
   say(of("received"), `${received.source} · ${clock(state.seconds || 0)} · ${rate} · ${received.samples} samples · ${said || "none lost"}`);
@@ -157,34 +157,13 @@ function buttons() {
     if (answer.primary && box.firstElementChild !== button) box.prepend(button);
   }
   for (const button of document.querySelectorAll("main button")) button.disabled = !state.may_command;
-  show(of("table"), state.table);
   show(of("leave"), Boolean(state.estimate) || state.excluded > 0);
-}
-
-/** The other benches on this server, and the list of them; built anew only where they change, for the focus. */
-function benches() {
-  show(of("benches"), Boolean(state.benches));
-  if (!state.benches) return;
-  const all = [["../", "0 · All benches", "", false], ...state.benches.map((bench) => {
-    const here = bench.number === state.bench;
-    const named = `${bench.number} · ${bench.unit.serial}`;
-    return [`../${bench.number}/`, here ? named : `${named}: ${bench.headline}`, here ? "" : bench.screen, here];
-  })];
-  if (of("benches").children.length !== all.length) of("benches").replaceChildren(...all.map(() => made("a")));
-  all.forEach(([href, text, name, here], i) => {
-    const link = of("benches").children[i];
-    if (link.getAttribute("href") !== href) link.href = href;
-    say(link, text);
-    link.className = name;
-    if (here) link.setAttribute("aria-current", "page");
-  });
 }
 
 function update(next) {
   state = next;
   alive();
   header();
-  benches();
   now();
   estimate();
   finish();
@@ -214,20 +193,12 @@ async function command(name, value = "") {
   }
 }
 
-function table(what) {
-  const next = state.position ? state.position.number : state.rest ? state.rest.number : 1;
-  command("table", what === "next" ? `to ${next}` : what);
-}
-
-const ARROWS = { ArrowLeft: "U+90", ArrowRight: "U-90", ArrowUp: "E+90", ArrowDown: "E-90", PageUp: "N+90", PageDown: "N-90" };
-
 const SCAN_MS = 60; // keys that follow each other faster are a scanner's
 let typed = "";
 let pause = 0;
 
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey || event.target.matches("input, select")) return;
-  if (state.table && ARROWS[event.key]) { event.preventDefault(); table(ARROWS[event.key]); return; }
   if (event.key === "Enter" && typed.length > 2) { event.preventDefault(); scanned(typed); typed = ""; return; }
   if (event.key.length !== 1 || event.repeat) return;
   typed += event.key;
@@ -237,9 +208,6 @@ document.addEventListener("keydown", (event) => {
 
 /** A key alone. */
 function pressed(key) {
-  if (state.table && key === "n") { table("next"); return; }
-  const link = document.querySelectorAll("#benches a")[Number(key)];
-  if (state.benches && link && key !== " ") { link.click(); return; }
   const button = document.querySelector(`button[data-key="${CSS.escape(key)}"]`);
   if (button && button.offsetParent && !button.disabled) button.click();
 }
@@ -261,7 +229,6 @@ document.addEventListener("click", (event) => {
   if (!button) return;
   if (button.dataset.do === "anew") command("next_unit", state.unit.serial);
   else if (button.dataset.do) command(button.dataset.do);
-  if (button.dataset.table) table(button.dataset.table);
 });
 
 function onSubmit(id, name, input) {

@@ -1,0 +1,56 @@
+"""The command `bench`, which the entry point group `tumble.commands` brings in."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+
+from tumble.commands import ask, tell
+
+
+@click.command(
+    epilog=ask.examples(
+        "tumble bench imu-7 --listen udp:5005",
+        "tumble bench new --listen serial:/dev/ttyUSB0:115200 --serial A-7 --latitude 56.84",
+    )
+)
+@click.argument("session", type=ask.PATH)
+@ask.option(
+    "--listen", "What to record: udp:5005, serial:/dev/ttyUSB0:115200, replay:FOLDER@20x …", metavar="SOURCE"
+)
+@ask.option("--serial", "Of a new SESSION.", metavar="NUMBER")
+@ask.LATITUDE
+@ask.GRAVITY
+@ask.programme("Of a new session; default: free positions.")
+@ask.WANT
+@ask.grade("mems", ": where the other wishes come from")
+@ask.REGISTRY
+@ask.option("--host", "Address to listen on; beyond the loopback a token is asked for.", "127.0.0.1")
+@ask.option("--port", "0: any that is free.", 8422, type=click.IntRange(0, 65535))
+@click.option("--browser", is_flag=True, help="Open the page.")
+def bench(
+    session: Path,
+    listen: str | None,
+    latitude: float | None,
+    gravity: float | None,
+    place: str | None,
+    host: str,
+    port: int,
+    browser: bool,
+    **options: Any,
+) -> None:
+    """The live page: follow a recording, say what to do next, and calibrate at the end.
+
+    SESSION is a folder with session.toml, or a new one for a source that is recorded. Without --listen the log that
+    another program writes there is followed.
+    """
+    from tumble.bench.station import station_of
+    from tumble.bench.web.serve import serve
+
+    given = {"latitude_deg": latitude, "gravity": gravity}
+    site = {key: value for key, value in given.items() if value is not None}
+    station = partial(station_of, session, listen, site=site, registry=place, **options)
+    serve(station, folder=session, host=host, port=port, browser=browser, say=tell.warn)

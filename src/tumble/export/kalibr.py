@@ -1,0 +1,160 @@
+"""Kalibr / OpenVINS: the file kalibr_imu_chain.yaml of OpenVINS, whose IMU model "kalibr" is that of Kalibr.
+
+    a_m = Ta R_IMUtoACC a + b_a
+    w_m = Tw R_IMUtoGYRO w + Tg a + b_g        Ta, Tw lower triangular
+
+so a = R_IMUtoACCᵀ Ta⁻¹ (a_m − b_a) and w = R_IMUtoGYROᵀ Tw⁻¹ (w_m − b_g − Tg a). The accelerometers fix the IMU frame,
+R_IMUtoACC = 1, which is the frame `accelerometer`: with M = L Q, L lower triangular with a positive diagonal and Q a
+rotation, Ta = L of the accelerometers, and of the gyros seen in the frame Q of the accelerometers Tw = L, R_IMUtoGYRO =
+Q. Nothing of either matrix is lost. Kalibr calls them M and C_gyro_i.
+
+The noise densities are continuous-time, those that stand for the processes of `noise`: `filter_values`.
+
+Source: OpenVINS, documentation and VioManagerOptions; Kalibr, wiki "IMU noise model" and "Multi IMU and IMU intrinsic
+calibration"; Rehder et al., Extending Kalibr, ICRA 2016.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.errors import InputError
+from tumble.export.exported import (
+    UNITS,
+    Exported,
+    example,
+    g_sensitivity,
+    notes_of,
+    origin,
+    shown,
+    triads,
+)
+from tumble.export.templates import laid_out
+from tumble.files import FilePath
+from tumble.recording.session import Session
+from tumble.recording.session_file import session_from
+from tumble.reduction.noise.filter_values import Densities, densities
+from tumble.result.accepted import WORDS
+from tumble.result.calibration import Calibration
+from tumble.result.parts import SensorsAtRest
+from tumble.run.quiet_samples import longest_rest, noise_panels
+from tumble.units import Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NoiseDensities:
+    """Noise of both kinds of sensors, the sample rate, Hz, None where it is not known, and where it was seen."""
+
+    accel: Densities
+    gyro: Densities
+    rate: float | None
+    source: str
+
+
+def noise_densities(session: Session) -> NoiseDensities:
+    """The noise that the longest rest of a session shows, as `tumble noise` does. Raises InputError without a rest or
+    without gyros."""
+    record = longest_rest(session)
+    panels = noise_panels([record])
+    if len(panels) != 2:
+        raise InputError(f"{session.name}: expected accelerometers and gyros to take the noise from, found no gyros")
+    accel, gyro = (densities(panel, record.rate) for panel in panels)
+    return NoiseDensities(accel=accel, gyro=gyro, rate=record.rate, source=record.source)
+
+
+DRIFT_OF_WALK = 1.2
+"""Variance of the drift of a rest, its slope times T, over K² T: 6/5 of a random walk of the bias alone."""
+
+
+def noise_of_rests(calibration: Calibration) -> NoiseDensities:
+    """The noise within the rests of a calibration: the median density, and the random walk that their drifts allow.
+    Raises InputError for a calibration without rests or gyros."""
+    found = []
+    seconds = np.array([rest.stop - rest.start for rest in calibration.rests])
+    for kind, words in WORDS.items():
+        rests: list[SensorsAtRest | None] = [getattr(rest, kind) for rest in calibration.rests]
+        known = [sensors for sensors in rests if sensors is not None]
+        if not known or len(known) < len(rests):
+            raise InputError(
+                "export to kalibr: expected --noise, found none, nor rests of accelerometers and gyros in the "
+                "calibration; give a session of the device"
+            )
+        white = np.median([sensors.noise for sensors in known], axis=0).max()
+        walks = np.array([sensors.drift for sensors in known]) ** 2 / (DRIFT_OF_WALK * seconds[:, None])
+        bound = (
+            f"random walk of the {words}: the largest that the drifts within the rests allow is written; record an "
+            "hour at rest and give it with --noise"
+        )
+        walk = float(np.sqrt(walks.mean(axis=0).max()))
+        found.append(Densities(white=float(white), walk=walk, bounds=(bound,)))
+    source = f"{len(calibration.rests)} rests of the calibration"
+    return NoiseDensities(accel=found[0], gyro=found[1], rate=calibration.sample_rate, source=source)
+
+
+def kalibr(calibration: Calibration, *, noise: NoiseDensities | Session | FilePath | None = None) -> Exported:
+    """Write the file of a calibration and of the noise densities of its device.
+
+    Parameters
+    ----------
+    calibration
+        Three accelerometers and three gyros, both right-handed.
+    noise
+        The densities, or a session whose longest rest shows them; by default those of the calibration's rests.
+
+    Returns
+    -------
+    Exported
+        YAML below the line `%YAML:1.0`, as OpenCV reads it.
+    """
+    known = triads(calibration, "kalibr")
+    if noise is None:
+        noise = noise_of_rests(calibration)
+    elif not isinstance(noise, NoiseDensities):
+        noise = noise_densities(session_from(noise))
+    Ta, to_accel = _lower_times_rotation(known["accel"].matrix, "accelerometers")
+    Tw, to_gyro = _lower_times_rotation(known["gyro"].matrix @ to_accel.T, "gyros")
+    sensitivity = g_sensitivity(calibration)
+    biases = " and ".join(f"{shown(known[kind].bias.round(9))} {unit}" for kind, unit in UNITS.items())
+    losses = notes_of(
+        calibration,
+        held={"gyro.g_sensitivity"},
+        lacks=[
+            f"biases, which OpenVINS estimates while it runs: {biases}",
+            "noise of single axes: the largest density of the three is written",
+            "uncertainties and their covariance",
+        ],
+        see_to=[*noise.accel.bounds, *noise.gyro.bounds],
+    )
+    same_frame = np.allclose(to_accel, np.eye(3), rtol=0.0, atol=1e-12)
+    worked = {kind: example(kind, model) for kind, model in known.items()}
+    comments = [
+        *origin(calibration),
+        f"noise from {noise.source}",
+        *([] if same_frame else [f"IMU frame: rows in the frame of the calibration {shown(to_accel)}"]),
+        "set rostopic" if noise.rate is not None else "set rostopic, add update_rate",
+        *(
+            f"example {kind}: reading {shown(one.reading)} is {shown((to_accel @ one.true).round(9))}"
+            for kind, one in worked.items()
+        ),
+        *(["the example of the gyros is without acceleration"] if np.any(sensitivity) else []),
+        *losses,
+    ]
+    matrices = {"Tw": Tw, "R_IMUtoGYRO": to_gyro, "Ta": Ta, "R_IMUtoACC": np.eye(3), "Tg": sensitivity @ to_accel.T}
+    rows = {name: matrix.tolist() for name, matrix in matrices.items()}
+    text = laid_out("kalibr_imu_chain.yaml.j2", comments=comments, noise=noise, matrices=rows)
+    return Exported(content=text.encode(), losses=losses)
+
+
+def _lower_times_rotation(matrix: Array, kind: str) -> tuple[Array, Array]:
+    """L and Q of M = L Q, L lower triangular with a positive diagonal, Q a rotation."""
+    Q, R = np.linalg.qr(matrix.T)
+    signs = np.sign(np.diag(R))
+    lower, rotation = R.T * signs, signs[:, None] * Q.T
+    if np.linalg.det(rotation) < 0.0:
+        raise InputError(
+            f"export to kalibr: expected right-handed {kind}, found their channels left-handed, which the target has "
+            "no place for: name the columns of the session in another order, or with the other sign"
+        )
+    return np.tril(lower), rotation

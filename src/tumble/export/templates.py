@@ -1,0 +1,394 @@
+"""Exports that a template describes: a text file for each target, which anybody can write.
+
+A template has a front matter of TOML between two lines `+++`, and a body of Jinja that becomes the file:
+
+    +++
+    about = "SlowFly: settings of its accelerometers"
+    formula = "corrected = (reading - zero) * gain"
+    source = "SlowFly, imu.c"
+    needs = ["accel"]
+
+    [accel]
+    numbers = { zero = "bias", gain = "1 / diagonal(matrix)" }
+    corrected = "(reading - zero) * gain"
+    +++
+    {% for line in comments %}
+    # {{ line }}
+    {% endfor %}
+    zero: {{ accel.zero | yaml }}
+    gain: {{ accel.gain | yaml }}
+
+`numbers` are what the file holds, each an expression of the calibration and of those above it; `corrected` is what the
+target makes of a `reading`, both SI. By that the export states in its
+comments a worked example and how large the errors are that the target leaves. Expressions and body are Jinja in a
+sandbox: `matrix`, `bias` and `inverse` of the sensors, `counts`, counts a unit of SI, `g_sensitivity`, `force` (zero),
+and the functions of FUNCTIONS.
+
+    key          what it says
+    about        the target, one sentence
+    formula      what it does with the numbers, as its documentation has it
+    source       where that is written
+    ending       of the file's name, ".txt" by default
+    counts       [a g, a deg/s]: the target works in counts, usually so many
+    needs        ["accel"], ["gyro"] or both: sensors that a calibration must have
+    holds        groups of parameters beyond matrix and bias that are in the file, such as "gyro.g_sensitivity"
+    single       true where the target computes in single precision
+    notes        what the user has to see to
+    [accel], [gyro]
+      numbers, corrected
+      limits     of numbers by name, [lowest, highest]
+      zeroed     the target takes off the bias itself: in which words that is said
+    [test.accel], [test.gyro]
+      matrix, bias, reading, corrected: a test vector, which is checked whenever the template is read
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from tumble.documents import text_of_document, toml_of, validated
+from tumble.errors import InputError
+from tumble.export.exported import (
+    SINGLE_PRECISION,
+    Exported,
+    example,
+    g_sensitivity,
+    left_of_model,
+    notes_of,
+    one_line,
+    origin,
+    shown,
+    triads,
+    yaml_list,
+    yaml_number,
+)
+from tumble.result.accepted import WORDS
+from tumble.result.calibration import Calibration
+from tumble.sensors.model import SensorKind, SensorModel
+from tumble.units import DEGREE, G_STANDARD, Array
+
+if TYPE_CHECKING:
+    from jinja2.sandbox import SandboxedEnvironment
+
+_FENCE = "+++\n"
+_TEST_DIGITS = 1e-6
+"""By how much what a formula gives may differ from a template's test vector, m/s² or rad/s."""
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+class Sensors(_Table):
+    """What a target does with the sensors of one kind."""
+
+    numbers: dict[str, str] = {}
+    limits: dict[str, list[float]] = {}
+    corrected: str = ""
+    zeroed: str = ""
+
+
+class WorkedExample(_Table):
+    """A model, a reading, and what the target makes of it."""
+
+    matrix: list[list[float]]
+    bias: list[float]
+    reading: list[float]
+    corrected: list[float]
+
+
+class Front(_Table):
+    """The front matter of a template."""
+
+    about: str
+    formula: str
+    source: str
+    ending: str = ".txt"
+    counts: list[float] | None = Field(None, min_length=2, max_length=2)
+    needs: list[Literal["accel", "gyro"]] = []
+    holds: list[str] = []
+    single: bool = False
+    notes: list[str] = []
+    accel: Sensors | None = None
+    gyro: Sensors | None = None
+    test: dict[Literal["accel", "gyro"], WorkedExample] = {}
+
+    def sensors(self, kind: SensorKind) -> Sensors | None:
+        """What is said of the sensors of a kind."""
+        return self.accel if kind == "accel" else self.gyro
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Correction:
+    """What a target makes of readings, `matrix` (3, 3) @ reading + `offset` (3,), and the numbers by which it does."""
+
+    numbers: Mapping[str, Array]
+    matrix: Array
+    offset: Array
+
+    def of(self, reading: Array) -> Array:
+        """The vector (3,) that the target gives for a reading (3,), SI."""
+        return np.asarray(self.matrix @ reading + self.offset)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Template:
+    """A template that was read: its name in messages, its front matter, its body and the line before that."""
+
+    name: str
+    front: Front
+    body: str
+    line: int
+
+    def write(self, calibration: Calibration, *, counts: tuple[float, float] | None = None) -> Exported:
+        """The file of a calibration; `counts` are those a g and a °/s. Raises InputError for a calibration that the
+        target cannot hold, and for an expression or a body that cannot be computed."""
+        front = self.front
+        needs: list[SensorKind] = [*front.needs]
+        known = triads(calibration, self.name, needed=needs)
+        numbers: dict[SensorKind, dict[str, Any] | None] = {"accel": None, "gyro": None}
+        comments, left = [*origin(calibration), front.formula], list[str]()
+        for kind in numbers:
+            model, sensors, words = known.get(kind), front.sensors(kind), WORDS[kind]
+            if model is None:
+                left += [f"{words}: not known, left as they are"] * (sensors is not None)
+                continue
+            if sensors is None or sensors.zeroed:
+                bias = model.bias if sensors is None else None
+                left.append(f"{words}: not in this file" if sensors is None else sensors.zeroed)
+                left += left_of_model(kind, model.matrix - np.eye(3), bias)
+                continue
+            per_si = 1.0
+            if front.counts is not None:
+                per_si, whence = counts_per_si(calibration, kind, front.counts, counts)
+                comments.append(whence)
+            correction = self.correction(kind, model, per_si, g_sensitivity(calibration))
+            numbers[kind] = {name: value.tolist() for name, value in correction.numbers.items()}
+            comments.append(_example(kind, model, correction))
+            error, off = correction.matrix @ model.matrix - np.eye(3), correction.of(model.bias)
+            left += left_of_model(kind, error, off)
+        see_to = [SINGLE_PRECISION] * front.single + front.notes
+        losses = notes_of(calibration, left=left, held=front.holds, see_to=see_to)
+        text = self._rendered(
+            comments=[*comments, *losses],
+            serial=one_line(calibration.serial),
+            model=one_line(calibration.model or ""),
+            frame=calibration.frame,
+            **numbers,
+        )
+        return Exported(content=text.encode(), losses=losses)
+
+    def correction(self, kind: SensorKind, model: SensorModel, counts: float, by_force: Array) -> Correction:
+        """What the target does with the readings of sensors of a model, `counts` a unit of SI, with a g-sensitivity
+        `by_force` (3, 3)."""
+        sensors = self.front.sensors(kind)
+        if sensors is None:
+            raise InputError(f"{self.name}: [test.{kind}]: expected a table [{kind}] too, found none")
+        given = {
+            "matrix": model.matrix,
+            "bias": model.bias,
+            "inverse": model.inverse(),
+            "counts": counts,
+            "g_sensitivity": by_force,
+            "force": np.zeros(3),
+        }
+        numbers: dict[str, Array] = {}
+        for name, text in sensors.numbers.items():
+            numbers[name] = self._value(f"[{kind}] {name}", text, given | numbers)
+            low, high = sensors.limits.get(name, (-np.inf, np.inf))
+            if not np.all((numbers[name] >= low) & (numbers[name] <= high)):
+                advice = "; give --counts of the chip" if self.front.counts is not None else ""
+                raise InputError(
+                    f"export to {self.name}: expected {name} from {low:g} to {high:g}, found {shown(numbers[name])}"
+                    + advice
+                )
+
+        def at(reading: Array) -> Array:
+            names = given | numbers | {"reading": reading}
+            return self._value(f"[{kind}] corrected", sensors.corrected, names, shape=(3,))
+
+        offset = at(np.zeros(3))
+        matrix = np.column_stack([at(axis) - offset for axis in np.eye(3)])
+        return Correction(numbers=numbers, matrix=matrix, offset=offset)
+
+    def check(self) -> None:
+        """Raises InputError unless the formulas give the test vectors."""
+        for kind, test in self.front.test.items():
+            model = SensorModel(matrix=np.array(test.matrix), bias=np.array(test.bias))
+            counts = 1.0 if self.front.counts is None else _usual_counts(kind, self.front.counts)
+            found = self.correction(kind, model, counts, np.zeros((3, 3))).of(np.array(test.reading))
+            if np.abs(found - test.corrected).max() > _TEST_DIGITS:
+                raise InputError(
+                    f"{self.name}: [test.{kind}] corrected: expected what the formula gives, "
+                    f"{shown(found.round(9))}, found {shown(np.array(test.corrected))}"
+                )
+
+    def _value(self, where: str, text: str, names: Mapping[str, Any], shape: tuple[int, ...] | None = None) -> Array:
+        """The value of an expression. Raises InputError, one line, where it has none."""
+        try:
+            value = np.asarray(_environment().compile_expression(text, undefined_to_none=False)(**names))
+            if not np.issubdtype(value.dtype, np.number) or not np.all(np.isfinite(value)):
+                raise ValueError("no finite numbers")
+            if shape is not None and value.shape != shape:
+                raise ValueError(f"an array of the shape {value.shape}")
+        except Exception as error:  # of Jinja, of NumPy, of arithmetic
+            found = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(f"{self.name}: {where}: expected an expression with a value, found {found}") from None
+        return value
+
+    def _rendered(self, **names: Any) -> str:
+        from jinja2 import TemplateSyntaxError
+
+        try:
+            return str(_environment().from_string(self.body).render(names))
+        except Exception as error:
+            found = " ".join(str(error).split()) or type(error).__name__
+            at = f", line {self.line + error.lineno}" if isinstance(error, TemplateSyntaxError) else ""
+            raise InputError(f"{self.name}{at}: expected a body that can be filled in, found {found}") from None
+
+
+def read_template(file: Path, name: str | None = None) -> Template:
+    """A template from its file, called by its path in messages or by the name of its target. Raises InputError, one
+    line, for a file that is none and for a formula that does not give its test vector."""
+    called, text = name or str(file), text_of_document(file)
+    front, fence, body = text.removeprefix(_FENCE).partition(f"\n{_FENCE}")
+    if not text.startswith(_FENCE) or not fence:
+        raise InputError(f"{called}: expected a front matter of TOML between two lines +++, found none")
+    content = validated(Front, toml_of(front, called), called)
+    template = Template(name=called, front=content, body=body, line=text.count("\n") - body.count("\n"))
+    template.check()
+    return template
+
+
+def counts_per_si(
+    calibration: Calibration, kind: SensorKind, usual: list[float], given: tuple[float, float] | None
+) -> tuple[float, str]:
+    """How many counts an m/s² or a rad/s is, and in words where that is from: of a calibration in counts, the recording
+    says it."""
+    size, unit = (G_STANDARD, "g") if kind == "accel" else (DEGREE, "deg/s")
+    readings = calibration.readings.get(kind)
+    if given is not None:
+        counts, whence = _usual_counts(kind, given), "--counts"
+    elif readings is not None and readings.unit == "count" and np.ptp(readings.scale) == 0.0:
+        counts, whence = float(readings.scale[0]), "the recording"
+    else:
+        counts, whence = (
+            _usual_counts(kind, usual),
+            "the usual range of the chip: see that it is yours, or give --counts",
+        )
+    return counts, f"{kind}: {counts * size:.6g} counts a {unit}, by {whence}"
+
+
+def _usual_counts(kind: SensorKind, counts: list[float] | tuple[float, float]) -> float:
+    """Counts an m/s² or a rad/s, of those a g and a °/s."""
+    return counts[0] / G_STANDARD if kind == "accel" else counts[1] / DEGREE
+
+
+def _example(kind: SensorKind, model: SensorModel, correction: Correction) -> str:
+    """A reading, what the target makes of it, and where that is something else, what it is."""
+    worked = example(kind, model)
+    becomes, true = (shown(vector.round(6)) for vector in (correction.of(worked.reading), worked.true))
+    unit = "m/s^2" if kind == "accel" else "rad/s"
+    what = f"is {true}" if becomes == true else f"becomes {becomes}; it is {true}"
+    return f"example {kind}: reading {shown(worked.reading)} {what} {unit}"
+
+
+# -------------------- the language of templates --------------------
+
+
+def _whole(values: Any) -> Array:
+    return np.asarray(np.rint(values), dtype=np.int64)
+
+
+def _single(values: Any) -> Array:
+    """Numbers of single precision, as the shortest decimals that read back to them."""
+    values = np.asarray(values, dtype=np.float32)
+    return np.array([float(str(value)) for value in values.ravel()]).reshape(values.shape)
+
+
+def cardan_angles(matrix: Array) -> Array:
+    """Roll, pitch and yaw, °, of the rotation that is nearest to a matrix (3, 3): R = R_x R_y R_z."""
+    U, _, V = np.linalg.svd(matrix)
+    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
+    pitch = np.arcsin(np.clip(R[0, 2], -1.0, 1.0))
+    return np.array([np.arctan2(-R[1, 2], R[2, 2]), pitch, np.arctan2(-R[0, 1], R[0, 0])]) / DEGREE
+
+
+def cardan_matrix(angles: Array) -> Array:
+    """R_x R_y R_z (3, 3) of roll, pitch and yaw, °."""
+    (sx, sy, sz), (cx, cy, cz) = np.sin(angles * DEGREE), np.cos(angles * DEGREE)
+    return np.array([
+        [cz * cy, -cy * sz, sy],
+        [sz * cx + sx * cz * sy, cz * cx - sx * sz * sy, -sx * cy],
+        [sx * sz - cz * cx * sy, sx * cz + sz * cx * sy, cy * cx],
+    ])  # fmt: skip
+
+
+FUNCTIONS: Mapping[str, Callable[..., Array]] = {
+    "dot": np.dot,  # products of matrices and vectors
+    "transpose": np.transpose,
+    "inverted": np.linalg.inv,
+    "diagonal": np.diagonal,
+    "lengths": lambda matrix: np.linalg.norm(matrix, axis=1),  # of the rows
+    "column": lambda vector: vector[:, None],  # matrix / column(vector): rows over numbers
+    "beside": lambda matrix, vector: np.column_stack([matrix, vector]),
+    "with_one": lambda vector: np.append(vector, 1.0),  # what [A | b] multiplies
+    "degrees": lambda radians: radians / DEGREE,
+    "radians": lambda degrees: degrees * DEGREE,
+    "round": _whole,
+    "single": _single,
+    "cardan_angles": cardan_angles,
+    "cardan_matrix": cardan_matrix,
+}
+"""Functions of expressions."""
+
+
+def laid_out(layout: str, **names: Any) -> str:
+    """The text of a file of `layouts/` with these names."""
+    body = Path(__file__).with_name("layouts").joinpath(layout).read_text(encoding="utf-8")
+    return str(_environment().from_string(body).render(names))
+
+
+@cache
+def _environment() -> SandboxedEnvironment:
+    from jinja2 import StrictUndefined
+    from jinja2.sandbox import ImmutableSandboxedEnvironment
+
+    class Environment(ImmutableSandboxedEnvironment):
+        """The sandbox of Jinja, in which arrays have no attributes: some of theirs write files."""
+
+        def is_safe_attribute(self, obj: Any, attr: str, value: Any) -> bool:
+            return not isinstance(obj, np.ndarray | np.generic) and super().is_safe_attribute(obj, attr, value)
+
+    made = Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True)
+    made.globals |= FUNCTIONS
+    made.filters |= {"json": _as_json, "yaml": _as_yaml, "identifier": identifier, "float32": _as_float32}
+    return made
+
+
+def _as_json(value: Any, indent: int | None = None) -> str:
+    return json.dumps(value, indent=indent, allow_nan=False)
+
+
+def _as_yaml(value: Any) -> str:
+    return yaml_list(np.array(value)) if isinstance(value, list) else yaml_number(value)
+
+
+def _as_float32(value: float) -> str:
+    """A number with as many digits as it takes to read it back in single precision, without an exponent."""
+    return np.format_float_positional(np.float32(value), trim="0")
+
+
+def identifier(text: str) -> str:
+    """A text as a name of most languages: letters, digits and underscores, a letter first."""
+    name = re.sub(r"[^A-Za-z0-9_]", "_", text)
+    return name if name[:1].isalpha() else f"imu_{name}"

@@ -1,0 +1,243 @@
+"""The commands of the laboratory: `registry` and `selftest`."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from tumble.commands import ask, tell
+from tumble.errors import InputError
+
+if TYPE_CHECKING:
+    from datetime import datetime
+
+    from tumble.lab.registry.records import Record
+    from tumble.lab.registry.registry import Registry
+    from tumble.views.blocks import Block
+
+_DAY: dict[str, Any] = {"type": click.DateTime(["%Y-%m-%d"]), "metavar": "YYYY-MM-DD"}
+_PLACE = ask.registry_place(required=True)
+
+
+def _number(ctx: click.Context, parameter: click.Parameter, text: str | None) -> int | None:
+    """The number of a record, such as a database can hold."""
+    if text is not None and not re.fullmatch(r"0*[1-9][0-9]{0,17}", text):
+        expected = "expected the number of a record as `tumble registry list` shows it"
+        raise click.BadParameter(f"{expected}, found {text!r}", ctx, parameter)
+    return None if text is None else int(text)
+
+
+def _new_file(out: Path | None, what: str) -> None:
+    if out is not None and out.exists():
+        raise InputError(f"{out}: expected a new file for the {what}, found one that exists")
+
+
+@click.group(epilog=ask.examples("tumble registry add imu-7/calibration.json", "tumble registry due"))
+def registry() -> None:
+    """Devices, launches, calibrations and acceptance limits over years. Records are added, never changed."""
+
+
+@registry.command
+@click.argument("calibration", type=ask.FILE)
+@ask.option("--check/occasion", "Default: incoming the first time.", type=click.Choice(["incoming", "periodic"]))
+@ask.option(
+    "--state",
+    "Before or after an adjustment; default: without one.",
+    "unchanged",
+    type=click.Choice(["as-found", "as-left", "unchanged"]),
+)
+@ask.option("--date/day", "When it was performed; default: when recorded, or the file made.", **_DAY)
+@_PLACE
+@ask.JSON
+@ask.EVERY
+def add(calibration: Path, day: datetime | None, every: bool, place: str, **particulars: Any) -> None:
+    """Add a CALIBRATION file, judge it by the limits in force, and say so. Exit status 1 if it does not pass."""
+    from datetime import UTC, datetime
+
+    from tumble.lab.registry.registry import open_registry
+
+    begun, performed = datetime.now(UTC), None if day is None else day.replace(tzinfo=UTC)
+    with open_registry(place, create=True) as opened:
+        record = opened.add_calibration(calibration, performed=performed, **particulars)
+        said = "added as" if record.added >= begun else "the same calibration is there already:"
+        tell.say(f"{said} record {record.number} in {opened.name}")
+        passed = _show_record(opened, record, every)
+    sys.exit(0 if passed else 1)
+
+
+def _show_record(opened: Registry, record: Record, every: bool) -> bool:
+    """Print a record with the verdict on it. Returns whether it passes."""
+    from tumble.lab.registry.registry import logs_of
+    from tumble.lab.views.registry import record_blocks
+
+    verdict, calibration = opened.verdict(record), opened.calibration(record)
+    logs = [{"session": session, "log_sha256": log} for session, log in logs_of(calibration)]
+    content = {"record": record, "launches": logs, "parameters": calibration.parameters, "acceptance": verdict}
+    tell.show(content, lambda: record_blocks(record, calibration, verdict, every=every))
+    if verdict is None or verdict.result == "pass":
+        return True
+    for reason in verdict.reasons:
+        tell.warn(f"{verdict.occasion} check: {reason}")
+    return False
+
+
+@registry.command("list")
+@click.argument("serial", required=False)
+@_PLACE
+@ask.JSON
+def list_(serial: str | None, place: str) -> None:
+    """All devices with their latest record, or the records of the device SERIAL."""
+    from tumble.lab.registry.registry import open_registry
+    from tumble.lab.views.registry import device_table, record_table
+
+    with open_registry(place) as opened:
+        records = opened.records(serial)
+    tell.show({"records": records}, lambda: [device_table(records) if serial is None else record_table(records)])
+
+
+@registry.command
+@click.argument("number", callback=_number, required=False)
+@ask.option("--type/model", "Instead of a record: the data sheet of a device type by its units.", metavar="MODEL")
+@ask.out("Write the calibration file of the record, as it was added, or the data sheet (.html).")
+@_PLACE
+@ask.JSON
+@ask.EVERY
+def show(number: int | None, model: str | None, out: Path | None, every: bool, place: str) -> None:
+    """The record NUMBER with the verdict on each parameter, or what the units of a type are like.
+
+    Exit status 1 if the record does not pass."""
+    from tumble.files import whole_file
+    from tumble.lab.registry.registry import open_registry
+
+    if (number is None) == (model is None):
+        raise click.UsageError("show: expected the NUMBER of a record or --type MODEL, found none of them or both")
+    with open_registry(place) as opened:
+        if model is not None:
+            _show_datasheet(opened, model, out)
+            return
+        record = opened.record(number or 0)
+        if out is not None:
+            _new_file(out, "calibration")
+            with whole_file(out) as temporary:
+                temporary.write_text(opened.file(record), encoding="utf-8")
+            tell.say(f"written to {out}")
+        passed = _show_record(opened, record, every)
+    sys.exit(0 if passed else 1)
+
+
+def _show_datasheet(opened: Registry, model: str, out: Path | None) -> None:
+    from datetime import UTC, datetime
+
+    from tumble.lab.views.datasheet import datasheet_blocks, write_datasheet
+
+    sheet = opened.datasheet(model)
+    if out is not None:
+        write_datasheet(sheet, out, datetime.now(UTC).isoformat(timespec="seconds"))
+        tell.say(f"written to {out}")
+    tell.show(sheet, lambda: datasheet_blocks(sheet))
+
+
+@registry.command
+@click.argument("serial")
+@click.argument("parameter", required=False)
+@ask.out("Draw a control chart into this .html; needs matplotlib.")
+@_PLACE
+@ask.JSON
+@ask.EVERY
+def trend(serial: str, parameter: str | None, out: Path | None, every: bool, place: str) -> None:
+    """Every parameter of the device SERIAL over its calibrations, or one PARAMETER in every calibration.
+
+    Exit status 1 if the device has changed since the calibration before by more than chance makes, in a parameter or
+    in all together, as `tumble compare` says it of both.
+    """
+    from tumble.lab.registry.registry import open_registry
+    from tumble.lab.views.registry import history_blocks, trend_blocks
+
+    with open_registry(place) as opened:
+        found = opened.trend(serial, parameter)
+    if out is not None:
+        from tumble.lab.views.control_chart import write_chart
+
+        write_chart(out, found)
+        tell.say(f"written to {out}")
+    tell.show(found, lambda: trend_blocks(found, every=every) if parameter is None else history_blocks(found))
+    if found.changed:
+        tell.say(f"changed: {', '.join(found.changed)}")
+    sys.exit(1 if found.changed else 0)
+
+
+@registry.command
+@click.argument("model", required=False)
+@click.argument("file", type=ask.FILE, required=False)
+@_PLACE
+@ask.JSON
+def limits(model: str | None, file: Path | None, place: str) -> None:
+    """Put the acceptance limits of FILE (TOML) in force for the device type MODEL.
+
+    Without FILE those of MODEL are shown, without MODEL those of all types are listed.
+    """
+    from datetime import UTC, datetime
+
+    from tumble.lab.registry.registry import open_registry
+    from tumble.lab.views.registry import limits_blocks, limits_table
+
+    begun = datetime.now(UTC)
+    with open_registry(place, create=file is not None) as opened:
+        if model is not None and file is not None:
+            record = opened.set_limits(model, file)
+            said = "in force for" if record.added >= begun else "were in force already for"
+            tell.say(f"limits {record.number} {said} {model} in {opened.name}")
+            return
+        every = opened.limits()
+    shown = [each for each in every if model is None or (each.model == model and each.in_force)]
+    if model is not None and not shown:
+        raise InputError(f"type {model!r}: expected a device type with limits, found none for it")
+
+    def blocks() -> list[Block]:
+        return [limits_table(shown)] if model is None else limits_blocks(shown[0])
+
+    tell.show({"limits": shown}, blocks)
+
+
+@registry.command
+@ask.option("--on/day", "As on this day; default: today.", **_DAY)
+@_PLACE
+@ask.JSON
+def due(day: datetime | None, place: str) -> None:
+    """What is to be calibrated again, and when: by the calendar, or before where a drift may meet a limit.
+
+    A device that failed its latest check is withdrawn until it is calibrated again. The most urgent first. Exit status
+    1 if anything is withdrawn or overdue.
+    """
+    from tumble.lab.registry.registry import open_registry
+    from tumble.lab.views.registry import due_table
+
+    with open_registry(place) as opened:
+        items = opened.due(None if day is None else day.date())
+    tell.show({"devices": items}, lambda: [due_table(items)])
+    for word, of in (("withdrawn", [i for i in items if i.withdrawn]), ("overdue", [i for i in items if i.overdue])):
+        if of:
+            tell.warn(f"{word}: {', '.join(item.record.serial for item in of)}")
+    sys.exit(1 if any(item.withdrawn or item.overdue for item in items) else 0)
+
+
+@click.command(epilog=ask.examples("tumble selftest -o record.json"))
+@ask.out("Write the record, JSON, with versions, machine, figures and hashes.")
+@ask.option("--by", "Who runs it and stands for it; default: the name of the user.", metavar="NAME")
+@ask.JSON
+def selftest(out: Path | None, by: str | None) -> None:
+    """Run the reference cases on this machine and compare them with published values, closed forms and truth."""
+    from tumble.lab.selftest import run_selftest
+    from tumble.lab.views.selftest import selftest_blocks
+
+    _new_file(out, "record")
+    record = run_selftest(by=by, progress=lambda name: tell.say(f"running: {name}"))
+    tell.show(record, lambda: selftest_blocks(record))
+    if out is not None:
+        record.write(out)
+        tell.say(f"written to {out}")
+    sys.exit(0 if record.passed else 1)

@@ -1,0 +1,1 @@
+"""What the laboratory shows: registry, control charts, data sheets."""

@@ -1,0 +1,86 @@
+"""What other packages bring to tumble, by the entry points that they declare.
+
+    group                 what an entry point names
+    tumble.commands       a command of click
+    tumble.exports        a function of a calibration, or the path of a template (`tumble.export`)
+    tumble.readers        a `Reader` of recordings (`tumble.recording.formats`)
+    tumble.programmes     the attitude codes of the positions in order (`tumble.programme.positions`)
+    tumble.parameters     a `ParameterGroup` (`tumble.sensors.parameters`)
+    tumble.knowledge      a context manager that opens a `Knowledge` at a place (`tumble.commands.ask`)
+    tumble.reports        a function that writes a report of calibrations by a file of its own: limits, certificate
+
+What tumble has under a name of its own comes first. Entry points are looked up only for other names, and where a list
+is asked for; an object is imported when it is used. `lab` and `bench` bring their commands and exports in this way too.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, Literal, TypeVar
+
+from tumble.errors import InputError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+Kind = Literal["commands", "exports", "readers", "programmes", "parameters", "reports", "knowledge"]
+T = TypeVar("T")
+
+
+@cache
+def entry_points_of(kind: Kind) -> dict[str, EntryPoint]:
+    """The entry points of a group by name, in the order of their packages' names."""
+    from importlib.metadata import entry_points
+
+    found = entry_points(group=f"tumble.{kind}")
+    return {point.name: point for point in sorted(found, key=lambda point: (package_of(point), point.name))}
+
+
+def package_of(point: EntryPoint) -> str:
+    """The name of the package that declares an entry point."""
+    return point.dist.name if point.dist is not None else point.module.partition(".")[0]
+
+
+def load(kind: Kind, name: str, expected: type[T] | tuple[type[T], ...]) -> T | None:
+    """Import the object that an entry point names.
+
+    Parameters
+    ----------
+    kind
+        The group, without "tumble.".
+    name
+        The name of the entry point.
+    expected
+        The type that the object must have.
+
+    Returns
+    -------
+    object or None
+        None where no package declares the name.
+
+    Raises
+    ------
+    InputError
+        Where the object cannot be imported or is of another type: one line that names the package.
+    """
+    point = entry_points_of(kind).get(name)
+    if point is None:
+        return None
+    where = f"package {package_of(point)}, entry point tumble.{kind}: {name} = {point.value}"
+    remedy = "mend the package or uninstall it"
+    try:
+        loaded = point.load()
+    except Exception as error:
+        message = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InputError(f"{where}: expected an object that can be imported, found {message}; {remedy}") from error
+    if not isinstance(loaded, expected):
+        types = expected if isinstance(expected, tuple) else (expected,)
+        wanted = " or ".join(each.__name__ for each in types)
+        raise InputError(f"{where}: expected a {wanted}, found a {type(loaded).__name__}; {remedy}")
+    return loaded
+
+
+def load_all(kind: Kind, expected: type[T] | tuple[type[T], ...]) -> dict[str, T]:
+    """Import the objects of all entry points of a group, by name. Raises InputError as `load` does."""
+    loaded = {name: load(kind, name, expected) for name in entry_points_of(kind)}
+    return {name: each for name, each in loaded.items() if each is not None}

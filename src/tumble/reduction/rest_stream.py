@@ -1,0 +1,137 @@
+"""The rests of a stream of samples, each as soon as it has ended.
+
+The samples are reduced to blocks, and rests are looked for among the blocks, by the same functions as in a log that is
+complete (`Reducer`, `without_blemishes`, `find_rests`, `observe`). A stream has no end, so they are applied to a
+window: it is searched every SEARCH blocks, and once it is WINDOW blocks long the oldest blocks are dropped, but for the
+last CARRIED and those of a rest that lasts. Blocks are counted from the first sample, and searches too, so that the
+same rests are found however the stream is cut into chunks.
+
+The noise floors by which rest is told from movement are those of the window, where a complete log has those of all its
+blocks. A rest that lasts is cut every LONGEST seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+
+from tumble.recording.log import Chunk
+from tumble.recording.session import Site
+from tumble.reduction.blocks.reducer import Reducer
+from tumble.reduction.observations import Observations, observe
+from tumble.reduction.rests.blemishes import without_blemishes
+from tumble.reduction.rests.matching import Match
+from tumble.reduction.rests.segmentation import RestSpan, find_rests
+from tumble.sensors.model import Block
+
+SEARCH = 200
+"""Blocks, 20 s, between two searches."""
+WINDOW = 6000
+"""Blocks, 10 min, that are searched at most."""
+CARRIED = 600
+"""Blocks, 1 min, that stay at least when the oldest ones are dropped."""
+FEWEST = 30
+"""Blocks from which on the window is searched."""
+SETTLED = 30
+"""Blocks, 3 s, without rest after which a rest has ended."""
+BEFORE_REST = 5.0
+"""Time (s) before a rest that lasts which stays in the window."""
+LONGEST = 300.0
+"""Duration (s) of the longest rest; what lasts longer is several."""
+
+
+class RestStream:
+    """Finds the rests in a stream of samples without an end.
+
+    Parameters
+    ----------
+    rate
+        Samples per second.
+    accel, gyro
+        The accelerometers and the gyros; None without gyros.
+    site
+        Where the sensors are.
+    increments
+        For each kind of sensor whether a sample is an increment over its interval.
+    """
+
+    def __init__(
+        self,
+        *,
+        rate: float,
+        accel: Block,
+        gyro: Block | None,
+        site: Site,
+        increments: Mapping[str, bool] = MappingProxyType({}),
+    ) -> None:
+        self._accel, self._gyro, self._site = accel, gyro, site
+        self._reducer = Reducer(rate=rate, accel=accel, gyro=gyro, increments=increments)
+        self._step = SEARCH * self._reducer.size
+        self._samples = 0
+        self._given_until = -np.inf
+        """End (s) of the last rest that was given out."""
+
+    def feed(self, chunk: Chunk) -> list[Observations]:
+        """Add samples of the stream.
+
+        Parameters
+        ----------
+        chunk
+            The next samples, all of the same file.
+
+        Returns
+        -------
+        list of Observations
+            The rests that have ended since the last search, one in each.
+        """
+        ended = list[Observations]()
+        while len(chunk.time):
+            count = min(len(chunk.time), self._step - self._samples % self._step)
+            self._reducer.feed(chunk.part(slice(0, count)))
+            chunk = chunk.part(slice(count, None))
+            self._samples += count
+            if self._samples % self._step == 0:
+                ended += self._search()
+        return ended
+
+    def finish(self) -> list[Observations]:
+        """The rests that have not been given out, with one that lasts at the end of the stream."""
+        return self._search(finished=True)
+
+    def _search(self, *, finished: bool = False) -> list[Observations]:
+        if self._samples < FEWEST * self._reducer.size:
+            return []
+        with np.errstate(over="ignore", invalid="ignore"):  # of damaged samples
+            reduction = without_blemishes(self._reducer.now())
+            segmentation = find_rests(reduction, self._accel, self._gyro)
+        file, tuning = reduction.files[-1], segmentation.tuning
+        count, lasting_since = len(file), float(file.edges[-1])
+        before, ended = list[RestSpan](), list[RestSpan]()
+        for span in segmentation.rests:
+            start = max(span.start, self._given_until)
+            while span.stop - start >= LONGEST:
+                ended.append(RestSpan.between(file, start, start + LONGEST))
+                start = self._given_until = ended[-1].stop
+            over = finished or span.last < count - SETTLED
+            if over and span.stop - start >= tuning.rest:
+                ended.append(RestSpan.between(file, start, span.stop))
+                self._given_until = ended[-1].stop
+            elif not over:
+                lasting_since = min(lasting_since, start)
+            if span.stop <= self._given_until and span.start < self._given_until:
+                before.append(span)
+        ended = [span for span in ended if span.last - span.first >= tuning.fewest_blocks]
+        others = [s for s in before if all(s.stop <= new.start or new.stop <= s.start for new in ended)]
+        spans = tuple(sorted([*others, *ended], key=lambda span: span.first))
+        out = list[Observations]()
+        if ended:  # the noise is that of all rests of the window
+            match = Match(rests=spans, programme=None, position=None)
+            seen = observe(replace(reduction, samples=None), match, self._accel, self._gyro, self._site, ())
+            out = [seen.of_rest(spans.index(span)) for span in ended]
+        if count >= WINDOW:
+            first = max(min(lasting_since - BEFORE_REST, float(file.edges[count - CARRIED])), self._given_until)
+            self._reducer.forget(int(np.searchsorted(file.edges, first)))
+        return out

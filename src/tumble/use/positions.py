@@ -1,0 +1,292 @@
+"""Check positions: gravity less the modulus of the corrected reading, in positions at rest.
+
+In every position, with true = matrix⁻¹ (reading − bias), Eq. (21) of the turntable paper gives
+
+    Δg = g − |true|                                                                                              (1)
+
+If the position took no part in the calibration, Δg has the variance
+
+    u² = variance of the rest + scatter between rests + J Σ Jᵀ + u(g)²,   J = ∂|true|/∂θ                         (2)
+
+with Σ the covariance of the parameters θ. With v the vertical and S the axes matrix, J = −vᵀ S⁻¹ ∂(S g v + b)/∂θ. If
+the calibration was made with the same stated gravity, the error of this gravity is in its scale factors too: it
+cancels in Δg, and J Σ Jᵀ contains u(g)² that is to be taken off.
+
+If the position belongs to the calibration, it is left out. Let h be its leverage, the ratio of the variance of |true|
+from the parameters to the variance of the position itself. Without the position
+
+    Δg → Δg / (1 − h),   u² → variance of the position / (1 − h)                                                 (3)
+
+which is exact for a linear fit. The plain residual would be too small by √(1 − h).
+
+The largest |Δg|/u of N positions is compared with the quantile that it exceeds by chance with the probability CHANCE,
+by Bonferroni's inequality over the positions. It is one of Student's t distribution if the scatter was estimated.
+
+What turning the device on again changes is not a part of u. Whether it explains the differences is tested with
+
+    Δgᵀ V⁻¹ Δg,   V = diag(variance of the positions) + J (Σ + 2 diag(s_g²)) Jᵀ + u(g)²                          (4)
+
+where s_g is the standard deviation from launch to launch that is usual for the grade of the device.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from tumble.errors import CalibrationError, InputError
+from tumble.inference.estimate import Fit
+from tumble.inference.variables import sensors_at
+from tumble.methods.least_squares import sigmas
+from tumble.reduction.observations import Observations
+from tumble.reduction.rests.rests import Rests
+from tumble.result.accepted import accepted_accelerometers
+from tumble.result.calibration import Calibration
+from tumble.run.case import Verticals, verticals_of
+from tumble.run.readings_table import ReadingsTable, read_table
+from tumble.scipy_compiled import special
+from tumble.sensors.frames import Convention, frame_of, triad_axes
+from tumble.sensors.grades import TURN_ON, spread_of
+from tumble.sensors.instrument import Instrument, functions
+from tumble.sensors.model import Block
+from tumble.sensors.parameters import Variable, beyond_linear, group_name, sensor_kind
+from tumble.units import ZERO_CELSIUS, Array
+
+CHANCE = 0.01
+"""Probability that the largest difference refutes a good calibration."""
+
+NOTHING_LEFT = 0.05
+"""1 − h below which hardly anything but the position itself determines what it is compared with: h is the ratio of two
+variances that integrate over the scatter, and known to some hundredths."""
+
+_OVER_TEMPERATURE: dict[Variable, int] = {"temperature": 1, "temperature²": 2}
+"""Variables that a reading at some temperature depends on, and their powers."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PositionResiduals:
+    """Differences in N positions, Eq. (1), without the position itself where `left_out`, Eq. (3).
+
+    Attributes
+    ----------
+    difference, u : (N,) array
+        Δg and its standard uncertainty, m/s²; not a number where nothing but the position determines it.
+    sigmas : (N,) array
+        Δg/u, studentised for positions that are left out.
+    limit : float
+        The quantile that the largest |Δg|/u is compared with.
+    left_out : bool
+        Whether the positions are those of the calibration.
+    by_turn_on : bool
+        Whether the changes usual from one power-on to the next explain the differences, Eq. (4).
+    """
+
+    difference: Array
+    u: Array
+    sigmas: Array
+    limit: float
+    left_out: bool
+    by_turn_on: bool = False
+
+
+def table_observations(calibration: Calibration, path: Path) -> tuple[Observations, ReadingsTable]:
+    """The rows of a table of readings as rests, and the table.
+
+    They have the unit and the scale of the readings that the calibration was made from, and its gravity. Their noise is
+    that of its rests, or that of a row of its table.
+
+    Raises
+    ------
+    InputError
+        For a table that cannot be read.
+    CalibrationError
+        If the calibration does not say what a reading is worth, or how uncertain it is.
+    """
+    table, worth = read_table(path), calibration.readings.get("accel")
+    if calibration.accel is None or worth is None or worth.increments or calibration.site is None:
+        raise CalibrationError(
+            f"{path}: expected a calibration of three accelerometers that says what their readings are worth, found "
+            "none; calibrate again, or check with a session"
+        )
+
+    # the variance of a row beside the scatter: of a row of its table, or of a mean as long as the rests
+    before = [(np.array(r.accel.noise), r.stop - r.start) for r in calibration.rests if r.accel is not None]
+    variance = np.array(worth.row_u) ** 2 if worth.row_u else np.zeros(3)
+    if before and not worth.row_u:
+        variance = np.median([noise**2 / duration for noise, duration in before], axis=0)
+    elif not worth.row_u and _accelerometer_fit(calibration).scatter == 0.0:
+        raise CalibrationError(
+            f"calibration of {calibration.serial!r}: expected one that says how uncertain a reading is, found no "
+            "scatter in it: it has as many positions as parameters; calibrate with more"
+        )
+    readings = (table.values - np.array(worth.offset)) / np.array(worth.scale)
+    N, none = len(readings), np.zeros((len(readings), 0))
+    start = np.arange(float(N))
+    rests = Rests.of_white_noise(start, start + 1.0, accel=readings, gyro=none, densities=(0.0, 0.0))
+    observations = Observations(
+        accel_block=Block(kind="accel", axes=triad_axes(calibration.accel.matrix)),
+        gyro_block=None,
+        site=calibration.site,
+        rests=replace(rests, accel_covariance=np.broadcast_to(np.diag(variance), (N, 3, 3))),
+    )
+    return observations, table
+
+
+def _accelerometer_fit(calibration: Calibration) -> Fit:
+    nothing = Fit(chi_square=0.0, degrees=0.0, scatter=0.0, unit="m/s^2")
+    return calibration.fits.get("accelerometers", nothing)
+
+
+def residuals_in(
+    calibration: Calibration, observations: Observations, sha256: str, grade: str | None = None
+) -> PositionResiduals:
+    """Differences in check positions by an accepted calibration, Eq. (1) to (4).
+
+    Parameters
+    ----------
+    observations
+        The positions, as rests.
+    sha256
+        SHA-256 of their log or table.
+    grade
+        Grade of the device, for Eq. (4).
+
+    Raises
+    ------
+    CalibrationError
+        For a calibration without all parameters of its accelerometers.
+    InputError
+        For positions of other sensors, of one of several launches behind the calibration, or where each of its own
+        positions is determined by nothing but itself.
+    """
+    seen, J, names, length = _seen(calibration, observations)
+    rests, there, block = observations.rests, observations.site, observations.accel_block
+    assert calibration.accel is not None
+    if any(launch.log_sha256 == sha256 for launch in calibration.launches):
+        raise InputError(
+            f"calibration of {calibration.serial!r}: expected positions that did not take part in it, or those of its "
+            f"only session, found one of its {len(calibration.launches)} launches; check with another session"
+        )
+    fit, site = _accelerometer_fit(calibration), calibration.site
+    across = seen.direction[:, None, :] @ calibration.accel.inverse()
+    noise = rests.accel_covariance + fit.scatter**2 * np.eye(block.size)
+    variance = (across @ noise @ np.swapaxes(across, 1, 2))[:, 0, 0]
+    by_parameters = np.einsum("im,mk,ik->i", J, seen.parameter_covariance, J)
+    difference = there.gravity - length
+
+    def limit(degrees: float) -> float:
+        """Quantile of the largest of the ratios."""
+        tail = 1.0 - 0.5 * CHANCE / len(difference)
+        return float(special.ndtri(tail) if np.isinf(degrees) else special.stdtrit(degrees, tail))
+
+    if calibration.provenance.get("log_sha256") == sha256:  # its own positions: each is left out
+        unlearned = _unlearned(calibration, names, J)
+        left = 1.0 - np.maximum(by_parameters - unlearned - there.gravity_u**2, 0.0) / variance
+        left = np.where(left > NOTHING_LEFT, left, np.nan)
+        if np.isnan(left).all():
+            raise InputError(
+                f"calibration of {calibration.serial!r}: expected more positions than parameters, found "
+                f"{len(difference)}, of which each is determined by itself alone; record check positions"
+            )
+        u = np.sqrt(variance * left + unlearned)
+        return PositionResiduals(
+            difference=difference / left,
+            u=u / left,
+            sigmas=np.sign(difference) * sigmas(difference / u, fit.degrees, fit.scatter > 0.0),
+            limit=limit(np.inf),
+            left_out=True,
+        )
+    shared = site is not None and (site.gravity, site.gravity_u) == (there.gravity, there.gravity_u)
+    by_gravity = -(there.gravity_u**2) if shared else there.gravity_u**2
+    u = np.sqrt(variance + np.maximum(by_parameters + by_gravity, 0.0))
+    by_scatter = float(np.max(fit.scatter**2 * (across[:, 0] ** 2).sum(axis=1) / u**2))
+
+    # Eq. (4), for a device of a known grade
+    by_turn_on = False
+    if grade is not None:
+        spread, linear = TURN_ON[grade], block.names
+        turned_on = np.zeros(len(names))
+        turned_on[: len(linear)] = [2.0 * spread_of(spread, name) ** 2 for name in linear]
+        V = np.diag(variance) + by_gravity + J @ (seen.parameter_covariance + np.diag(turned_on)) @ J.T
+        N, square = len(difference), float(difference @ np.linalg.solve(V, difference))
+        if fit.scatter == 0.0 or np.isinf(fit.degrees):
+            by_turn_on = square < float(special.chdtri(N, CHANCE))
+        else:
+            by_turn_on = square / N < float(special.fdtri(N, fit.degrees, 1.0 - CHANCE))
+    return PositionResiduals(
+        difference=difference,
+        u=u,
+        sigmas=difference / u,
+        limit=limit(fit.degrees / by_scatter**2 if by_scatter > 0.0 else np.inf),  # Welch–Satterthwaite
+        left_out=False,
+        by_turn_on=by_turn_on,
+    )
+
+
+def _unlearned(calibration: Calibration, names: tuple[str, ...], J: Array) -> Array:
+    """Part (N,) of the variance of |true| in the calibration's own positions from parameters that have only a prior.
+
+    Given the values of these, |true| is as well determined as in the fit."""
+    unlearned = [p.name for p in calibration.parameters if p.learned == 0.0]
+    every = calibration.covariance_of([*names, *unlearned])
+    if every is None or not unlearned:
+        return np.zeros(len(J))
+    moved = J @ every[: len(names), len(names) :]
+    return np.asarray(np.einsum("ik,ki->i", moved, np.linalg.solve(every[len(names) :, len(names) :], moved.T)))
+
+
+def verticals(calibration: Calibration, observations: Observations) -> Verticals:
+    """The vertical in the frame of the calibration in every position, with its covariance, for the relation of two
+    blocks (`tumble.run.case.relate`). Raises as `residuals_in`."""
+    return _seen(accepted_accelerometers(calibration, "positions at rest show the vertical"), observations)[0]
+
+
+def _seen(calibration: Calibration, observations: Observations) -> tuple[Verticals, Array, tuple[str, ...], Array]:
+    """The verticals, the derivative J (N, m) of |true|, the names of the m parameters that a reading of the
+    accelerometers at rest depends on, and |true| (N,)."""
+    assert calibration.accel is not None
+    block, reference = observations.accel_block, calibration.reference_temperature
+    rests, celsius = observations.rests, None
+    if rests.temperatures is not None:  # the sensors follow their thermometers with the lag of the calibration
+        kelvin = sensors_at(observations, rests.temperatures, calibration.compensator.lag)
+        celsius = kelvin[:, block.thermometer] - ZERO_CELSIUS
+    convention = Convention(frame=frame_of(calibration.frame), block=block)
+    if calibration.outcome.unobservable:
+        raise CalibrationError(
+            f"calibration of {calibration.serial!r}: expected one of all parameters, found no "
+            f"{', '.join(calibration.outcome.unobservable)}; check one from oblique rests too"
+        )
+    given = [name for name in calibration if sensor_kind(name) == block.kind]
+    if tuple(name for name in given if not beyond_linear(name)) != convention.names:
+        raise InputError(
+            f"calibration of {calibration.serial!r}: expected readings of its {len(calibration.accel.bias)} "
+            f"accelerometers, found {block.size} with other axes; check with recordings of the same device"
+        )
+    over_temperature = _OVER_TEMPERATURE if celsius is not None and reference is not None else ()
+    instrument = Instrument.of(block, None, set(map(group_name, calibration)), variables=over_temperature)
+    names = convention.names + instrument.names[instrument.linear_count :]
+    if missing := sorted(set(names).difference(given)):
+        raise InputError(
+            f"calibration of {calibration.serial!r}: expected all parameters of a group or none, found no "
+            f"{missing[0]!r}: the file was changed; calibrate again"
+        )
+
+    # derivative (N, n, m) of the readings
+    force = calibration.compensator.force(rests.accel, celsius)
+    linear = convention.jacobian(np.array([calibration[name].value for name in convention.names]))
+    of_linear = np.einsum("pkm,ik->ipm", linear[:, :3], force) + linear[:, 3]
+    derivative = instrument.derivative(block, np.zeros(len(instrument.names)))
+    every = np.einsum("npb,pbm->npm", functions(block, force, np.zeros_like(force)), derivative)
+    for changed, base, variable in instrument.changes:
+        assert celsius is not None
+        assert reference is not None
+        warmer = (celsius - reference) ** _OVER_TEMPERATURE[variable]
+        every[:, :, changed] = warmer[:, :, None] * every[:, :, base]
+    change = np.concatenate([of_linear, every[:, :, instrument.linear_count :]], axis=2)
+    covariance = calibration.covariance_of(names)
+    covariance = np.zeros((len(names), len(names))) if covariance is None else covariance
+    seen = verticals_of(calibration.accel, force, change, rests.accel_covariance, covariance)
+    J = -np.einsum("ik,kp,ipm->im", seen.direction, calibration.accel.inverse(), change)
+    return seen, J, names, np.linalg.norm(force, axis=1)

@@ -1,0 +1,287 @@
+"""A calibration checked while its device is used: every rest of a flight or a day, as it ends.
+
+The readings are reduced to rests by `RestStream`, at the temperatures of the sensors, which follow their thermometers
+with the lag of the calibration (`Stream`). Each rest is tested against the calibration and the rests before it
+(`tumble.methods.rest_chain`). The calibration is never changed.
+
+Rests need not be level, and the attitude is unknown in each. If nothing rests, as in flight, the noise floors by which
+rests are found are those of the movement: what is noisier than SHAKEN times the rests of the calibration is no rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TypeAlias
+
+import numpy as np
+
+from tumble.errors import InputError
+from tumble.files import FilePath
+from tumble.methods.rest_chain import MovedBias, RestChain
+from tumble.recording.live.sources import source_of
+from tumble.recording.live.stream import SampleStream
+from tumble.recording.log import Chunk
+from tumble.recording.session import Session
+from tumble.recording.session_file import session_from
+from tumble.reduction.observations import Observations
+from tumble.reduction.rest_stream import RestStream
+from tumble.result.calibration import Calibration, calibration_from
+from tumble.rotation import unit_vector
+from tumble.run.calibrate import grade_of
+from tumble.run.from_estimate import reference_of
+from tumble.sensors.parameters import usual_sizes
+from tumble.units import ZERO_CELSIUS, Array
+from tumble.use.check import CheckedRest, FieldCheck, accepted_for_check, check_session, prior_at_check, tested
+from tumble.use.corrector import LATEST, Ranges, Stream, white_noise
+
+SHAKEN = 10.0
+"""Times the noise of the calibration's rests: more is movement."""
+INTERRUPTED = 2.0
+"""Time (s) without a sample after which the device may have been moved."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Notice:
+    """A sentence on the stream at a time, s."""
+
+    time: float
+    text: str
+
+
+Event: TypeAlias = CheckedRest | Notice
+
+
+class StreamCheck:
+    """Checks a calibration with a stream of readings.
+
+    Parameters
+    ----------
+    calibration
+        An accepted calibration with uncertainties, or its file.
+    session
+        A session that describes the columns, sensors and site of the stream, or its folder.
+    sample_rate
+        Samples per second.
+
+    Attributes
+    ----------
+    rests : list of CheckedRest
+        The rests so far, with quiet stretches that are not used.
+    moved : tuple of MovedBias
+        Biases that have changed during the stream.
+
+    Raises
+    ------
+    CalibrationError
+        For a calibration that is not accepted, has no uncertainties, or is in the frame of the case.
+    InputError
+        For a session of another device or of other sensors.
+    """
+
+    def __init__(self, calibration: Calibration | FilePath, session: Session | FilePath, *, sample_rate: float) -> None:
+        given, session = accepted_for_check(calibration), session_from(session)
+        check_session(given, session)
+        if given.gyro is not None and session.gyro_block is None:
+            raise InputError(f"{session.name}: expected gyros, which the calibration has, found none")
+        self.calibration = given.in_frame("accelerometer")
+        self.session, self.rate = session, sample_rate
+        self.rests, self.moved = list[CheckedRest](), tuple[MovedBias, ...]()
+        self._gyro = None if given.gyro is None else session.gyro_block
+        self._white, self._ranges = white_noise(given), Ranges.of(given)
+        blocks = session.accel_block, self._gyro
+        of_accel, of_gyro = (np.zeros(0, int) if block is None else block.thermometer for block in blocks)
+        heat = 1 if session.log.temperature is None else len(session.log.temperature.columns)
+        self._stream = Stream(
+            self.calibration.compensator,
+            1.0 / sample_rate,
+            gyros=False,
+            thermometers=(of_accel, of_gyro),
+            heat=heat,
+            ranges=self._ranges,
+            zero=ZERO_CELSIUS,
+            latest=LATEST,
+        )
+        self._chain: RestChain | None = None
+        self._grade = self._guessed_from = ""
+        self._restarted = self._too_warm = False
+        self._last: tuple[int, float] | None = None
+        self._begin()
+
+    def _begin(self) -> None:
+        session = self.session
+        self._finder = RestStream(
+            rate=self.rate,
+            accel=session.accel_block,
+            gyro=self._gyro,
+            site=session.site,
+            increments=session.log.increments,
+        )
+
+    def feed(self, chunk: Chunk) -> list[Event]:
+        """Add samples; returns the rests that have ended, and notices, in the order of time."""
+        events, dt = list[Event](), 1.0 / self.rate
+        cuts = (np.flatnonzero(np.diff(chunk.time) - dt > INTERRUPTED) + 1).tolist()
+        for begin, end in pairwise([0, *cuts, len(chunk.time)]):
+            if end > begin:
+                events += self._continuous(chunk.part(slice(begin, end)), dt)
+        return events
+
+    def _continuous(self, chunk: Chunk, dt: float) -> list[Event]:
+        """The same of samples without an interruption among them."""
+        events, first = list[Event](), float(chunk.time[0])
+        if self._last is not None:
+            file, last = self._last
+            anew = first < last - LATEST or (chunk.file != file and first <= last)
+            if anew or first - dt - last > INTERRUPTED:
+                events += self.finish()
+                self._begin()
+                text = f"nothing came for {first - last:.1f} s; the check goes on"
+                if anew:
+                    self._stream.reset()
+                    self._restarted, text = True, "the clock begins anew: taken for another power-on"
+                events.append(Notice(time=first, text=text))
+        self._last = chunk.file, float(chunk.time[-1])
+        corrected = self._stream.add(chunk.accel, None, chunk.time, chunk.temperature)
+        too_warm = corrected.outside["temperature"]
+        if len(too_warm) and too_warm[-1] != self._too_warm:
+            self._too_warm = bool(too_warm[-1])
+            low, high = self._ranges.temperature
+            there = "outside" if self._too_warm else "again within"
+            since = np.flatnonzero(np.append(True, too_warm[1:] != too_warm[:-1]))[-1]
+            text = f"temperature {there} {low:.1f} to {high:.1f} °C, which was calibrated"
+            events.append(Notice(time=float(chunk.time[since]), text=text))
+        piece = replace(chunk, file=0, gyro=None if self._gyro is None else chunk.gyro)
+        if chunk.temperature is not None:
+            piece = replace(piece, temperature=corrected.temperature.copy())
+        return [*events, *map(self._checked, self._finder.feed(piece))]
+
+    def finish(self) -> list[Event]:
+        """The last rest, at the end of the stream."""
+        return [self._checked(rest) for rest in self._finder.finish()]
+
+    def _checked(self, observations: Observations) -> CheckedRest:
+        """The only rest of its observations, tested by the chain of those before."""
+        rests, block = observations.rests, observations.accel_block
+        start, stop = float(rests.start[0]), float(rests.stop[0])
+        kelvin = rests.temperatures
+        celsius = None if kelvin is None else kelvin[:, block.thermometer] - ZERO_CELSIUS
+        force = self.calibration.compensator.force(rests.accel, celsius)[0]
+        size, (low, high) = float(np.linalg.norm(force)), self._ranges.temperature
+        outside = {
+            "temperature": celsius is not None and not np.all((low <= celsius) & (celsius <= high)),
+            "force": size > self._ranges.force,
+        }
+        rest = CheckedRest(
+            label=f"no rest ({start:z.1f}–{stop:z.1f} s)",
+            difference=self.session.site.gravity - size,
+            start=start,
+            stop=stop,
+            celsius=reference_of(observations),
+            outside=tuple(name for name, beyond in outside.items() if beyond),
+        )
+        noise = {"accel": rests.accel_noise[0], "gyro": rests.gyro_noise[0]}
+        for kind, white in self._white.items():
+            times = float(np.max(noise[kind] / white)) if len(noise[kind]) else 0.0
+            if times > SHAKEN and not rest.why:
+                rest = replace(rest, why=f"{kind} {times:.0f} times as noisy as in the rests of the calibration")
+        if not rest.why:
+            rest = self._judged(rest, observations, force)
+        self.rests.append(rest)
+        return rest
+
+    def _judged(self, rest: CheckedRest, observations: Observations, force: Array) -> CheckedRest:
+        if not self._grade:
+            self._grade, self._guessed_from = grade_of(self.session, observations)
+        sheet = self.session.device.prior
+        prior = prior_at_check(self.calibration, observations, self._grade, sheet)
+        if self._chain is None:
+            self._chain = RestChain(prior, usual_sizes(self._grade, sheet))
+        judged = self._chain.add(observations, prior, apart=np.inf if self._restarted else None)
+        self._restarted = False
+        self.moved += judged.moved
+        rest = replace(rest, label=f"rest {self._chain.rests} ({rest.start:z.1f}–{rest.stop:z.1f} s)", judged=judged)
+        # of the accelerometers, the one that the prediction has along the vertical best
+        along = [(test.u, name) for name, test in judged.tests.items() if name.startswith("accel")]
+        if not along:
+            return rest
+        u, name = min(along)
+        axis = self._chain.instrument.accel.axes[self._chain.instrument.names.index(name)]
+        upward = float(axis @ unit_vector(force))
+        sigmas = judged.tests[name].sigmas * float(np.sign(upward))
+        return replace(rest, u=u * abs(upward), sigmas=-sigmas)
+
+    def result(self) -> FieldCheck:
+        """All rests so far as one check, with the biases that have moved among its changes.
+
+        Raises
+        ------
+        InputError
+            If there was no rest.
+        """
+        if self._chain is None:
+            raise InputError(f"{self.session.name}: expected rests to check with, found none")
+        origin = f", guessed from {self._guessed_from}; [device] grade states another" if self._guessed_from else ""
+        note = f"what turning on again changes, and how fast that wanders: as usual of the grade {self._grade}{origin}"
+        return FieldCheck(
+            source=self.session.name,
+            rests=tuple(self.rests),
+            **tested(self._chain.result(self.moved)),
+            notes=(*self.calibration.absent, note),
+        )
+
+
+def check_stream(
+    calibration: Calibration | FilePath,
+    listen: str,
+    *,
+    session: Session | FilePath | None = None,
+    show: Callable[[Event], object] = lambda _: None,
+) -> FieldCheck:
+    """Check a calibration with a stream, until it ends or is interrupted (Ctrl-C).
+
+    Parameters
+    ----------
+    calibration
+        An accepted calibration with uncertainties, or its file.
+    listen
+        The source of the stream, see `tumble.recording.live.sources`: udp:PORT, serial:DEVICE:BAUD and others.
+    session
+        A session that describes columns, units and site of the stream, or its folder. By default it sends t, ax, ay,
+        az, gx, gy, gz in s, m/s² and rad/s, and a temperature in °C if its first line names such a column, at the site
+        of the calibration.
+    show
+        Called with every rest as soon as it has ended, and with notices.
+
+    Returns
+    -------
+    FieldCheck
+        All rests together.
+
+    Raises
+    ------
+    InputError
+        For a source that cannot be opened or sends no samples, for samples of other sensors, and without rests.
+    """
+    given, source = calibration_from(calibration), source_of(listen)
+    described = source.session if session is None else session_from(session)
+    if described is None and given.site is None:
+        raise InputError(
+            f"{listen}: expected a calibration with its site, found none; name a session with --session, which has the "
+            "latitude and the columns"
+        )
+    samples = SampleStream(source, described, serial=given.serial, site=given.site, gyros=given.gyro is not None)
+    check: StreamCheck | None = None
+    with suppress(KeyboardInterrupt):
+        for chunk in samples.chunks():
+            if check is None and samples.interval is not None:
+                check = StreamCheck(given, samples.session, sample_rate=1.0 / samples.interval)
+            for event in () if check is None else check.feed(chunk):
+                show(event)
+    if check is None:
+        raise InputError(f"{listen}: expected rows of numbers, found fewer than show the interval of samples")
+    for event in check.finish():
+        show(event)
+    return check.result()

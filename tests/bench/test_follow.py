@@ -1,0 +1,239 @@
+"""What the page says while a unit is recorded: the screens, and every mistake within a second of its end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.support.bench_driver import Bench
+from tests.support.browser import eventually
+from tumble.bench import screens
+from tumble.bench.follow.faults import SampleWatch
+from tumble.bench.follow.wishes import wishes
+from tumble.errors import InputError
+from tumble.programme.sheet_pictures import ghost
+from tumble.recording.session_file import read_session
+
+
+@pytest.fixture
+def opened(tmp_path: Path) -> Iterator[Callable[..., Bench]]:
+    made: list[Bench] = []
+
+    def one(programme: str | None, **settings: bool) -> Bench:
+        made.append(Bench(tmp_path / f"launch-{len(made)}", programme, **settings))
+        return made[-1]
+
+    yield one
+    for bench in made:
+        bench.close()
+
+
+def answers(bench: Bench) -> dict[str, dict[str, Any]]:
+    return {each["do"]: each for each in bench.state["answers"]}
+
+
+def primary(bench: Bench) -> list[str]:
+    return [name for name, each in answers(bench).items() if each["primary"]]
+
+
+def named(bench: Bench, said: str, *, later: float = 0.0, answer: str = "") -> None:
+    """A mistake that ends in `later` s is named within a second of its end, and answered."""
+    assert bench.until(lambda: said in bench.said) <= 1.0 + later + 0.01
+    if answer:
+        bench.station.command(answer)
+        bench.run(0.2)
+        assert said not in bench.said
+
+
+def test_every_screen_of_a_programme_in_its_turn(
+    opened: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = opened("nine")
+    assert bench.screen == "waiting"
+    bench.until(lambda: bench.screen == "rest")
+    rest = bench.state["rest"]
+    assert (rest["number"], rest["of"]) == (1, 9)
+    while bench.screen == "rest":  # no time is given that is not known: of a rest of seconds, none of hours
+        left, seconds = (bench.state["rest"][key] for key in ("left", "seconds"))
+        assert left is None or left <= screens.FORESEEN * seconds
+        bench.run(0.2)
+    begun = bench.state["to_go"]
+    bench.run(10.0)
+    assert bench.state["to_go"] <= begun  # however long the first rest lasts
+    to_go = []
+    with monkeypatch.context() as patched:
+        patched.setattr("tumble.bench.follow.estimates.estimate_so_far", lambda *_: [][1])
+        for position in range(2, 10):
+            assert bench.said == f"Turn now to position {position}"
+            bench.take(position)
+            to_go.append(bench.state["to_go"])
+            if position == 8:
+                eventually(lambda: _stepped(bench)["estimate"])
+                assert "the estimate has failed (IndexError" in bench.state["estimate"]["cause"]
+                patched.undo()
+    assert np.all(np.diff(to_go) < 0.0)
+    assert bench.screen == "done"
+    eventually(lambda: _stepped(bench)["estimate"]["rests"] == 9, 60.0)
+    groups = {group["group"]: group for group in bench.state["estimate"]["groups"]}
+    assert groups["accel.bias"]["determined"]
+    assert groups["gyro.bias"]["u"] < 100.0
+    assert primary(bench) == ["calibrate"]
+    assert bench.station.command("leave_out", "10") == "expected the number of a rest from 1 to 9"
+    assert bench.station.command("leave_out", "9") == "rest 9 is left out"
+    assert bench.station.command("take_back") == "taken back"
+    assert read_session(bench.station.folder).excluded == ()
+
+
+def _stepped(bench: Bench) -> dict[str, Any]:
+    bench.run(0.2)
+    return bench.state
+
+
+def test_mistakes_at_a_table(opened: Callable[..., Bench]) -> None:
+    bench = opened("rough-table")
+    unit = bench.unit
+    bench.until(lambda: bench.screen == "turn")
+    unit.turn("N", -180.0)
+    bench.until(lambda: bench.screen == "fault")
+    assert unit.moving
+    named(bench, "this is the wrong way: wanted turn +180° about N")
+    bench.moved()
+    named(bench, "turned the wrong way", answer="again")
+    unit.turn("N", 180.0)
+    bench.moved()
+    bench.run(1.0)
+    unit.turn("N", 180.0)
+    target = ghost(unit.programme.positions[1].matrix)
+
+    def off() -> float:
+        seen = bench.state["position"]["ghost"]
+        return float(max(np.abs(np.array(seen[axis]) - target[axis]).max() for axis in "XYZ"))
+
+    bench.run(0.4)
+    begun = off()
+    bench.moved()
+    assert off() < 5.0 < begun  # the picture of the unit goes along: of 70 pixels, the length of an axis
+    bench.until(lambda: bench.said == "Turn now to position 3")
+    unit.go_to(6)
+    bench.moved()
+    named(bench, "wanted 3")
+    for _ in range(2):  # what is wrong and the picture are of one position, however the unit goes on
+        assert (bench.state["position"]["number"], bench.state["rest"]["number"]) == (3, 3)
+        unit.turn("N", 60.0)
+        bench.moved()
+        bench.run(3.0)
+        assert "wanted 3" in bench.said
+    assert primary(bench) == ["again"]
+    assert answers(bench)["again"]["says"] == "then turn into position 3, as in the picture"
+    bench.station.command("again")
+    reasons = [one.reason for one in read_session(bench.station.folder).excluded]
+    assert [reason.split(":")[0] for reason in reasons] == ["turned the wrong way", "wrong position"]
+
+
+@pytest.mark.parametrize(("answer", "left_out"), [("again", "before"), ("keep_first", "after"), ("go_on", "nothing")])
+def test_a_knock(opened: Callable[..., Bench], answer: str, left_out: str) -> None:
+    bench = opened("nine")
+    bench.until(lambda: bench.screen == "rest")
+    bench.run(0.4)
+    bench.unit.mischief("knock", 0.1)
+    named(bench, "knock at", later=0.1)
+    knock = float(bench.said.split()[2])
+    bench.station.command(answer)
+    bench.run(0.6)
+    assert bench.screen == ("turn" if answer == "keep_first" else "rest")
+    found = read_session(bench.station.folder).excluded
+    if left_out == "nothing":
+        assert found == ()
+        return
+    assert found[0].start is not None
+    assert (found[0].start < knock - 1.0) == (left_out == "before")
+    bench.until(lambda: bench.said == "Turn now to position 2")
+
+
+def test_mistakes_by_hand(opened: Callable[..., Bench]) -> None:
+    bench = opened(None, temperature=True)
+    unit = bench.unit
+    bench.until(lambda: bench.screen == "turn")
+    unit.mischief("lose", 0.6)
+    named(bench, "gap of 0.6 s", later=0.6, answer="go_on")
+    unit.mischief("stick", 2.0)
+    named(bench, "ay is stuck", later=2.0, answer="go_on")
+    bench.run(2.0)
+    unit.turn("E", 120.0)
+    unit.rock()
+    bench.moved()
+    named(bench, "Hold still: the unit is not yet at rest", later=1.5)
+    bench.until(lambda: bench.screen == "rest")
+    bench.until(lambda: bench.screen == "turn")
+    unit.warm(1.0)
+    named(bench, "drift of temperature", later=5.0, answer="go_on")
+    unit.warm(0.0)
+    unit.turn("U", 180.0, rate=12.0)
+    bench.moved()
+    named(bench, "is clipped at", answer="go_on")
+    assert bench.state["rest"]["of"] is None
+    assert len(bench.state["sphere"]["taken"]) >= 2
+
+
+def test_a_rest_put_down_with_movement_that_no_gyro_sees_begins_anew(opened: Callable[..., Bench]) -> None:
+    bench = opened(None, gyros=False)
+    bench.until(lambda: bench.screen == "turn")
+    bench.unit.turn("N", 75.0)
+    bench.unit.rock(4.0)
+    bench.moved()
+    assert bench.until(lambda: bench.said.startswith("rest 2 was put down with movement")) <= 4.0
+    bench.run(2.0)
+    assert bench.station.command("again") == "left out; hold still, this rest begins anew"
+    bench.run(1.0)
+    assert bench.screen == "rest"
+    bench.until(lambda: bench.screen == "turn")
+
+
+def test_a_clock_that_goes_back_is_named(opened: Callable[..., Bench]) -> None:
+    """Three rows that agree on a wrong time, or a unit that was turned off: such a log is not followed any further."""
+    bench = opened(None)
+    bench.until(lambda: bench.screen == "rest")
+    samples = bench.state["received"]["samples"]
+    rows = [bench.unit.line().split(",", 1)[1] for _ in range(3)]
+    bench.file.writelines(f"{900.0 + k / 100},{row}" for k, row in enumerate(rows))
+    named(bench, "the clock goes back from 900.0 s to")
+    assert answers(bench).keys() == {"anew", "go_on"}
+    bench.run(1.0)
+    assert bench.state["received"]["samples"] < samples + 100
+
+
+def test_a_source_that_stutters_leaves_few_faults(opened: Callable[..., Bench]) -> None:
+    bench = opened("nine")
+    rows = [bench.unit.line().split(",", 1)[1] for _ in range(100)]
+    times = [0.01 * k for k in range(1, 1001)] + [10.0 + 0.4 * k for k in range(1, 301)]
+    bench.file.writelines(f"{at:.2f},{rows[k % 100]}" for k, at in enumerate(times))
+    bench.file.flush()
+    bench.station.step()
+    assert bench.state["received"]["lost"] == 299 * 39
+    assert bench.said.startswith("gap of 0.4 s at 1")
+    bench.station.command("go_on")
+    bench.station.step()
+    assert bench.said.startswith("gap of 0.4 s at 1")
+    for _ in range(63):
+        bench.station.command("go_on")
+    bench.station.step()
+    assert bench.state["fault"] is None
+
+
+def test_noise_of_coarse_resolution_is_not_stuck() -> None:
+    rng, time = np.random.default_rng(1), np.arange(3000) / 100.0
+    values = np.round(rng.standard_normal((3000, 3)) * 0.05)
+    watch = SampleWatch(("ax", "ay", "az"), None, 0.01)
+    assert [seen for i in range(0, 3000, 20) for seen in watch.look(time[i : i + 20], values[i : i + 20])] == []
+
+
+def test_wishes_are_those_that_are_stated_and_else_the_grades() -> None:
+    found = wishes(("gyro.scale=2ppm",), "tactical")
+    assert found["gyro.scale"] == pytest.approx(2e-6)
+    assert set(found) == {f"{kind}.{what}" for kind in ("accel", "gyro") for what in ("bias", "scale", "axis")}
+    with pytest.raises(InputError, match="want"):
+        wishes(("gyro.scal=2ppm",), "tactical")
