@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from typing import get_args
 
 import click
 import pytest
@@ -19,6 +20,7 @@ from tests.docs.test_docs import pages
 from tests.support import ROOT
 from tumble.cli import main
 from tumble.commands.ask import METHOD_NAMES
+from tumble.plugins import Kind
 
 PAGES = [page for page in pages() if page.stem != "CHANGELOG"]  # what was, is in the changelog
 COMMANDS = {(): main, **dict(walk(main))}
@@ -26,6 +28,8 @@ FENCED = re.compile(r"^ *```(\w*)\n(.*?)^ *```$", re.M | re.S)
 INLINE = re.compile(r"`([^`\n]+(?:\n[^`\n]+)?)`")
 PLACEHOLDER = re.compile(r"[A-Z][A-Z_.|]*(?:\[.*)?|…|\.\.\.|<.*>")
 MODULE = re.compile(r"\btumble(?:\.[a-z_]+)+(?:\.[A-Z]\w+)?")
+GROUPS = {f"tumble.{kind}" for kind in get_args(Kind)}
+"""Groups of entry points, which are no modules."""
 
 
 SCRIPTS = [path for folder in ("studies", "evidence", "benchmarks") for path in sorted((ROOT / folder).rglob("*.py"))]
@@ -112,6 +116,6 @@ def exists(name: str) -> bool:
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
 def test_names_and_paths_on_a_page_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    assert [name for name in sorted(set(MODULE.findall(text))) if not exists(name)] == []
+    assert [name for name in sorted(set(MODULE.findall(text)) - GROUPS) if not exists(name)] == []
     paths = re.findall(r"`((?:studies|tests|docs|src|benchmarks|evidence)/[\w./-]*\w[\w./]*)`", text)
     assert [path for path in paths if not (ROOT / path).exists()] == []
