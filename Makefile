@@ -2,8 +2,9 @@
 PYTHON ?= python3
 BIN = .venv/bin
 INSTALL = $(shell command -v uv >/dev/null 2>&1 && echo "uv pip install -q --python $(BIN)/python" || echo "$(BIN)/python -m pip install -q --disable-pip-version-check")
+PYTEST = $(BIN)/python -m pytest -n auto
 
-.PHONY: demo bench-demo test test-quick lint bench evidence drift docs kernels clean
+.PHONY: demo bench-demo test test-quick test-weekly lint bench evidence drift docs kernels clean
 
 demo: .venv/demo
 	rm -rf demo
@@ -15,11 +16,14 @@ bench-demo: .venv/bench
 	$(BIN)/tumble simulate demo/recorded --grade mems --rest 20 --turn-rate 30 --format csv --seed 3
 	$(BIN)/tumble bench demo/bench --listen replay:demo/recorded@10x --browser
 
-test: .venv/test kernels lint
-	$(BIN)/python -m pytest -n auto
+test: kernels lint
+	$(PYTEST) -m 'not weekly'
 
-test-quick: .venv/test kernels
-	$(BIN)/python -m pytest -q -n auto -m 'not slow'
+test-quick: kernels
+	$(PYTEST) -q -m 'not slow and not weekly'
+
+test-weekly: kernels
+	$(PYTEST) -m weekly
 
 lint: .venv/test
 	$(BIN)/ruff check .
@@ -27,42 +31,44 @@ lint: .venv/test
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-docs: .venv/test
+docs: kernels
 	$(BIN)/sphinx-build -q -E -W -n --keep-going docs site
 	@echo "site/index.html"
 
+# what was changed in a .pyx since is compiled again
 kernels: .venv/test
-	$(BIN)/python hatch_build.py
+	$(BIN)/python setup.py --quiet build_ext --inplace
 
-bench: .venv/test kernels
-	for script in benchmarks/*.py; do $(BIN)/python $$script || exit 1; done
+bench: kernels
+	for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
 
-evidence: .venv/test kernels
+evidence: kernels
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m evidence.run
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m evidence.real.run
 
-drift: .venv/test kernels
+drift: kernels
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m evidence.run --short --against evidence/results/short.json
 
 .venv/bin/python:
+	@command -v cc >/dev/null || { echo "tumble is compiled here: install a C compiler and the headers of Python (apt-get install gcc libc6-dev python3-dev)" >&2; exit 1; }
 	@echo "a virtual environment: .venv (nothing is installed outside this folder)"
 	$(PYTHON) -m venv .venv
 
-.venv/demo: pyproject.toml hatch_build.py | .venv/bin/python
-	@echo "tumble and its libraries (numpy, scipy, polars, pydantic, rich, click: some 400 MB on disk), and its loops compiled: a minute or two"
+.venv/demo: pyproject.toml setup.py | .venv/bin/python
+	@echo "tumble and its libraries (numpy, scipy, polars, pydantic, rich, click: some 400 MB on disk), compiled: a minute or two"
 	$(INSTALL) -e .
 	touch $@
 
-.venv/bench: pyproject.toml hatch_build.py | .venv/bin/python
-	@echo "tumble with the page at the bench and reports: a minute or two"
-	$(INSTALL) -e '.[bench,report]'
+.venv/bench: pyproject.toml setup.py | .venv/bin/python
+	@echo "tumble with the page at the bench and the laboratory: a minute or two"
+	$(INSTALL) -e '.[bench,lab]'
 	touch $@
 
-.venv/test: pyproject.toml hatch_build.py | .venv/bin/python
+.venv/test: pyproject.toml setup.py | .venv/bin/python
 	@echo "tumble with all extras and the tools that check it (some 1.4 GB): several minutes"
 	$(INSTALL) -e '.[dev]'
 	touch $@ .venv/demo
 
 clean:
-	rm -rf .venv demo site
+	rm -rf .venv demo site build
 	find src -name '*.so' -delete

@@ -4,7 +4,8 @@ Whole process: start-up of `tumble --help`, and `tumble calibrate` on the Xsens 
 simulated hour at 1 kHz, Parquet and CSV, with peak memory. In process, imports and compilation excluded: calibrating
 the hour against the time polars takes to read the same columns into memory, pair by pair; and reading it until its
 blocks are reduced against polars reading the file with all columns, the least of three each, by the clock and in
-processor time. Memory of 20 million rows. Usage: python benchmarks/calibrate.py [--short]
+processor time. With `--long` the memory of 20 million rows,
+too. Usage: python benchmarks/calibrate.py [--long]
 """
 
 from __future__ import annotations
@@ -49,10 +50,11 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 start = time.perf_counter()
 child = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 _, status, usage = os.wait4(child.pid, 0)
-print(os.waitstatus_to_exitcode(status), time.perf_counter() - start, usage.ru_maxrss / 1024)
+busy = usage.ru_utime + usage.ru_stime
+print(os.waitstatus_to_exitcode(status), time.perf_counter() - start, usage.ru_maxrss / 1024, busy)
 """
 """Runs a command from a small process: a child's peak memory counts from what its parent had. Its modules are not
-compiled anew, as pip leaves them."""
+compiled anew, as pip leaves them. Prints exit status, seconds by the clock, peak MB and seconds of the processor."""
 
 
 def process(*command: str) -> tuple[float, float]:
@@ -60,7 +62,7 @@ def process(*command: str) -> tuple[float, float]:
     times, peaks = [], []
     for _ in range(RUNS + 1):
         run = [sys.executable, "-S", "-c", ONE_RUN, str(TUMBLE), *command]
-        code, seconds, peak = subprocess.run(run, capture_output=True, text=True, check=True).stdout.split()
+        code, seconds, peak, _ = subprocess.run(run, capture_output=True, text=True, check=True).stdout.split()
         if code not in ("0", "1"):
             raise SystemExit(f"{' '.join(command)} failed")
         times.append(float(seconds))
@@ -120,7 +122,6 @@ def session_of(folder: Path, log_format: Literal["csv", "parquet"], rest: float)
 
 
 def main() -> None:
-    short = "--short" in sys.argv
     lines = [machine()]
     with tempfile.TemporaryDirectory() as temporary:
         out = str(Path(temporary) / "out.json")
@@ -130,7 +131,7 @@ def main() -> None:
             wall, peak = process("calibrate", str(DATA / "xsens-mti"), "--out", out, "--force")
             lines.append(f"tumble calibrate xsens-mti: {wall:.2f} s, peak {peak:.0f} MB")
         for log_format in ("parquet", "csv"):
-            folder = session_of(Path(temporary) / log_format, log_format, 10.0 if short else 225.0)
+            folder = session_of(Path(temporary) / log_format, log_format, 225.0)
             wall, peak = process("calibrate", str(folder), "--out", out, "--force")
             rows = rows_of(folder / f"log.{log_format}")
             lines.append(f"tumble calibrate, {rows:,} rows {log_format}: {wall:.2f} s, peak {peak:.0f} MB")
@@ -142,7 +143,7 @@ def main() -> None:
                 f"{its_wall:.3f} s, {its_busy:.3f} s; ratios {wall / its_wall:.2f}, {busy / its_busy:.2f}"
             )
             shutil.rmtree(folder)
-        if not short:
+        if "--long" in sys.argv:
             folder = session_of(Path(temporary) / "long", "parquet", 1320.0)
             wall, peak = process("calibrate", str(folder), "--out", out, "--force")
             lines.append(

@@ -1,11 +1,10 @@
-"""Campaigns: two processes against one, the overhead of a task, and calibrations a second.
+"""Campaigns: two processes against one, what the engine adds to a task, and trials a second.
 
 Two against one: the same campaign of sessions from observations by a cluster of one process and by one of two, pair
-after pair, processes started and code loaded beforehand. Overhead: tasks that do nothing, each sent by itself (the
-worst) and in chunks, as the engine does; what the engine costs in this process, parts and table included. Rates: trials
-of sessions, and nine-parameter calibrations from the rests of 24 positions, alone and with their simulation.
+after pair, processes started and code loaded beforehand. Added: tasks that do nothing, each sent by itself (the worst)
+and in chunks, as the engine does; and what the engine costs in this process, parts and table included.
 
-Usage: python benchmarks/campaign.py [--short]
+Usage: python benchmarks/campaign.py
 """
 
 from __future__ import annotations
@@ -13,30 +12,24 @@ from __future__ import annotations
 import os
 import platform
 import statistics
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import numpy as np
 import polars as pl
 import psutil
 
 from tumble.campaigns.campaign import Campaign
 from tumble.campaigns.cluster import executor_for
 from tumble.campaigns.engine import Chunks, Executor, Job, Row, run, serially
-from tumble.campaigns.triads import fit_statics
-from tumble.campaigns.trial import BLOCK
 from tumble.documents import validated
 
-SHORT = "--short" in sys.argv
-PAIRS = 3 if SHORT else 5
+PAIRS, TRIALS, EMPTY = 3, 60, 5000
 
 
 def seconds(work: Callable[[], object]) -> float:
@@ -76,8 +69,8 @@ class OneByOne(Chunks):
 def two_against_one() -> tuple[list[float], float, float]:
     """Ratios of the wall times of one process and of two, pair by pair; trials a second with two; and the processor
     time of one process over the longest of two, which other work on the machine does not change."""
-    job = validated(Campaign, {"trials": 600 if SHORT else 2000, "grid": {"method": "joint"}}).job()
-    warm = validated(Campaign, {"trials": 50, "grid": {"method": "joint"}}).job()
+    job = validated(Campaign, {"trials": TRIALS, "grid": {"method": "joint"}}).job()
+    warm = validated(Campaign, {"trials": 4, "grid": {"method": "joint"}}).job()
     with executor_for(workers=1) as one, executor_for(workers=2) as two:
         for executor in (one, two):
             wall(warm, executor)
@@ -102,33 +95,12 @@ def overheads() -> dict[str, float]:
     out = {}
     with executor_for(workers=2) as executor:
         wall(empty(10), executor)
-        out["in chunks, on two processes"] = wall(empty(20_000), executor) / 20_000
+        out["in chunks, on two processes"] = wall(empty(EMPTY), executor) / EMPTY
         usual, tumble.campaigns.cluster.Chunks = tumble.campaigns.cluster.Chunks, OneByOne  # type: ignore[misc]
         out["sent by itself, to two processes"] = wall(empty(500), executor) / 500
         tumble.campaigns.cluster.Chunks = usual  # type: ignore[misc]
-    out["in this process"] = wall(empty(20_000), serially) / 20_000
+    out["in this process"] = wall(empty(EMPTY), serially) / EMPTY
     return out
-
-
-def statics_rates() -> dict[str, float]:
-    """Calibrations a second."""
-    rng = np.random.default_rng(1)
-    up = rng.standard_normal((20 * BLOCK, 24, 3))
-    readings = 9.81 * up / np.linalg.norm(up, axis=2, keepdims=True) + 1e-3 * rng.standard_normal(up.shape)
-    halves = np.array_split(readings, 2)
-    fit_statics(readings[:100], 9.81)
-    with ThreadPoolExecutor(2) as threads:
-        alone = min(seconds(lambda: fit_statics(halves[0], 9.81)) for _ in range(PAIRS))
-        both = min(seconds(lambda: list(threads.map(lambda y: fit_statics(y, 9.81), halves))) for _ in range(PAIRS))
-    job = validated(Campaign, {"kind": "statics", "trials": 40 if SHORT else 200, "grid": {"positions": 24}}).job()
-    with executor_for(workers=2) as executor:
-        wall(validated(Campaign, {"kind": "statics", "trials": 4, "grid": {"positions": 24}}).job(), executor)
-        whole = min(wall(job, executor) for _ in range(2 if SHORT else 3))
-    return {
-        "fits, one thread": len(halves[0]) / alone,
-        "fits, two threads": len(readings) / both,
-        "whole campaign, two processes": len(job.items) * BLOCK / whole,
-    }
 
 
 def show(ratios: Sequence[float]) -> str:
@@ -143,8 +115,6 @@ def main() -> None:
     print(f"processor time of one over the longest of two: {processor:.2f} times")
     for what, overhead in overheads().items():
         print(f"overhead of a task {what}: {1e3 * overhead:.3f} ms")
-    for what, per_second in statics_rates().items():
-        print(f"nine parameters from 24 rests, {what}: {per_second:,.0f} /s")
 
 
 if __name__ == "__main__":

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from tumble import compiled
 from tumble.reduction.turns.moments import BlockCompensation, Compensation, Moments, OwnAxes, Pieces, moments_of
 from tumble.sensors.model import SensorModel
 from tumble.units import Array
@@ -30,7 +29,7 @@ TURN_LENGTHS = {"one turn": SAMPLES, "turns of 2000 samples": 2000, "of 400": 40
 def machine() -> str:
     """The machine in words."""
     cpu = next((line.split(":")[1].strip() for line in CPUINFO if line.startswith("model name")), platform.machine())
-    return f"{cpu}, {os.cpu_count()} cores, Python {platform.python_version()}; {compiled.words()}"
+    return f"{cpu}, {os.cpu_count()} cores, Python {platform.python_version()}"
 
 
 def seconds(function: Callable[[], object]) -> float:

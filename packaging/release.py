@@ -112,12 +112,13 @@ def build(folder: Path) -> None:
             own = place / "bin/python"
             run(own, "-m", "pip", "install", "-q", "--only-binary=:all:", wheel)
             without = {"PATH": "/nonexistent", "HOME": scratch}  # no compiler, nothing of this machine
-            run(place / "bin/tumble", "selftest", env=without, cwd=scratch)
-            loops = run(own, "-c", "from tumble.compiled import words; print(words())", env=without, cwd=scratch)
+            session = place / "launch"
+            run(place / "bin/tumble", "simulate", session, "--programme", "rough-table", "--seed", 1, env=without)
+            run(place / "bin/tumble", "calibrate", session, env=without)
             packages = list(place.glob("lib/python*/site-packages/*.dist-info"))
             size = sum(file.stat().st_size for file in place.rglob("*") if file.is_file() and not file.is_symlink())
             there = f"{len(packages) - 1} packages, {size / 1e6:.0f} MB"
-            print(f"Python {version}: selftest passed; {there}; {loops.stdout.strip()}")
+            print(f"Python {version}: calibrates; {there}")
 
 
 def conda(address: str) -> None:

@@ -22,9 +22,11 @@ from pathlib import Path
 
 import numpy as np
 
-from tumble.bench.session_folder import begin, in_si
+from tumble.bench.session_folder import begin
 from tumble.bench.station import Station
 from tumble.earth import earth_rate
+from tumble.recording.live.samples import SI_LOG
+from tumble.recording.live.sources import LineSource
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.units import DEGREE, Array
 from tumble.usual_setup import LATITUDE_DEG
@@ -42,11 +44,10 @@ REAL_TIME = 10.0  # s
 COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz")
 
 
-class Unit:
+class Unit(LineSource):
     """A source: what the unit sends in so many seconds, no faster than it is followed, and then in real time."""
 
-    name, unordered = "unit", False
-    trouble: str | None = None
+    name = "unit"
 
     def __init__(self, seconds: float) -> None:
         self.seconds, self.sent, self.bytes, self.followed = seconds, 0, 0, 0
@@ -112,9 +113,6 @@ class Unit:
         self.bytes += len(data)
         return data
 
-    def close(self) -> None:
-        """Nothing is open."""
-
 
 def latency(unit: Unit, station: Station, seconds: float) -> Array:
     """Times, s, from a sample to the first state with it: of each state the longest."""
@@ -155,7 +153,7 @@ def main() -> int:
     given = parser.parse_args()
     seconds = 90.0 if given.short else 3600.0 * given.hours
     folder = Path(tempfile.mkdtemp())
-    log = in_si() | {"magnetometer": {"columns": list(COLUMNS[7:]), "unit": "uT"}}
+    log = {**SI_LOG} | {"magnetometer": {"columns": list(COLUMNS[7:]), "unit": "uT"}}
     begin(folder / "launch", log=log, serial="endurance", site={"latitude_deg": LATITUDE_DEG}, programme=None)
     unit = Unit(seconds)
     station = Station(folder / "launch", lambda: unit)

@@ -26,7 +26,7 @@ import numpy as np
 from tumble.bench.session_folder import session_to_record
 from tumble.bench.station import Station
 from tumble.planning.setup import Setup
-from tumble.recording.live.sources import Ended
+from tumble.recording.live.sources import Ended, LineSource
 from tumble.run.calibrate import calibrate
 from tumble.simulation.session import simulate_session
 
@@ -43,22 +43,19 @@ KINDS: tuple[dict[str, Any], ...] = (
 """The sessions, one after the other; each time with another seed."""
 
 
-class Pieces:
-    """A source of the bytes of a log in pieces of random sizes. After an interruption it goes on with the row after the
-    last that is recorded. `acknowledge` gets how many bytes of whole rows were received."""
+class Pieces(LineSource):
+    """A source of the bytes of a log, from its beginning, in pieces of random sizes. `acknowledge` gets how many bytes
+    of whole rows were received."""
 
-    name, unordered = "pieces", False
-    trouble: str | None = None
+    name, begins_anew = "pieces", True
 
     def __init__(self, log: Path, seed: int, *, pause: float = 0.0, acknowledge: Connection | None = None) -> None:
         self._data, self._rng = log.read_bytes(), np.random.default_rng(seed)
-        self._at, self._pause, self._acknowledge = 0, pause, acknowledge
+        self._at, self._first, self._pause, self._acknowledge = 0, 0, pause, acknowledge
 
-    def skip_to(self, at: float) -> None:
-        """Go on after this time, s."""
-        lines = self._data.split(b"\n")
-        passed = next(k for k in range(len(lines) - 2, 0, -1) if float(lines[k].split(b",")[0]) <= at * (1.0 + 1e-15))
-        self._at = sum(len(line) + 1 for line in lines[: passed + 1])
+    def hurry(self, rows: int) -> None:
+        """Begin with a piece of so many rows, which are recorded already."""
+        self._first = sum(len(line) for line in self._data.splitlines(keepends=True)[: rows + 1])
 
     def read(self, timeout: float) -> bytes:
         if self._acknowledge is not None:
@@ -67,11 +64,9 @@ class Pieces:
             raise Ended
         time.sleep(min(self._rng.uniform(0.0, self._pause), timeout) if self._pause else 0.0)
         start = self._at
-        self._at += int(self._rng.integers(1, LONGEST_PIECE))
+        self._at += self._first or int(self._rng.integers(1, LONGEST_PIECE))
+        self._first = 0
         return self._data[start : self._at]
-
-    def close(self) -> None:
-        """Nothing is open."""
 
 
 def simulated(folder: Path, k: int) -> Path:

@@ -19,10 +19,10 @@ from math import inf, sqrt
 
 import numpy as np
 from stored import shown, store
+from tumble.lab.type_spread import KnownLaunches, TypeSpread, pooled
 
 from tumble.inference.joint import joint
 from tumble.lab.conformity import judge_value
-from tumble.lab.type_spread import KnownLaunches, TypeSpread, pooled
 from tumble.planning.setup import Setup
 from tumble.result.coverage import by_gravity, degrees_of_mean, expanded
 from tumble.result.parts import Parameter

@@ -82,7 +82,7 @@ GROWING = ("campaign", "fleet", "registry add")
 """Commands that keep what was done before they were stopped, to go on with."""
 READERS = {
     "inspect": "inspect {in}/csv",
-    "verify": "verify {in}/calibration.json {in}/other",
+    "check": "check {in}/calibration.json {in}/other",
     "compare": "compare {in}/calibration.json {in}/other.json",
     "noise": "noise {in}/csv",
     "plan": "plan --grade mems",

@@ -27,7 +27,7 @@ from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import Scenario, scenario_of
 from tumble.units import DEGREE, G_STANDARD
-from tumble.use.check import known_before
+from tumble.use.check import prior_at_check
 
 GRADE = "mems"
 CHANGES = {
@@ -117,7 +117,7 @@ def checked(
     """The result of a check of a device with these true values."""
     again = replace(scenario.changed(by_hand=case.rests), truth=truth)
     observations = simulate_observations(again, rng, only_programmed=not case.turns)
-    return field_check(observations, known_before(calibration, observations, GRADE, {}))
+    return field_check(observations, prior_at_check(calibration, observations, GRADE, {}))
 
 
 def trials(

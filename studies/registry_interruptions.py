@@ -29,7 +29,6 @@ from typing import Any, cast
 
 import numpy as np
 from sqlalchemy import func, select, text
-
 from tumble.lab.registry.adding import Particulars, Submission, add, content_sha256
 from tumble.lab.registry.store.connect import open_registry
 from tumble.lab.registry.store.tables import CALIBRATION, CONTENT, LOG

@@ -31,7 +31,7 @@ from tumble.sensors.parameters import group_name, usual_sizes
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import Scenario
 from tumble.units import DEGREE, G_STANDARD, Array
-from tumble.use.check import known_before
+from tumble.use.check import prior_at_check
 
 Way = Literal["wanders", "stays"]
 WAYS: tuple[Way, ...] = ("wanders", "stays")
@@ -83,7 +83,7 @@ def watched(calibration: Calibration, observations: Observations, *, rests_apart
     chain, said = None, list[int]()
     for k in range(len(observations.rests)):
         alone = observations.of_rest(k)
-        known = known_before(calibration, alone, GRADE, {})
+        known = prior_at_check(calibration, alone, GRADE, {})
         chain = chain or RestChain(known, usual_sizes(GRADE), rests_apart=rests_apart)
         judged = chain.add(alone, known)
         said += [k] * len(judged.moved)
@@ -109,7 +109,7 @@ def quiet_days(count: int, way: Way, *, seed: int) -> Quiet:
         observations, most, chain = day(scenario, rng, way), 0.0, None
         for k in range(RESTS):
             alone = observations.of_rest(k)
-            known = known_before(calibration, alone, GRADE, {})
+            known = prior_at_check(calibration, alone, GRADE, {})
             chain = chain or RestChain(known, usual_sizes(GRADE), rests_apart=1e30)
             chain.add(alone, known)
             most = max(most, float(chain.sums.max()))

@@ -39,13 +39,12 @@ STORED = Path(__file__).with_suffix(".json")
 TABLES = (0.1, 0.5, 1.0, 2.0, 5.0)
 """Largest errors of table and mounting about each axis, degrees."""
 
-ON_TABLE = ("joint", "staged", "scalar", "sequential", "ellipsoid")
-BY_HAND = ("joint", "staged", "ellipsoid")
+ON_TABLE = ("joint", "scalar", "sequential", "ellipsoid")
+BY_HAND = ("joint", "ellipsoid")
 POSITIONS = 20
 
 NEEDS: Mapping[str, tuple[str, str]] = {
     "joint": ("rests in nine attitudes or more; turns between them", "all parameters"),
-    "staged": ("rests in nine attitudes or more; turns between them", "all parameters"),
     "scalar": ("the positions and known turns of a programme like `rough-table`; triads", "all parameters"),
     "sequential": ("the same", "all parameters"),
     "ellipsoid": ("rests in nine attitudes or more; no gyros", "accelerometers"),

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import settings
 
 from tests.support import ROOT
+from tests.support.shared import FOLDER
 from tests.support.slow import function_of, slow_functions
 
 settings.register_profile("tumble", deadline=None)  # timings decide no test
@@ -20,6 +21,18 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small, and te
 MEMORY = Path("/dev/shm")  # where there is enough of it, what tests write and sync never waits for a disk
 if "TMPDIR" not in os.environ and MEMORY.is_dir() and shutil.disk_usage(MEMORY).free > 4e9:
     os.environ["TMPDIR"] = tempfile.tempdir = str(MEMORY)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """The folder of what tests share, one for all workers."""
+    if not hasattr(config, "workerinput"):
+        os.environ[FOLDER] = tempfile.mkdtemp(prefix="tumble-shared-")
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Remove it with the last of them."""
+    if not hasattr(config, "workerinput"):
+        shutil.rmtree(os.environ.pop(FOLDER), ignore_errors=True)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -113,10 +113,10 @@ def test_a_type_checker_accepts_right_calls(tmp_path: Path) -> None:
         "import numpy as np\n"
         "import polars as pl\n"
         "import tumble\n"
-        "a: tumble.Calibration = tumble.calibrate(Path('session'), method='staged')\n"
+        "a: tumble.Calibration = tumble.calibrate(Path('session'), method='ellipsoid')\n"
         "b = tumble.calibrate(accel=np.ones((9, 3)), gyro=pl.DataFrame(), rate=100.0, latitude=1.0)\n"
         "p: tumble.Parameter = b['accel.bias.x']\n"
-        "v: tumble.Verification = tumble.verify_calibration('a.json', 'check')\n"
+        "v: tumble.FieldCheck = tumble.check_calibration('a.json', 'check')\n"
         "c: tumble.Comparison = tumble.compare_calibrations(a, 'b.json')\n"
         "f: pl.DataFrame = a.to_polars()\n"
         "print(a.outcome.accepted, a.table(), p.value, v.reasons, c.agree, f)\n",
@@ -143,7 +143,6 @@ CALLS = {
     "export": "export_calibration",
     "fleet": "fleet",
     "inspect": "inspect_session",
-    "mission": "mission",
     "new": "new_session",
     "noise": "noise",
     "plan": "plan",
@@ -152,15 +151,13 @@ CALLS = {
     "report": "write_report",
     "selftest": "run_selftest",
     "simulate": "simulate_session",
-    "verify": "verify_calibration",
 }
-"""The public call behind every command but `bench`, which serves a page until it is stopped, and `watch`, which feeds
-`tumble.Watch` until its source ends."""
+"""The public call behind every command but `bench`, which serves a page until it is stopped."""
 
 
 def test_every_command_is_a_public_call() -> None:
     context = click.Context(main)
-    assert sorted(CALLS) == sorted({*main.list_commands(context)} - {"bench", "watch"})
+    assert sorted(CALLS) == sorted({*main.list_commands(context)} - {"bench"})
     for name, call in CALLS.items():
         assert call in tumble.__all__
         command = main.get_command(context, name)
@@ -412,10 +409,10 @@ import multiprocessing, sys
 import tumble
 
 def again(_):
-    return repr(tumble.calibrate(sys.argv[1], method="staged"))
+    return repr(tumble.calibrate(sys.argv[1], method="joint"))
 
 if __name__ == "__main__":
-    tumble.calibrate(sys.argv[1], method="staged")
+    tumble.calibrate(sys.argv[1], method="joint")
     with multiprocessing.get_context("fork").Pool(1) as pool:
         pool.map(again, [0])
 """

@@ -23,7 +23,6 @@ from typing import Any, NoReturn
 import click
 
 from tumble import __version__
-from tumble.compiled import as_python
 from tumble.documents import one_line
 from tumble.errors import TumbleError
 from tumble.plugins import entry_points_of, load, package_of
@@ -186,14 +185,12 @@ def _command(name: str) -> click.Command | None:
 @click.option("-v", "--verbose", is_flag=True, help="At the end, the versions, the time and the memory it took.")
 @click.version_option(__version__, prog_name="tumble")
 @click.pass_context
-def main(context: click.Context, quiet: bool, verbose: bool) -> None:
+def main(context: click.Context, quiet: bool, verbose: bool) -> None:  # noqa: ARG001 (`tell` reads it)
     """Calibrate strapdown inertial measurement units on equipment that is not precise."""
     from tumble.recording.panic import COMMAND_LINE
 
     if _FILES.get(context.invoked_subcommand or "") not in _READ_NO_RECORDINGS:
         check_address_space()
-    if as_python() and not quiet:
-        click.echo("tumble: the loops over samples are not compiled and run as plain Python, slowly", err=True)
     context.call_on_close(_ended_in_order())
     context.call_on_close(partial(COMMAND_LINE.reset, COMMAND_LINE.set(True)))
     warnings.filterwarnings("ignore", message="(Duplicate|Unreadable) variable")  # of scipy, on a damaged MATLAB file

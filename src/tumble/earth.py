@@ -8,10 +8,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from tumble.units import Array
-
 EARTH_RATE = 7.292115e-5
 """Angular velocity of the Earth, rad/s (WGS-84)."""
 
@@ -43,13 +39,6 @@ def normal_gravity(latitude: float, height: float) -> float:
     m = EARTH_RATE**2 * a**2 * semi_minor / _GM
     linear = 2.0 / a * (1.0 + _FLATTENING + m - 2.0 * _FLATTENING * s2) * height
     return on_ellipsoid * (1.0 - linear + 3.0 * (height / a) ** 2)
-
-
-def radii_of_curvature(latitude: Array) -> tuple[Array, Array]:
-    """Radii (...), m, of the ellipsoid along the meridian and across it at geodetic latitudes (...), rad."""
-    w = 1.0 - _ECCENTRICITY_2 * np.sin(latitude) ** 2
-    across = _SEMI_MAJOR_AXIS / np.sqrt(w)
-    return across * (1.0 - _ECCENTRICITY_2) / w, across
 
 
 def earth_rate(latitude: float) -> tuple[float, float, float]:

@@ -49,9 +49,7 @@ def named(bench: Bench, said: str, *, later: float = 0.0, answer: str = "") -> N
         assert said not in bench.said
 
 
-def test_every_screen_of_a_programme_in_its_turn(
-    opened: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_screen_of_a_programme_in_its_turn(opened: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch) -> None:
     bench = opened("nine")
     assert bench.screen == "waiting"
     bench.until(lambda: bench.screen == "rest")

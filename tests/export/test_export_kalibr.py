@@ -12,9 +12,10 @@ import yaml
 
 from tests.support.calibrated import FRAMES, calibration
 from tests.support.exports import NOISE
+from tests.support.shared import calibrated
 from tumble.errors import InputError
 from tumble.export import export_calibration
-from tumble.export.robots import noise_densities
+from tumble.export.kalibr import noise_densities
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.reduction.noise.allan_deviation import allan_deviation
@@ -103,7 +104,7 @@ def test_a_left_handed_triad_is_refused() -> None:
 def test_the_biases_are_named_as_lost() -> None:
     made = calibration()
     assert made.accel is not None
-    lost = export_calibration(made, "kalibr", noise=NOISE).losses[0]
+    lost = " ".join(export_calibration(made, "kalibr", noise=NOISE).losses)
     assert all(repr(float(b)) in lost for b in made.accel.bias.round(9))
 
 
@@ -133,3 +134,14 @@ def test_noise_is_what_the_longest_rest_shows(tmp_path: Path) -> None:
 def test_a_calibration_without_gyros_is_refused() -> None:
     with pytest.raises(InputError, match="export to kalibr: expected gyro parameters, found none"):
         export_calibration(replace(calibration(), gyro=None), "kalibr", noise=NOISE)
+
+
+def test_without_a_session_the_noise_is_that_of_the_calibrations_rests() -> None:
+    """The simulated densities, within the scatter of their estimate, and a random walk that bounds the true one, 0."""
+    exported = export_calibration(calibrated(Setup.of(grade="mems", positions=12), seed=4), "kalibr")
+    content = yaml.safe_load(exported.content.decode().partition("\n")[2])["imu0"]
+    assert content["accelerometer_noise_density"] == pytest.approx(1.5e-3, rel=0.25)
+    assert content["gyroscope_noise_density"] == pytest.approx(np.deg2rad(0.01), rel=0.25)
+    assert 0.0 < content["accelerometer_random_walk"] < 1e-2
+    assert content["update_rate"] == 100.0
+    assert "largest that the drifts within the rests allow" in exported.losses[-1]

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -45,9 +46,17 @@ def run(site: Path, *commands: list[object]) -> list[Done]:
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The example, installed into a folder."""
-    pytest.importorskip("hatchling")
-    folder = tmp_path_factory.mktemp("site")
-    words = ["--quiet", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "--target", folder, EXAMPLE]
+    folder, source = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("source") / "example"
+    shutil.copytree(EXAMPLE, source)  # which building writes into
+    words: list[str | Path] = [
+        "--quiet",
+        "--no-deps",
+        "--no-build-isolation",
+        "--disable-pip-version-check",
+        "--target",
+        folder,
+        source,
+    ]
     subprocess.run([sys.executable, "-m", "pip", "install", *words], check=True)
     return folder
 

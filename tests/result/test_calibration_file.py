@@ -438,7 +438,7 @@ def test_a_file_from_the_same_log_and_method_is_replaced(session: Path, tmp_path
     "change",
     [
         lambda content: content["provenance"].update(log_sha256="0" * 64),
-        lambda content: content.update(method="staged"),
+        lambda content: content.update(method="scalar"),
         lambda content: content["outcome"]["accel"].update(reasons=["bad accelerometers"]),
     ],
 )

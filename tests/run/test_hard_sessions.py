@@ -81,8 +81,15 @@ def test_a_jump_of_the_gyros_is_named_and_spoils_their_biases_alone(hand: Record
     assert np.abs(hand.errors(made, "gyro", ("scale", "axis"))).max() < 4.0
 
 
-def test_methods_without_a_process_of_biases_refuse_gyros_that_jump(hand: Recorded) -> None:
-    made = tumble.calibrate(hand.session(gyro=jumped(hand, 1.0, 9)), method="staged")
+def test_methods_without_a_process_of_biases_refuse_gyros_that_jump(tmp_path: Path) -> None:
+    setup = tumble.Setup.of(grade="mems", rest=10.0, sample_rate=50.0)
+    folder = tumble.simulate_session(tmp_path / "table", setup, seed=4)
+    log = pl.read_parquet(folder / "log.parquet")
+    late = pl.col("t") > 0.6 * pl.col("t").max()
+    log.with_columns(pl.when(late).then(pl.col("gx") + 0.02).otherwise(pl.col("gx")).alias("gx")).write_parquet(
+        folder / "log.parquet"
+    )
+    made = tumble.calibrate(folder, method="scalar")
     assert (made.outcome.accel.accepted, made.outcome.gyro.accepted) == (True, False)
     assert accepted_groups(made) == ()
     assert made.gyro is None

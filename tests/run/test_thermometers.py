@@ -26,6 +26,7 @@ from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.correction import reference_of_parameter
 from tumble.result.parts import SensorsAtRest
 from tumble.result.temperature_curves import measured_range, model_at
+from tumble.run.observed import inspect_session
 from tumble.simulation.session import read_truth, simulate_session
 from tumble.simulation.temperature_profile import (
     temperature_profile,
@@ -34,7 +35,7 @@ from tumble.simulation.temperature_profile import (
 from tumble.units import ZERO_CELSIUS, Array
 from tumble.use.apply import apply_to_session
 from tumble.use.check import check_calibration
-from tumble.use.verify import positions_of, verify_calibration
+from tumble.use.positions import residuals_in
 
 __all__ = ["gcc"]
 
@@ -172,11 +173,12 @@ def test_positions_are_verified_at_the_temperature_of_their_sensors(made: Calibr
     """Of another launch, 20 K warmer; without its thermometers the same readings are refused."""
     setup = Setup.of(grade="mems", programme="nine", rest=10.0, rate_deg_s=60.0, sample_rate=25.0)
     hot = simulate_session(tmp_path / "hot", setup, seed=2, launch=2, temperature=temperature_profile("40+2@60+8@120"))
-    positions = positions_of(hot, made)
-    assert positions.celsius is not None
-    assert positions.celsius.min() > 40.0
-    assert verify_calibration(made, positions).reasons == ()
-    assert verify_calibration(made, replace(positions, celsius=None)).reasons
+    observations = inspect_session(hot).observations
+    assert observations is not None
+    cold = replace(observations, rests=replace(observations.rests, temperatures=None))
+    for seen, agrees in ((observations, True), (cold, False)):
+        found = residuals_in(made, seen, "hot")
+        assert (np.abs(found.sigmas).max() < found.limit) == agrees
 
 
 # -------------------- what is made of it --------------------
@@ -245,6 +247,7 @@ def test_autopilots_say_which_thermometers_they_have_no_place_for() -> None:
     losses = {to: export_calibration(made, to).losses for to in ("px4-thermal", "ardupilot-thermal")}
     assert not any("thermometers" in said for said in losses["px4-thermal"])
     (said,) = (said for said in losses["ardupilot-thermal"] if "thermometers" in said)
+    said = said.partition("thermometers of their own ")[2]
     assert "(Ta, Tg): the target has one for these sensors; at the rests they differ by up to 4.0 K" in said
     ends = made.temperature_range
     assert ends is not None

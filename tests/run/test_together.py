@@ -506,6 +506,6 @@ def test_the_command_writes_the_calibration(made: tuple[Scenario, list[Session],
     assert re.search(r"^cold +14 +13 +0\.0 +0\.0$", done.output, re.M), done.output
     assert [member.session for member in read_calibration(out).together] == ["cold", "hot"]
     assert "two temperatures show slopes and no curvature; take a third between them" in " ".join(done.output.split())
-    refused = CliRunner().invoke(main, ["calibrate", "--together", *folders, "--method", "staged", "--out", str(out)])
+    refused = CliRunner().invoke(main, ["calibrate", "--together", *folders, "--method", "scalar", "--out", str(out)])
     assert refused.exit_code == 2
     assert "--together: expected the method 'joint'" in refused.output

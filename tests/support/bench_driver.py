@@ -44,8 +44,8 @@ AXES = {"N": np.array([1.0, 0.0, 0.0]), "U": np.array([0.0, 1.0, 0.0]), "E": np.
 
 
 class Unit:
-    """A unit of the grade "mems" on a table that is turned: each `line` is its next sample, the reading at the middle of
-    an interval. Turns go smoothly up to RATE and down again; positions are up to OFF away."""
+    """A unit of the grade "mems" on a table: each `line` is its next sample, the reading at the middle of an interval.
+    Turns go smoothly up to RATE and down again; positions are up to OFF away."""
 
     def __init__(self, programme: str, *, temperature: bool = False) -> None:
         self.programme, self._rng = built_in(programme), np.random.default_rng(1)
@@ -197,9 +197,9 @@ class Bench:
 
 
 @contextmanager
-def served(station: Station) -> Iterator[str]:
+def served(station: Station, port: int = 0) -> Iterator[str]:
     """The link to the page of a station."""
-    with socket.create_server(("127.0.0.1", 0)) as bound:
+    with socket.create_server(("127.0.0.1", port)) as bound:
         port = bound.getsockname()[1]
         app = app_of(station, Access(host="127.0.0.1", port=port, token=TOKEN))
         config = uvicorn.Config(app, http=Connection, log_level="warning", timeout_graceful_shutdown=1)

@@ -28,11 +28,9 @@ FLAGS = (
     "--hide-scrollbars",
     "--remote-debugging-port=0",
 )
-KEYS = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40, "Enter": 13, "Tab": 9}
+KEYS = {"Enter": 13}
 
 ACCESSIBLE = (ROOT / "tests/support/accessible.js").read_text(encoding="utf-8")
-AXE = os.environ.get("TUMBLE_AXE")
-"""axe.min.js of axe-core, which then looks at every page too."""
 
 
 def chromium() -> str | None:
@@ -151,14 +149,7 @@ class Browser:
 
 def inaccessible(browser: Browser) -> list[str]:
     """What is wrong with the page for those who do not see it well, or at all."""
-    found = list(browser.js(ACCESSIBLE))
-    if AXE is not None:
-        if not browser.js("Boolean(window.axe)"):
-            browser.js(Path(AXE).read_text(encoding="utf-8") + "; 0")
-        found += browser.js(
-            "axe.run().then(f => f.violations.map(v => `${v.id}: ${v.nodes.map(n => n.target.join(' ')).join(', ')}`))"
-        )
-    return [str(each) for each in found]
+    return [str(each) for each in browser.js(ACCESSIBLE)]
 
 
 def eventually(what: Callable[[], Any], seconds: float = 30.0, *, every: float = 0.05) -> Any:

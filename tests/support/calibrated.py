@@ -50,7 +50,7 @@ def calibration(
     models = [blocks[0].model(values[:count]), blocks[1].model(values[count:]) if with_gyro else None]
     return Calibration(
         device=CalibratedDevice(serial=serial, model="test"),
-        method="staged",
+        method="scalar",
         frame="accelerometer",
         parameters=tuple(
             Parameter(name=n, value=float(v), u=float(s), unit=unit)

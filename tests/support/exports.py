@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from tumble.export import FORMATS
-from tumble.export.robots import NoiseDensities
+from tumble.export import target, targets
+from tumble.export.kalibr import NoiseDensities
 from tumble.lab.certificate import Certificate, Party, Person
 from tumble.reduction.noise.filter_values import Densities
 
+FORMATS = targets()
 THERMAL = tuple(name for name in FORMATS if name.endswith("-thermal"))
+TEXT = tuple(name for name in FORMATS if name != "mat")
 NOISE = NoiseDensities(
     accel=Densities(white=1e-3, walk=2e-4, bounds=()),
     gyro=Densities(white=1e-4, walk=2e-5, bounds=("random walk of the gyros: bounded",)),
@@ -34,4 +36,4 @@ CERTIFICATE = Certificate.model_validate(
 def beside(to: str) -> dict[str, Any]:
     """What `export_calibration` takes beside a calibration without noise densities, and needs for a certificate."""
     given = {"noise": NOISE, "certificate": CERTIFICATE}
-    return {name: given[name] for name in FORMATS[to].takes if name in given}
+    return {name: given[name] for name in target(to).takes if name in given}

@@ -45,7 +45,7 @@ def content(
     return {
         "format": 1,
         "device": {"serial": serial, "model": model},
-        "method": "staged",
+        "method": "scalar",
         "frame": frame,
         "parameters": parameters,
         "covariance": covariance,

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +14,6 @@ from scipy.special import ndtr
 from tests.support.calibrated import FRAMES, HEXAD, calibration, of_device
 from tumble.cli import main
 from tumble.errors import InputError
-from tumble.lab.registry.adding import Particulars, add, read_submission
-from tumble.lab.registry.monitor import monitored
-from tumble.lab.registry.store.connect import open_registry
 from tumble.planning.setup import Setup
 from tumble.recording.session import Site
 from tumble.result.calibration import Calibration
@@ -29,8 +24,6 @@ from tumble.sensors.model import Block
 from tumble.simulation.session import simulate_session
 from tumble.units import Array
 from tumble.use.compare import compare_calibrations
-from tumble.views.checks import judged_lines
-from tumble.views.control_chart import write_chart
 
 
 def moved(made: Calibration, by: dict[str, float]) -> Calibration:
@@ -265,72 +258,6 @@ def test_a_common_error_of_the_time_base_hides_no_step_of_a_scale_factor() -> No
     for other in of_its_own:
         alone = next(d for d in compare_calibrations(first, other).differences if d.name == "gyro.scale.y")
         assert alone.u == pytest.approx(np.hypot(20e-6, 1.2e-6) * np.sqrt(2.0))
-
-
-@pytest.mark.parametrize("pair", [of_common_gravity, of_common_time_base])
-def test_a_step_of_40_ppm_under_a_common_error_of_20_ppm_ends_compare_and_trend_with_1(
-    pair: Callable[[float], tuple[Calibration, Calibration]], tmp_path: Path
-) -> None:
-    """From files: the scale factor is known to 1.2 ppm but for what both share. Without the step both end with 0."""
-    for moved, status in ((40e-6, 1), (0.0, 0)):
-        place = str(tmp_path / f"{status}.sqlite")
-        words = ["compare"]
-        for i, made in enumerate(pair(moved)):
-            path = tmp_path / f"{status}-{i}.json"
-            replace(made, provenance={**made.provenance, "log_sha256": f"{i:064x}"}).write(path)
-            words.append(str(path))
-            added = ["registry", "add", str(path), "--date", f"202{i}-03-01", "--registry", place]
-            assert CliRunner().invoke(main, added).exit_code == 0
-        assert CliRunner().invoke(main, words).exit_code == status
-        trend = CliRunner().invoke(main, ["registry", "trend", "A-0007", "--registry", place])
-        assert trend.exit_code == status
-        name = "accel.scale.x" if pair is of_common_gravity else "gyro.scale.y"
-        said = f"changed: {name}\n" if status else ""
-        assert trend.stderr == said
-
-
-@pytest.mark.parametrize("sigmas", [0.0, 2.5, 3.6, 5.0, -3.6])
-def test_compare_and_the_registry_give_a_change_one_sign_one_number_and_one_verdict(
-    sigmas: float, tmp_path: Path
-) -> None:
-    first = replace(calibration(), site=None)
-    second = moved(first, {"accel.bias.x": sigmas * np.sqrt(2.0)})
-    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
-        for i, made in enumerate((first, second)):
-            made.write(tmp_path / f"{i}.json")
-            particulars = Particulars(performed=datetime(2024 + i, 3, 1, tzinfo=UTC))
-            add(registry, read_submission(tmp_path / f"{i}.json", particulars))
-        found, one = (monitored(registry, "A-0007", name) for name in (None, "accel.bias.x"))
-    said = compare_calibrations(first, second)
-    changes = {trend.series.name: trend.last_change for trend in found.trends}
-    for difference in said.differences:
-        change = changes[difference.name]
-        assert change is not None
-        assert (change.value, change.e_n) == pytest.approx((difference.value, difference.e_n))
-    assert said.differences[0].e_n == pytest.approx(sigmas / 2.0)
-    assert said.agree == (not found.changed()) == (not one.changed())
-    assert found.comparison is not None
-    line = judged_lines(found.comparison)[0]
-    assert line.startswith(f"{int(abs(sigmas) > 2)} of 21 |E_n| beyond 1, one as large")
-    if sigmas == 2.5:
-        write_chart(tmp_path / "chart.html", found)
-        page = (tmp_path / "chart.html").read_text(encoding="utf-8")
-        assert f"the latest against the one before: {line}" in page
-        assert "no change since" not in page
-
-
-def test_the_registry_finds_what_only_all_parameters_together_show(tmp_path: Path) -> None:
-    first, second = calibration(), calibration()
-    apart = tuple(replace(p, value=p.value + 0.9 * 2.0 * np.sqrt(2.0) * (p.u or 0.0)) for p in second.parameters)
-    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
-        for i, made in enumerate((first, replace(second, parameters=apart))):
-            path = tmp_path / f"{i}.json"
-            replace(made, provenance={**made.provenance, "log_sha256": f"{i:064x}"}).write(path)
-            add(registry, read_submission(path, Particulars(performed=datetime(2024 + i, 3, 1, tzinfo=UTC))))
-        found = monitored(registry, "A-0007", None)
-    assert found.changed() == ["all parameters together"]
-    assert found.comparison is not None
-    assert found.comparison.contradicts
 
 
 def test_gravity_of_its_own_for_each_is_in_the_difference() -> None:

@@ -241,11 +241,11 @@ def printed_at(calibration: Calibration, width: int) -> str:
 
 def test_rows_of_tables_below_each_other_keep_all_that_names_them() -> None:
     columns = ("method", "pass", "parameters", "estimator")
-    listed = (("staged", "1", "accelerometers", "lengths"), ("staged", "2", "gyros", "turns"))
+    listed = (("ellipsoid", "1", "accelerometers", "lengths"), ("ellipsoid", "2", "gyros", "turns"))
     shown = text_of([Table(columns=columns, rows=listed, text=(0, 1, 2, 3), named_by=2)], 30)
-    rows = [line.split() for line in shown.splitlines() if line.startswith("staged")]
+    rows = [line.split() for line in shown.splitlines() if line.startswith("ellipsoid")]
     expected = ("1 accelerometers", "2 gyros", "1 lengths", "2 turns")
-    assert rows == [["staged", *words.split()] for words in expected]
+    assert rows == [["ellipsoid", *words.split()] for words in expected]
 
 
 def is_number(word: str) -> bool:

@@ -18,9 +18,7 @@ from tumble.commands import ask, tell
     )
 )
 @click.argument("session", type=ask.PATH)
-@ask.option(
-    "--listen", "What to record: udp:5005, serial:/dev/ttyUSB0:115200, replay:FOLDER@20x …", metavar="SOURCE"
-)
+@ask.option("--listen", "What to record: udp:5005, serial:/dev/ttyUSB0:115200, replay:FOLDER@20x …", metavar="SOURCE")
 @ask.option("--serial", "Of a new SESSION.", metavar="NUMBER")
 @ask.LATITUDE
 @ask.GRAVITY

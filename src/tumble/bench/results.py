@@ -24,9 +24,8 @@ _LOOK_SECONDS = 0.05
 
 
 def shown(calibration: Calibration) -> dict[str, Any]:
-    """A calibration that is written, for the page: whether it is accepted, and the reasons; its parameters as `tumble
-    calibrate` shows them; the files that can be fetched, the formats that it may be exported to, and what the registry
-    says of it, nothing yet."""
+    """A calibration as the page shows it: the verdict with its reasons, the parameters in the units of `tumble
+    calibrate`, the files that can be fetched, the formats for export, and the answer of the registry, empty as yet."""
     from tumble.views.numbers import shown_units
 
     units, rows = shown_units(calibration.parameters), []
@@ -46,8 +45,10 @@ def shown(calibration: Calibration) -> dict[str, Any]:
 
 
 def calibrated(folder: Path, stopped: threading.Event) -> Calibration:
-    """The calibration of a session folder, written into it by `tumble calibrate`. It is believed only where it agrees
-    with how that has ended. Raises CalibrationError; the file of an earlier calibration then stays as it is."""
+    """Calibrate a session folder by `tumble calibrate`, which writes into it.
+
+    Raises CalibrationError if that fails, or if its exit status does not agree with the verdict in the file. The file
+    of an earlier calibration then stays as it is."""
     from tumble.result.calibration import read_calibration
 
     with whole_file(folder / CALIBRATION_FILE) as fresh:
@@ -61,8 +62,9 @@ def calibrated(folder: Path, stopped: threading.Event) -> Calibration:
 
 
 def _made(fresh: Path, *words: str, stopped: threading.Event) -> bool:
-    """Whether a command of tumble accepts what it has written into a file, which is empty before it. Raises
-    CalibrationError with what it says, for any end but with a verdict, the exit status 0 or 1, and a file."""
+    """Run a command of tumble that writes the file `fresh`, and return whether its exit status is 0.
+
+    Raises CalibrationError, with the last line of its standard error, for a status above 1 and for an empty file."""
     status, said = _ended(*words, stopped=stopped)
     last = said[-1] if said else ""
     if status not in (0, 1):
@@ -73,9 +75,9 @@ def _made(fresh: Path, *words: str, stopped: threading.Event) -> bool:
 
 
 def _ended(*words: str, stopped: threading.Event) -> tuple[int, list[str]]:
-    """The exit status of a command of tumble and what it said on standard error: in a process of its own, which leaves
-    this one its time and gives back its memory, and is ended when the bench is `stopped`. No module of the folder it
-    runs in is taken for one of Python's or of tumble's (-P)."""
+    """Run a command of tumble in a process of its own; its exit status and the lines of its standard error.
+
+    The process is ended when the bench is `stopped`. It takes no module from the folder it runs in (-P)."""
     command = [sys.executable, "-P", "-m", "tumble", *words]
     nowhere = subprocess.DEVNULL
     with (
@@ -92,14 +94,14 @@ def _ended(*words: str, stopped: threading.Event) -> tuple[int, list[str]]:
 
 
 def report_of(folder: Path, stopped: threading.Event) -> str:
-    """Write the report of a calibration beside it; the name of its file."""
+    """Write the report of a calibration beside it, and return the name of its file."""
     with whole_file(folder / REPORT_FILE) as fresh:
         _made(fresh, "report", "--out", str(fresh), "--", str(folder / CALIBRATION_FILE), stopped=stopped)
     return REPORT_FILE
 
 
 def exported(folder: Path, to: str) -> str:
-    """Write a calibration as another program reads it, beside it; the name of the file."""
+    """Export a calibration into a file beside it, and return the name of that."""
     content = export_calibration(folder / CALIBRATION_FILE, to).content
     name = f"export-{to}{target(to).ending}"
     with whole_file(folder / name) as temporary:
@@ -108,7 +110,7 @@ def exported(folder: Path, to: str) -> str:
 
 
 def registered(folder: Path, place: str | None, stopped: threading.Event) -> str:
-    """Add a calibration to the registry at `place`, the user's where None, by `tumble registry add`; what it says."""
+    """Add a calibration to a registry by `tumble registry add`, and return its messages. `place` None: the user's."""
     where = [] if place is None else ["--registry", place]
     status, said = _ended("registry", "add", *where, "--", str(folder / CALIBRATION_FILE), stopped=stopped)
     if status not in (0, 1):

@@ -101,8 +101,8 @@ def begin_next(folder: Path, serial: str) -> Path:
 
 
 def leave_out(folder: Path, one: Exclusion | None, instead_of: Exclusion | None = None) -> None:
-    """Add a table [[exclude]] at the end of session.toml, in the place of one that was added before or, where None,
-    take that one out; whatever else is in the file stays as it is."""
+    """Write a table [[exclude]] at the end of session.toml, and remove `instead_of`, which was added before. Whatever
+    else is in the file stays as it is."""
     path = folder / SESSION_FILE
     text, old, new = text_of_document(path), *("" if each is None else _table(each) for each in (instead_of, one))
     before, _, after = text.rpartition(old) if old else (text, "", "")
@@ -129,8 +129,10 @@ _HERE = ("knock", "movement")
 
 
 class Answers:
-    """The answers of one session, written into the session.toml of its `folder`, which left out `before` what it did.
-    `go_on` says whether the operator wants more positions than are needed."""
+    """The operator's answers in one session. What they leave out is written into the session.toml of its `folder`.
+
+    `before` is what the session left out already. `go_on` says whether the operator wants more positions than are
+    needed."""
 
     def __init__(self, folder: Path, before: tuple[Exclusion, ...]) -> None:
         self._answered: list[Fault] = []
@@ -160,6 +162,7 @@ class Answers:
         self._open = None
 
     def again(self, fault: Fault | None, now: float) -> str:
+        """Leave out what a fault has spoilt, up to `now` or until the unit is moved."""
         if fault is None:
             return "nothing is wrong"
         here = fault.kind in _HERE
@@ -174,6 +177,7 @@ class Answers:
         return "the first part is kept; go on to the next position"
 
     def going_on(self, fault: Fault | None) -> str:
+        """Settle a fault without leaving anything out; where there is none, ask for more positions."""
         if fault is not None:
             self._answered.append(fault)
             return "noted; nothing is left out"
@@ -181,6 +185,7 @@ class Answers:
         return "going on"
 
     def leave_out_rest(self, number: str, rests: int) -> str:
+        """Leave out a rest by its number, of so many."""
         rest = whole_number(number)
         if rest is None or not 0 < rest <= rests:
             return f"expected the number of a rest from 1 to {rests}"
@@ -188,6 +193,7 @@ class Answers:
         return f"rest {rest} is left out"
 
     def take_back(self) -> str:
+        """Use again what was left out last."""
         if not self._added:
             return "nothing was left out here"
         one = self._added.pop()

@@ -1,6 +1,6 @@
-"""What the page of a bench shows: the state that the server sends and `page/bench.js` reads, key by key.
+"""Types of the state that the server sends to the page and `page/bench.js` shows.
 
-Numbers are in the unit that is shown; times in s. A screen has the keys of `Screen` that it needs.
+Numbers are in the unit that is shown, times in s.
 """
 
 from __future__ import annotations
@@ -9,8 +9,7 @@ from typing import Any, Literal, TypedDict
 
 
 class Received(TypedDict):
-    """What was wrong with what has come: rows `refused`, the last one for this reason `why`; whether the source has
-    `ended`; what is wrong with it, in words."""
+    """Lines that were `refused` and `why` the last one was; whether the source has `ended`; its troubles, in words."""
 
     refused: int
     why: str
@@ -19,7 +18,7 @@ class Received(TypedDict):
 
 
 class Recorded(Received):
-    """The log: its source, samples that were read and are missing, and a second of how many."""
+    """The log: its source, the number of samples, their rate (Hz), and how many are missing."""
 
     source: str
     samples: int
@@ -28,7 +27,7 @@ class Recorded(Received):
 
 
 class GroupShown(TypedDict):
-    """A group of parameters: the largest u and the wanted one in a unit; whether the data tell all of them."""
+    """A group of parameters: the largest uncertainty and the wanted one, and whether the data determine all of it."""
 
     group: str
     unit: str
@@ -39,8 +38,9 @@ class GroupShown(TypedDict):
 
 
 class EstimateShown(TypedDict):
-    """The estimate from so many rests: groups, residuals (σ, µg), what a rest in each of 26 directions would leave of u
-    (`gains`), the best of them in words (`next`), what may be the `cause` of a misfit; unknowns, s of computing."""
+    """The estimate from the rests so far: groups of parameters, residuals of the rests (σ, µg), the part of the
+    uncertainty that a rest in each of 26 directions would leave (`gains`) and the best direction in words (`next`), the
+    likely `cause` of a misfit, the number of unknowns, and the processor time, s."""
 
     rests: int
     groups: list[GroupShown]
@@ -54,7 +54,7 @@ class EstimateShown(TypedDict):
 
 
 class Answer(TypedDict):
-    """A button: its command, its label, what comes of it, and whether it is the usual one."""
+    """A button: its command, its label, what it leads to, and whether it is the usual answer."""
 
     do: str
     label: str
@@ -76,8 +76,8 @@ class PositionShown(TypedDict):
 
 
 class RestShown(TypedDict, total=False):
-    """Which rest of how many; of one that lasts: for how long, how much longer, u of its mean (µg, °/h) and what is
-    wanted, its drift (µg)."""
+    """The number of a rest, and of how many. Of a rest that lasts: its duration, the time left, uncertainty of its mean
+    and the wanted one (µg, °/h), its drift (µg)."""
 
     number: int
     of: int | None
@@ -102,8 +102,8 @@ class TurnShown(TypedDict):
 
 
 class Screen(TypedDict, total=False):
-    """What to do now; the `fault` has the fields of a `follow.faults.Fault`. On every screen but the first `waiting`:
-    `seconds` … `to_go`."""
+    """One of the screens. `fault` has the fields of a `follow.faults.Fault`. The keys from `seconds` to `to_go` are on
+    every screen as soon as there are blocks."""
 
     screen: Literal["waiting", "rest", "turn", "done", "fault"]
     headline: str
@@ -142,7 +142,8 @@ class State(Screen, total=False):
 
 
 class Trace(TypedDict):
-    """Means of blocks before number `next`: times, s, specific force, m/s², rate, °/s; `anew`: nothing goes before."""
+    """Means of the blocks before number `next`: times, s, specific force, m/s², and rate, °/s. `anew`: the page forgets
+    the earlier ones."""
 
     next: int
     anew: bool

@@ -1,9 +1,9 @@
 """One bench: a unit that is recorded, what the page shows of it, and what the operator answers.
 
 The state follows from the log on disk and from session.toml, so that the page and this process may each be started
-again at any time: `follow` follows the log and knows the progress, what is wrong and the estimate, `session_folder` the
-operator's answers, and `screens` makes of all these what is shown. Here is only the order of things: the threads, the
-lock and the buttons. `state` is replaced as a whole, several times a second, by one thread; another makes the estimates.
+again at any time: `follow` reads the log and gives progress, faults and the estimate, `session_folder` keeps the
+operator's answers, and `screens` makes the state that the page shows. This module has the threads, the lock and the
+buttons. `state` is replaced as a whole, several times a second, by one thread; another makes the estimates.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from tumble.bench.follow.faults import Fault, faults_of_rests
 from tumble.bench.follow.live import Live
 from tumble.bench.follow.wishes import Task, Wanted
 from tumble.bench.record.recorder import NOTHING_RECEIVED, Intake
-from tumble.bench.state import State, Trace
+from tumble.bench.state import Received, State, Trace
 from tumble.errors import InputError, TumbleError
 from tumble.programme.positions import programme as built_in
 from tumble.recording.live.sources import LineSource, source_of
@@ -40,7 +40,21 @@ _LONG = {
 
 
 class Station:
-    """A bench: `listen` makes the source of what is recorded, None where another program writes the log."""
+    """A bench that records one unit and shows its page.
+
+    Parameters
+    ----------
+    folder
+        Session folder that is recorded.
+    listen
+        Opens the source that is recorded. None where another program writes the log.
+    wanted
+        Uncertainties that are wanted, such as "gyro.scale=2ppm".
+    grade
+        Grade of the unit where its session gives none.
+    registry
+        Where calibrations are registered. None for the user's registry.
+    """
 
     def __init__(
         self,
@@ -51,7 +65,6 @@ class Station:
         grade: str = "mems",
         registry: str | None = None,
     ) -> None:
-        """`registry` is where the button registers, None for the user's."""
         self._listen, self._grade, self._registry = listen, grade, registry
         self._wanted = Wanted.of(wanted, grade)
         self._guard = threading.RLock()
@@ -146,8 +159,8 @@ class Station:
             self._wrong, self._taken = fault, len(progress.groups)
         intake, live, device, programme = self.intake, self._live, self.task.session.device, self.task.programme
         source = "recording has stopped" if self._listen is not None else "the log of another program"
-        received = NOTHING_RECEIVED if intake is None else intake.received
-        trouble = [*received["trouble"], *([live.trouble] if live.trouble else [])]
+        received: Received = NOTHING_RECEIVED if intake is None else intake.received
+        following = [live.trouble] if live.trouble else []
         state: State = {
             **shown,
             "answers": [],
@@ -160,7 +173,10 @@ class Station:
                 "samples": live.samples,
                 "rate": None if live.interval is None else 1.0 / live.interval,
                 "lost": live.lost,
-                **{**received, "trouble": trouble},
+                "refused": received["refused"],
+                "why": received["why"],
+                "ended": received["ended"],
+                "trouble": [*received["trouble"], *following],
             },
             "programme": None if programme is None else programme.name,
             "positions": self.task.positions,
@@ -296,8 +312,10 @@ def station_of(
     programme: str | None = None,
     **wishes: Any,
 ) -> Station:
-    """The bench of a session folder, made where it is new, and of what stands after --listen; the source is made anew
-    each time recording begins. Raises InputError."""
+    """Open the bench of a session folder, which is made where it is new.
+
+    `listen` names the source as --listen does; it is opened anew each time recording begins. `wishes` are further
+    arguments of `Station`. Raises InputError."""
     if programme is not None:
         built_in(programme)
     known = (folder / SESSION_FILE).exists()

@@ -27,13 +27,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from tumble.inference.elimination import fold
 from tumble.inference.hyperparameters import Components, Noise
 from tumble.inference.likelihood import Linearised, Problem, Rows
 from tumble.inference.linearisation import with_priors
 from tumble.inference.step import Left, Step, inverse_of, left, solve, tell, with_own
-from tumble.scipy_compiled import special
 from tumble.units import Array
 
 SEEN_HEADING = 0.05
@@ -91,13 +91,13 @@ class Projection:
         """Probability of a fall of chi-square with q parameters: by Fisher's distribution where the scale of the
         residuals was estimated from them; 1 where nothing is left beside them to tell it by."""
         if not self.scatters:
-            return float(special.chdtrc(q, fall))
+            return float(scipy.special.chdtrc(q, fall))
         others = self.degrees - q
         if others < 1.0:
             return 1.0
         rest = max(self.chi_square - fall, 1e-9)
         overstated = min(1.0, self.chi_square / self.degrees)  # noise that is less than said proves nothing
-        return float(special.fdtrc(q, others, overstated * fall / q / (rest / others)))
+        return float(scipy.special.fdtrc(q, others, overstated * fall / q / (rest / others)))
 
 
 def projections(linearised: Linearised, components: Components, rest: Array, turn: Array) -> Iterator[Projection]:
@@ -240,7 +240,7 @@ class SumOfSquares:
         """Probability that chance alone makes it as large."""
         if self.degrees <= 0.0:
             return 1.0
-        return float(special.chdtrc(self.degrees, self.degrees * self.square / self.mean))
+        return float(scipy.special.chdtrc(self.degrees, self.degrees * self.square / self.mean))
 
     @property
     def excess(self) -> float:
@@ -252,7 +252,7 @@ class SumOfSquares:
         if min(self.degrees, other.degrees, other.square) <= 0.0:
             return 1.0
         ratio = self.square / self.mean / (other.square / other.mean)
-        return float(special.fdtrc(self.degrees, other.degrees, ratio))
+        return float(scipy.special.fdtrc(self.degrees, other.degrees, ratio))
 
 
 def standing_out(probabilities: Sequence[float]) -> float:

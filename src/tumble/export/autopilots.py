@@ -60,6 +60,7 @@ from tumble.export.exported import (
     SINGLE_PRECISION,
     Exported,
     example,
+    example_line,
     in_units,
     left_of_model,
     notes_of,
@@ -196,9 +197,8 @@ class Triad:
             warmer = celsius - self.reference
             offset = offset + self.slopes @ [warmer, warmer**2]
         worked = example(self.kind, model)
-        becomes = ((worked.reading - offset) * self.factor).round(6)
-        it_is = shown(worked.true.round(6))
-        return f"example {self.kind}{where}: reading {shown(worked.reading)} becomes {shown(becomes)}; it is {it_is}"
+        becomes = (worked.reading - offset) * self.factor
+        return example_line(self.kind, worked.reading, worked.true, becomes, where)
 
 
 def _triads(pilot: Autopilot, target: str, calibration: Calibration, imu: int | None, *, thermal: bool) -> list[Triad]:
@@ -279,15 +279,8 @@ def _written(
     )
     examples = (each.example(calibration) for each in applied)
     comments = [*origin(calibration), *remarks, *examples, *about_it, *notes]
-    text = laid_out(pilot.layout, comments=comments, triads=[*map(_plain, applied)], compass=compass, **words)
+    text = laid_out(pilot.layout, comments=comments, triads=applied, compass=compass, **words)
     return Exported(content=text.encode(), losses=notes)
-
-
-def _plain(triad: Triad) -> dict[str, Any]:
-    """What the layout has of three sensors: its arrays as lists."""
-    names = ("kind", "number", "id", "offset", "factor", "measured", "reference", "coefficients")
-    values = {name: getattr(triad, name) for name in names}
-    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
 
 
 def _one_thermometer(pilot: Autopilot, calibration: Calibration, applied: Sequence[Triad]) -> list[str]:
@@ -424,9 +417,7 @@ def _signed(device: int) -> int:
     return device - 2**32 if device >= 2**31 else device
 
 
-def _compass(
-    pilot: Autopilot, calibration: Calibration
-) -> tuple[Mapping[str, list[float]] | None, list[str], list[str]]:
+def _compass(pilot: Autopilot, calibration: Calibration) -> tuple[Mapping[str, Array] | None, list[str], list[str]]:
     """The numbers of the calibration's magnetometer, a remark on them, and why there are none."""
     model = calibration.mag
     if model is None:
@@ -450,4 +441,4 @@ def _compass(
         "magnetometer: taken for the first; its id in the autopilot has to be that of this sensor already, in the axes "
         f"that were recorded; turned by {angle:.2g} deg so that its matrix is symmetric"
     )
-    return {"offset": offset.tolist(), "diagonal": diagonal.tolist(), "across": across.tolist()}, [remark], []
+    return {"offset": offset, "diagonal": diagonal, "across": across}, [remark], []

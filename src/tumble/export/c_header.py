@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from tumble.export.exported import UNITS, Exported, example, examples, models, notes_of, numbers, origin, shown
+from tumble.export.exported import UNITS, Exported, example, example_line, models, notes_of, numbers, origin, shown
 from tumble.export.templates import laid_out
 from tumble.reduction.rests.thermometer import followed
 from tumble.result.calibration import Calibration
@@ -98,20 +98,18 @@ def _sensors_celsius(lag: float) -> Array:
 
 def _worked(compensator: Compensator, known: dict[SensorKind, SensorModel]) -> list[str]:
     """Examples by the whole model, those of gyros in the specific force of the accelerometers' example."""
-    if not any(beyond_linear(compensator, kind) for kind in known):
-        return examples(known, "example {kind}: reading {reading} is {true} {unit}")
     reading = {kind: example(kind, model).reading for kind, model in known.items()}
-    force = compensator.force(reading["accel"][None]) if "accel" in known else np.zeros((1, 3))
-    true: dict[SensorKind, Array] = {"accel": force} if "accel" in known else {}
+    force, out = np.zeros((1, 3)), list[str]()
+    if "accel" in known:
+        force = compensator.force(reading["accel"][None])
+        out.append(example_line("accel", reading["accel"], force[0]))
     if "gyro" in known:
-        true["gyro"] = compensator.rate(reading["gyro"][None], force)
-    felt = " in that specific force" if "accel" in known else " without a specific force"
-    felt = felt if "by_force" in beyond_linear(compensator, "gyro") else ""
-    return [
-        f"example {kind}: reading {shown(reading[kind])}{felt if kind == 'gyro' else ''} is "
-        f"{shown(vector[0].round(9))} {UNITS[kind]}"
-        for kind, vector in true.items()
-    ]
+        felt = " in that specific force" if "accel" in known else " without a specific force"
+        where = felt if "by_force" in beyond_linear(compensator, "gyro") else ""
+        out.append(
+            example_line("gyro", reading["gyro"], compensator.rate(reading["gyro"][None], force)[0], where=where)
+        )
+    return out
 
 
 def beyond_linear(compensator: Compensator, kind: SensorKind) -> dict[str, Array]:

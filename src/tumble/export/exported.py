@@ -82,16 +82,13 @@ def example(kind: SensorKind, model: SensorModel) -> Example:
     return Example(reading=reading, true=model.apply(reading))
 
 
-def examples(
-    models: Mapping[SensorKind, SensorModel], form: str = "example {kind}: reading {reading} is {true} {unit}"
-) -> list[str]:
-    """A worked example of each kind of sensors, a line each, SI."""
-    lines = []
-    for kind, model in models.items():
-        worked = example(kind, model)
-        reading, true = shown(worked.reading), shown(worked.true.round(9))
-        lines.append(form.format(kind=kind, reading=reading, true=true, unit=UNITS[kind]))
-    return lines
+def example_line(kind: SensorKind, reading: Array, true: Array, becomes: Array | None = None, where: str = "") -> str:
+    """A worked example as a comment: a reading, what the target makes of it where that is something else, and what it
+    is, SI."""
+    it_is = f"{shown(true.round(6))} {UNITS[kind]}"
+    differs = becomes is not None and np.any(becomes.round(6) != true.round(6))
+    what = f"becomes {shown(becomes.round(6))}; it is {it_is}" if becomes is not None and differs else f"is {it_is}"
+    return f"example {kind}{where}: reading {shown(reading)} {what}"
 
 
 def models(calibration: Calibration) -> dict[SensorKind, SensorModel]:

@@ -25,6 +25,7 @@ from tumble.export.exported import (
     UNITS,
     Exported,
     example,
+    example_line,
     g_sensitivity,
     notes_of,
     origin,
@@ -128,22 +129,20 @@ def kalibr(calibration: Calibration, *, noise: NoiseDensities | Session | FilePa
         see_to=[*noise.accel.bounds, *noise.gyro.bounds],
     )
     same_frame = np.allclose(to_accel, np.eye(3), rtol=0.0, atol=1e-12)
-    worked = {kind: example(kind, model) for kind, model in known.items()}
     comments = [
         *origin(calibration),
         f"noise from {noise.source}",
         *([] if same_frame else [f"IMU frame: rows in the frame of the calibration {shown(to_accel)}"]),
         "set rostopic" if noise.rate is not None else "set rostopic, add update_rate",
         *(
-            f"example {kind}: reading {shown(one.reading)} is {shown((to_accel @ one.true).round(9))}"
-            for kind, one in worked.items()
+            example_line(kind, worked.reading, to_accel @ worked.true)
+            for kind, worked in ((kind, example(kind, model)) for kind, model in known.items())
         ),
         *(["the example of the gyros is without acceleration"] if np.any(sensitivity) else []),
         *losses,
     ]
     matrices = {"Tw": Tw, "R_IMUtoGYRO": to_gyro, "Ta": Ta, "R_IMUtoACC": np.eye(3), "Tg": sensitivity @ to_accel.T}
-    rows = {name: matrix.tolist() for name, matrix in matrices.items()}
-    text = laid_out("kalibr_imu_chain.yaml.j2", comments=comments, noise=noise, matrices=rows)
+    text = laid_out("kalibr_imu_chain.yaml.j2", comments=comments, noise=noise, matrices=matrices)
     return Exported(content=text.encode(), losses=losses)
 
 

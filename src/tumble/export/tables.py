@@ -28,7 +28,7 @@ from tumble.export.exported import (
     UNITS,
     Exported,
     example,
-    examples,
+    example_line,
     in_units,
     models,
     not_held,
@@ -104,9 +104,9 @@ def csv_thermal(calibration: Calibration) -> Exported:
         f"reference temperature {calibration.reference_temperature:g} degC; measured from {measured.low:.1f} to "
         f"{measured.high:.1f} degC, nothing is known outside",
         *own_thermometers(calibration),
-        *examples(
-            {kind: model_at(calibration, kind, warm) for kind in known},
-            f"example {{kind}} at {warm!r} degC: reading {{reading}} is {{true}}",
+        *(
+            example_line(kind, worked.reading, worked.true, where=f" at {warm!r} degC")
+            for kind, worked in ((kind, example(kind, model_at(calibration, kind, warm))) for kind in known)
         ),
         *losses,
     ]

@@ -50,7 +50,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -61,6 +61,7 @@ from tumble.export.exported import (
     SINGLE_PRECISION,
     Exported,
     example,
+    example_line,
     g_sensitivity,
     left_of_model,
     notes_of,
@@ -88,11 +89,15 @@ class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
+_Two = Annotated[list[float], Field(min_length=2, max_length=2)]
+_Three = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
 class Sensors(_Table):
     """What a target does with the sensors of one kind."""
 
     numbers: dict[str, str] = {}
-    limits: dict[str, list[float]] = {}
+    limits: dict[str, _Two] = {}
     corrected: str = ""
     zeroed: str = ""
 
@@ -100,10 +105,10 @@ class Sensors(_Table):
 class WorkedExample(_Table):
     """A model, a reading, and what the target makes of it."""
 
-    matrix: list[list[float]]
-    bias: list[float]
-    reading: list[float]
-    corrected: list[float]
+    matrix: list[_Three] = Field(min_length=3, max_length=3)
+    bias: _Three
+    reading: _Three
+    corrected: _Three
 
 
 class Front(_Table):
@@ -113,7 +118,7 @@ class Front(_Table):
     formula: str
     source: str
     ending: str = ".txt"
-    counts: list[float] | None = Field(None, min_length=2, max_length=2)
+    counts: _Two | None = None
     needs: list[Literal["accel", "gyro"]] = []
     holds: list[str] = []
     single: bool = False
@@ -173,7 +178,8 @@ class Template:
                 comments.append(whence)
             correction = self.correction(kind, model, per_si, g_sensitivity(calibration))
             numbers[kind] = {name: value.tolist() for name, value in correction.numbers.items()}
-            comments.append(_example(kind, model, correction))
+            worked = example(kind, model)
+            comments.append(example_line(kind, worked.reading, worked.true, correction.of(worked.reading)))
             error, off = correction.matrix @ model.matrix - np.eye(3), correction.of(model.bias)
             left += left_of_model(kind, error, off)
         see_to = [SINGLE_PRECISION] * front.single + front.notes
@@ -216,8 +222,10 @@ class Template:
             names = given | numbers | {"reading": reading}
             return self._value(f"[{kind}] corrected", sensors.corrected, names, shape=(3,))
 
-        offset = at(np.zeros(3))
+        offset, once = at(np.zeros(3)), np.array([3.0, -5.0, 7.0])
         matrix = np.column_stack([at(axis) - offset for axis in np.eye(3)])
+        if not np.allclose(at(once), matrix @ once + offset, rtol=1e-9, atol=1e-9):
+            raise InputError(f"{self.name}: [{kind}] corrected: expected A reading + b, found what is not linear")
         return Correction(numbers=numbers, matrix=matrix, offset=offset)
 
     def check(self) -> None:
@@ -234,15 +242,18 @@ class Template:
 
     def _value(self, where: str, text: str, names: Mapping[str, Any], shape: tuple[int, ...] | None = None) -> Array:
         """The value of an expression. Raises InputError, one line, where it has none."""
+        from jinja2 import Undefined
+
         try:
-            value = np.asarray(_environment().compile_expression(text, undefined_to_none=False)(**names))
+            found = _environment().compile_expression(text, undefined_to_none=False)(**names)
+            value = np.asarray(str(found) if isinstance(found, Undefined) else found)  # whose text is an error
             if not np.issubdtype(value.dtype, np.number) or not np.all(np.isfinite(value)):
                 raise ValueError("no finite numbers")
             if shape is not None and value.shape != shape:
                 raise ValueError(f"an array of the shape {value.shape}")
         except Exception as error:  # of Jinja, of NumPy, of arithmetic
-            found = " ".join(str(error).split()) or type(error).__name__
-            raise InputError(f"{self.name}: {where}: expected an expression with a value, found {found}") from None
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(f"{self.name}: {where}: expected an expression with a value, found {reason}") from None
         return value
 
     def _rendered(self, **names: Any) -> str:
@@ -281,25 +292,14 @@ def counts_per_si(
     elif readings is not None and readings.unit == "count" and np.ptp(readings.scale) == 0.0:
         counts, whence = float(readings.scale[0]), "the recording"
     else:
-        counts, whence = (
-            _usual_counts(kind, usual),
-            "the usual range of the chip: see that it is yours, or give --counts",
-        )
+        counts = _usual_counts(kind, usual)
+        whence = "the usual range of the chip: see that it is yours, or give --counts"
     return counts, f"{kind}: {counts * size:.6g} counts a {unit}, by {whence}"
 
 
 def _usual_counts(kind: SensorKind, counts: list[float] | tuple[float, float]) -> float:
     """Counts an m/s² or a rad/s, of those a g and a °/s."""
     return counts[0] / G_STANDARD if kind == "accel" else counts[1] / DEGREE
-
-
-def _example(kind: SensorKind, model: SensorModel, correction: Correction) -> str:
-    """A reading, what the target makes of it, and where that is something else, what it is."""
-    worked = example(kind, model)
-    becomes, true = (shown(vector.round(6)) for vector in (correction.of(worked.reading), worked.true))
-    unit = "m/s^2" if kind == "accel" else "rad/s"
-    what = f"is {true}" if becomes == true else f"becomes {becomes}; it is {true}"
-    return f"example {kind}: reading {shown(worked.reading)} {what} {unit}"
 
 
 # -------------------- the language of templates --------------------
@@ -376,11 +376,11 @@ def _environment() -> SandboxedEnvironment:
 
 
 def _as_json(value: Any, indent: int | None = None) -> str:
-    return json.dumps(value, indent=indent, allow_nan=False)
+    return json.dumps(value, indent=indent, allow_nan=False, default=str)  # of what is undefined: an error
 
 
 def _as_yaml(value: Any) -> str:
-    return yaml_list(np.array(value)) if isinstance(value, list) else yaml_number(value)
+    return yaml_number(value) if np.ndim(value) == 0 else yaml_list(np.array(value))
 
 
 def _as_float32(value: float) -> str:

@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
+import scipy
 
 from tumble.brief import Brief
 from tumble.inference.prediction import Prediction
 from tumble.inference.sources import UncertaintyBudget
-from tumble.scipy_compiled import special
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import LINEAR
@@ -131,7 +131,7 @@ class Outcome(Judgement):
 
 def chance_of(chi_square: float, degrees: float) -> float:
     """Probability that chance alone exceeds a chi-square of so many degrees of freedom."""
-    return float(special.chdtrc(degrees, chi_square)) if degrees > 0.0 else 1.0
+    return float(scipy.special.chdtrc(degrees, chi_square)) if degrees > 0.0 else 1.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

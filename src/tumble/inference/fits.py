@@ -16,12 +16,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from tumble.inference.estimate import Fit
 from tumble.inference.hyperparameters import Components, Noise, Weights
 from tumble.inference.likelihood import Problem
 from tumble.inference.step import Left
-from tumble.scipy_compiled import special
 from tumble.units import Array, BoolArray
 
 GROUPS = ("accelerometers", "gyro rests", "gyro turns", "velocities of turns")
@@ -119,8 +119,8 @@ def sigmas(problem: Problem, noise: Noise, weights: Weights, after: Left) -> tup
         degrees = fits[name].degrees if name in fits else 0.0
         k = np.maximum(count, 1)
         others = np.maximum(degrees - k * max(1, omitted.sum()), 1.0)
-        chance = special.fdtrc(k, others, fall / k)
-        every.append(0.0 - special.ndtri(0.5 * np.maximum(chance, LEAST_CHANCE)))
+        chance = scipy.special.fdtrc(k, others, fall / k)
+        every.append(0.0 - scipy.special.ndtri(0.5 * np.maximum(chance, LEAST_CHANCE)))
     accel, gyro, turn = every
     return accel, gyro, turn
 

@@ -28,12 +28,12 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from tumble.inference.in_run import mean_along
 from tumble.inference.maximum import Evaluated, Maximum
 from tumble.inference.step import Told
 from tumble.inference.uncertainty_budget import averaged, contributions, noise_roots
-from tumble.scipy_compiled import special
 from tumble.units import Array
 
 POINTS = 64
@@ -103,7 +103,7 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
         z = normal @ (vectors * np.sqrt(value)) @ vectors.T
         log_q -= 0.5 * (normal**2).sum(axis=1)
         for own, axis in zip(z.T, axes, strict=True):
-            x = np.interp(special.ndtr(own), axis.cumulative, axis.phi)
+            x = np.interp(scipy.special.ndtr(own), axis.cumulative, axis.phi)
             phi[:, axis.element] = x
             log_q += np.interp(x, axis.phi, axis.log_density) + 0.5 * own**2
     every, by_source, roots = list[Conditional](), [], noise_roots(fitted.free, fitted.at)
@@ -276,7 +276,7 @@ def _normal(points: int, dimensions: int) -> Array:
     for _ in range(60):
         root = (1.0 + root) ** (1.0 / (dimensions + 1.0))
     steps = root ** -np.arange(1.0, dimensions + 1.0)
-    normal = special.ndtri((0.5 + np.outer(np.arange(1, points + 1), steps)) % 1.0)
+    normal = scipy.special.ndtri((0.5 + np.outer(np.arange(1, points + 1), steps)) % 1.0)
     normal -= normal.mean(axis=0)
     return np.linalg.solve(np.linalg.cholesky(normal.T @ normal / points), normal.T).T
 
@@ -319,7 +319,7 @@ def _coverage_factors(means: Array, deviations: Array, weight: Array, u: Array) 
     safe = np.where(deviations > 0.0, deviations, 1.0)
     for _ in range(60):
         above, below = (k * u - means) / safe, (-k * u - means) / safe
-        missing = COVERAGE - weight @ (special.ndtr(above) - special.ndtr(below))
+        missing = COVERAGE - weight @ (scipy.special.ndtr(above) - scipy.special.ndtr(below))
         density = weight @ ((np.exp(-0.5 * above**2) + np.exp(-0.5 * below**2)) / safe) * u / np.sqrt(2.0 * np.pi)
         low, high = np.where(missing > 0.0, k, low), np.where(missing > 0.0, high, k)
         new = k + missing / np.maximum(density, 1e-300)
@@ -333,7 +333,7 @@ def _coverage_factors(means: Array, deviations: Array, weight: Array, u: Array) 
 def _degrees(factor: Array) -> Array:
     """Degrees of freedom (m,) of the t that has these coverage factors at COVERAGE."""
     degrees = np.geomspace(1.0, MOST_DEGREES, 400)
-    factors = special.stdtrit(degrees, 0.5 + 0.5 * COVERAGE)
+    factors = scipy.special.stdtrit(degrees, 0.5 + 0.5 * COVERAGE)
     return np.asarray(np.interp(-factor, -factors, degrees))
 
 

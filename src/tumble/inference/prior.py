@@ -16,13 +16,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
 
 from tumble.brief import Brief
 from tumble.inference.estimate import Estimate
 from tumble.inference.prediction import prediction
 from tumble.inference.sources import UncertaintyBudget, source
 from tumble.reduction.observations import Observations
-from tumble.scipy_compiled import special
 from tumble.sensors.parameters import group_name, positions_by_group, to_temperature
 from tumble.units import Array
 
@@ -103,7 +103,7 @@ def with_prior(
             i: (values[i] - prior.mean[k]) / np.sqrt(max(prior.covariance[k, k] - covariance[i, i], 1e-300))
             for i, k in places.items()
         }
-        chance = {i: 2.0 * float(special.stdtr(prior.degrees[k], -abs(z[i]))) for i, k in places.items()}
+        chance = {i: 2.0 * float(scipy.special.stdtr(prior.degrees[k], -abs(z[i]))) for i, k in places.items()}
         worst = min(chance, key=lambda i: chance[i])
         if chance[worst] * len(places) >= UNLIKE:
             break

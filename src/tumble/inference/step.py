@@ -23,12 +23,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy
 
 from tumble.inference.elimination import eliminate, fold, given_parameters, given_unknowns, put_back
 from tumble.inference.hyperparameters import SCATTER, Noise, Weights
 from tumble.inference.in_run import InRun
 from tumble.inference.likelihood import Problem, Rows, SessionSpan
-from tumble.scipy_compiled import lapack
 from tumble.units import Array, IntArray
 
 
@@ -262,7 +262,7 @@ def _put_back_own(head: Array, parameters: Array, root: Array) -> tuple[Array, A
 
 def inverse_of(triangle: Array) -> Array:
     """The inverse of an upper triangle. Raises LinAlgError where it has none."""
-    inverse, singular = lapack.dtrtri(triangle)
+    inverse, singular = scipy.linalg.lapack.dtrtri(triangle)
     if singular:
         raise np.linalg.LinAlgError("Singular matrix")
     return np.asarray(inverse)

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 
 from tumble.errors import InputError
 from tumble.export import Target
@@ -35,7 +36,6 @@ from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.coverage import PROBABILITY, degrees_of_freedom
 from tumble.result.further import described
 from tumble.result.parts import FEWEST_DEGREES, Parameter, stated_factor
-from tumble.scipy_compiled import special
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import sensor_kind, shown_in
 from tumble.units import Array
@@ -324,7 +324,11 @@ def _covariance(calibration: Calibration, covariance: Array) -> dict[str, Any] |
         of_unit = " ".join(d_si(other, unit) for other in units)
         columns.append({"si:covarianceXMLList": {"si:valueXMLList": values, "si:unitXMLList": of_unit}})
     n, known = len(units), np.isinf(fewest)  # how many standard deviations the ellipsoid is large
-    square = special.chdtri(n, 1.0 - REGION_PROBABILITY) if known else n * special.fdtri(n, fewest, REGION_PROBABILITY)
+    square = (
+        scipy.special.chdtri(n, 1.0 - REGION_PROBABILITY)
+        if known
+        else n * scipy.special.fdtri(n, fewest, REGION_PROBABILITY)
+    )
     region = {
         "si:covarianceMatrixXMLList": {"si:columnXMLList": columns},
         "si:coverageFactorXMLList": f"{sqrt(square):.6f}",

@@ -94,7 +94,7 @@ def write_judged_report(
     InputError
         For files that cannot be used.
     MissingExtraError
-        Without the extra `tumble[report]`.
+        Without the extra `tumble[lab]`.
     """
     ending_in(Path(out), ".html")
     acceptance, sources = limits_of(Path(limits)), sources_of(calibrations)
@@ -188,7 +188,7 @@ def write_certificate(
     InputError
         For files that cannot be used, several calibrations, and a calibration without a date.
     MissingExtraError
-        Without the extra `tumble[report]`.
+        Without the extra `tumble[lab]`.
     """
     ending_in(Path(out), ".html", ".pdf")
     stated, sources = read_certificate(Path(certificate)), sources_of(calibrations)

@@ -25,7 +25,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 import tumble
-from tumble import __version__, compiled
+from tumble import __version__
 from tumble.documents import as_json
 from tumble.earth import normal_gravity
 from tumble.files import FilePath, whole_file
@@ -118,7 +118,6 @@ def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lam
             "processor": platform.processor() or platform.machine(),
             "python": f"{platform.python_implementation()} {platform.python_version()}",
             "byte_order": sys.byteorder,
-            "loops": compiled.words(),
         },
         versions={name: version(name) for name in LIBRARIES},
         source_sha256=_source_hashes(),

@@ -37,6 +37,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from tumble.brief import Brief
 from tumble.diagnosis.observability import Refusal, undetermined
@@ -45,7 +46,6 @@ from tumble.inference.estimate import Fit
 from tumble.methods.least_squares import Solution, as_normal, least_squares, sigmas, with_scatter
 from tumble.methods.quadric import fit_many
 from tumble.rotation import unit_vector
-from tumble.scipy_compiled import special
 from tumble.sensors.model import Block, SensorModel, beyond_turning, to_accelerometer_frame
 from tumble.units import Array, BoolArray, IntArray
 
@@ -345,7 +345,7 @@ def _worst_position(task: _Task, found: EllipsoidFit | None, used: BoolArray) ->
         others = used & (np.arange(len(used)) != i)
         fit = _fitted(task, others)
         if fit is not None:
-            ratio = special.fdtri(fit.degrees, fit.degrees, 1.0 - RIVAL_CHANCE)
+            ratio = scipy.special.fdtri(fit.degrees, fit.degrees, 1.0 - RIVAL_CHANCE)
             alike = np.isfinite(without) & others & (without**2 < ratio * without[i] ** 2)
             rivals = tuple(np.flatnonzero(alike).tolist())
             judged.append(WorstPosition(position=i, sigmas=float(fit.sigmas[i]), scatter=fit.scatter, rivals=rivals))

@@ -35,6 +35,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import scipy
 
 from tumble.inference.estimate import DETERMINED, Fit
 from tumble.inference.hyperparameters import Components
@@ -46,7 +47,6 @@ from tumble.inference.step import solve, tell
 from tumble.inference.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
-from tumble.scipy_compiled import special
 from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_name, limits_of, positions_by_group
@@ -299,7 +299,7 @@ def changes_in(
                     unit=instrument.units[j],
                     change=float(t[j] * u[j]),
                     u=float(u[j]),
-                    detectable=float((limit + special.ndtri(POWER)) * u[j]),
+                    detectable=float((limit + scipy.special.ndtri(POWER)) * u[j]),
                 )
                 for j in candidates
             },
@@ -312,7 +312,7 @@ def changes_in(
         worst, least = int(candidates[np.abs(t[candidates]).argmax()]), max(largest**2 - AS_LIKELY, limit**2) ** 0.5
         free.append(worst)
         others.append({names[j]: float(t[j] * u[j]) for j in candidates if j != worst and abs(t[j]) > least})
-        tail = special.stdtr(1.0 / max(inverse_degrees[worst], 1e-12), -largest)
+        tail = scipy.special.stdtr(1.0 / max(inverse_degrees[worst], 1e-12), -largest)
         probabilities.append(min(1.0, 2.0 * len(candidates) * float(tail)))
 
     # the changes together, and what they explain of |z|²

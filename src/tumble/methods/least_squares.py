@@ -11,9 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from tumble.inference.estimate import DETERMINED, SEEN, Fit, chance_of
-from tumble.scipy_compiled import special
 from tumble.units import Array, BoolArray
 
 RELATIVE_RANK = 1e-11
@@ -178,11 +178,11 @@ def sigmas(normalised: Array, degrees: float, scaled: bool) -> Array:
         return z
     z2 = np.minimum(z**2, degrees * (1.0 - 1e-9))
     studentised = np.sqrt(z2 * (degrees - 1.0) / (degrees - z2))
-    return np.asarray(0.0 - special.ndtri(special.stdtr(degrees - 1.0, -studentised)))
+    return np.asarray(0.0 - scipy.special.ndtri(scipy.special.stdtr(degrees - 1.0, -studentised)))
 
 
 def as_normal(t: Array, degrees: Array | float) -> Array:
     """The standard normal numbers that are as improbable as these of Student's t, of so many degrees of freedom."""
-    below = special.stdtr(degrees, -np.abs(t))
-    normal = np.where(np.asarray(degrees) > NORMAL, np.abs(t), -special.ndtri(np.maximum(below, 1e-300)))
+    below = scipy.special.stdtr(degrees, -np.abs(t))
+    normal = np.where(np.asarray(degrees) > NORMAL, np.abs(t), -scipy.special.ndtri(np.maximum(below, 1e-300)))
     return np.asarray(np.sign(t) * normal)

@@ -63,11 +63,6 @@ class Chunk:
         """Some of the samples."""
         return replace(self, **{name: array[rows] for name, array in self._arrays.items()})
 
-    def followed_by(self, others: Chunk) -> Chunk:
-        """These samples and others of the same file."""
-        both: dict[str, Any] = {n: np.concatenate([array, others._arrays[n]]) for n, array in self._arrays.items()}
-        return replace(self, **both)
-
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class Log(Brief):

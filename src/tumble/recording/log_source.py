@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-import zlib
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -17,11 +15,6 @@ import polars as pl
 
 from tumble.errors import LogError
 from tumble.units import Array
-
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
 
 _SHOWN = 40
 _Part = TypeVar("_Part")
@@ -107,7 +100,7 @@ def readable(path: Path) -> Iterator[None]:
     """Whatever a library says of a file that cannot be read becomes one line."""
     try:
         yield
-    except (OSError, EOFError, zlib.error, zstd.ZstdError, pl.exceptions.PolarsError) as error:
+    except (OSError, EOFError, pl.exceptions.PolarsError) as error:
         said = " ".join(str(error).split())
         raise LogError(
             f"{path}: expected a readable {ending_of(path)} file, found it damaged or incomplete: {said}; "

@@ -102,10 +102,11 @@ class RestStream:
         return self._search(finished=True)
 
     def _search(self, *, finished: bool = False) -> list[Observations]:
-        if self._samples < FEWEST * self._reducer.size:
+        reduction = self._reducer.now()
+        if not reduction.files or len(reduction.files[-1]) < FEWEST:
             return []
         with np.errstate(over="ignore", invalid="ignore"):  # of damaged samples
-            reduction = without_blemishes(self._reducer.now())
+            reduction = without_blemishes(reduction)
             segmentation = find_rests(reduction, self._accel, self._gyro)
         file, tuning = reduction.files[-1], segmentation.tuning
         count, lasting_since = len(file), float(file.edges[-1])

@@ -31,10 +31,10 @@ from math import erfc, inf, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 
 from tumble.inference.estimate import Fit
 from tumble.result.parts import Parameter, coverage_factor, stated_factor
-from tumble.scipy_compiled import special
 from tumble.sensors.parameters import group_name, sensor_kind
 from tumble.units import Array
 
@@ -131,7 +131,7 @@ def degrees_of_mean(
     square = max(between, within)
     of_square, factor = None, U / sqrt(square) if square > 0.0 else 0.0
     if factor > coverage_factor(MANY_DEGREES):  # the degrees of freedom with this coverage factor
-        behind = float(special.stdtridf(1.0 - 0.5 * erfc(sqrt(2.0)), factor))
+        behind = float(scipy.special.stdtridf(1.0 - 0.5 * erfc(sqrt(2.0)), factor))
         of_square = behind if behind < MANY_DEGREES else None
     return sqrt(square + common**2), welch_satterthwaite([(square, of_square), (common**2, None)])
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
+import scipy
 
 from tumble.inference.estimate import Fit
 from tumble.inference.prediction import Prediction, directions
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import without_expanded
 from tumble.result.parts import Launch, Parameter
-from tumble.scipy_compiled import special
 from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind, shown_in
 from tumble.units import G_STANDARD, Array, engineering, two_digits
 
@@ -241,7 +241,7 @@ def remarks(calibration: Calibration) -> tuple[str, ...]:
 
     def unseen(fit: Fit) -> float:
         """The largest scatter, in units of the noise, that leaves so small a chi-square in UNSEEN of all cases."""
-        least = 2.0 * float(special.gammaincinv(0.5 * fit.degrees, UNSEEN))
+        least = 2.0 * float(scipy.special.gammaincinv(0.5 * fit.degrees, UNSEEN))
         return sqrt(max(fit.chi_square / least - 1.0, 0.0))
 
     found = list(without_expanded(calibration.parameters))

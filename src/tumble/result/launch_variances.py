@@ -19,7 +19,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from tumble.result.calibration import Calibration
-from tumble.scipy_compiled import special
 
 UNLIKE = 1e-3
 """Probability by chance below which a device is more unstable than its type."""
@@ -110,6 +109,6 @@ def pooled(variance: float, degrees: float, of_type: tuple[float, float]) -> tup
     type_variance, type_degrees = of_type
     if type_degrees == 0.0:
         return variance, degrees
-    if special.fdtrc(degrees, type_degrees, variance / type_variance) < UNLIKE:
+    if scipy.special.fdtrc(degrees, type_degrees, variance / type_variance) < UNLIKE:
         return None
     return (degrees * variance + type_degrees * type_variance) / (degrees + type_degrees), degrees + type_degrees

@@ -14,6 +14,7 @@ from math import erfc, inf, isfinite, sqrt
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import numpy as np
+import scipy
 from pydantic import AfterValidator, Field, GetCoreSchemaHandler
 from pydantic_core import core_schema
 
@@ -30,7 +31,6 @@ from tumble.recording.session import (
 )
 from tumble.recording.session.document import ImuTable
 from tumble.recording.session.table import name_of
-from tumble.scipy_compiled import special
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import is_parameter
 from tumble.units import Array
@@ -142,7 +142,7 @@ def stated_factor(degrees: float | None) -> float | None:
 
 def coverage_factor(degrees: float) -> float:
     """t₉₅.₄₅(ν): within ±k u lies the true value in 95.45 of 100 cases, u being estimated with ν degrees of freedom."""
-    return float(-special.stdtrit(degrees, 0.5 * erfc(sqrt(2.0)))) if isfinite(degrees) else 2.0
+    return float(-scipy.special.stdtrit(degrees, 0.5 * erfc(sqrt(2.0)))) if isfinite(degrees) else 2.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

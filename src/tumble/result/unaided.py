@@ -28,15 +28,14 @@ from math import hypot, sqrt
 
 from tumble.result.calibration import Calibration
 from tumble.sensors.parameters import beyond_linear, group_name
-from tumble.units import DEGREE, G_STANDARD
+from tumble.units import DEGREE, G_STANDARD, two_digits
 
 SECONDS = 60.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Unaided:
-    """Errors (root mean squares) after some time without aid: `tilt` about both horizontal axes and `heading`, rad, and
-    horizontal `position`, m."""
+    """Root mean square errors: `tilt` about both horizontal axes and `heading`, rad, and horizontal `position`, m."""
 
     tilt: float
     heading: float
@@ -83,7 +82,7 @@ def unaided(calibration: Calibration, seconds: float = SECONDS) -> tuple[Unaided
         before[group] = before.get(group, 0.0) + p.value**2
         after[group] = after.get(group, 0.0) + variance
     results = []
-    for squares in (before, after):
+    for squares in (before, after):  # Eq. (4)
         force = sqrt(2.0 / 3.0 * squares["accel.bias"] + gravity**2 / 3.0 * squares["accel.axis"])
         rate = sqrt(squares["gyro.bias"] / 3.0)
         results.append(Unaided.of(force, sqrt(2.0) * rate, rate, gravity, seconds))
@@ -97,7 +96,7 @@ def unaided_lines(calibration: Calibration) -> tuple[str, ...]:
     for what, errors in zip(("uncalibrated", "calibrated"), both or (), strict=False):
         size, unit = (1e3, "km") if errors.position >= 1e3 else (1.0, "m")
         lines.append(
-            f"{what}, {SECONDS:.0f} s without aid: tilt {errors.tilt / DEGREE:.2g}°, heading "
-            f"{errors.heading / DEGREE:.2g}°, position {errors.position / size:.3g} {unit}"
+            f"{what}, {SECONDS:.0f} s without aid: tilt {two_digits(errors.tilt / DEGREE)}°, heading "
+            f"{two_digits(errors.heading / DEGREE)}°, position {two_digits(errors.position / size)} {unit}"
         )
     return tuple(lines)

@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 
 from tumble.brief import Brief
 from tumble.diagnosis.linear_model import left_out_of
@@ -59,7 +60,6 @@ from tumble.run.readings_table import (
     sizes_seen,
 )
 from tumble.run.readings_table import nominal as nominal_of
-from tumble.scipy_compiled import special
 from tumble.sensors.frames import Convention, Frame, convert, frame_of
 from tumble.sensors.grades import GRADES
 from tumble.sensors.grades import grade as grade_named
@@ -164,7 +164,7 @@ def calibrate_table(
     )
     if grade is not None:
         grade_named(grade)
-    fitted, noise = _fitted(table, nominal, float(-special.ndtri(0.5 * BAD_CHANCE / len(table.values))))
+    fitted, noise = _fitted(table, nominal, float(-scipy.special.ndtri(0.5 * BAD_CHANCE / len(table.values))))
     fit: EllipsoidFit | None = None
     estimate: Estimate | None = None
     notes: tuple[str, ...] = ()
@@ -279,7 +279,7 @@ def _estimated(
     if bad.any():  # by how much a residual may be off by the in-run instability and by what is left out
         beyond, instability = left_out_of(rests), GRADES[chosen].noise.accel_instability
         sigma = np.sqrt(instability**2 + ((beyond.leaves * beyond.usual) ** 2).sum(axis=1))
-        allowed = float(-special.ndtri(0.5 * BAD_CHANCE / len(table.values))) * sigma
+        allowed = float(-scipy.special.ndtri(0.5 * BAD_CHANCE / len(table.values))) * sigma
         whole, noise = _fitted(table, nominal, np.inf)
         if isinstance(whole, EllipsoidFit) and np.all(np.abs(whole.residual) <= np.where(bad, allowed, np.inf)):
             fit, rests = whole, replace(_rests(table, nominal, noise), usual=usual)
@@ -296,7 +296,7 @@ def guessed_grade(fit: EllipsoidFit, rests: Observations) -> tuple[str, str]:
     best, *_, poorest = order = [*GRADES]
 
     def chance_of_biases(grade: str) -> float:
-        return float(special.chdtr(3, (fit.values[:3] ** 2).sum() / GRADES[grade].accel.bias ** 2))
+        return float(scipy.special.chdtr(3, (fit.values[:3] ** 2).sum() / GRADES[grade].accel.bias ** 2))
 
     def chance_of_residuals(grade: str) -> float:
         if fit.degrees == 0:
@@ -307,7 +307,7 @@ def guessed_grade(fit: EllipsoidFit, rests: Observations) -> tuple[str, str]:
         trace = noise * fit.degrees + np.trace(of_groups)
         square = noise**2 * fit.degrees + 2.0 * noise * np.trace(of_groups) + float((of_groups**2).sum())
         degrees = trace**2 / square
-        return float(special.chdtrc(degrees, degrees * float((fit.residual[fit.used] ** 2).sum()) / trace))
+        return float(scipy.special.chdtrc(degrees, degrees * float((fit.residual[fit.used] ** 2).sum()) / trace))
 
     by_biases = next((grade for grade in order[::-1] if chance_of_biases(grade) > CHANCE), best)
     by_residuals = next((grade for grade in order if chance_of_residuals(grade) > CHANCE), poorest)

@@ -106,17 +106,36 @@ class _Correction:
 def apply_to_session(
     calibration: Calibration | FilePath, session: Session | FilePath, out: FilePath, *, force: bool = False
 ) -> dict[str, Any]:
-    """Correct the log of a session, into a .csv or .parquet file, whole or not at all, as a stream: memory does not
-    grow with the log. A file that exists is replaced with `force`, the log itself never. Several files of a log come
-    one below the other. The calibration is one or its file, the session one or its folder. Returns the description of
-    the corrected log, as `session_of` and `write_session` take it.
+    """Correct the log of a session.
 
-    Every column keeps its name and place; sensors are corrected as `Calibration.apply` does and are in SI, or, where
-    the names of their columns say the log's unit, in that; everything else is copied, from CSV as the text it is.
-    Of a calibration whose accelerometers or gyros alone are accepted, the columns of the others are copied too.
-    Raises InputError for a calibration that is not accepted, is of another device or lacks a sensor, and for a log
-    that cannot be read.
+    Every column keeps its name and place. Sensors are corrected as by `Calibration.apply`, in SI or in the unit that
+    the names of their columns state. Everything else is copied, from CSV as text. Memory does not grow with the log.
 
+    Parameters
+    ----------
+    calibration
+        An accepted calibration of the device, or its file. If only its accelerometers or its gyros are accepted, the
+        columns of the others are copied.
+    session
+        The session, or its folder. The files of a log are written one below the other.
+    out
+        File to write, .csv or .parquet. It is written whole or not at all.
+    force
+        Whether to replace an existing file; the log itself is never replaced.
+
+    Returns
+    -------
+    dict
+        Description of the corrected log, as `session_of` and `write_session` take it.
+
+    Raises
+    ------
+    InputError
+        For a calibration that is not accepted, belongs to another device or lacks a sensor, and for a log that cannot
+        be read.
+
+    Examples
+    --------
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> description = tumble.apply_to_session(tumble.calibrate(folder), folder, "corrected.parquet")

@@ -24,6 +24,7 @@ from math import inf, sqrt
 from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
+import scipy
 
 from tumble.brief import Judged
 from tumble.errors import InputError
@@ -32,7 +33,6 @@ from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.coverage import UNLEARNED, apart, expanded_of, welch_satterthwaite
 from tumble.result.further import remarks as remarks_of
 from tumble.result.shared_errors import shared_errors
-from tumble.scipy_compiled import special
 from tumble.units import Array
 
 CHANCE = 0.01
@@ -112,7 +112,7 @@ class Difference:
         """Probability that chance makes the difference as large; None without an E_n number."""
         if self.e_n is None or not self.u:
             return None
-        return float(2.0 * special.stdtr(inf if self.dof is None else self.dof, -abs(self.value) / self.u))
+        return float(2.0 * scipy.special.stdtr(inf if self.dof is None else self.dof, -abs(self.value) / self.u))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
@@ -258,8 +258,8 @@ def _chi_square(
     rank = int(np.linalg.matrix_rank(correlation, hermitian=True))
     chi_square = max(0.0, float(scaled @ np.linalg.pinv(correlation, hermitian=True) @ scaled))
     if fewest is None:
-        return chi_square, rank, float(special.chdtrc(rank, chi_square))
-    return chi_square, rank, float(special.fdtrc(rank, fewest, chi_square / rank))
+        return chi_square, rank, float(scipy.special.chdtrc(rank, chi_square))
+    return chi_square, rank, float(scipy.special.fdtrc(rank, fewest, chi_square / rank))
 
 
 def _remarks(first: Calibration, second: Calibration, frame: str) -> Iterator[str]:

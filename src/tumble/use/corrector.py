@@ -1,13 +1,13 @@
-"""A stream of readings corrected live with the whole model of a calibration, sample by sample or in blocks.
+"""Correction of a stream of readings with the whole model of a calibration, sample by sample or in blocks.
 
 Each sample is corrected at the temperature of its sensors, which follow the thermometer with the calibration's lag.
-Where accelerometers have lever arms and the rate is read, they are moved to the last one,
+If accelerometers have lever arms and the rate is read, their specific force is transferred to the last one,
 
     f = f_p − ω̇ × r − ω × (ω × r),     ω̇ᵢ = (ωᵢ₊₁ − ωᵢ₋₁) / (tᵢ₊₁ − tᵢ₋₁)
 
-so that a sample is correct when the next one is there: `delay` is 1. Neighbours more than LONGEST_STEP usual intervals
-apart, or in the wrong order, say nothing of ω̇, and the sample between them stays where its sensors are. The delays of
-the accelerometers are not undone. `apply_to_session` corrects a log with the same stream.
+so that a sample is corrected when the next one has come: `delay` is 1. If its neighbours are more than LONGEST_STEP
+usual intervals apart, or in the wrong order, ω̇ is unknown and the sample is not transferred. The delays of the
+accelerometers are not undone. `apply_to_session` corrects a log with the same stream.
 """
 
 from __future__ import annotations
@@ -31,22 +31,33 @@ from tumble.sensors.parameters import FORCE, group_name
 from tumble.units import G_STANDARD, ZERO_CELSIUS, Array, BoolArray, IntArray
 
 LONGEST_STEP = 3.5
-"""Of usual intervals: neighbours on either side that are further apart say nothing of the angular acceleration."""
+"""Usual intervals between the neighbours of a sample, beyond which its angular acceleration is unknown."""
 LATEST = 1.0
-"""s: a sample whose stamp is not after the last one is late and dropped; one that is earlier by more is of a clock that
-was started anew."""
+"""Time (s) by which a stamp is before the last one at least if the clock has started anew. A sample that is less late
+is dropped."""
 MARGIN = 0.1
-"""Of the rate and the force of a calibration, beyond which a sample is outside of them: noise and vibration are not."""
+"""Relative margin of the calibrated rate and force, for noise and vibration."""
 _ROWS = 1 << 12
-"""Rows that are corrected at a time: what is made of them on the way fits the cache of a core."""
+"""Rows that are corrected at a time: intermediate results fit the cache of a core."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Corrected:
-    """Samples (N,) in the order in which they came: `time`, s; specific force (N, 3), m/s²; angular rate (N, 3), rad/s,
-    None without gyros; `flags` (N,), the sum of 1 for a temperature, 2 for a rate and 4 for a force outside of what
-    was calibrated; and `temperature` (N, T), K, of the sensors that follow each thermometer. All are views of memory
-    that the next block writes over."""
+    """Corrected samples in the order in which they came, as views of memory that the next block overwrites.
+
+    Attributes
+    ----------
+    time : (N,) array
+        Stamps, s.
+    force : (N, 3) array
+        Specific force, m/s².
+    rate : (N, 3) array or None
+        Angular rate, rad/s; None without gyros.
+    flags : (N,) array
+        Sum of 1, 2 and 4 for a temperature, a rate and a force outside of the calibrated range.
+    temperature : (N, T) array
+        Temperatures of the sensors that follow each thermometer, K.
+    """
 
     time: Array
     force: Array
@@ -55,12 +66,12 @@ class Corrected:
     temperature: Array
 
     def __len__(self) -> int:
-        """How many samples there are."""
+        """Number of samples."""
         return len(self.time)
 
     @property
     def outside(self) -> dict[str, BoolArray]:
-        """Which samples (N,) are outside the "temperature", "rate" and "force" that were calibrated."""
+        """Whether samples (N,) are outside the calibrated "temperature", "rate" and "force"."""
         bits = self.flags.astype(np.int64)
         names = {"temperature": TOO_WARM, "rate": TOO_FAST, "force": TOO_MUCH}
         return {name: (bits & bit) != 0 for name, bit in names.items()}
@@ -68,8 +79,8 @@ class Corrected:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Ranges:
-    """What was calibrated: `temperature`, °C, lowest and highest; largest `rate`, rad/s, and specific `force`, m/s²;
-    infinite where the calibration does not know."""
+    """Calibrated ranges: lowest and highest `temperature`, °C, largest `rate`, rad/s, and `force`, m/s²; infinite where
+    they are not known."""
 
     temperature: tuple[float, float] = (-inf, inf)
     rate: float = inf
@@ -77,7 +88,7 @@ class Ranges:
 
     @staticmethod
     def of(calibration: Calibration) -> Ranges:
-        """Temperatures of the rests, and, with MARGIN, the rate of the turns and the gravity of the site."""
+        """Temperatures of the rests and, with MARGIN, the rate of the turns and gravity."""
         known, site = calibration.prediction, calibration.site
         rate = inf if known is None or known.at_rate is None else (1.0 + MARGIN) * known.at_rate
         force = (1.0 + MARGIN) * (G_STANDARD if site is None else site.gravity)
@@ -85,8 +96,27 @@ class Ranges:
 
 
 class Stream:
-    """The rows of one stream on their way through the model of a compensator. `thermometers` are the numbers of those
-    of accelerometers and gyros, of `heat` there are; `gyros` whether rates are read."""
+    """Corrects the rows of one stream with a compensator.
+
+    Parameters
+    ----------
+    compensator
+        The model.
+    interval
+        Usual interval of samples, s.
+    gyros
+        Whether rates are read.
+    thermometers
+        Number of the thermometer of each accelerometer and of each gyro.
+    heat
+        How many thermometers there are.
+    ranges
+        Ranges outside of which samples are flagged.
+    zero
+        0 °C in the unit of the temperatures.
+    latest
+        LATEST, or 0 for stamps that are in order.
+    """
 
     def __init__(
         self,
@@ -129,19 +159,19 @@ class Stream:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all samples; those that were dropped stay counted."""
+        """Begin another stream. The count of dropped samples stays."""
         self._held = 0
         _, warmth, clock, _ = self._state
         warmth[:, 0], warmth[:, 1], clock[:2] = self._start, nan, (-inf, 0.0)
 
     @property
     def dropped(self) -> int:
-        """How many late samples were dropped."""
+        """Number of late samples that were dropped."""
         return int(self._state[2][2])
 
     def add(self, accel: Array, gyro: Array | None, time: Array | None, celsius: Array | None) -> Corrected:
-        """The samples that are correct now, with new ones: readings (N, n) and (N, m), stamps (N,), those of a regular
-        clock where None, and temperatures (N, T), lost ones not a number."""
+        """Add readings (N, n) and (N, m), stamps (N,), by default of a regular clock, and temperatures (N, T), not a
+        number where they are lost; return the samples that are corrected with them."""
         count = len(accel)
         if count + 1 > len(self._out[0]):
             widths = (each.shape[1] for each in self._out)
@@ -162,13 +192,13 @@ class Stream:
         return self._corrected(ready)
 
     def finish(self) -> Corrected:
-        """The last sample, where one waits; the next one begins another stream."""
+        """Return the last sample, if one waits; the next one begins another stream."""
         ready = self._advance(self._nothing, 0, last=True)
         self.reset()
         return self._corrected(ready)
 
     def _advance(self, given: tuple[Array | None, ...], begun: int, *, last: bool = False) -> int:
-        """How many samples more than those that were `begun` with are correct, with some more."""
+        """Correct more samples after `begun` ones of this call; return how many are ready."""
         absent = (*self._nothing[:3], self._lost)
         rows = tuple(other if each is None else each for each, other in zip(given, absent, strict=True))
         out = self._out if not begun else tuple(each[begun:] for each in self._out)
@@ -190,31 +220,33 @@ class Stream:
 
 
 class Corrector:
-    """Corrects the readings of a device as they come, with the whole model of its calibration: the numbers that
-    `apply_to_session` gives for the whole log, however it is cut.
+    """Corrects the readings of a device as they come, with the whole model of its calibration.
+
+    However the stream is cut into blocks, the results are those of `apply_to_session` for the whole log.
 
     Parameters
     ----------
     calibration
-        One that was accepted, or its file. Where the accelerometers or the gyros alone were, the others stay: without
-        accelerometers the specific force is not a number.
+        An accepted calibration, or its file. If only the accelerometers or the gyros are accepted, the others are not
+        corrected; without accelerometers the specific force is not a number.
     sample_rate
-        Samples a second; that of the recording of the calibration where None.
+        Samples per second. By default that of the recording of the calibration.
 
     Raises
     ------
     CalibrationError
-        Where nothing was accepted.
+        If nothing is accepted.
     InputError
-        Where the sample rate is neither given nor known, or not positive.
+        If the sample rate is neither given nor known, or not positive.
 
     Notes
     -----
-    A stamp that is not after the last one is late: its sample is dropped, and counted in `dropped`. One that is earlier
-    by more than LATEST, 1 s, is of a clock that was started anew, as after a restart of the device, which is a gap.
-    Across a gap ω̇ is not known. What lags behind a thermometer
-    follows it by the stamps.
+    A sample whose stamp is not after the last one is late. It is dropped, and counted in `dropped`. If it is earlier by
+    more than LATEST (1 s), the clock has started anew, as after a restart of the device, which is a gap. Across a gap ω̇
+    is unknown.
 
+    Examples
+    --------
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> corrector = tumble.Corrector(tumble.calibrate(folder), sample_rate=100.0)
@@ -231,20 +263,19 @@ class Corrector:
     """
 
     def __init__(self, calibration: Calibration | FilePath, *, sample_rate: float | None = None) -> None:
-        """Of a calibration or its file, at so many samples a second."""
         self.calibration = accepted_part(calibration_from(calibration))
         rate = self.calibration.sample_rate if sample_rate is None else sample_rate
         if rate is None or not 0.0 < rate < inf:
             raise InputError(f"sample_rate: expected samples a second, found {rate}; give sample_rate=")
         self.sample_rate = rate
-        """Samples a second."""
+        """Samples per second."""
         self.ranges = Ranges.of(self.calibration)
-        """Beyond which samples are flagged."""
+        """Ranges outside of which samples are flagged."""
         self._compensator = compensator = self.calibration.compensator
         blocks = compensator.accel, compensator.gyro
         of_accel, of_gyro = (np.zeros(0, int) if block is None else block.thermometer for block in blocks)
         self.thermometers = 1 + int(max(*of_accel, *of_gyro))
-        """How many thermometers its readings come with."""
+        """Number of thermometers that the readings come with."""
         self._sizes = [0 if block is None else block.size for block in blocks]
         self._stream = Stream(
             compensator,
@@ -259,17 +290,17 @@ class Corrector:
 
     @property
     def delay(self) -> int:
-        """By how many samples a corrected one comes later: 1 where lever arms are taken off, for ω̇ needs the next rate,
-        else 0. No more of the past is needed than two samples and the temperature."""
+        """Number of samples by which a corrected one is late: 1 with lever arms, for which ω̇ needs the next rate, else
+        0."""
         return self._stream.delay
 
     @property
     def dropped(self) -> int:
-        """How many late samples were dropped."""
+        """Number of late samples that were dropped."""
         return self._stream.dropped
 
     def reset(self) -> None:
-        """Forget all samples: the next one begins another stream, as warm as the thermometer."""
+        """Begin another stream, whose sensors are as warm as the thermometer."""
         self._stream.reset()
 
     def add(
@@ -280,24 +311,23 @@ class Corrector:
         time: npt.ArrayLike | None = None,
         temperature: npt.ArrayLike | None = None,
     ) -> Corrected:
-        """The samples that are correct now, with one more, (n,), or a block of them, (N, n).
+        """Add one sample, (n,), or a block of them, (N, n), and return those that are corrected with it.
 
         Parameters
         ----------
         accel, gyro
-            Readings, SI after nominal scale and offset, increments divided by their interval. What is not finite stays
-            so. Float64 arrays are read where they are.
+            Readings, SI after nominal scale and offset; increments divided by their interval. Numbers that are not
+            finite stay so.
         time
-            Stamps, s, one for each sample; where None, those of a regular clock.
+            Stamps, s, one for each sample. By default those of a regular clock.
         temperature
-            K, one for each sample, or of several thermometers (T,) or (N, T), in the order in which the calibration's
-            `thermometers` names them. Without it, or where it is not a number, the last one known counts, else the
-            reference.
+            Temperature, K, one for each sample, or those of several thermometers (T,) or (N, T) in the order of the
+            calibration's `thermometers`. If it is absent or not a number, the last one known is used, or the reference.
 
         Returns
         -------
         Corrected
-            Views, which the next call writes over.
+            Views, which the next call overwrites.
 
         Raises
         ------
@@ -326,18 +356,34 @@ class Corrector:
         return self._known(corrected)
 
     def finish(self) -> Corrected:
-        """The last sample, where one waits for the next, its ω̇ by the one before; what follows is another stream."""
+        """Return the last sample, if it waits for the next, with ω̇ from the one before; another stream begins."""
         return self._known(self._stream.finish())
 
     def covariance(self, force: Array, rate: Array | None = None, celsius: float | None = None) -> Array:
-        """The covariance of one corrected sample, (3, 3) of the specific force, or (6, 6) with that of the rate, SI.
+        """Covariance of one corrected sample, SI.
 
-        It is what the calibration's u leaves at this force, rate and temperature (the reference where None), with
-        biases as the next recording meets them, and the noise of a sample: d² · sample_rate of the density d that the
-        rests of the calibration have, with what ω̇ adds where lever arms are taken off. The u of lever arms and delays,
-        which needs the motion, is not in it. Of accelerometers that are absent it is not a number.
+        It is the sum of the uncertainty of the calibration at this force, rate and temperature, with biases as in the
+        next recording, and the noise of a sample, d² · sample_rate with the noise density d of the rests of the
+        calibration. With lever arms the noise of ω̇ is added. The uncertainty of lever arms and delays, which needs the
+        motion, is left out.
 
-        Raises CalibrationError for a calibration without covariance."""
+        Parameters
+        ----------
+        force, rate
+            Specific force, m/s², and angular rate, rad/s, of the sample.
+        celsius
+            Its temperature, °C; by default the reference.
+
+        Returns
+        -------
+        (3, 3) or (6, 6) array
+            Covariance of the specific force, or with a rate that of both. Not a number for absent accelerometers.
+
+        Raises
+        ------
+        CalibrationError
+            For a calibration without covariance.
+        """
         given, own = self.calibration.in_frame("accelerometer"), self._compensator
         if given.covariance is None:
             raise CalibrationError(f"{given.serial}: expected a calibration with covariance, found none")
@@ -395,7 +441,7 @@ class Corrector:
 
 
 def white_noise(given: Calibration) -> dict[str, Array]:
-    """The density (n,) of the white noise of "accel" and "gyro", unit/√Hz, as the rests have it, where they do."""
+    """Density (n,) of the white noise of "accel" and "gyro" in the rests of a calibration, unit/√Hz."""
     white = {}
     for kind in ("accel", "gyro"):
         rests = [sensors.noise for rest in given.rests if (sensors := getattr(rest, kind)) is not None]
@@ -405,8 +451,8 @@ def white_noise(given: Calibration) -> dict[str, Array]:
 
 
 def derivative(instrument: Instrument, values: Array, warmer: float) -> Array:
-    """∂K/∂θ (n, 15, m) of accelerometers and gyros about the calibration, of slopes, curvatures and hysteresis that of
-    the parameters which they change, at a temperature so many K from the reference."""
+    """Derivative ∂K/∂θ (n, 15, m) of the coefficients of accelerometers and gyros at a temperature `warmer` K above the
+    reference, on which those by slopes, curvatures and hysteresis depend."""
     D = instrument.linearised(values)[1].copy()
     by = {"temperature": warmer, "temperature²": warmer**2, "hysteresis": float(warmer != 0.0)}
     for own, base, variable in instrument.changes:

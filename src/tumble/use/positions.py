@@ -35,6 +35,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import scipy
 
 from tumble.errors import CalibrationError, InputError
 from tumble.inference.estimate import Fit
@@ -46,7 +47,6 @@ from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration
 from tumble.run.case import Verticals, verticals_of
 from tumble.run.readings_table import ReadingsTable, read_table
-from tumble.scipy_compiled import special
 from tumble.sensors.frames import Convention, frame_of, triad_axes
 from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument, functions
@@ -179,7 +179,7 @@ def residuals_in(
     def limit(degrees: float) -> float:
         """Quantile of the largest of the ratios."""
         tail = 1.0 - 0.5 * CHANCE / len(difference)
-        return float(special.ndtri(tail) if np.isinf(degrees) else special.stdtrit(degrees, tail))
+        return float(scipy.special.ndtri(tail) if np.isinf(degrees) else scipy.special.stdtrit(degrees, tail))
 
     if calibration.provenance.get("log_sha256") == sha256:  # its own positions: each is left out
         unlearned = _unlearned(calibration, names, J)
@@ -212,9 +212,9 @@ def residuals_in(
         V = np.diag(variance) + by_gravity + J @ (seen.parameter_covariance + np.diag(turned_on)) @ J.T
         N, square = len(difference), float(difference @ np.linalg.solve(V, difference))
         if fit.scatter == 0.0 or np.isinf(fit.degrees):
-            by_turn_on = square < float(special.chdtri(N, CHANCE))
+            by_turn_on = square < float(scipy.special.chdtri(N, CHANCE))
         else:
-            by_turn_on = square / N < float(special.fdtri(N, fit.degrees, 1.0 - CHANCE))
+            by_turn_on = square / N < float(scipy.special.fdtri(N, fit.degrees, 1.0 - CHANCE))
     return PositionResiduals(
         difference=difference,
         u=u,

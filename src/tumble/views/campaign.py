@@ -59,7 +59,7 @@ def plot(lines: Sequence[SummaryLine], path: Path) -> None:
     or pdf by the ending of the file.
 
     Raises MissingExtraError without matplotlib, InputError where no trial was accepted."""
-    with needs_extra("a plot of a campaign", "report", "matplotlib"):
+    with needs_extra("a plot of a campaign", "lab", "matplotlib"):
         from matplotlib import lines as strokes
     lines = [line for line in lines if line.rms is not None]
     if not lines:

@@ -45,7 +45,7 @@ def write_sheet(
     """Write the page (.html, .pdf) or the drawing (.svg) by the ending of `path`; the page with the serial number of
     the device, number and revision of the sheet, or lines for them. Raises InputError for another ending and where it
     cannot be written, ProgrammeError as `sheet_rows`, and for .pdf MissingExtraError without the extra
-    `tumble[report]`.
+    `tumble[lab]`.
 
     >>> import tumble
     >>> tumble.write_sheet("sheet.svg", tumble.programme_of("nine"), rest=30.0)
@@ -68,7 +68,7 @@ def write_sheet(
 
 def _pdf(programme: Programme, pace: Mapping[str, float], serial: str, number: str, revision: str) -> bytes:
     """The page as PDF/A-2b on A4, without a date: the same bytes for the same sheet."""
-    with needs_extra("a sheet as PDF", "report", "matplotlib", "typst"):
+    with needs_extra("a sheet as PDF", "lab", "matplotlib", "typst"):
         from tumble.views.render.characters import drawable, everywhere
         from tumble.views.render.pages import set_in_type
     rows = sheet_rows(programme, **pace)

@@ -1,1 +1,1 @@
-"""From the log on disk to the rests, what is wrong with them, and the estimate so far."""
+"""From the log on disk to its rests, its faults and the estimate so far."""

@@ -1,4 +1,4 @@
-"""The estimate after each rest, made beside everything else, and what the page shows of it."""
+"""The estimate after each rest, computed in a thread of its own, as the page shows it."""
 
 from __future__ import annotations
 
@@ -40,8 +40,7 @@ _NO_ESTIMATE: EstimateShown = {
 
 
 class Estimates:
-    """Has estimates of a task made by a `worker`, one at a time. `shown` is the last one for the page, None before the
-    first."""
+    """Computes estimates of a task with a `worker`, one at a time. `shown` is the latest, None before the first."""
 
     def __init__(self, task: Task, worker: Executor) -> None:
         self.shown: EstimateShown | None = None
@@ -54,7 +53,7 @@ class Estimates:
         return self._future is not None
 
     def take(self) -> None:
-        """Take the one that was being made, if it is done. One that has failed is said; the next is made as ever."""
+        """Take over the estimate that was being computed, if it is done. After a failure the page shows the error."""
         if self._future is None or not self._future.done():
             return
         done, self._future = self._future, None
@@ -67,7 +66,7 @@ class Estimates:
         self.shown = {**_NO_ESTIMATE, "rests": self._made_of[0], "cause": " ".join(cause.split())}
 
     def ask(self, progress: Progress, excluded: tuple[Exclusion, ...]) -> None:
-        """Have one made when there is another rest to make it from."""
+        """Begin another estimate if there is another rest."""
         if self._future is not None:
             return
         rests = [rest for group in progress.groups for rest in group]
@@ -84,7 +83,7 @@ class Estimates:
 def settled_rests(
     session: Session, reduction: Reduction, until: float, excluded: tuple[Exclusion, ...]
 ) -> tuple[RestSpan, ...]:
-    """The rests that a calibration would find, of those that begin before the time `until`, s."""
+    """Find the rests that a calibration would use, of those that begin before the time `until`, s."""
     found = find_rests(reduction, session.accel_block, session.gyro_block)
     return tuple(span for span in without_times(reduction, found, excluded).rests if span.start < until)
 
@@ -92,7 +91,7 @@ def settled_rests(
 def estimate_so_far(
     session: Session, grade: str, reduction: Reduction, spans: tuple[RestSpan, ...], excluded: tuple[Exclusion, ...]
 ) -> Estimate | None:
-    """The joint estimate from these rests and the turns between them; None where they are too few."""
+    """Joint estimate from these rests and the turns between them. None from fewer than two rests."""
     numbered = tuple(one for one in excluded if one.rest is not None and one.rest <= len(spans))
     _, match = without_numbered(reduction, Match(rests=spans, programme=None, position=None), numbered)
     if len(match.rests) < 2:
@@ -108,10 +107,8 @@ def estimate_so_far(
 # -------------------- what the page shows of it --------------------
 
 
-def _shown(
-    task: Task, reduction: Reduction, until: float, excluded: tuple[Exclusion, ...]
-) -> EstimateShown:
-    """An estimate for the page, from the rests that begin before the time `until`, s."""
+def _shown(task: Task, reduction: Reduction, until: float, excluded: tuple[Exclusion, ...]) -> EstimateShown:
+    """Compute an estimate for the page from the rests that begin before the time `until`, s."""
     began = time.thread_time()
     session, wanted = task.session, task.wanted
     reduction = without_blemishes(reduction)
@@ -120,8 +117,7 @@ def _shown(
     if estimate is None:
         return {**_NO_ESTIMATE, "rests": len(spans)}
 
-    # what of the wishes is reached, by group in the order of the parameters, other groups passed over: the largest u in
-    # the unit in which `tumble calibrate` shows it, and whether the data tell all of the group
+    # groups of which an uncertainty is wanted, in the units of `tumble calibrate`
     groups: list[GroupShown] = []
     for group, rows in positions_by_group(estimate.names).items():
         if (aim := wanted.group.get(group)) is None:
@@ -171,9 +167,11 @@ def _shown(
 
 
 def _gains(estimate: Estimate, wanted: Mapping[str, float], block: Block, rest_u: float, gravity: float) -> Array:
-    """What a further rest with the vertical along each of DIRECTIONS (26,) leaves of the accelerometers' u over the
-    wanted ones (root mean square), from what is measured so far: its reading has the length of gravity, which is one
-    row of the covariance of the estimate, without what its turn would tell of the gyros."""
+    """Part of the accelerometers' uncertainty that a further rest would leave.
+
+    The vertical is along each of DIRECTIONS (26,), and the uncertainties are relative to the wanted ones (root mean
+    square). The length of the rest's mean is gravity: one scalar observation, by which the covariance of the estimate
+    is updated. What the turn to it would tell of the gyros is left out."""
     rows = [estimate.names.index(name) for name in block.names]
     C = estimate.covariance[np.ix_(rows, rows)]
     weight = np.array([wanted.get(group_name(name), np.inf) for name in block.names])

@@ -1,4 +1,4 @@
-"""What is wrong with a recording, from what is seen of it: channels, gaps, knocks, positions, turns, what drifts."""
+"""Faults of a recording: stuck and clipped channels, knocks, wrong positions and turns, drift."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STUCK_SECONDS = 1.0
 FULL = 0.999
 _LEAST_RUN = 20
 _AGAIN_SECONDS = 10.0
-SAME_SECONDS = 2.0
+SAME_SECONDS = 1.0
 """Faults of one kind that begin closer together are one."""
 WRONG_WAY = 30.0 * DEGREE
 """A turn that has gone so far against its sense is wrong, before it ends."""
@@ -32,8 +32,21 @@ PUT_DOWN_SIGMAS = 10.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Fault:
-    """What is wrong, from `start` on, s: its kind, a sentence, and the commands that answer it; `place` is the position
-    it is about, from 0, None where that in which the unit is."""
+    """A fault of the recording.
+
+    Attributes
+    ----------
+    kind
+        Kind of the fault, such as "knock".
+    said
+        The sentence that the page shows.
+    start, stop
+        Times between which it is, s.
+    place
+        Which position in the course it concerns, from 0. None: the present one.
+    choices
+        Commands that answer it.
+    """
 
     kind: str
     said: str
@@ -43,7 +56,7 @@ class Fault:
     choices: tuple[str, ...] = ("again", "go_on")
 
     def is_like(self, other: Fault) -> bool:
-        """Whether this is the same as another that was seen before: where a rest begins is known to some blocks."""
+        """Whether this is the same fault as another. The beginning of a rest may change by some blocks as it lasts."""
         return self.kind == other.kind and abs(self.start - other.start) < SAME_SECONDS
 
 
@@ -51,7 +64,7 @@ class Fault:
 
 
 class SampleWatch:
-    """Looks at every sample of one kind of sensor. `full_scale` in SI, None where it is not known."""
+    """Finds stuck and clipped channels among the samples of one kind of sensor. `full_scale` in SI, or None."""
 
     def __init__(self, columns: tuple[str, ...], full_scale: float | None, interval: float) -> None:
         self._columns, self._full_scale = columns, full_scale
@@ -64,7 +77,7 @@ class SampleWatch:
         self._named: dict[tuple[str, str], float] = {}
 
     def look(self, time: Array, values: Array) -> list[Fault]:
-        """What is wrong with the next samples (m, n) in SI; of each column a fault once in ten seconds."""
+        """Find the faults of the next samples (m, n), SI; of each column one in ten seconds."""
         before = values[:1] * np.nan if self._last is None else self._last[None]
         equal = values == np.concatenate([before, values[:-1]])
         self._last = values[-1].copy()
@@ -99,7 +112,7 @@ class SampleWatch:
 
 
 def faults_of_rests(task: Task, progress: Progress) -> Iterator[Fault]:
-    """What is wrong with the rests and the turns between them: knocks, positions, and what is not steady."""
+    """Find the faults of the rests and of the turns between them."""
     blocks, groups, current, programme = progress.blocks, progress.groups, progress.current, task.programme
     if not groups:
         return
@@ -149,8 +162,10 @@ def faults_of_rests(task: Task, progress: Progress) -> Iterator[Fault]:
 
 
 def _off_course(task: Task, programme: Programme, progress: Progress) -> Iterator[Fault]:
-    """The first rest that is not the next position of a programme in order, by its vertical, or that was reached by
-    another turn than the programme's, by the gyros; else the turn under way where it goes against its sense."""
+    """Find where a session leaves a programme that has an order.
+
+    That is the first rest whose vertical is not that of its position, or which was reached by another turn than the
+    programme's, by the gyros; else the turn under way if it goes against its sense."""
     groups, rests = progress.groups, [group[-1] for group in progress.groups]
     expected = np.array([position.vertical_b for position in programme.positions])
     for k, vertical in enumerate(verticals(rests, programme, task.session.site.gravity)):

@@ -20,8 +20,8 @@ from tumble.units import Array
 
 PIECE_BYTES = 1 << 18
 _PIECES = 32
-_SEARCH_GROWTH = 1e-4
-"""Rests are searched for again when the log has grown by this part, which takes a fifth of a processor at most."""
+_SEARCH_GROWTH = 2e-4
+"""Rests are searched for again when the log has grown by this part, which takes a tenth of a processor."""
 _GROWN = 0.01
 """Part of its length by which a rest grows before it is judged again."""
 _BACK_SECONDS = 5.0
@@ -72,9 +72,10 @@ class Live:
         return self._streamed.interval
 
     def read(self, excluded: tuple[Exclusion, ...]) -> None:
-        """Read what has come, without the times that are left out. Once there are as many rows as the calibration takes
-        the interval from, the log is read again with theirs: of fewer it may differ by its rounding, and with it
-        where a window ends."""
+        """Read what has come, and find the rests without the times that are left out.
+
+        Once there are as many rows as a calibration takes the interval from, the log is read again with the interval of
+        these: that of fewer may differ by rounding, and with it the blocks."""
         try:
             for _ in range(_PIECES):
                 if self._unreadable or not self._read_piece():
@@ -106,7 +107,7 @@ class Live:
         return True
 
     def _look_at_clock(self, rows: Array) -> None:
-        """Say that the times of the rows have gone back: no sample is settled until they are where they were."""
+        """Report a clock that goes back: until it is where it was, the reader of the log takes no sample."""
         spec = self._task.session.log
         if spec.time is None or not self.samples:
             return
@@ -115,16 +116,16 @@ class Live:
             self.trouble = ""
             return
         if not self.trouble:
-            said = (
-                f"the clock goes back from {self._latest:.1f} s to {time:.1f} s: another power-on, or wrong times before; "
-                "what follows is recorded, but such a log cannot be calibrated: record anew"
-            )
             at = self._latest
+            said = (
+                f"the clock goes back from {at:.1f} s to {time:.1f} s: another power-on, or wrong times before; what "
+                "follows is recorded, but such a log cannot be calibrated: record anew"
+            )
             self.faults.appendleft(Fault(kind="clock", said=said, start=at, stop=at, choices=("anew", "go_on")))
         self.trouble = f"the clock is {self._latest - time:.0f} s behind: the page waits for it"
 
     def _take(self, chunk: Chunk, interval: float) -> None:
-        """Look at samples, and feed them to the reduction."""
+        """Find the faults of samples, and feed them to the reduction."""
         session, log = self._task.session, self._task.session.log
         if self._reducer is None:
             self._reducer = Reducer(
@@ -150,8 +151,10 @@ class Live:
         self._gaps = len(self._streamed.gaps)
 
     def _progress(self, reduction: Reduction, excluded: tuple[Exclusion, ...]) -> Progress:
-        """What the log says now. Its rests are searched for when something is left out, when the log has grown enough,
-        or no longer grows; between searches the rest that lasts goes on."""
+        """Progress of the session now.
+
+        Rests are searched for when something is left out, and when the log has grown enough or grows no longer; between
+        searches the rest that lasts goes on."""
         session, before = self._task.session, self.now
         blocks = Blocks.of(reduction, session)
         so_far = None if before is None else before.so_far
@@ -174,9 +177,10 @@ class Live:
         )
 
     def _judge(self, reduction: Reduction, rest: Rest) -> Judged:
-        """How good a rest is; of one that lasts, anew every half second, later as it grows by a hundredth. What was
-        enough stays so: u is known to some percent and crosses the wanted one more than once, and the rest that is
-        found in the end is shorter by its margins."""
+        """Judge a rest; one that lasts again every half second, and later as it grows by a hundredth.
+
+        A rest that was enough stays so: its uncertainty is known to some percent, and would cross the wanted one more
+        than once."""
         last, judged = self._judged.get(rest.first, (0, None))
         if judged is None or not 0 <= rest.last - last < max(5.0, _GROWN * (rest.last - rest.first)):
             judged = Judged.of(reduction, rest, self._task.wanted)

@@ -1,6 +1,6 @@
-"""Where the operator is: the rests so far, how good the last one is, the positions they are, and the turn under way.
+"""How far a session is: its rests by position, how good the last one is, and the turn since.
 
-All of it follows from the blocks of the log and what is left out of it, so that a page that is started again says the
+All of it follows from the blocks of the log and what is left out of it, so that a page that is started again shows the
 same.
 """
 
@@ -100,9 +100,19 @@ class Rest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Judged:
-    """A rest as it is now: u of its mean by the accelerometers, m/s², and gyros, rad/s (None without, and while there is
-    too little to tell it from); s that are left to the wanted u; whether it is `enough`, and whether longer would give
-    nothing."""
+    """How good a rest is so far.
+
+    Attributes
+    ----------
+    accel, gyro
+        Standard uncertainty of the mean, m/s² and rad/s. None without such sensors and while the rest is too short.
+    left
+        Time to the wanted uncertainty if the noise is white, s.
+    enough
+        Whether the wanted uncertainty is reached, or a longer rest would not reach it.
+    nothing_more
+        Whether a longer rest hardly lowers the uncertainty.
+    """
 
     accel: float | None
     gyro: float | None
@@ -112,7 +122,7 @@ class Judged:
 
     @staticmethod
     def of(reduction: Reduction, rest: Rest, wanted: Wanted) -> Judged:
-        """u of the mean of a rest against the wanted ones, and what twice the time would leave of it."""
+        """Compare the uncertainty of the mean of a rest with the wanted one."""
         mean, seconds = mean_so_far(reduction, rest.first, rest.last), rest.stop - rest.start
         kinds = [
             (max(u, 1e-12), twice, level)
@@ -132,8 +142,19 @@ class Judged:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Progress:
-    """A session under way: what the log is reduced to; what of it rests, `so_far`, None while there is too little to
-    find rests in; the rests by position, `groups`; and how good the last two rests of the last position are."""
+    """A session that is being recorded.
+
+    Attributes
+    ----------
+    reduction, blocks
+        The reduction of the log so far, and its blocks in the body.
+    so_far
+        Its rests. None while the log is too short to find any.
+    groups
+        The rests by position, in the order of time.
+    judged
+        How good the last two rests of the last position are.
+    """
 
     reduction: Reduction
     blocks: Blocks
@@ -165,7 +186,7 @@ class Progress:
 
 
 def grouped(blocks: Blocks, rests: list[Rest]) -> list[list[Rest]]:
-    """Rests without a turn between them together: one position. Without gyros, those of one vertical."""
+    """Group the rests between which nothing was turned: one position. Without gyros, those of one vertical."""
     groups: list[list[Rest]] = []
     for rest in rests:
         apart = np.inf
@@ -187,22 +208,24 @@ def grouped(blocks: Blocks, rests: list[Rest]) -> list[list[Rest]]:
 
 
 def verticals(rests: list[Rest], programme: Programme, gravity: float) -> Array:
-    """Verticals (N, 3) in the body, freed from bias by the positions of a programme."""
+    """Verticals (N, 3) in the body, corrected for the bias that the positions of a programme show."""
     expected = np.array([position.vertical_b for position in programme.positions])
     return freed_verticals(np.array([rest.force for rest in rests]).reshape(-1, 3), expected, gravity)
 
 
 def nearest_positions(programme: Programme, units: Array) -> list[int | None]:
-    """Which position of a programme in any order each vertical (N, 3) is; None where it is none."""
+    """Position of a programme without an order that each vertical (N, 3) belongs to, or None."""
     cosines = units @ np.array([position.vertical_b for position in programme.positions]).T
     near = cosines.max(axis=1) >= np.cos(POSITION_LIMIT)
     return [int(k) if is_near else None for k, is_near in zip(np.argmax(cosines, axis=1), near, strict=True)]
 
 
 def attitude_now(programme: Programme, progress: Progress, index: int, at: int) -> Array | None:
-    """Body → geographic (3, 3) now, of a unit that is to be in position `index` of a programme, its `at`-th, from 0:
-    from the position before by what the gyros read since. In any order, without gyros, or long after it, the attitude
-    nearest to that position with the vertical as it is read; None where that is none."""
+    """Attitude now, body → geographic (3, 3), of a unit on its way into position `index` of a programme, its `at`-th.
+
+    In a programme with an order it is that of the position before, turned by what the gyros have read since. Without
+    an order, without gyros, or long after that position, it is the attitude nearest to the position that has the
+    vertical of the present reading. None if there is no nearest one."""
     blocks, groups, wanted = progress.blocks, progress.groups, programme.positions[index]
     if programme.ordered and index and 0 < at <= len(groups):
         before = groups[at - 1][-1]

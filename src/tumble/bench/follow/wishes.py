@@ -23,8 +23,10 @@ _REST = 60.0
 
 
 def wishes(texts: Sequence[str], grade_name: str) -> dict[str, float]:
-    """Wanted standard uncertainties, SI, by group: those in texts such as "gyro.scale=2ppm" and, for the others, of the
-    grade: a twentieth of its errors before calibration or, where that is more, what a minute of its noise leaves."""
+    """Wanted standard uncertainties, SI, by group.
+
+    Those in texts such as "gyro.scale=2ppm"; for the other groups a twentieth of the errors of the grade before
+    calibration or, if larger, what a minute of its noise leaves."""
     kind, wanted = grade(grade_name), {}
     noise = kind.noise
     for name, spread, white, instability, seconds, signal in (
@@ -40,9 +42,19 @@ def wishes(texts: Sequence[str], grade_name: str) -> dict[str, float]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Wanted:
-    """What is wanted of a session: standard uncertainties, SI, by `group`; u of the mean of a rest, `accel`, m/s², and
-    `gyro`, rad/s; how long a `rest` of the white noise of the grade alone is then, s; and by how much, K, the
-    temperature may change, the `warming`."""
+    """What is wanted of a session.
+
+    Attributes
+    ----------
+    group
+        Standard uncertainties, SI, by group of parameters.
+    accel, gyro
+        Standard uncertainty of the mean of a rest, m/s² and rad/s.
+    rest
+        Duration of such a rest in white noise of the grade, s.
+    warming
+        By how much the temperature may change, K.
+    """
 
     group: Mapping[str, float]
     accel: float
@@ -52,9 +64,11 @@ class Wanted:
 
     @staticmethod
     def of(texts: Sequence[str], grade_name: str) -> Wanted:
-        """What texts and a grade ask for (`wishes`). The mean of a rest is to be known to a fifth of the u of the
-        biases or, where that is more, to what a minute of the noise of the grade leaves. The temperature may change by
-        as much as moves a bias of instruments of the grade by what is wanted of it, and by LEAST_WARMING at least."""
+        """Wishes in texts, completed by a grade (`wishes`).
+
+        The uncertainty of the mean of a rest is a fifth of that of the biases or, if larger, what a minute of the noise
+        of the grade leaves. The temperature may change until it moves a bias of the grade by its wanted uncertainty,
+        and by LEAST_WARMING in any case."""
         group, noise, usual = wishes(texts, grade_name), grade(grade_name).noise, usual_sizes(grade_name)
         accel = max(PART_OF_WISH * group["accel.bias"], noise.accel_white / _REST**0.5)
         gyro = max(PART_OF_WISH * group["gyro.bias"], noise.gyro_white / _REST**0.5)

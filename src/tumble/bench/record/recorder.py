@@ -216,8 +216,8 @@ class Intake:
         whole = self.lines.cut(data)
         plain = self.lines.in_order and self._recorded is None
         if not plain or numbers_in(whole, len(self.lines.columns)) is None:
-            rows = [row.text.encode() + b"\n" for row in self.lines.rows(whole)]
-            whole = b"".join(filter(self._is_new, rows))
+            rows = (row.text.encode() + b"\n" for row in self.lines.rows(whole))
+            whole = b"".join(row for row in rows if self._is_new(row))
         if whole:
             self.recorder.append(whole)
             self.rows += whole.count(b"\n")

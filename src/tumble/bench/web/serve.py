@@ -30,8 +30,8 @@ def serve(
 ) -> None:
     """Serve the page of a station until the process is interrupted.
 
-    The station is opened when the address is had. Of a `folder` that is new nothing is left where it cannot be opened or
-    started. `say` gets the link."""
+    `station_of` opens the station once the address is bound; of a new `folder` nothing is left if that fails. The link
+    is given to `say`."""
     with needs_extra("the bench page", "bench", "uvicorn", "starlette"):
         import uvicorn
 

@@ -220,9 +220,9 @@ class Registry:
             given = rows.limits_in_force(records[-1].model)
         limits = None if given is None else given.parsed()
         past = self._past(records, records[-1].frame if limits is None else limits.frame)
-        names = [p.name for _, calibration in past for p in calibration.parameters]
+        names = [p.name for _, calibration in reversed(past) for p in calibration.parameters]
         if parameter is not None and parameter not in names:
-            known = ", ".join(dict.fromkeys(reversed(names)))
+            known = ", ".join(dict.fromkeys(names))
             raise InputError(f"device {serial!r}: expected one of {known}, found {parameter!r}")
         return trend_of(past, limits, names if parameter is None else [parameter], latest_comparison(past))
 

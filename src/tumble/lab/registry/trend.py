@@ -47,6 +47,7 @@ from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
+import scipy
 
 from tumble.lab.conformity import Result, judge_value
 from tumble.lab.limits import Limits
@@ -55,14 +56,13 @@ from tumble.methods.least_squares import scatter_of
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import apart, by_gravity
 from tumble.result.shared_errors import by_priors, of_time_base
-from tumble.scipy_compiled import special
 from tumble.units import Array
 from tumble.use.compare import Comparison, Difference, compare_calibrations
 
 YEAR = timedelta(days=365.25)
 HORIZON = 50.0
 """Years after the latest calibration, further than which nothing is forecast."""
-COVERED = float(special.ndtr(2.0))
+COVERED = float(scipy.special.ndtr(2.0))
 """One-sided probability of two standard deviations of a normal distribution."""
 
 Past = Sequence[tuple[Record, Calibration]]
@@ -368,7 +368,7 @@ def _instability_and_drift(points: Sequence[Point]) -> tuple[float | None, Drift
         per_year=float(values[-1]),
         u=u,
         degrees=degrees,
-        expanded=float(special.stdtrit(degrees, COVERED)) * u if degrees > 0 else None,
+        expanded=float(scipy.special.stdtrit(degrees, COVERED)) * u if degrees > 0 else None,
         level=float(values[last]),
         level_u=math.sqrt(float(covariance[last, last] + mean @ mean)),
         level_with_drift=float(covariance[last, -1]),

@@ -73,7 +73,7 @@ def write_chart(path: Path, found: Trend) -> None:
 
     Raises InputError for another ending than .html, MissingExtraError without matplotlib."""
     ending_in(path, ".html")
-    with needs_extra("a control chart", "report", "matplotlib"):
+    with needs_extra("a control chart", "lab", "matplotlib"):
         from tumble.views.render.pages import page
 
         text = page(_document(found))

@@ -9,19 +9,15 @@ from __future__ import annotations
 import gzip
 import io
 import sys
+import zlib
 from collections.abc import Iterator
 from contextlib import suppress
 from mmap import mmap
 from pathlib import Path
 from typing import Any
 
-from tumble.errors import LogError
+from tumble.errors import LogError, needs_extra
 from tumble.recording.text.dialect import LINE_BYTES
-
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
 
 LARGEST_RATIO = 100
 SMALL_BYTES = 1 << 24
@@ -40,22 +36,41 @@ def opened(path: Path, encoding: str = "utf-8") -> io.BufferedIOBase:
     """A file to read from as UTF-8, decompressed by its ending.
 
     Raises LogError for an archive that holds more than one of its size can of a log, here or while it is read."""
-    ending, stream = path.suffix.lower(), path.open("rb")
+    ending = path.suffix.lower()
+    stream: io.BufferedIOBase
     if ending in (".gz", ".zst"):
-        size, limit, stated = path.stat().st_size, largest_unpacked(path), 0
-        with stream as file:
-            if ending == ".gz":  # the last member says how many bytes it holds, to 4 GB, where it is whole
-                file.seek(max(size - 4, 0))
-                last = int.from_bytes(file.read(4), "little")
-                stated = last if last <= _DEFLATE_RATIO * size else 0
-            else:
-                with suppress(zstd.ZstdError):  # the first frame may say so
-                    stated = zstd.get_frame_info(file.read(_HEADER_BYTES)).decompressed_size or 0
+        packed, damaged, stated = _gzip(path) if ending == ".gz" else _zstandard(path)
+        limit = largest_unpacked(path)
         if stated > limit:
             raise _too_large(path, limit, f"{_megabytes(stated)} stated")
-        packed = gzip.GzipFile(path) if ending == ".gz" else zstd.ZstdFile(path)
-        stream = io.BufferedReader(_Limited(packed, path, limit))
+        stream = io.BufferedReader(_Limited(packed, damaged, path, limit))
+    else:
+        stream = path.open("rb")
     return stream if encoding == "utf-8" else _Recoded(stream, encoding)
+
+
+def _gzip(path: Path) -> tuple[Any, type[Exception], int]:
+    """What unpacks gzip, its error, and how many bytes the last member says it holds, to 4 GB, where it is whole."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        file.seek(max(size - 4, 0))
+        last = int.from_bytes(file.read(4), "little")
+    return gzip.GzipFile(path), zlib.error, last if last <= _DEFLATE_RATIO * size else 0
+
+
+def _zstandard(path: Path) -> tuple[Any, type[Exception], int]:
+    """What unpacks Zstandard, its error, and how many bytes the first frame says it holds, if it does.
+
+    Raises MissingExtraError before Python 3.14 without the extra `formats`."""
+    if sys.version_info >= (3, 14):
+        from compression import zstd
+    else:
+        with needs_extra(f"{path}: a file compressed by Zstandard", "formats", "backports"):
+            from backports import zstd
+    stated = 0
+    with path.open("rb") as file, suppress(zstd.ZstdError):
+        stated = zstd.get_frame_info(file.read(_HEADER_BYTES)).decompressed_size or 0
+    return zstd.ZstdFile(path), zstd.ZstdError, stated
 
 
 class _Recoded(io.BufferedIOBase):
@@ -114,16 +129,20 @@ def largest_unpacked(path: Path) -> int:
 
 
 class _Limited(io.RawIOBase):
-    """What comes out of an archive, refused where it is more than `limit` bytes."""
+    """What comes out of an archive, refused where it is more than `limit` bytes. Its error `damaged` becomes an
+    OSError."""
 
-    def __init__(self, stream: Any, path: Path, limit: int) -> None:
-        self._stream, self._path, self._limit, self._count = stream, path, limit, 0
+    def __init__(self, stream: Any, damaged: type[Exception], path: Path, limit: int) -> None:
+        self._stream, self._damaged, self._path, self._limit, self._count = stream, damaged, path, limit, 0
 
     def readable(self) -> bool:
         return True
 
     def readinto(self, buffer: Any, /) -> int:
-        count = int(self._stream.readinto(buffer))
+        try:
+            count = int(self._stream.readinto(buffer))
+        except self._damaged as error:
+            raise OSError(str(error)) from error
         self._count += count
         if self._count > self._limit:
             raise _too_large(self._path, self._limit, f"{_megabytes(self._count)} and more")

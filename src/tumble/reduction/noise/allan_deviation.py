@@ -12,11 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.reduction import kernels as _kernels
-from tumble.scipy_compiled import special
 from tumble.units import Array, IntArray
 
 SIZES_PER_OCTAVE = 4
@@ -125,6 +125,7 @@ def pooled(records: Sequence[AllanDeviation]) -> AllanDeviation:
 
 def _with_interval(tau: Array, deviation: Array, degrees: Array, counts: tuple[int, ...]) -> AllanDeviation:
     low, high = (
-        deviation * np.sqrt(0.5 * degrees / special.gammaincinv(0.5 * degrees, special.ndtr(z))) for z in (1.0, -1.0)
+        deviation * np.sqrt(0.5 * degrees / scipy.special.gammaincinv(0.5 * degrees, scipy.special.ndtr(z)))
+        for z in (1.0, -1.0)
     )
     return AllanDeviation(tau=tau, deviation=deviation, degrees=degrees, low=low, high=high, counts=counts)

@@ -23,9 +23,9 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+import scipy
 
 from tumble.reduction.blocks.reducer import ChannelState
-from tumble.scipy_compiled import special
 from tumble.units import DEGREE_PER_HOUR, G_STANDARD, Array, BoolArray, IntArray
 
 ON_GRID = 0.1
@@ -135,7 +135,7 @@ def _of_one_place(values: Array) -> tuple[float, float]:
 def _rounded_gaussians() -> tuple[Array, Array, Array, Array]:
     """Noise (s,) and places x (m,), and the means and variances (s, m) of samples that were rounded, all in steps."""
     noise, x, whole = np.linspace(0.0, ENOUGH_NOISE, 26)[1:], np.linspace(-1.0, 1.0, 201), np.arange(-4, 5)
-    below = special.ndtr((np.append(whole, 5) - 0.5 - x[:, None]) / noise[:, None, None])
+    below = scipy.special.ndtr((np.append(whole, 5) - 0.5 - x[:, None]) / noise[:, None, None])
     share = np.diff(below, axis=2)
     means = share @ whole
     return noise, x, means, share @ whole**2 - means**2

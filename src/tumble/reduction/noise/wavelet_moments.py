@@ -45,9 +45,9 @@ from functools import cached_property
 from itertools import chain, combinations
 
 import numpy as np
+import scipy
 
 from tumble.reduction.noise.allan_deviation import AllanDeviation
-from tumble.scipy_compiled import special
 from tumble.units import Array, IntArray
 
 MIN_SIZE = 4
@@ -283,7 +283,7 @@ def _identify(variance: Array, moments: _Moments, interval: float) -> NoiseParam
     for error in (0.0, MODEL_ERROR):
         best, runner_up = _chosen(variance, moments, error)
         freedom = len(variance) - len(best.u)
-        probability = float(special.chdtrc(freedom, best.misfit)) if freedom > 0 else 1.0
+        probability = float(scipy.special.chdtrc(freedom, best.misfit)) if freedom > 0 else 1.0
         if probability > MISFIT:
             break
     wider = np.sqrt(best.misfit / freedom) if probability < MISFIT else 1.0

@@ -1,8 +1,9 @@
 """Rests of a log that grows, as early as they can be told.
 
-The search is that of `find_rests`, over the whole log so far, with windows of half a second and no margins: a rest shows
-half a second after it has begun, and is lost as soon as something moves. The result depends on what is in the log alone,
-not on how it came. A calibration takes `find_rests` itself, which is surer of a rest and leaves out its ends.
+The search is that of `find_rests`, over the whole log so far, with windows of half a second and no margins: a rest is
+found half a second after it has begun, and its end as soon as something moves. The result depends on the log alone, not
+on the pieces in which it came. A calibration uses `find_rests` itself, with longer windows and without the ends of a
+rest.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ def pdf(document: Document) -> bytes:
 
 def set_in_type(template: str, content: str, *, timestamp: int) -> bytes:
     """The PDF/A-2b that a template makes of `content`, as JSON, with a date in seconds since 1970."""
-    with needs_extra("a PDF", "report", "matplotlib", "typst"):
+    with needs_extra("a PDF", "lab", "matplotlib", "typst"):
         import typst
         from matplotlib import get_data_path
     fonts = typst.Fonts(include_system_fonts=False, font_paths=[f"{get_data_path()}/fonts/ttf"])

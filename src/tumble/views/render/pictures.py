@@ -59,7 +59,7 @@ def write_picture(path: Path, what: str, size: tuple[float, float], draw: Callab
 
     Raises MissingExtraError, saying `what` it is, without matplotlib, InputError for another ending."""
     ending = ending_in(path, ".svg", ".png", ".pdf")
-    with needs_extra(what, "report", "matplotlib"):
+    with needs_extra(what, "lab", "matplotlib"):
         from matplotlib import rc_context
         from matplotlib.figure import Figure
     with rc_context(STYLE | {"svg.fonttype": "none"}):
@@ -71,7 +71,7 @@ def write_picture(path: Path, what: str, size: tuple[float, float], draw: Callab
 
 def svg_of(size: tuple[float, float], draw: Callable[[Figure], None], style: Any, metadata: Any, **saving: Any) -> str:
     """The SVG of a figure of this size in inches that `draw` fills."""
-    with needs_extra("a figure", "report", "matplotlib"):
+    with needs_extra("a figure", "lab", "matplotlib"):
         from matplotlib import rc_context
         from matplotlib.figure import Figure
     with rc_context(style):

@@ -2,7 +2,7 @@
 
     calibration files → document (sections of blocks: plain text, numbers, pictures) → page
 
-Needs the extra `tumble[report]`. What a laboratory adds, limits and certificates, is in `tumble.lab.report`.
+Needs the extra `tumble[lab]`. What a laboratory adds, limits and certificates, is in `tumble.lab.report`.
 
     document     the order of the sections, the first page
     result       verdict, parameters, launches, several calibrations, correlations

@@ -37,7 +37,7 @@ def write_report(calibrations: Calibration | FilePath | Sequence[Calibration | F
     InputError
         For files that cannot be used.
     MissingExtraError
-        Without the extra `tumble[report]`.
+        Without the extra `tumble[lab]`.
 
     Examples
     --------
@@ -76,9 +76,9 @@ def sources_of(calibrations: Calibration | FilePath | Sequence[Calibration | Fil
 
 def write_document(document: Document, out: FilePath) -> None:
     """Write a document as HTML or PDF by the ending of `out`. Raises InputError where it cannot be written, and
-    MissingExtraError without the extra `tumble[report]`."""
+    MissingExtraError without the extra `tumble[lab]`."""
     out = Path(out)
-    with needs_extra("a report", "report", "jinja2"):
+    with needs_extra("a report", "lab", "jinja2"):
         from tumble.views.render.pages import page, pdf
     content = page(document).encode() if out.suffix.lower() == ".html" else pdf(document)
     try:

@@ -1,9 +1,10 @@
-"""The MATLAB file and the CSV table: everything comes back, and gives the true vectors."""
+"""The MATLAB file and the tables: everything comes back, and gives the true vectors."""
 
 from __future__ import annotations
 
 import csv
 import io
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -11,9 +12,13 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from tests.support.calibrated import HEXAD, calibration
+from tests.support.calibrated import HEXAD, calibration, warmed
 from tumble.export import export_calibration
+from tumble.export.autopilots import range_of
+from tumble.export.tables import temperatures
 from tumble.result.calibration import Calibration
+from tumble.result.temperature_curves import curve
+from tumble.units import G_STANDARD
 
 
 def read_mat(made: Calibration) -> dict[str, Any]:
@@ -86,3 +91,51 @@ def test_the_table_holds_every_parameter_with_u_unit_and_covariance_to_the_last_
         row = rows[p.name]
         assert (float(row["value"]), float(row["u"]), row["unit"]) == (p.value, p.u, p.unit)
         assert [float(row[name]) for name in names] == made.covariance[i].tolist()
+
+
+# -------------------- over temperature --------------------
+
+
+def test_the_table_reads_back_to_the_curves_and_names_its_example() -> None:
+    made = warmed(calibration())
+    exported = export_calibration(made, "csv-thermal")
+    lines = exported.content.decode().splitlines()
+    rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
+    T = np.array([float(row["temperature_degC"]) for row in rows])
+    assert made.reference_temperature is not None
+    assert {-18.5, made.reference_temperature, 57.25, 20.0} <= set(T.tolist())
+    assert T.min() == -18.5
+    assert T.max() == 57.25
+    for name in (f"{kind}.{what}.{s}" for kind in ("accel", "gyro") for what in ("bias", "scale") for s in "xyz"):
+        np.testing.assert_allclose([float(row[name]) for row in rows], curve(made, name, T).value, rtol=1e-8)
+        d, u = T - made.reference_temperature, {p.name: p.u or 0.0 for p in made.parameters}
+        own = np.sqrt(u[name] ** 2 + (u[f"{name}.t1"] * d) ** 2 + (u[f"{name}.t2"] * d**2) ** 2)
+        np.testing.assert_allclose([float(row[f"U({name})"]) for row in rows], 2.0 * own, rtol=1e-3)
+    assert any(line.startswith("# example gyro at 57.2 degC: reading") for line in lines)
+    fine = np.linspace(T[0], T[-1], 5001)
+    error = max(
+        float(np.abs(np.interp(fine, T, curve(made, n, T).value) - curve(made, n, fine).value).max())
+        for n in (f"accel.bias.{s}" for s in "xyz")
+    )
+    stated = re.search(r"within ([\d.e-]+) mg", exported.losses[0])
+    assert stated is not None
+    assert error == pytest.approx(1e-3 * G_STANDARD * float(stated[1]), rel=0.01)
+
+
+def test_the_table_holds_six_sensors_and_accelerometers_alone() -> None:
+    axes = HEXAD / np.linalg.norm(HEXAD, axis=1)[:, None]
+    for made in (warmed(calibration(accel=axes, gyro=axes)), warmed(calibration(with_gyro=False))):
+        assert b"temperature_degC,accel.bias." in export_calibration(made, "csv-thermal").content
+
+
+def test_the_rows_of_the_table_are_round_and_few() -> None:
+    for low, high in ((20.0, 23.1), (-40.0, 85.0), (21.95, 22.05)):
+        made = warmed(calibration(), low=low, high=high)
+        T = temperatures(range_of(made, "csv-thermal"), made.reference_temperature or 0.0)
+        assert 3 <= len(T) <= 29
+        assert (T[0], T[-1]) == (low, high)
+
+
+def test_a_curve_without_covariance_has_no_band() -> None:
+    made = replace(warmed(calibration()), covariance=None)
+    assert curve(made, "accel.bias.x", np.array([0.0, 20.0])).expanded is None

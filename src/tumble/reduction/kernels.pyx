@@ -1,56 +1,38 @@
+# cython: language_level=3, infer_types=True, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
 """Compiled loops over samples. Each has a plain twin in tests/support/naive.py that says the same in NumPy.
 
-This is Python, and runs as it stands. When tumble is built, Cython and a compiler of C make a module of machine code of
-it, which Python imports in its place. Lines that begin with `# C: ` tell Cython which functions become functions of C,
-and of what type their arguments are; what they do not name stays a function of Python. Sums are taken in the order that
-is written.
+Sums are taken in the order that is written.
 """
-
-from __future__ import annotations
 
 import numpy as np
 
-from tumble.units import Array, IntArray
+from libc.stdint cimport int64_t
 
-try:
-    import cython
-except ImportError:
-    from tumble import uncompiled as cython
-
-# C: from libc.stdint cimport int64_t
-# C: cpdef enum:
-# C:     LANES = 16
-
-if not cython.compiled:  # where it is, this is a number of C
+cdef enum:
     LANES = 16
 
 # Allan variance ----------------------------------------------------------------------------------------------
 
 
-def allan_sums(phase: Array, sizes: IntArray) -> Array:
+def allan_sums(const double[::1] phase, const int64_t[:] sizes):
     """Sums (k,) of (x[j+2m] − 2 x[j+m] + x[j])² over all j, for the integral x (n,) of a signal and cluster sizes
     m (k,), in samples, all below n/2.
 
     All sizes are taken through one block of j before the next, so that x is read from memory about once."""
-    sums = np.zeros((len(sizes), LANES))
-    _allan_sums(np.ascontiguousarray(phase), sizes, sums)
-    return np.asarray(sums.sum(axis=1))
-
-
-# C: cdef void _allan_sums(const double[::1] phase, const int64_t[:] sizes, double[:, ::1] sums)
-def _allan_sums(phase: Array, sizes: IntArray, sums: Array) -> None:
-    """The same in LANES parts (k, LANES)."""
+    parts = np.zeros((sizes.shape[0], LANES))
+    cdef double[:, ::1] sums = parts
     n = phase.shape[0]
-    with cython.nogil:
+    with nogil:
         for block in range((n + 4095) // 4096):
             begin = 4096 * block
             for i in range(sizes.shape[0]):
                 _add_squares(phase, begin, min(begin + 4096, n - 2 * sizes[i]), sizes[i], sums, i)
+    return parts.sum(axis=1)
 
 
-# C: cdef void _add_squares(const double[::1] phase, Py_ssize_t begin, Py_ssize_t end, Py_ssize_t m,
-# C:     double[:, ::1] sums, Py_ssize_t i ) noexcept nogil
-def _add_squares(phase: Array, begin: int, end: int, m: int, sums: Array, i: int) -> None:
+cdef void _add_squares(
+    const double[::1] phase, Py_ssize_t begin, Py_ssize_t end, Py_ssize_t m, double[:, ::1] sums, Py_ssize_t i,
+) noexcept nogil:
     """Add (x[j+2m] − 2 x[j+m] + x[j])² for j from begin to end, every LANES-th to one part."""
     for group in range((end - begin) // LANES):
         for lane in range(LANES):
@@ -65,12 +47,11 @@ def _add_squares(phase: Array, begin: int, end: int, m: int, sums: Array, i: int
 # Autoregressive noise ----------------------------------------------------------------------------------------
 
 
-# C: @cython.locals(total=double)
-# C: cpdef Py_ssize_t levinson(const double[:] autocovariance, double[:, :] filters, double[:] powers)
-def levinson(autocovariance: Array, filters: Array, powers: Array) -> int:
+cpdef Py_ssize_t levinson(const double[:] autocovariance, double[:, :] filters, double[:] powers):
     """Prediction-error filters (P, P), a row an order from 0, and innovation variances (P,) of autocovariances (P,) by
     Levinson's recursion, both zero before; returns how many orders there are until the process would be no longer
     stationary."""
+    cdef double total
     filters[0, 0], powers[0] = 1.0, autocovariance[0]
     for order in range(1, autocovariance.shape[0]):
         total = 0.0
@@ -85,13 +66,12 @@ def levinson(autocovariance: Array, filters: Array, powers: Array) -> int:
     return len(autocovariance)
 
 
-# C: @cython.locals(total=double, largest=double)
-# C: cpdef continue_autocovariance(double[::1] autocovariance, const double[::1] prediction_filter, double negligible)
-def continue_autocovariance(autocovariance: Array, prediction_filter: Array, negligible: float) -> None:
+cpdef continue_autocovariance(double[::1] autocovariance, const double[::1] prediction_filter, double negligible):
     """Write the autocovariances of an autoregressive process of order p behind the first p + 1, until a filter's length
     of them is below `negligible` of the first."""
+    cdef double total, largest
     order = prediction_filter.shape[0] - 1
-    with cython.nogil:
+    with nogil:
         for lag in range(order + 1, autocovariance.shape[0]):
             total, largest = 0.0, 0.0
             for k in range(1, order + 1):
@@ -105,8 +85,7 @@ def continue_autocovariance(autocovariance: Array, prediction_filter: Array, neg
 # A lag of first order ----------------------------------------------------------------------------------------
 
 
-# C: cpdef follow(double[::1] values, double kept)
-def follow(values: Array, kept: float) -> None:
+cpdef follow(double[::1] values, double kept):
     """Add to each of the values (n,) what is kept of the one before it, in place: y[k] = x[k] + a y[k−1]."""
     for k in range(1, values.shape[0]):
         values[k] += kept * values[k - 1]
@@ -120,25 +99,25 @@ values, 6 longest row, 7 its end (s), 8 its value; 9 longest row at the minimum,
 maximum, 12 its end; 13 smallest step from one value to another."""
 
 
-def new_channel_state(sensors: int) -> Array:
+def new_channel_state(sensors):
     """State of `block_sums` before the first sample: one row of CHANNEL_STATE numbers a channel."""
     state = np.zeros((sensors, CHANNEL_STATE))
     state[:, 1], state[:, 2], state[:, 4], state[:, 13] = np.inf, -np.inf, np.nan, np.inf
     return state
 
 
-# C: @cython.locals(total=double, row=double, last=double, lowest=double, highest=double, step=double, repeats=int64_t,
-# C:     count=int64_t, blocks=Py_ssize_t)
-# C: cpdef Py_ssize_t block_sums(const double[:, :] values, const double[:] time, const double[:] weight, int64_t size,
-# C:     double[:] sums, int64_t[:] filled, double[:, ::1] state, double[:, :] out)
-def block_sums(
-    values: Array, time: Array, weight: Array, size: int, sums: Array, filled: IntArray, state: Array, out: Array
-) -> int:
+cpdef Py_ssize_t block_sums(
+    const double[:, :] values, const double[:] time, const double[:] weight, int64_t size, double[:] sums,
+    int64_t[:] filled, double[:, ::1] state, double[:, :] out,
+):
     """Weighted sums of blocks of `size` samples of values (m, n) at times (m,), s, continued from call to call:
     `sums` (n,) and `filled` (1,) hold the block under way, `state` the channels (CHANNEL_STATE). Returns how many
     rows of `out` were written."""
+    cdef double total, row, last, lowest, highest, step
+    cdef int64_t repeats, count
+    cdef Py_ssize_t blocks
     blocks, samples = 0, values.shape[0]
-    with cython.nogil:
+    with nogil:
         for c in range(values.shape[1]):
             blocks, count, total = 0, filled[0], sums[c]
             lowest, highest, step = state[c, 1], state[c, 2], state[c, 13]
@@ -171,8 +150,7 @@ def block_sums(
     return blocks
 
 
-# C: cdef void _end_row(double[:, ::1] state, Py_ssize_t c, double value, double length, double stop) noexcept nogil
-def _end_row(state: Array, c: int, value: float, length: float, stop: float) -> None:
+cdef void _end_row(double[:, ::1] state, Py_ssize_t c, double value, double length, double stop) noexcept nogil:
     """Take note of a row of equal values that ends, or goes on after this chunk."""
     if length > state[c, 6]:
         state[c, 6], state[c, 7], state[c, 8] = length, stop, value

@@ -1,5 +1,5 @@
-"""A watch: rests of a day against a calibration, by the rows of a field check; what has moved is found, what has not is
-not called so. How often `studies/watched_days.py` counts."""
+"""A stream: rests of a day against a calibration, by the rows of a field check; what has moved is found, and nothing
+else. How often `studies/watched_days.py` counts."""
 
 from __future__ import annotations
 
@@ -7,16 +7,14 @@ import io
 import json
 import os
 import threading
-from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
-from click.testing import CliRunner
-from tumble.use.listening import LiveSamples, opened
-from tumble.use.watch import LONGEST, Event, Notice, Watch, WatchedRest, watch_session, watched
+from click.testing import CliRunner, Result
 
 from tests.use.test_check import device, seen
 from tumble.cli import main
@@ -24,17 +22,22 @@ from tumble.errors import InputError
 from tumble.methods.field_check import field_check
 from tumble.methods.rest_chain import JudgedRest, RestChain
 from tumble.planning.setup import Setup
+from tumble.recording.live.samples import SI_LOG
 from tumble.recording.live.sources import Ended, LineSource
 from tumble.recording.log import Chunk, open_log
 from tumble.recording.session_file import read_session, session_of
+from tumble.reduction.blocks.reducer import Reducer
 from tumble.reduction.observations import Observations
-from tumble.result.calibration import Calibration, read_calibration
+from tumble.reduction.rest_stream import LONGEST
+from tumble.result.calibration import Calibration
 from tumble.run.calibrate import calibrate
+from tumble.run.observed import inspect_session
 from tumble.sensors.parameters import usual_sizes
 from tumble.simulation.session import simulate_session
 from tumble.simulation.temperature_profile import temperature_profile
 from tumble.units import DEGREE, Array
-from tumble.use.check import known_before
+from tumble.use.check import CheckedRest, prior_at_check
+from tumble.use.stream import Event, Notice, StreamCheck, check_stream
 
 MG = 9.80665e-3
 MOVED_AT = 150.0
@@ -55,7 +58,7 @@ def chained(observations: Observations, calibration: Calibration) -> tuple[RestC
     chain, judged = None, list[JudgedRest]()
     for k in range(len(observations.rests)):
         alone = observations.of_rest(k)
-        known = known_before(calibration, alone, "mems", {})
+        known = prior_at_check(calibration, alone, "mems", {})
         chain = chain or RestChain(known, usual_sizes("mems"))
         judged.append(chain.add(alone, known))
     assert chain is not None
@@ -68,13 +71,12 @@ def only_rests(observations: Observations) -> Observations:
 
 def test_the_first_rest_is_judged_as_a_field_check_of_it_alone() -> None:
     first = seen(8, turns=False).of_rest(0)
-    known = known_before(device()[1], first, "mems", {})
+    known = prior_at_check(device()[1], first, "mems", {})
     judged = RestChain(known, {}).add(first, known)
     alone = field_check(first, known)
     for name, test in judged.tests.items():
-        change, u = alone.tests[name]
-        assert test.change == pytest.approx(change, abs=0.02 * u), name
-        assert test.u == pytest.approx(u, rel=0.02), name
+        assert test.change == pytest.approx(alone.tests[name].change, abs=0.02 * test.u), name
+        assert test.u == pytest.approx(alone.tests[name].u, rel=0.02), name
     assert judged.misfit.chi_square == pytest.approx(alone.misfit.chi_square, rel=0.1, abs=0.1)
 
 
@@ -85,17 +87,17 @@ def test_all_rests_together_say_what_a_field_check_of_one_session_says() -> None
     chain = None
     for k in range(len(observations.rests)):
         alone = observations.of_rest(k)
-        known = known_before(calibration, alone, "mems", {})
+        known = prior_at_check(calibration, alone, "mems", {})
         chain = chain or RestChain(known, {})
         chain.add(alone, known)
     assert chain is not None
-    by_rest, at_once = chain.result(), field_check(observations, known_before(calibration, observations, "mems", {}))
+    by_rest, at_once = chain.result(), field_check(observations, prior_at_check(calibration, observations, "mems", {}))
     assert by_rest.valid
     assert at_once.valid
     assert by_rest.tests.keys() == at_once.tests.keys()
-    for name, (change, u) in at_once.tests.items():
-        assert by_rest.tests[name][0] == pytest.approx(change, abs=0.35 * u), name
-        assert by_rest.tests[name][1] == pytest.approx(u, rel=0.15), name
+    for name, test in at_once.tests.items():
+        assert by_rest.tests[name].change == pytest.approx(test.change, abs=0.35 * test.u), name
+        assert by_rest.tests[name].u == pytest.approx(test.u, rel=0.15), name
     assert by_rest.misfit.degrees == at_once.misfit.degrees
 
 
@@ -153,35 +155,63 @@ def test_one_rest_alone_says_nothing_and_is_not_learned_from() -> None:
     assert not [rest for rest in judged if rest.moved]
 
 
-def test_a_sum_of_likelihood_ratios_is_one_in_the_mean() -> None:
-    """E e^ℓ = 1 of Eq. (3), by which the rate of false alarms is bounded."""
-    zeta, size = np.random.default_rng(0).standard_normal(200_000), 1.3
-    ratio = np.exp(size * zeta - 0.5 * size**2)
-    assert ratio.mean() == pytest.approx(1.0, abs=5.0 * ratio.std() / np.sqrt(len(zeta)))
-
-
 # -------------------- streams --------------------
 
 
-def events_of(folder: Path, name: str, rows: int = 65536) -> list[Event]:
+def run(*words: str | Path) -> Result:
+    return CliRunner().invoke(main, list(map(str, words)))
+
+
+def events_of(folder: Path, name: str, rows: int = 65536) -> tuple[StreamCheck, list[Event]]:
+    """The events of a recorded day as a stream, cut into chunks of so many rows."""
     log = open_log(read_session(folder / name))
-    return list(watched(Watch(folder / "calibration.json", log.session, sample_rate=log.rate), log.chunks(rows)))
+    check = StreamCheck(folder / "calibration.json", log.session, sample_rate=log.rate)
+    return check, [*(event for chunk in log.chunks(rows) for event in check.feed(chunk)), *check.finish()]
 
 
-def test_the_same_is_said_however_the_stream_is_cut(folder: Path) -> None:
-    first, second = events_of(folder, "day"), events_of(folder, "day", 977)
-    assert len(first) == 30
-    for one, other in zip(first, second, strict=True):
-        assert isinstance(one, WatchedRest)
-        assert isinstance(other, WatchedRest)
-        assert (one.number, one.start, one.stop) == (other.number, other.start, other.stop)
-        assert one.judged is not None
-        assert other.judged is not None
-        assert one.judged.tests == other.judged.tests
-        assert one.force == pytest.approx(other.force, abs=1e-12)
+def rests_in(events: list[Event]) -> list[CheckedRest]:
+    return [event for event in events if isinstance(event, CheckedRest)]
 
 
-def moved_copy(folder: Path, to: Path, *changes: pl.Expr, keep: pl.Expr | None = None) -> Path:
+def notices_in(events: list[Event]) -> list[str]:
+    return [event.text for event in events if isinstance(event, Notice)]
+
+
+def test_a_stream_has_the_rests_of_the_log_however_it_is_cut(folder: Path) -> None:
+    """Whole, and in pieces of 977 rows: the rests that the reduction of the whole log finds, and the same tests."""
+    first, second = rests_in(events_of(folder, "day")[1]), rests_in(events_of(folder, "day", 977)[1])
+    assert first == second
+    spans = inspect_session(folder / "day").segmentation.rests
+    for name in ("start", "stop"):
+        assert [getattr(rest, name) for rest in first] == pytest.approx([getattr(span, name) for span in spans])
+    assert [rest.label.split(" (")[0] for rest in first] == [f"rest {i}" for i in range(1, 31)]
+
+
+def test_what_is_forgotten_leaves_the_other_blocks_as_they_are(folder: Path) -> None:
+    log = open_log(read_session(folder / "day"))
+    blocks = log.session.accel_block, log.session.gyro_block
+    whole, short = (Reducer(rate=log.rate, accel=blocks[0], gyro=blocks[1]) for _ in range(2))
+    for k, chunk in enumerate(log.chunks(3001)):
+        whole.feed(chunk)
+        short.feed(chunk)
+        if k in (2, 4):
+            short.forget(200)
+    (full,), (rest,) = whole.now().files, short.now().files
+    assert len(rest) == len(full) - 400
+    np.testing.assert_array_equal(rest.edges, full.edges[400:])
+    np.testing.assert_array_equal(rest.gyro.means, full.gyro.means[400:])
+    kept, every = short.now().samples, whole.now().samples
+    assert kept is not None
+    assert every is not None
+    one, other = (
+        samples.read(file.sample_at(block), file.sample_at(block) + 500)
+        for samples, file, block in ((kept, rest, 7), (every, full, 407))
+    )
+    for ours, theirs in zip(one, other, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def changed_day(folder: Path, to: Path, *changes: pl.Expr, keep: pl.Expr | None = None) -> Path:
     """The day with another log."""
     to.mkdir()
     log = pl.read_parquet(folder / "day" / "log.parquet").with_columns(*changes)
@@ -192,50 +222,48 @@ def moved_copy(folder: Path, to: Path, *changes: pl.Expr, keep: pl.Expr | None =
 
 def test_a_day_in_which_an_accelerometer_moves(folder: Path, tmp_path: Path) -> None:
     later = pl.when(pl.col("t") > MOVED_AT)
-    day = moved_copy(
-        folder, tmp_path / "moved", later.then(pl.col("ax") + 5.0 * MG).otherwise(pl.col("ax")).alias("ax")
-    )
-    before = (folder / "calibration.json").read_bytes()
-    done = CliRunner().invoke(main, ["watch", str(folder / "calibration.json"), str(day)])
+    moved = later.then(pl.col("ax") + 5.0 * MG).otherwise(pl.col("ax")).alias("ax")
+    made, day = folder / "calibration.json", changed_day(folder, tmp_path / "moved", moved)
+    before = made.read_bytes()
+    done = run("check", made, "--listen", f"replay:{day}@max")
     assert done.exit_code == 1, done.stderr
     (said,) = [line for line in done.stderr.splitlines() if line.startswith("moved: ")]
     assert said.startswith("moved: accel.bias.x has changed by +")
     assert done.stdout.rstrip().endswith("changed")
-    assert (folder / "calibration.json").read_bytes() == before
-    quiet = CliRunner().invoke(main, ["watch", str(folder / "calibration.json"), str(folder / "day")])
-    assert quiet.exit_code == 0, quiet.stderr
-    assert "no change is shown, and none larger than\naccel.bias " in quiet.stdout
-    assert quiet.stdout.count("|f|−g") == 30
+    assert made.read_bytes() == before
+    data = run("check", made, "--listen", f"replay:{folder / 'day'}@max", "--json")
+    assert data.exit_code == 0, data.stderr
+    lines = [json.loads(line) for line in data.stdout.splitlines()]
+    assert [line["event"] for line in lines] == ["rest"] * 30 + ["check"]
+    assert lines[0]["judged"]["tests"].keys() >= {"gyro.bias.x", "gyro.bias.y", "gyro.bias.z"}
+    assert (lines[-1]["verdict"], len(lines[-1]["rests"])) == ("accepted", 30)
+
+
+def test_what_is_of_a_stream_alone_is_refused_without_one(folder: Path) -> None:
+    made, day = folder / "calibration.json", folder / "day"
+    made_with: tuple[list[str | Path], ...] = (
+        [],
+        [day, "--listen", "stdin"],
+        [day, "--session", day],
+        ["--listen", "stdin", "-o", day / "c.json"],
+    )
+    for words in made_with:
+        done = run("check", made, *words)
+        assert done.exit_code == 2
+        assert done.stderr.startswith("tumble: check: expected ")
 
 
 def test_a_stream_that_drops_and_resumes_goes_on(folder: Path, tmp_path: Path) -> None:
     keep = (pl.col("t") < 100.0) | (pl.col("t") > 130.0)
-    day = moved_copy(folder, tmp_path / "dropped", keep=keep)
-    events = list(watch_session(folder / "calibration.json", day))
-    (notice,) = [event for event in events if isinstance(event, Notice)]
-    assert notice.text.startswith("nothing came for 30.0 s")
-    rests = [event for event in events if isinstance(event, WatchedRest)]
-    assert 24 <= len(rests) <= 29
-    assert not [rest for rest in rests if rest.moved]
-    assert all(not (rest.start < 100.0 < rest.stop) and not (rest.start < 130.0 < rest.stop) for rest in rests)
-
-
-def test_a_clock_that_begins_anew_is_another_power_on(folder: Path) -> None:
-    """Another power-on may have other biases: what the last one taught is as good as the calibration again."""
-    log = pl.read_parquet(folder / "day" / "log.parquet")
-    again = log.filter(pl.col("t") > MOVED_AT).with_columns(pl.col("t") - MOVED_AT, gy=pl.col("gy") + 0.03 * DEGREE)
-    sent = Sent(pl.concat([log.filter(pl.col("t") <= MOVED_AT), again]))
-    calibration = read_calibration(folder / "calibration.json")
-    samples = LiveSamples(sent, calibration)
-    chunks = list(samples.chunks())
-    assert chunks[0].file == 0
-    assert chunks[-1].file == 1
-    assert samples.interval is not None
-    watch = Watch(calibration, samples.session, sample_rate=1.0 / samples.interval)
-    events = list(watched(watch, chunks))
-    assert [e.text for e in events if isinstance(e, Notice)] == ["the clock begins anew: taken for another power-on"]
-    assert watch.rests >= 27
-    assert not watch.moved
+    changed_day(folder, tmp_path / "dropped", keep=keep)
+    (tmp_path / "calibration.json").write_bytes((folder / "calibration.json").read_bytes())
+    check, events = events_of(tmp_path, "dropped")
+    (notice,) = notices_in(events)
+    assert notice.startswith("nothing came for 30.0 s")
+    assert 24 <= len(rests_in(events)) <= 29
+    assert not check.moved
+    for at in (100.0, 130.0):
+        assert not [r for r in rests_in(events) if r.start is not None and r.stop is not None and r.start < at < r.stop]
 
 
 class Sent(LineSource):
@@ -255,37 +283,38 @@ class Sent(LineSource):
         return piece
 
 
-def test_lines_on_standard_input_are_watched(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_clock_that_begins_anew_is_another_power_on(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another power-on may have other biases: what the last one taught is as good as the calibration again."""
     log = pl.read_parquet(folder / "day" / "log.parquet")
-    out = io.BytesIO()
-    log.write_csv(out)
+    again = log.filter(pl.col("t") > MOVED_AT).with_columns(pl.col("t") - MOVED_AT, gy=pl.col("gy") + 0.03 * DEGREE)
+    sent = Sent(pl.concat([log.filter(pl.col("t") <= MOVED_AT), again]))
+    monkeypatch.setattr("tumble.use.stream.source_of", lambda _: sent)
+    events = list[Event]()
+    found = check_stream(folder / "calibration.json", "device", show=events.append)
+    assert notices_in(events) == ["the clock begins anew: taken for another power-on"]
+    assert len(found.rests) >= 27
+    assert found.valid
+
+
+def test_lines_on_standard_input_are_those_of_the_log(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the command, in SI, without a session that describes them."""
+    sent = Sent(pl.read_parquet(folder / "day" / "log.parquet"))
     read, write = os.pipe()
 
     def send() -> None:
-        with os.fdopen(write, "wb") as pipe:
-            pipe.write(out.getvalue())
+        with os.fdopen(write, "wb") as pipe, suppress(Ended):
+            while True:
+                pipe.write(sent.read(0.0))
 
     threading.Thread(target=send, daemon=True).start()
     with os.fdopen(read) as stdin:
         monkeypatch.setattr("tumble.recording.live.sources.sys.stdin", stdin)
-        watch, chunks = opened("stdin", read_calibration(folder / "calibration.json"), None)
-        live = [event for event in watched(watch, chunks) if isinstance(event, WatchedRest)]
-    recorded = [event for event in events_of(folder, "day") if isinstance(event, WatchedRest)]
+        live = check_stream(folder / "calibration.json", "stdin").rests
+    recorded = rests_in(events_of(folder, "day")[1])
     assert len(live) == len(recorded)
     for one, other in zip(live, recorded, strict=True):
         assert one.start == pytest.approx(other.start, abs=0.11)
-        assert one.force == pytest.approx(other.force, abs=0.2 * MG)
-
-
-def test_what_is_printed_as_data_is_a_line_each(folder: Path) -> None:
-    done = CliRunner().invoke(main, ["watch", str(folder / "calibration.json"), str(folder / "day"), "--json"])
-    lines = [json.loads(line) for line in done.stdout.splitlines()]
-    assert [line["event"] for line in lines] == ["rest"] * 30 + ["check"]
-    assert lines[0]["number"] == 0
-    assert lines[0]["used"]
-    assert {bias["name"] for bias in lines[0]["biases"]} >= {"gyro.bias.x", "gyro.bias.y", "gyro.bias.z"}
-    assert lines[-1]["verdict"] == "accepted"
-    assert lines[-1]["rests"] == 30
+        assert one.difference == pytest.approx(other.difference, abs=0.2 * MG)
 
 
 def still(seconds: float, *, celsius: float = 20.0, shake: float = 0.0, seed: int = 0) -> dict[str, Array]:
@@ -296,17 +325,6 @@ def still(seconds: float, *, celsius: float = 20.0, shake: float = 0.0, seed: in
     return {"accel": force, "gyro": rate, "temperature": np.full((n, 1), celsius + 273.15)}
 
 
-def chunks_of(*parts: dict[str, Array]) -> Iterator[Chunk]:
-    """Parts one after the other."""
-    at = 0.0
-    for part in parts:
-        n = len(part["accel"])
-        time: Array = at + 0.01 * np.arange(1.0, n + 1.0)
-        at = float(time[-1])
-        arrays = {name: part[name] for name in ("accel", "gyro", "temperature")}
-        yield Chunk(file=0, time=time, dt=np.full(n, 0.01), **arrays)
-
-
 @pytest.fixture(scope="module")
 def warm(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
     """A calibration over 10 to 30 °C."""
@@ -315,51 +333,40 @@ def warm(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
     return calibrate(simulate_session(out / "calibrated", setup, seed=5, temperature=temperature_profile("10:30")))
 
 
-def watch_of(calibration: Calibration) -> Watch:
-    log = {
-        "time": "t",
-        "accel": {"columns": ["ax", "ay", "az"], "unit": "m/s^2"},
-        "gyro": {"columns": ["gx", "gy", "gz"], "unit": "rad/s"},
-        "temperature": {"columns": ["temperature"], "unit": "degC"},
-    }
-    names = ("t", "ax", "ay", "az", "gx", "gy", "gz", "temperature")
+def checked(calibration: Calibration, *parts: dict[str, Array]) -> tuple[StreamCheck, list[Event]]:
+    """The events of parts that come one after the other."""
+    log = {name: value for name, value in SI_LOG.items() if name != "file"}
+    log |= {"temperature": {"columns": ["temperature"], "unit": "degC"}}
     site = {"latitude_deg": 55.0}
     described = {"format": 1, "device": {"serial": calibration.serial}, "site": site, "log": log}
+    names = ("t", "ax", "ay", "az", "gx", "gy", "gz", "temperature")
     session = session_of(described, {name: np.zeros(1) for name in names})
-    return Watch(calibration, session, sample_rate=100.0)
+    check, events, at = StreamCheck(calibration, session, sample_rate=100.0), list[Event](), 0.0
+    for part in parts:
+        n = len(part["accel"])
+        time: Array = at + 0.01 * np.arange(1.0, n + 1.0)
+        at = float(time[-1])
+        events += check.feed(Chunk(file=0, time=time, dt=np.full(n, 0.01), **part))
+    return check, events + check.finish()
 
 
 def test_a_temperature_outside_of_what_was_calibrated_is_said(warm: Calibration) -> None:
-    watch = watch_of(warm)
-    events = list(watched(watch, chunks_of(still(60.0), still(5.0, shake=3.0), still(60.0, celsius=55.0, seed=1))))
-    notices = [event.text for event in events if isinstance(event, Notice)]
-    assert len(notices) == 1
-    assert notices[0].startswith("temperature outside 1")
-    assert notices[0].endswith("°C, which was calibrated")
-    rests = [event for event in events if isinstance(event, WatchedRest)]
-    assert rests[-1].outside == ("temperature",)
-    assert rests[-1].celsius is not None
-    assert watch.check().references == warm.temperature.references  # at which its parameters are
+    _, events = checked(warm, still(60.0), still(5.0, shake=3.0), still(60.0, celsius=55.0, seed=1))
+    (notice,) = notices_in(events)
+    assert notice.startswith("temperature outside 1")
+    assert notice.endswith("°C, which was calibrated")
+    assert rests_in(events)[-1].outside == ("temperature",)
+    assert rests_in(events)[-1].celsius is not None
 
 
 def test_flight_without_a_rest_is_none(warm: Calibration) -> None:
     """The floors are then those of the vibration, and the calmest part seems to rest."""
-    watch = watch_of(warm)
-    events = list(watched(watch, chunks_of(still(120.0, shake=3.0))))
-    rests = [event for event in events if isinstance(event, WatchedRest)]
-    assert all(rest.judged is None and "times as noisy" in rest.why for rest in rests)
-    assert not watch.rests
-    with pytest.raises(InputError, match="expected rests to test the calibration with, found none"):
-        watch.check()
+    check, events = checked(warm, still(120.0, shake=3.0))
+    assert all(rest.judged is None and "times as noisy" in rest.why for rest in rests_in(events))
+    with pytest.raises(InputError, match="expected rests to check with, found none"):
+        check.result()
 
 
-def test_what_lasts_counts_anew_and_memory_does_not_grow(warm: Calibration) -> None:
-    watch = watch_of(warm)
-    kept = []
-    for k, chunk in enumerate(chunks_of(*(still(60.0, seed=k) for k in range(40)))):
-        watch.feed(chunk)
-        kept.append(sum(len(piece.time) for piece, *_ in watch._kept))
-        del k
-    watch.finish()
-    assert watch.rests == pytest.approx(2400.0 / LONGEST, abs=1)
-    assert max(kept) <= 100 * 660
+def test_what_lasts_counts_anew(warm: Calibration) -> None:
+    check, _ = checked(warm, *(still(60.0, seed=k) for k in range(40)))
+    assert len(check.rests) == pytest.approx(2400.0 / LONGEST, abs=1)

@@ -18,8 +18,9 @@ from tumble.recording.session import Site
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.blocks.reducer import FileBlocks, Reducer, Reduction
 from tumble.reduction.observations import Observations, observe
+from tumble.reduction.rests.live import mean_so_far, rests_so_far
 from tumble.reduction.rests.matching import Match
-from tumble.reduction.rests.segmentation import find_rests
+from tumble.reduction.rests.segmentation import RestSpan, find_rests
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
 from tumble.simulation.scenario import scenario_of
@@ -96,7 +97,7 @@ def assert_equal(a: object, b: object) -> None:
         assert a == b
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(
     sizes=st.lists(st.integers(1, 500), max_size=30),
     asked=st.sets(st.integers(0, 30)),
@@ -111,7 +112,7 @@ def test_asking_changes_nothing(session: Recording, sizes: list[int], asked: set
     assert_equal(batch(bit_by_bit), batch(at_once))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(sizes=st.lists(st.integers(1, 700), max_size=10), stop=st.integers(100, 3000))
 def test_what_is_known_now_is_the_reduction_of_the_log_so_far(session: Recording, sizes: list[int], stop: int) -> None:
     now = fed(chunks(session, sizes, stop=stop)).now()
@@ -127,6 +128,34 @@ def test_a_reduction_stays_as_it_was_while_the_log_grows(session: Recording) -> 
     for chunk in parts[8:]:
         reducer.feed(chunk)
     assert_equal([before.files[0].accel.means, before.files[0].edges], copied)
+
+
+def test_rests_show_while_they_last(session: Recording) -> None:
+    """From half a second after its beginning to its end a rest is the last, and lasts; those before it are the rests
+    of a calibration."""
+    found = find_rests(fed(chunks(session, [])).now(), ACCEL, GYRO).rests
+    assert len(found) == 9
+    for k, rest in enumerate(found):
+        for time in (rest.start + 0.6, rest.stop - 0.2):
+            reduction = fed(chunks(session, [], stop=round(time * RATE))).now()
+            so_far = rests_so_far(reduction, ACCEL, GYRO)
+            assert so_far is not None or time < 3.0
+            if so_far is not None:
+                assert (so_far.still, so_far.lasting, len(so_far.rests)) == (True, True, k + 1)
+                np.testing.assert_allclose([span.start for span in so_far.rests], starts(found, k), atol=0.6)
+        if k < 8:
+            moving = rests_so_far(fed(chunks(session, [], stop=round((rest.stop + 1.0) * RATE))).now(), ACCEL, GYRO)
+            assert moving is not None
+            assert (moving.still, moving.lasting, len(moving.rests)) == (False, False, k + 1)
+    u = mean_so_far(reduction, found[-1].first, found[-1].last)
+    assert u.accel_u is not None
+    assert u.gyro_u is not None
+    assert u.accel_twice == pytest.approx(u.accel_u / 2**0.5, rel=0.2)  # white noise
+    assert mean_so_far(reduction, 0, 5).accel_u is None
+
+
+def starts(found: Sequence[RestSpan], k: int) -> list[float]:
+    return [span.start for span in found[: k + 1]]
 
 
 # -------------------- lost and held samples --------------------

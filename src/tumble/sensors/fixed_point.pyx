@@ -1,50 +1,36 @@
+# cython: language_level=3, infer_types=True, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
 """The compiled loops that correct readings sample by sample: that solves those of a block for what it measures, those
 that move accelerometers to one point, and that takes a stream through all of them.
 
-They are Python and run as they stand; see `tumble.reduction.kernels`.
+Sums are taken in the order that is written.
 """
-
-from __future__ import annotations
 
 import numpy as np
 
-from tumble.units import Array, IntArray
+from libc.math cimport exp
+from libc.stdint cimport int64_t
 
-try:
-    import cython
-except ImportError:
-    from tumble import uncompiled as cython
+from tumble.processors cimport for_each_processor
 
-# C: from libc.math cimport exp
-# C: from libc.stdint cimport int64_t
-
-# C: cpdef enum:
-# C:     _BIAS = 0
-# C:     _RATE = 1
-# C:     _FORCE = 4
-# C:     _PRODUCTS = 7
-# C:     _OWN_SIZE = 13
-# C:     _OWN_CUBE = 14
-# C:     INVERSE = 15
-# C:     AXIS = 18
-# C:     REFERENCE = 21
-# C:     CHANGES = 22
-# C:     LEVER = 26
-# C:     SENSITIVITY = 29
-# C:     ACROSS = 32
-# C:     ALONG = 35
-# C:     WIDTH = 36
-# C:     TOO_WARM = 1
-# C:     TOO_FAST = 2
-# C:     TOO_MUCH = 4
-
-if not cython.compiled:
-    from math import exp
-
-if not cython.compiled:  # where it is, these are numbers of C: columns of a sheet, and flags
-    _BIAS, _RATE, _FORCE, _PRODUCTS, _OWN_SIZE, _OWN_CUBE = 0, 1, 4, 7, 13, 14
-    INVERSE, AXIS, REFERENCE, CHANGES, LEVER, SENSITIVITY, ACROSS, ALONG, WIDTH = 15, 18, 21, 22, 26, 29, 32, 35, 36
-    TOO_WARM, TOO_FAST, TOO_MUCH = 1, 2, 4
+cpdef enum:
+    _BIAS = 0
+    _RATE = 1
+    _FORCE = 4
+    _PRODUCTS = 7
+    _OWN_SIZE = 13
+    _OWN_CUBE = 14
+    INVERSE = 15
+    AXIS = 18
+    REFERENCE = 21
+    CHANGES = 22
+    LEVER = 26
+    SENSITIVITY = 29
+    ACROSS = 32
+    ALONG = 35
+    WIDTH = 36
+    TOO_WARM = 1
+    TOO_FAST = 2
+    TOO_MUCH = 4
 
 # A sheet (n, WIDTH) has a row for each sensor of a block: of K what is not linear in the measured vector, with the bias
 # b at _BIAS; its column of S⁻¹; its axis; its reference temperature T₀, °C; what b changes by per K and K², and s
@@ -52,35 +38,27 @@ if not cython.compiled:  # where it is, these are numbers of C: columns of a she
 
 
 def fixed_point(
-    readings: Array,
-    celsius: Array,
-    thermometers: IntArray,
-    other: Array,
-    sheet: Array,
-    steps: int,
-    *,
-    of_force: bool,
-    feels: bool,
-) -> Array:
+    const double[:, :] readings, const double[:, :] celsius, const int64_t[:] thermometers, const double[:, :] other,
+    const double[:, :] sheet, Py_ssize_t steps, *, bint of_force, bint feels,
+):
     """Measured vectors x (N, 3) by so many steps x ← S⁻¹ ((ŷ − b − K β(x)) / s) from zero, with readings ŷ (N, n) of
     the sensors of a `sheet`, temperatures (N, T), °C, of thermometers of which each has that number (n,), and the
     `other` vectors (N, 3) of β, where it `feels` them. `of_force`: whether x is the specific force."""
-    out, known = np.empty((len(readings), 3)), np.empty((2, len(sheet)))
-    _solve(readings, celsius, thermometers, other, sheet, steps, of_force, feels, known, out)
+    out = np.empty((readings.shape[0], 3))
+    cdef double[:, :] known = np.empty((2, sheet.shape[0])), solved = out
+    with nogil:
+        _solve(readings, celsius, thermometers, other, sheet, steps, of_force, feels, known, solved)
     return out
 
 
-# C: @cython.locals(p=Py_ssize_t, x=double, y=double, z=double, u=double, v=double, w=double, own=double, value=double,
-# C:     warmer=double, gain=double, b1=double, b2=double, s1=double, s2=double)
-# C: cdef void _solve(const double[:, :] readings, const double[:, :] celsius, const int64_t[:] thermometers,
-# C:     const double[:, :] other, const double[:, :] sheet, Py_ssize_t steps, bint of_force, bint feels,
-# C:     double[:, :] known, double[:, :] out) noexcept nogil
-def _solve(
-    readings: Array, celsius: Array, thermometers: IntArray, other: Array, sheet: Array, steps: int, of_force: bool,
-    feels: bool, known: Array, out: Array,
-) -> None:  # fmt: skip
+cdef for_each_processor _solve(
+    const double[:, :] readings, const double[:, :] celsius, const int64_t[:] thermometers, const double[:, :] other,
+    const double[:, :] sheet, Py_ssize_t steps, bint of_force, bint feels, double[:, :] known, double[:, :] out,
+) noexcept nogil:
     """The same into `out`; `known` has of each sensor the reading less all that is known before the first step, and the
     inverse of its gain."""
+    cdef Py_ssize_t p
+    cdef double x, y, z, u, v, w, own, value, warmer, gain, b1, b2, s1, s2
     linear = _RATE if of_force else _FORCE
     for i in range(readings.shape[0]):
         x, y, z = 0.0, 0.0, 0.0
@@ -117,23 +95,24 @@ def _solve(
         out[i, 0], out[i, 1], out[i, 2] = x, y, z
 
 
-# C: cdef double _products(const double[:, :] sheet, Py_ssize_t p, double x, double y, double z) noexcept nogil
-def _products(sheet: Array, p: int, x: float, y: float, z: float) -> float:
+cdef double _products(const double[:, :] sheet, Py_ssize_t p, double x, double y, double z) noexcept nogil:
     """What a sensor reads of the products of the components of the force."""
     by_x = sheet[p, _PRODUCTS] * x + sheet[p, _PRODUCTS + 1] * y + sheet[p, _PRODUCTS + 2] * z
     by_y = sheet[p, _PRODUCTS + 3] * y + sheet[p, _PRODUCTS + 4] * z
-    return x * by_x + y * by_y + sheet[p, _PRODUCTS + 5] * z * z  # type: ignore[no-any-return]
+    return x * by_x + y * by_y + sheet[p, _PRODUCTS + 5] * z * z
 
 
 # A stream ----------------------------------------------------------------------------------------------------
 
 
-# C: @cython.locals(step=double, before=Py_ssize_t, after=Py_ssize_t, j=Py_ssize_t)
-# C: cdef void _differ(const double[:, :] values, const double[:] time, Py_ssize_t first, Py_ssize_t stop,
-# C:     double longest, double unknown, double[:, :] out) noexcept nogil
-def _differ(values: Array, time: Array, first: int, stop: int, longest: float, unknown: float, out: Array) -> None:
+cdef void _differ(
+    const double[:, :] values, const double[:] time, Py_ssize_t first, Py_ssize_t stop, double longest,
+    double unknown, double[:, :] out,
+) noexcept nogil:
     """Changes of values (N, 3) a second, of samples from `first` to `stop`, from the sample before to the one after, at
     both ends from the sample itself; `unknown` where these are not more than 0 and at most `longest` s apart."""
+    cdef double step
+    cdef Py_ssize_t before, after, j
     for j in range(first, stop):
         before, after = max(j - 1, 0), min(j + 1, values.shape[0] - 1)
         step = time[after] - time[before]
@@ -143,17 +122,15 @@ def _differ(values: Array, time: Array, first: int, stop: int, longest: float, u
             out[j, k] = (values[after, k] - values[before, k]) / step
 
 
-# C: @cython.locals(rx=double, ry=double, rz=double, size=double, kx=double, ky=double, kz=double, cx=double,
-# C:     cy=double, cz=double, x=double, y=double, z=double, turning=double, spinning=double, there=double,
-# C:     p=Py_ssize_t, j=Py_ssize_t)
-# C: cdef void _move(const double[:, :] readings, const double[:, :] rate, const double[:, :] acceleration,
-# C:     const double[:, :] sheet, Py_ssize_t first, Py_ssize_t stop, double[:, :] out) noexcept nogil
-def _move(
-    readings: Array, rate: Array, acceleration: Array, sheet: Array, first: int, stop: int, out: Array
-) -> None:  # fmt: skip
+cdef void _move(
+    const double[:, :] readings, const double[:, :] rate, const double[:, :] acceleration, const double[:, :] sheet,
+    Py_ssize_t first, Py_ssize_t stop, double[:, :] out,
+) noexcept nogil:
     """Readings (N, n) of accelerometers as without lever arms, at a rate ω and an angular acceleration ω̇ (N, 3): less
     k · (ω̇ × r + ω × (ω × r)) = ω̇ · (r × k) + (ω · r) (ω · k) − ω² (r · k). Where that is not finite they stay as they
     are."""
+    cdef double rx, ry, rz, size, kx, ky, kz, cx, cy, cz, x, y, z, turning, spinning, there
+    cdef Py_ssize_t p, j
     for p in range(sheet.shape[0]):
         rx, ry, rz, size = sheet[p, LEVER], sheet[p, LEVER + 1], sheet[p, LEVER + 2], sheet[p, ALONG]
         kx, ky, kz = sheet[p, SENSITIVITY], sheet[p, SENSITIVITY + 1], sheet[p, SENSITIVITY + 2]
@@ -166,18 +143,15 @@ def _move(
             out[j, p] = there if there - there == 0.0 else readings[j, p]
 
 
-# C: @cython.locals(now=double, before=double, behind=double, t=double, flag=double, interval=double, lag=double,
-# C:     step=double, kept=double, row=Py_ssize_t, p=Py_ssize_t, n=Py_ssize_t, m=Py_ssize_t)
-# C: cdef Py_ssize_t _take(const double[:, :] accel, const double[:, :] gyro, const double[:] time,
-# C:     const double[:, :] thermometer, const double[:] settings, double[:, :] rows, double[:, :] warmth,
-# C:     double[:] clock, Py_ssize_t row) noexcept nogil
-def _take(
-    accel: Array, gyro: Array, time: Array, thermometer: Array, settings: Array, rows: Array, warmth: Array,
-    clock: Array, row: int,
-) -> int:  # fmt: skip
+cdef Py_ssize_t _take(
+    const double[:, :] accel, const double[:, :] gyro, const double[:] time, const double[:, :] thermometer,
+    const double[:] settings, double[:, :] rows, double[:, :] warmth, double[:] clock, Py_ssize_t row,
+) noexcept nogil:
     """New samples into the rows from `row` on, less those that are late; returns the row after them. What follows a
     thermometer with a lag is that of `tumble.reduction.rests.thermometer`, over the time from stamp to stamp, or the
     usual interval where that is none."""
+    cdef double now, before, behind, t, flag, interval, lag, step, kept
+    cdef Py_ssize_t p, n, m
     interval, lag, step, kept = settings[0], settings[1], settings[0], settings[2]
     n, m = accel.shape[1], gyro.shape[1]
     for i in range(accel.shape[0]):
@@ -214,17 +188,7 @@ def _take(
     return row
 
 
-def advance(
-    given: tuple[Array, ...],
-    sensors: tuple[Array, Array, IntArray, IntArray, int, int, bool],
-    settings: Array,
-    state: tuple[Array, ...],
-    held: int,
-    out: tuple[Array, ...],
-    *,
-    moved: bool,
-    last: bool,
-) -> tuple[int, int]:
+def advance(given, sensors, settings, state, held, out, *, moved, last):
     """One block of a stream: returns how many of its samples are correct now, in `out`, and how many rows are held.
 
     given : readings of accelerometers (N, n) and gyros (N, m), stamps (N,) or, of a regular clock, none, and
@@ -244,30 +208,25 @@ def advance(
     count = _advance(
         accel, gyro, time, thermometer, accel_sheet, gyro_sheet, of_accel, of_gyro, accel_steps, gyro_steps, feels,
         settings, rows, warmth, clock, known, held, stamps, force, rate, moved, last,
-    )  # fmt: skip
+    )
     return count // 4, count % 4
 
 
-# C: @cython.locals(n=Py_ssize_t, m=Py_ssize_t, heat=Py_ssize_t, spin=Py_ssize_t, total=Py_ssize_t, first=Py_ssize_t,
-# C:     stop=Py_ssize_t, keep=Py_ssize_t, j=Py_ssize_t, p=Py_ssize_t, x=double, y=double, z=double,
-# C:     celsius=double[:, :], turning=double[:, :], change=double[:, :], rates=double[:, :], forces=double[:, :],
-# C:     there=double[:, :], plain=double[:, :])
-# C: cdef Py_ssize_t _advance(const double[:, :] accel, const double[:, :] gyro, const double[:] time,
-# C:     const double[:, :] thermometer, const double[:, :] accel_sheet, const double[:, :] gyro_sheet,
-# C:     const int64_t[:] of_accel, const int64_t[:] of_gyro, Py_ssize_t accel_steps, Py_ssize_t gyro_steps, bint feels,
-# C:     const double[:] settings, double[:, :] rows, double[:, :] warmth, double[:] clock, double[:, :] known,
-# C:     Py_ssize_t held, double[:, :] stamps, double[:, :] force, double[:, :] rate, bint moved, bint last)
-def _advance(
-    accel: Array, gyro: Array, time: Array, thermometer: Array, accel_sheet: Array, gyro_sheet: Array,
-    of_accel: IntArray, of_gyro: IntArray, accel_steps: int, gyro_steps: int, feels: bool, settings: Array,
-    rows: Array, warmth: Array, clock: Array, known: Array, held: int, stamps: Array, force: Array, rate: Array,
-    moved: bool, last: bool,
-) -> int:  # fmt: skip
+cdef Py_ssize_t _advance(
+    const double[:, :] accel, const double[:, :] gyro, const double[:] time, const double[:, :] thermometer,
+    const double[:, :] accel_sheet, const double[:, :] gyro_sheet, const int64_t[:] of_accel,
+    const int64_t[:] of_gyro, Py_ssize_t accel_steps, Py_ssize_t gyro_steps, bint feels, const double[:] settings,
+    double[:, :] rows, double[:, :] warmth, double[:] clock, double[:, :] known, Py_ssize_t held, double[:, :] stamps,
+    double[:, :] force, double[:, :] rate, bint moved, bint last,
+):
     """The same; four times the number of samples, and the rows that are held."""
+    cdef Py_ssize_t n, m, heat, spin, total, first, stop, keep, j, p
+    cdef double x, y, z
+    cdef double[:, :] celsius, turning, change, rates, forces, there, plain
     n, m = accel.shape[1], gyro.shape[1]
     heat = 2 + n + m
     spin = heat + thermometer.shape[1]
-    with cython.nogil:
+    with nogil:
         total = _take(accel, gyro, time, thermometer, settings, rows, warmth, clock, held)
         plain, turning, celsius = rows[:, 2 : 2 + n], rows[:, 2 + n : heat], rows[:, heat:spin]
         rates, change, forces = rows[:, spin : spin + 3], rows[:, spin + 3 : spin + 6], rows[:, spin + 6 : spin + 9]
@@ -278,11 +237,11 @@ def _advance(
             _solve(
                 plain[held:total], celsius[held:total], of_accel, forces, accel_sheet, accel_steps, True, False, known,
                 forces[held:total],
-            )  # fmt: skip
+            )
             _solve(
                 turning[held:total], celsius[held:total], of_gyro, forces[held:total], gyro_sheet, gyro_steps, False,
                 feels, known, rates[held:total],
-            )  # fmt: skip
+            )
             first, keep = max(held - 1, 0), min(total, 2)
             stop = total if last else max(total - 1, first)
             _differ(rates[:total], rows[:total, 0], first, stop, settings[7], settings[10], change)
@@ -290,12 +249,12 @@ def _advance(
         _solve(
             there[first:stop], celsius[first:stop], of_accel, forces, accel_sheet, accel_steps, True, False, known,
             force[: stop - first],
-        )  # fmt: skip
+        )
         if m:
             _solve(
                 turning[first:stop], celsius[first:stop], of_gyro, force[: stop - first], gyro_sheet, gyro_steps, False,
                 feels, known, rate[: stop - first],
-            )  # fmt: skip
+            )
         for j in range(stop - first):
             stamps[j, 0], stamps[j, 1] = rows[first + j, 0], rows[first + j, 1]
             for p in range(spin - heat):

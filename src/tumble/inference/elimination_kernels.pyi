@@ -1,0 +1,23 @@
+from tumble.units import Array, IntArray
+
+LANES: int
+
+def eliminate_rests(
+    rest: Array,
+    turn: Array,
+    link: IntArray,
+    factor: Array,
+    rounding: float,
+    work: Array,
+    carried: Array,
+    kept: Array,
+    length: Array,
+    parts: Array,
+) -> int: ...
+def add_given(rows: Array, by: Array, first: IntArray, out: Array) -> None: ...
+def inverses(factor: Array, inverse: Array) -> None: ...
+def follow(by_next: Array, values: Array) -> None: ...
+def carry_back(by_next: Array, own: Array, with_next: Array) -> None: ...
+def whiten(
+    noise: Array, directions: Array, component: IntArray, variance: Array, work: Array, factors: Array
+) -> bool: ...

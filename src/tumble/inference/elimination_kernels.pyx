@@ -1,0 +1,249 @@
+# cython: language_level=3, infer_types=True, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
+"""The compiled loops of `tumble.inference.elimination`, over rests, rows and columns.
+
+Sums are taken in the order that is written: a compiler that may choose another one chooses differently from one
+compilation to the next, and rows of a campaign would differ in the last digit from process to process.
+"""
+
+from libc.math cimport sqrt
+from libc.stdint cimport int64_t
+
+from tumble.processors cimport for_each_processor
+
+cpdef enum:
+    LANES = 48
+
+
+def eliminate_rests(
+    const double[:, :, :] rest, const double[:, :, :] turn, const int64_t[:] link, double[:, :, :] factor,
+    double rounding, double[:, ::1] work, double[:, ::1] carried, double[::1, :] kept, double[::1] length,
+    double[::1] parts,
+):
+    """Eliminate one rest after the other, and return how many rows on the parameters alone are left in `kept`.
+
+    rest, turn, link, factor : as of `tumble.inference.elimination.eliminate`.
+    rounding : part of its square that a column must keep to have anything in it.
+    work (d + r + t, columns in whole lanes), parts (d + r + t,) : memory.
+    carried (d, 2d + p + 1) : rows on the first rest.
+    length (2d,) : squares of the columns before anything was taken off them.
+    """
+    cdef Py_ssize_t count = 0
+    with nogil:
+        _eliminate_rests(rest, turn, link, factor, rounding, work, carried, kept, length, parts, &count)
+    return count
+
+
+cdef for_each_processor _eliminate_rests(
+    const double[:, :, :] rest, const double[:, :, :] turn, const int64_t[:] link, double[:, :, :] factor,
+    double rounding, double[:, ::1] work, double[:, ::1] carried, double[::1, :] kept, double[::1] length,
+    double[::1] parts, Py_ssize_t* count,
+) noexcept nogil:
+    """The same without Python."""
+    d, columns = factor.shape[1], factor.shape[2]
+    for i in range(rest.shape[0]):
+        rows = _gather(work, carried, rest, i, turn, link[i])
+        for c in range(2 * d):
+            length[c] = length[c + d] if c < d else 0.0
+            for row in range(d, rows):
+                length[c] += work[row, c] * work[row, c]
+        top = 0
+        for c in range(d):
+            seen = _reflect(work, parts, top, c, rows, rounding * length[c])
+            for column in range(columns):
+                factor[i, c, column] = work[top, column] if seen else 0.0
+            top += seen
+        carried[:, :] = 0.0
+        for c in range(d, 2 * d):
+            if _reflect(work, parts, top, c, rows, rounding * length[c]):
+                for column in range(d, columns):
+                    carried[c - d, column - d if column < 2 * d else column] = work[top, column]
+                top += 1
+        for column in range(2 * d, columns):
+            for row in range(top, rows):
+                kept[count[0] + row - top, column - 2 * d] = work[row, column]
+        count[0] += rows - top
+
+
+cdef Py_ssize_t _gather(
+    double[:, ::1] work, double[:, ::1] carried, const double[:, :, :] rest, Py_ssize_t i, const double[:, :, :] turn,
+    int64_t k,
+) noexcept nogil:
+    """Put what involves the unknowns of rest i together: carried rows, its own, and those of turn k; how many."""
+    d, columns = carried.shape[0], carried.shape[1]
+    rows = d
+    for row in range(d):
+        for column in range(columns):
+            work[row, column] = carried[row, column]
+    for row in range(rest.shape[1]):
+        for column in range(d):
+            work[rows, column], work[rows, d + column] = rest[i, row, column], 0.0
+        for column in range(2 * d, columns):
+            work[rows, column] = rest[i, row, column - d]
+        rows += 1
+    if k >= 0:
+        for row in range(turn.shape[1]):
+            for column in range(columns):
+                work[rows, column] = turn[k, row, column]
+            rows += 1
+    return rows
+
+
+cdef bint _reflect(
+    double[:, ::1] work, double[::1] parts, Py_ssize_t top, Py_ssize_t column, Py_ssize_t rows, double least,
+) noexcept nogil:
+    """Reflect rows top … rows − 1 so that below row `top` the column is zero, LANES columns after the other, those
+    before `column` being zero already. False, and the column cleared, where nothing is in it."""
+    cdef double square, part
+    cdef double[LANES] sums
+    cdef Py_ssize_t lane, block
+    square = 0.0
+    for row in range(top, rows):
+        parts[row] = work[row, column]
+        square += parts[row] * parts[row]
+        work[row, column] = 0.0
+    if square <= least:
+        return False
+    head = parts[top]
+    diagonal = -sqrt(square) if head > 0.0 else sqrt(square)
+    parts[top] = head - diagonal
+    scale = 1.0 / (diagonal * (diagonal - head))
+    for group in range(column // LANES, work.shape[1] // LANES):
+        block = group * LANES
+        for lane in range(LANES):
+            sums[lane] = 0.0
+        for row in range(top, rows):
+            part = parts[row]
+            if part != 0.0:
+                for lane in range(LANES):
+                    sums[lane] += part * work[row, block + lane]
+        for lane in range(LANES):
+            sums[lane] *= scale
+        for row in range(top, rows):
+            part = parts[row]
+            if part != 0.0:
+                for lane in range(LANES):
+                    work[row, block + lane] -= sums[lane] * part
+    work[top, column] = diagonal
+    return True
+
+
+def add_given(
+    const double[:, :, :] rows, const double[:, :, ::1] by, const int64_t[:] first, double[:, :, ::1] out,
+):
+    """Add to rows `out` (K, t, p + 1) what the unknowns of the rests do in `rows`, as they follow `by` the others."""
+    with nogil:
+        _add_given(rows, by, first, out)
+
+
+cdef for_each_processor _add_given(
+    const double[:, :, :] rows, const double[:, :, ::1] by, const int64_t[:] first, double[:, :, ::1] out,
+) noexcept nogil:
+    cdef double part
+    d, width = by.shape[1], by.shape[2]
+    for k in range(rows.shape[0]):
+        for a in range(rows.shape[1]):
+            for b in range(rows.shape[2] - width):
+                part = rows[k, a, b]
+                if part != 0.0:
+                    i = first[k] + b // d
+                    for column in range(width):
+                        out[k, a, column] += part * by[i, b % d, column]
+
+
+def inverses(const double[:, :, ::1] factor, double[:, :, ::1] inverse):
+    """Inverses of the triangles in the first columns; rows and columns of unknowns that nothing shows are zero."""
+    with nogil:
+        _inverses(factor, inverse)
+
+
+cdef for_each_processor _inverses(const double[:, :, ::1] factor, double[:, :, ::1] inverse) noexcept nogil:
+    d = factor.shape[1]
+    for i in range(factor.shape[0]):
+        for a in range(d - 1, -1, -1):
+            for c in range(d):
+                inverse[i, a, c] = 0.0
+            if factor[i, a, a] != 0.0:
+                inverse[i, a, a] = 1.0 / factor[i, a, a]
+                for b in range(a + 1, d):
+                    for c in range(b, d):
+                        inverse[i, a, c] -= factor[i, a, b] * inverse[i, b, c]
+                for c in range(a + 1, d):
+                    inverse[i, a, c] /= factor[i, a, a]
+
+
+def follow(const double[:, :, ::1] by_next, double[:, :, ::1] values):
+    """Add to the values of every rest, from the last to the first, what `by_next` makes of those of the next one."""
+    with nogil:
+        _follow(by_next, values)
+
+
+cdef for_each_processor _follow(const double[:, :, ::1] by_next, double[:, :, ::1] values) noexcept nogil:
+    for i in range(by_next.shape[0] - 2, -1, -1):
+        for a in range(by_next.shape[1]):
+            for b in range(by_next.shape[1]):
+                for q in range(values.shape[2]):
+                    values[i, a, q] += by_next[i, a, b] * values[i + 1, b, q]
+
+
+def carry_back(const double[:, :, ::1] by_next, double[:, :, ::1] own, double[:, :, ::1] with_next):
+    """Covariances of the unknowns with themselves, `own`, and with those of the next rest, from the last to the first."""
+    with nogil:
+        _carry_back(by_next, own, with_next)
+
+
+cdef for_each_processor _carry_back(const double[:, :, ::1] by_next, double[:, :, ::1] own, double[:, :, ::1] with_next) noexcept nogil:
+    cdef double total
+    d = by_next.shape[1]
+    for i in range(by_next.shape[0] - 2, -1, -1):
+        for a in range(d):
+            for b in range(d):
+                for c in range(d):
+                    with_next[i, a, c] += by_next[i, a, b] * own[i + 1, b, c]
+        for a in range(d):
+            for b in range(a + 1):
+                total = own[i, a, b]
+                for c in range(d):
+                    total += with_next[i, a, c] * by_next[i, b, c]
+                own[i, a, b] = own[i, b, a] = total
+
+
+cpdef bint whiten(
+    const double[:, :, :] noise, const double[:, :, :] directions, const int64_t[:] component,
+    const double[:] variance, double[:, ::1] work, double[:, :, ::1] factors,
+) noexcept:
+    """Write inverse Cholesky factors of noise + Σ v Z Zᵀ into `factors`; false where a matrix is not positive definite."""
+    cdef double v, part, total, scale
+    cdef Py_ssize_t a, b, c, k
+    N, n, q = noise.shape[0], noise.shape[1], directions.shape[2]
+    with nogil:
+        for k in range(N):
+            for a in range(n):
+                for b in range(a + 1):
+                    work[a, b] = noise[k, a, b]
+            for c in range(q):
+                v = variance[component[c]]
+                if v > 0.0:
+                    for a in range(n):
+                        part = v * directions[k, a, c]
+                        if part != 0.0:
+                            for b in range(a + 1):
+                                work[a, b] += part * directions[k, b, c]
+            for a in range(n):
+                for b in range(a + 1):
+                    total = work[a, b]
+                    for c in range(b):
+                        total -= work[a, c] * work[b, c]
+                    if b < a:
+                        work[a, b] = total / work[b, b]
+                    elif total > 0.0:
+                        work[a, a] = sqrt(total)
+                    else:
+                        return False
+            for a in range(n):
+                scale = 1.0 / work[a, a]
+                for c in range(a):
+                    part = work[a, c] * scale
+                    for b in range(c + 1):
+                        factors[k, a, b] -= part * factors[k, c, b]
+                factors[k, a, a] = scale
+    return True
