@@ -25,6 +25,9 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 # -------------------- commands --------------------
 
+LONGEST = 48
+"""Characters of an option with its choices that fit into its column."""
+
 
 def walk(group: click.Group, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], click.Command]]:
     """All commands with the words that call them."""
@@ -73,16 +76,20 @@ def literal(text: str) -> str:
 
 
 def spelling(option: click.Option, context: click.Context) -> str:
-    """How an option is spelt, with what it takes."""
+    """How an option is spelt, with what it takes; many choices are among its words."""
     record = option.get_help_record(context)
-    return " ".join((record[0] if record else ", ".join(option.opts)).split())
+    spelt = " ".join((record[0] if record else ", ".join(option.opts)).split())
+    return spelt if len(spelt) <= LONGEST else f"{', '.join(option.opts)} NAME"
 
 
 def option_help(option: click.Option, context: click.Context) -> str:
-    """What an option means, its default and whether it may be repeated."""
+    """What an option means, its default, and its choices where they are many."""
     record = option.get_help_record(context)
-    text = record[1] if record else (option.help or "")
-    return literal(re.sub(r"\s+", " ", text))
+    text = " ".join((record[1] if record else (option.help or "")).split())
+    words = literal(text.replace("[required]", "(required)"))
+    if isinstance(option.type, click.Choice) and spelling(option, context).endswith(" NAME"):
+        words += f" One of {', '.join(f'`{choice}`' for choice in option.type.choices)}."
+    return words
 
 
 def examples(epilog: str) -> str:
