@@ -54,6 +54,17 @@ def test_the_sdist_holds_what_its_tests_need(tmp_path: Path) -> None:
     assert not [name for name in names if "__pycache__" in name or name.endswith(".so")]
 
 
+def test_the_version_is_the_same_wherever_it_stands() -> None:
+    version = re.escape(METADATA["version"])
+    for file, line in (
+        ("src/tumble/__init__.py", rf'^__version__ = "{version}"$'),
+        ("CHANGELOG.md", rf"^## {version}\b"),
+        ("CITATION.cff", rf"^version: {version}$"),
+        ("conda/recipe.yaml", rf'^  version: "{version}"$'),
+    ):
+        assert re.search(line, (ROOT / file).read_text(encoding="utf-8"), re.MULTILINE), file
+
+
 def test_the_conda_recipe_wants_what_the_package_wants() -> None:
     recipe = (ROOT / "conda/recipe.yaml").read_text(encoding="utf-8")
     for requirement in METADATA["dependencies"]:

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.weekly
 SHARED = {"accuracy_formulas.py", "stored.py"}
 """What studies and tests share, and is no study."""
 STUDIES = sorted(path for path in (ROOT / "studies").glob("*.py") if path.name not in SHARED)
-PICTURES = {"gallery.py", "readme_picture.py"}
+PICTURES = {"readme_picture.py"}
 """Studies that draw what the documentation shows, and are asked nothing."""
 
 ANSWERS = {
