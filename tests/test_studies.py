@@ -11,6 +11,7 @@ import pytest
 
 from tests.support import ROOT
 
+pytestmark = pytest.mark.weekly
 SHARED = {"accuracy_formulas.py", "stored.py"}
 """What studies and tests share, and is no study."""
 STUDIES = sorted(path for path in (ROOT / "studies").glob("*.py") if path.name not in SHARED)

@@ -20,6 +20,8 @@ from evidence.real.page import predicted, ratio, read_results, real_losses, repe
 from evidence.real.run import content_of, found_from
 from evidence.real.scores import FEWEST, folds, prediction, repeatability
 
+pytestmark = pytest.mark.weekly
+
 GRAVITY = 9.81
 
 

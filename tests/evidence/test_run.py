@@ -21,6 +21,8 @@ from evidence.state import FOLDER, files_of, source_of
 from tumble.campaigns.cluster import executor_for
 from tumble.campaigns.engine import Done
 
+pytestmark = pytest.mark.weekly
+
 EXPECTED = {kind.name: (kind.expected, kind.says) for kind in KINDS}
 KIND_NAMES = ("hand-8", "cube-alone", "in-g")
 
