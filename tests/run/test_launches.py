@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from tumble.lab.type_spread import TypeSpread
 
 from tumble.cli import main
 from tumble.errors import InputError
@@ -163,21 +162,20 @@ def test_launches_of_the_type_make_two_launches_better_known(runs: list[Run]) ->
     variances = {p.name: ((p.run_to_run or 0.0) ** 2, float(noise[p.name])) for p in alone.parameters}
     known = LaunchVariances(serial="other", logs=frozenset({"a", "b"}), degrees=50, variances=variances)
     own = replace(known, logs=frozenset({runs[0].calibration.provenance["log_sha256"]}))
-    alike = TypeSpread(model="mems", frame="accelerometer", known=(known,))
-    better = mean_of_launches(runs[:2], alike=alike)
-    same = mean_of_launches(runs[:2], alike=replace(alike, known=(own,)))
+    better = mean_of_launches(runs[:2], alike=(known,))
+    same = mean_of_launches(runs[:2], alike=(own,))
     for p, q, unchanged in zip(alone.parameters, better.parameters, same.parameters, strict=True):
         assert (q.value, q.run_to_run) == (p.value, p.run_to_run)
         assert (expanded(q) or 0.0) <= (expanded(p) or 0.0) * (1.0 + 1e-9)
         assert (unchanged.u, unchanged.dof) == (p.u, p.dof)
-    assert "by all launches of the type mems in the registry, 50 degrees of freedom" in better.notes[-1]
+    assert "by all launches of its type in the registry, 50 degrees of freedom" in better.notes[-1]
 
 
-def test_launches_of_the_type_are_for_several_launches(folders: list[Path]) -> None:
-    for words in ([folders[0]], [folders[0], folders[1], "--together", "-o", "out.json"]):
-        result = CliRunner().invoke(main, ["calibrate", *map(str, words), "--known-launches", "r.sqlite"])
-        assert result.exit_code == 2
-        assert "--known-launches: expected several launches" in result.stderr
+def test_a_registry_is_for_several_launches_or_one_session(folders: list[Path]) -> None:
+    words = [folders[0], folders[1], "--together", "-o", "out.json", "--registry", "r.sqlite"]
+    result = CliRunner().invoke(main, ["calibrate", *map(str, words)])
+    assert result.exit_code == 2
+    assert "--registry: expected several launches, or one session" in result.stderr
 
 
 def test_what_launches_do_not_share_is_not_that_of_the_first(runs: list[Run]) -> None:

@@ -18,6 +18,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+import scipy
+
 from tumble.result.calibration import Calibration
 
 UNLIKE = 1e-3

@@ -145,8 +145,9 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
         unlike += [name] if both is None else []
         instability.append((s**2, count - 1.0) if both is None else both)
     if alike:
+        of_type = "its type" if first.model is None else f"the type {first.model}"
         pooled_with = (
-            f"instability from launch to launch: by all launches of the type {first.model} in the registry, "
+            f"instability from launch to launch: by all launches of {of_type} in the registry, "
             f"{sum(each.degrees for each in alike)} degrees of freedom",
             *([f"more unstable than the type, and by these launches alone: {', '.join(unlike)}"] if unlike else []),
         )
