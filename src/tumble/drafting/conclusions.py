@@ -218,7 +218,9 @@ def _gyro(
     centred = [float(f"{b:.6g}") for b in shown.bias]
     if gyro.unit is not None and stated == gyro.unit:
         return table, [f"{named} {gyro.unit} (from the name or the format)"]
-    if best.profile is not None:
+    rivals = {h.gyro.value for h in near if h.gyro is not None and h.gyro.known and h.gyro.unit is None}
+    open_scale = shown.turns == 1 and gyro.unit is None and bool(rivals - {gyro.value})
+    if best.profile is not None and not open_scale:
         by = f"by {shown.turns} turns" if shown.turns > 1 else "by one turn"
         told = f"{named} {_comes_near(GYRO, gyro, shown, best, near)} ({by})"
         if gyro.unit is not None:
@@ -226,10 +228,10 @@ def _gyro(
         offset = centred if np.abs(shown.bias).max() > _LARGEST_BIAS * gyro.value else 0.0
         return _counts(columns, gyro.value, "deg/s", offset), [told]
     if gyro.unit is None:
-        unknown = (
-            "the offset is their reading at rest, the scale is unknown, for no turns show it: put that of the data "
-        )
-        return _counts(columns, 1.0, "deg/s", centred), [f"{named} counts; {unknown}sheet there"]
+        fitting = " or ".join(f"{value:.6g}" for value in sorted(rivals | {gyro.value}))
+        why = f"{fitting} per deg/s fit the only turn" if open_scale else "no turns show it"
+        unknown = f"the offset is their reading at rest, the scale is unknown, for {why}"
+        return _counts(columns, 1.0, "deg/s", centred), [f"{named} counts; {unknown}: put that of the data sheet there"]
     why = [words for cost, words in readings(shown, gyro, rate, draft) if cost < 0.0]
     rival = next((h for h in every if GYRO in h.differs(best)), best)
     if rival.gyro is not None and rival is not best:

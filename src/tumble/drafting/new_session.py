@@ -1,9 +1,10 @@
-"""A first session.toml for a log: what its columns, rate and units are, guessed from names and numbers, and said.
+"""A first session.toml for a log, in one pass: its files (`containers`), the columns of sensors and times by name and
+unit, and by numbers where names leave them open (`columns`), copies of what a session file cannot describe (`mended`),
+times (`times`), units and scales by what rests and turns show (`hypotheses`), and sentences about it (`conclusions`).
 
-Names are taken at their word where they say a unit. Otherwise accelerometers at rest must read gravity, which tells
-their unit, and gyros must carry the vertical from rest to rest, which tells theirs, the scale of counts, and the rate
-of a log without times. What cannot be guessed (serial number, place, programme) is left to be filled in, with a
-comment.
+Accelerometers at rest must read gravity, which tells their unit, and gyros must carry the vertical from rest to rest,
+which tells theirs, the scale of counts, and the rate of a log without times. What cannot be found out (serial number,
+place, programme) is left to be filled in, with a comment.
 """
 
 from __future__ import annotations
@@ -49,7 +50,6 @@ _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5), "T": 
 _SENSORS = {ACCEL: ("accelerometers", "m/s²", 1.0), GYRO: ("gyros", "°/s", DEGREE)}
 _LIKELY = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # of the middle temperature of a recording
 _CORE_MOTION = re.compile(r"accelerometerAcceleration[XYZ]\(G\)")
-_MAY_BE_CORE_MOTION = re.compile(r"rotationRate\W?[xyzXYZ]")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -83,13 +83,37 @@ def new_session(
     *,
     progress: Progress = Log.chunks,
 ) -> tuple[Draft, list[str]]:
-    """Write a commented session.toml for logs into a folder, made if need be: files, folders of files, patterns. What a
-    session file cannot say of them is mended in a copy there, and so are other formats than text and Parquet. Gives
-    what was guessed, and the faults that a look at the recording shows.
+    """Write a first session.toml for a log, with comments on what has to be filled in.
 
-    Raises InputError, and leaves no folder behind, where there is a session already, and for a log that cannot be
-    read or has no accelerometers.
+    What a name or a unit says is believed; numbers fill in what names leave open.
 
+    Parameters
+    ----------
+    folder
+        The session's folder, made if need be. Logs of which a session file cannot say what is needed, and those in
+        other formats than text and Parquet, are copied into it.
+    logs
+        Files, folders of files, or patterns.
+    given
+        What the user knows.
+    progress
+        Shows how far the log is read.
+
+    Returns
+    -------
+    draft : Draft
+        The content of the file, and in `said` how each part of it came about.
+    faults : list of str
+        What a look at the recording finds wrong with it.
+
+    Raises
+    ------
+    InputError
+        Where the folder has a session, and for a log that cannot be read or has no accelerometers; no new folder is
+        left behind.
+
+    Examples
+    --------
     >>> import tumble
     >>> folder = tumble.simulate_session("simulated", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> draft, faults = tumble.new_session("session", folder / "log.parquet")
@@ -202,22 +226,16 @@ def _of_log(log: FoundLog, rate: float | None) -> Draft:
 
 
 def _with_sign(draft: Draft) -> Draft:
-    """A draft with the sign of the accelerometers that their names tell: Apple's CoreMotion reads −1 g on the axis that
-    points up. Gyros carry the vertical up or down alike, so that no recording shows it.
+    """A draft with the sign of accelerometers that are named as Apple's CoreMotion names them, which reads −1 g on the
+    axis that points up. Gyros carry the vertical up or down alike, so that no recording shows it.
 
     Source: Apple, CMAccelerometerData and CMMotionManager, Core Motion."""
     accel = draft.log["accel"]
-    if accel["unit"] == "g" and all(_CORE_MOTION.fullmatch(name) for name in accel["columns"]):
-        table = {"columns": accel["columns"], "unit": "count", "scale": -1.0, "scale_per": "g", "offset": 0.0}
-        said = "accelerometers: as Apple's CoreMotion has them, −1 g where an axis points up: scale = -1 per g"
-        return draft.with_log([said], accel=table)
-    if any(_MAY_BE_CORE_MOTION.search(name) for name in draft.log.get("gyro", {"columns": ()})["columns"]):
-        said = (
-            "accelerometers: beside gyros that are named as Apple's CoreMotion names them; it reads −1 g where an axis "
-            'points up. If these do: unit = "count", scale = -1.0, scale_per their unit, offset = 0.0'
-        )
-        return draft.with_log([said])
-    return draft
+    if accel["unit"] != "g" or not all(_CORE_MOTION.fullmatch(name) for name in accel["columns"]):
+        return draft
+    table = {"columns": accel["columns"], "unit": "count", "scale": -1.0, "scale_per": "g", "offset": 0.0}
+    said = "accelerometers: as Apple's CoreMotion has them, −1 g where an axis points up: scale = -1 per g"
+    return draft.with_log([said], accel=table)
 
 
 def _row_as_read(draft: Draft) -> str:
