@@ -15,8 +15,8 @@ from tests.support.corpus import doubtful as q
 from tests.support.corpus import programs as p
 from tests.support.corpus.dialects import Case
 from tumble.cli import main
-from tumble.drafting.containers import files_of, unzipped
 from tumble.drafting.columns import found_log
+from tumble.drafting.containers import files_of, unzipped
 from tumble.drafting.mended import mended
 from tumble.drafting.new_session import new_session
 from tumble.drafting.times import Stamps, times_of_column

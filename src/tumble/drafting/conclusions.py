@@ -22,8 +22,8 @@ from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS
 _TOLERANCE = 0.3
 """Part of gravity by which the magnitude of accelerometers in a stated unit may be off."""
 _LARGEST_BIAS = 20.0  # °/s: what reads more at rest has an offset
-_FAR = 0.1
-"""Logarithm of a scale factor of gyros over that of their unit, from which on the turns contradict it."""
+_CONTRADICTED = 12.0
+"""What the unit of gyros costs by the turns, beyond what the best scale does, where these contradict it."""
 _SHOWN = 40.0
 """What costs so much more is not shown."""
 _MOST_RATES = 8
@@ -64,8 +64,9 @@ def weighed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tuple[
         return out, faults
     if best.profile.exchanged:
         faults = [f"the gyros carry the vertical from rest to rest only where {columns_said(best.profile.exchange)}"]
-    found = _found(best, best.gyro)
-    contradicted = draft.unit(GYRO) == best.gyro.unit and abs(math.log(found / best.gyro.reads(best.times.rate))) > _FAR
+    found, rate = best.profile.found() * DEGREE / best.times.rate, best.times.rate
+    by_turns = best.profile.of_nominal(widths.scale).at(math.log(best.gyro.reads(rate) * rate / DEGREE))
+    contradicted = draft.unit(GYRO) == best.gyro.unit and by_turns > best.profile.least + _CONTRADICTED
     if contradicted or not (best.gyro.known or best.accel.unit is None or draft.whole[GYRO]):
         written = f"; column {best.times.keys['time']!r} is taken as it is written" if best.times.stamped else ""
         reads = f"{found:.4g} numbers per deg/s"
@@ -219,7 +220,8 @@ def _gyro(
     if gyro.unit is not None and stated == gyro.unit:
         return table, [f"{named} {gyro.unit} (from the name or the format)"]
     rivals = {h.gyro.value for h in near if h.gyro is not None and h.gyro.known and h.gyro.unit is None}
-    open_scale = shown.turns == 1 and gyro.unit is None and bool(rivals - {gyro.value})
+    alone = shown.turns == 1 and not draft.rate_guessed  # else the turn shows the product of scale and rate
+    open_scale = alone and gyro.unit is None and bool(rivals - {gyro.value})
     if best.profile is not None and not open_scale:
         by = f"by {shown.turns} turns" if shown.turns > 1 else "by one turn"
         told = f"{named} {_comes_near(GYRO, gyro, shown, best, near)} ({by})"
