@@ -22,8 +22,6 @@ from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS
 _TOLERANCE = 0.3
 """Part of gravity by which the magnitude of accelerometers in a stated unit may be off."""
 _LARGEST_BIAS = 20.0  # °/s: what reads more at rest has an offset
-_CONTRADICTED = 12.0
-"""What the unit of gyros costs by the turns, beyond what the best scale does, where these contradict it."""
 _SHOWN = 40.0
 """What costs so much more is not shown."""
 _MOST_RATES = 8
@@ -64,14 +62,12 @@ def weighed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tuple[
         return out, faults
     if best.profile.exchanged:
         faults = [f"the gyros carry the vertical from rest to rest only where {columns_said(best.profile.exchange)}"]
-    found, rate = best.profile.found() * DEGREE / best.times.rate, best.times.rate
-    by_turns = best.profile.of_nominal(widths.scale).at(math.log(best.gyro.reads(rate) * rate / DEGREE))
-    contradicted = draft.unit(GYRO) == best.gyro.unit and by_turns > best.profile.least + _CONTRADICTED
-    if contradicted or not (best.gyro.known or best.accel.unit is None or draft.whole[GYRO]):
+    if not (best.gyro.known or best.accel.unit is None or draft.whole[GYRO]):
         written = f"; column {best.times.keys['time']!r} is taken as it is written" if best.times.stamped else ""
-        reads = f"{found:.4g} numbers per deg/s"
-        unit = f"not in {best.gyro.unit} as their name says" if contradicted else "as in no unit and on no data sheet"
-        faults.append(f"the gyros carry the vertical only with {reads}, {unit}{written}: is their unit right?")
+        faults.append(
+            f"the gyros carry the vertical only with {best.gyro.value:.4g} numbers per deg/s, as in no unit and on no "
+            f"data sheet{written}: is their unit right?"
+        )
     return out, faults
 
 
