@@ -174,11 +174,11 @@ def _alone(job: Job, number: int, client: Client) -> bytes:
 def _first_done(sent: Iterable[Future[Any]], client: Client) -> set[Future[Any]]:
     """Those that are done, as soon as one is. Raises TumbleError where nothing was done in a minute, and no process is
     there."""
-    from distributed import wait
-
+    _, distributed = _imported()
     while True:
         try:
-            return cast("set[Future[Any]]", wait(list(sent), timeout=LOST_SECONDS, return_when="FIRST_COMPLETED").done)
+            waited = distributed.wait(list(sent), timeout=LOST_SECONDS, return_when="FIRST_COMPLETED")
+            return cast("set[Future[Any]]", waited.done)
         except TimeoutError:
             if not cast(Any, client).nthreads():
                 raise TumbleError(f"the processes were ended, and no other has begun; {_GO_ON}") from None

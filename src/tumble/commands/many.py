@@ -59,13 +59,12 @@ def fleet(sessions: str, method: Method, out: Path, **place: Any) -> None:
     where it was when the same command is given again.
     """
     from tumble.campaigns.fleet import fleet
-    from tumble.views.blocks import Text
 
     with tell.task_progress("sessions", out) as progress:
         result = fleet(sessions, out, method=method, progress=progress, **place)
     outcomes = {"not accepted": result.not_accepted, "failed": result.failed}
     counts = ", ".join(f"{len(reasons)} {outcome}" for outcome, reasons in outcomes.items())
-    tell.show(result, lambda: [Text(f"{len(result.sessions)} sessions: {result.accepted} accepted, {counts}")])
+    tell.show(result, lambda: [f"{len(result.sessions)} sessions: {result.accepted} accepted, {counts}"])
     said = [
         f"{outcome}: {session}: {why.replace(f'{session}/', '')}"
         for outcome, reasons in outcomes.items()

@@ -156,7 +156,7 @@ def _by_data(log: FoundLog) -> FoundLog:
         return log
     triads = {kind: replace(s, unit=unit_of_name(kind, s.columns[0])) for kind, s in told.columns.triads.items()}
     time = known.time or told.columns.time
-    return log.with_columns(told.said(known.triads), triads=triads | known.triads, time=time, others=(), times=())
+    return log.with_columns(told.said(known.triads), triads={**triads, **known.triads}, time=time, others=(), times=())
 
 
 def _with_finest_time(log: FoundLog) -> FoundLog:

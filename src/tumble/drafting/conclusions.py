@@ -227,8 +227,8 @@ def _gyro(
         return _counts(columns, gyro.value, "deg/s", offset), [told]
     if gyro.unit is None:
         fitting = " or ".join(f"{value:.6g}" for value in sorted(rivals | {gyro.value}))
-        why = f"{fitting} per deg/s fit the only turn" if open_scale else "no turns show it"
-        unknown = f"the offset is their reading at rest, the scale is unknown, for {why}"
+        shows = f"{fitting} per deg/s fit the only turn" if open_scale else "no turns show it"
+        unknown = f"the offset is their reading at rest, the scale is unknown, for {shows}"
         return _counts(columns, 1.0, "deg/s", centred), [f"{named} counts; {unknown}: put that of the data sheet there"]
     why = [words for cost, words in readings(shown, gyro, rate, draft) if cost < 0.0]
     rival = next((h for h in every if GYRO in h.differs(best)), best)
