@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -20,63 +20,54 @@ _UNNAMED = ("time", "x", "y", "z")
 
 
 def split_by_header(file: Path, seen: bytes, folder: OutputFolder) -> list[Path]:
-    """The rows of each sensor, of those with accelerometers and gyros, in a file of its own, where comments state the
-    names of their columns, `# UncalAccel,utcTimeMillis,…` or `% ACCE data: 'ACCE;AppTimestamp(s);…'`, behind the word
-    that the rows begin with; none where that is not so."""
+    """The rows of accelerometers and gyros where comments state the names of the columns behind the word with which a
+    row begins, `# UncalAccel,utcTimeMillis,…` or `% ACCE data: 'ACCE;AppTimestamp(s);…'`; none where they do not."""
     lines = seen.decode(errors="replace").splitlines()
     stated = [_STATED.sub("", line).rstrip("' ") for line in lines if line.startswith(("#", "%"))]
-    for delimiter in (",", ";"):
-        words = {line.partition(delimiter)[0] for line in lines if not line.startswith(("#", "%"))}
-        named = {word: names for word, *names in (line.split(delimiter) for line in stated) if word in words}
-        inertial = (word for word, names in named.items() if {ACCEL, GYRO} & set(columns_by_name(names).triads))
-        kinds = {word: ",".join(named[word]) for word in inertial}
-        if len(kinds) < 2:
-            continue
+    rows = [line for line in lines if not line.startswith(("#", "%"))]
+    delimiter = max(",;", key=lambda mark: sum(mark in line for line in rows))
+    words = {line.partition(delimiter)[0] for line in rows}
+    named = {word: names for word, *names in (line.split(delimiter) for line in stated) if word in words}
+    kinds = {word: ",".join(names) for word, names in named.items() if {ACCEL, GYRO} & {*columns_by_name(names).triads}}
 
-        def behind(
-            _number: int, line: str, delimiter: str = delimiter, kinds: Collection[str] = kinds
-        ) -> tuple[str, str] | None:
-            word, _, rest = line[:LONGEST_LINE].partition(delimiter)
-            return (word, rest.replace(delimiter, ",")) if word in kinds else None
+    def row(_number: int, line: str) -> tuple[str, str] | None:
+        word, _, rest = line[:LONGEST_LINE].partition(delimiter)
+        return (word, rest.replace(delimiter, ",")) if word in kinds else None
 
-        return copied(file, "utf-8", folder, kinds.__getitem__, behind)
-    return []
+    return copied(file, "utf-8", folder, kinds.__getitem__, row) if len(kinds) >= 2 else []
 
 
 def split_by_sensor(file: Path, seen: bytes, dialect: Dialect, top: Top, folder: OutputFolder) -> list[Path]:
-    """The rows of each sensor in a file of its own, with all columns but the one that names it: names of sensors that
-    change all the time. None where there is no such column."""
+    """The rows of each sensor, with all columns but the one that names it, in which names change all the time; none
+    where there is no such column."""
     lines = seen.decode(dialect.encoding, errors="replace").split("\n")[top.lines : -1]
     rows = [cells for line in lines if len(cells := dialect.cells(line)) == len(top.names)]
-    for label in range(len(top.names)):
-        words = [cells[label] for cells in rows]
-        changes = sum(a != b for a, b in pairwise(words))
-        if 4 * changes > len(words) and _are_sensors(words, dialect):
-            break
-    else:
+    labels = (j for j in range(len(top.names)) if _are_sensors([cells[j] for cells in rows], dialect))
+    label = next(labels, None)
+    if label is None:
         return []
-    columns = [j for j in range(len(top.names)) if j != label]
-    names = [top.names[j] for j in columns] if dialect.header else list(_UNNAMED)
-    if len(names) != len(columns):
+    names = [name for j, name in enumerate(top.names) if j != label] if dialect.header else list(_UNNAMED)
+    if len(names) != len(top.names) - 1:
         raise InputError(
-            f"{file}: expected a time and three readings behind the name of a sensor, found {len(columns)} columns; "
-            "give them names in a first line"
+            f"{file}: expected a time and three readings behind the name of a sensor, found {len(top.names) - 1} "
+            "columns; give them names in a first line"
         )
 
     def row(number: int, line: str) -> tuple[str, str] | None:
         cells = dialect.cells(line[:LONGEST_LINE])
         if number < top.lines or len(cells) != len(top.names):
             return None
-        return cells[label], ",".join(cells[j].replace(",", ".") for j in columns)
+        return cells.pop(label), ",".join(cell.replace(",", ".") for cell in cells)
 
     return copied(file, dialect.encoding, folder, lambda _: ",".join(names), row)
 
 
 def _are_sensors(words: Sequence[str], dialect: Dialect) -> bool:
-    """Whether the cells of a column are names of sensors: few words, one of which is that of accelerometers."""
-    named = Counter(words)
+    """Whether the cells of a column are names of sensors that take turns: few words, one of them of accelerometers."""
+    named, changes = Counter(words), sum(a != b for a, b in pairwise(words))
     return (
         2 <= len(named) <= MOST_SENSORS
+        and 4 * changes > len(words)
         and not any(not word or dialect.is_number(word) or is_clock(word) for word in named)
         and any(SENSOR_WORDS[ACCEL].search(word) for word in named)
     )
