@@ -1,6 +1,6 @@
 """What a certificate says that no recording knows: who calibrated what for whom, when, where and by which rule it is
 judged; from a TOML file, whose laboratory and signatories may stand in a file of their own.
-docs/howto/certificate.md has every key.
+docs/howto/reports.md has every key.
 
 number = "2026-0042"            # unique, stands on every page
 country = "DE"                  # where the certificate is issued, ISO 3166-1
@@ -242,7 +242,7 @@ def read_certificate(path: Path) -> Certificate:
     try:
         return validated(Certificate, stated, str(path))
     except InputError as error:
-        raise InputError(f"{error}; see docs/howto/certificate.md") from None
+        raise InputError(f"{error}; see docs/howto/reports.md") from None
 
 
 def _parsed(path: Path) -> dict[str, Any]:
