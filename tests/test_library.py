@@ -27,7 +27,7 @@ from matplotlib.figure import Figure
 import tumble
 import tumble.types
 from tests.support import ROOT
-from tests.support.calibrated import of_device
+from tests.support.calibrated import of_device, with_fields
 from tumble.cli import main
 from tumble.errors import InputError, MissingExtraError
 from tumble.inference.estimate import Outcome
@@ -263,12 +263,12 @@ def test_a_pandas_frame_is_made_with_pandas_and_refused_without(
 def test_a_calibration_is_drawn_on_given_axes(calibration: tumble.Calibration) -> None:
     axes = Figure().add_subplot()
     calibration.plot(axes)
-    residuals = np.array([rest.residual for rest in calibration.rests])
+    residuals = np.array([rest.residual for rest in calibration.evidence.rests])
     drawn = np.asarray(axes.lines[-1].get_ydata())
     assert np.corrcoef(drawn, residuals)[0, 1] == pytest.approx(1.0)
     assert axes.get_title() == "Calibration of mems-4: joint, 21 parameters, accepted"
     axes = Figure().add_subplot()
-    replace(calibration, rests=()).plot(axes)
+    with_fields(calibration, rests=()).plot(axes)
     assert [label.get_text() for label in axes.get_xticklabels()] == [p.name for p in calibration.parameters]
 
 

@@ -341,7 +341,7 @@ def figures_of_the_recording(folder: Path) -> list[str]:
     rests = observations.rests
     force = exact.accel.apply(rests.accel)
     up = force / np.linalg.norm(force, axis=1, keepdims=True)
-    residual = np.array([rest.residual for rest in normal.rests])
+    residual = np.array([rest.residual for rest in normal.evidence.rests])
     coloured = np.sqrt(np.einsum("ip,ipq,iq->i", up, rests.accel_covariance, up))
     chunks = list(open_log(session).chunks())
     time, readings = (np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in ("time", "accel"))
@@ -349,7 +349,7 @@ def figures_of_the_recording(folder: Path) -> list[str]:
     for u, start, stop in zip(up, rests.start, rests.stop, strict=True):
         along = readings[(time > start) & (time <= stop)] @ u
         white.append(along.std() / np.sqrt(len(along)))
-    fit, gyro_fit = normal.fits["accelerometers"], normal.fits["gyro rests"]
+    fit, gyro_fit = normal.evidence.fits["accelerometers"], normal.evidence.fits["gyro rests"]
     sizes = {"accel": 415.0 * np.ones(3), "gyro": 4770.0 * np.ones(3)}
     scale = {kind: np.array([exact[f"{kind}.scale.{axis}"].value for axis in "xyz"]) for kind in sizes}
     scale_u = {kind: np.array([exact[f"{kind}.scale.{axis}"].u for axis in "xyz"], dtype=float) for kind in sizes}

@@ -124,11 +124,11 @@ def test_a_time_base_that_is_not_stated_is_that_of_a_crystal_and_said(tmp_path: 
     name = "gyro.scale.x"
     assert (unsaid[name].u or 0.0) ** 2 == pytest.approx((exact[name].u or 0.0) ** 2 + 30e-6**2)
     assert unsaid["accel.scale.x"].u == pytest.approx(exact["accel.scale.x"].u)
-    assert (exact.clock_u, unsaid.clock_u) == (0.0, 30e-6)
-    said = [note for note in unsaid.notes if "time base" in note]
+    assert (exact.provenance.clock_u, unsaid.provenance.clock_u) == (0.0, 30e-6)
+    said = [note for note in unsaid.provenance.notes if "time base" in note]
     assert len(said) == 1
     assert "30 ppm" in said[0]
-    assert not any("time base" in note for note in exact.notes)
+    assert not any("time base" in note for note in exact.provenance.notes)
 
 
 def test_readings_in_memory_have_a_time_base() -> None:

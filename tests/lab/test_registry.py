@@ -49,14 +49,15 @@ def test_a_record_keeps_the_whole_file(registry: Registry, tmp_path: Path) -> No
     kept = registry.calibration(record)
     assert [p.name for p in kept.parameters] == [*NAMES]
     assert {p.name: p.value for p in kept.parameters if p.name in values} == values
-    assert [launch.parameters[0].value for launch in kept.launches] == [0.25, 0.35]
+    assert [launch.parameters[0].value for launch in kept.evidence.launches] == [0.25, 0.35]
 
 
 def test_the_same_calibration_is_one_record_however_its_file_is_laid_out(registry: Registry, tmp_path: Path) -> None:
-    file, layouts = tmp_path / "calibration.json", ({}, {"indent": 4}, {"sort_keys": True}, {"ensure_ascii": False})
+    file = tmp_path / "calibration.json"
+    layouts: tuple[dict[str, Any], ...] = ({}, {"indent": 4}, {"sort_keys": True}, {"ensure_ascii": False})
     records = []
     for layout in layouts:
-        file.write_text(json.dumps(content(), **layout), encoding="utf-8")  # type: ignore[arg-type]
+        file.write_text(json.dumps(content(), **layout), encoding="utf-8")
         records.append(registry.add_calibration(file))
     assert records == [records[0]] * 4
     assert registry.records() == [records[0]]

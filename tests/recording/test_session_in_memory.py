@@ -235,7 +235,9 @@ def test_temperature_is_celsius_in_the_calibration_and_kelvin_inside(
     assert observations is not None
     assert observations.rests.temperature == pytest.approx(23.5 + ZERO_CELSIUS)
     calibration = calibrate(session, terms="linear")
-    assert [rest.temperature for rest in calibration.rests] == pytest.approx([23.5] * len(calibration.rests))
+    assert [rest.temperature for rest in calibration.evidence.rests] == pytest.approx(
+        [23.5] * len(calibration.evidence.rests)
+    )
     calibration.write(tmp_path / "calibration.json")
     assert '"temperature": 23.5' in (tmp_path / "calibration.json").read_text()
 

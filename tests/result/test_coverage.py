@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from tests.methods.test_ellipsoid import FOURTEEN, placed
-from tests.support.calibrated import calibration
+from tests.support.calibrated import calibration, with_fields
 from tests.support.exports import CERTIFICATE
 from tumble.export import export_calibration
 from tumble.inference.estimate import Fit
@@ -50,7 +50,7 @@ def of_groups(**fits: Fit) -> Calibration:
     """A calibration with these fits, an underscore in their names for a blank."""
     found = {name.replace("_", " "): fit for name, fit in fits.items()}
     made = calibration()
-    return replace(made, parameters=with_degrees(made.parameters, found), fits=found)
+    return with_fields(made, parameters=with_degrees(made.parameters, found), fits=found)
 
 
 def table(folder: Path, values: Array) -> ReadingsTable:

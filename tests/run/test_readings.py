@@ -84,7 +84,7 @@ def test_the_calibration_file_has_the_form_of_all_others(tmp_path: Path) -> None
     assert content["gyro"] is None
     calibration = read_calibration(target)
     assert calibration.accel is not None
-    worth = calibration.readings["accel"]
+    worth = calibration.provenance.readings["accel"]
     si = (volts() - worth.offset) / worth.scale
     assert np.linalg.norm(calibration.accel.apply(si), axis=1) == pytest.approx(np.full(14, G_STANDARD), rel=1e-4)
 
@@ -151,7 +151,7 @@ def test_the_sizes_of_the_scale_come_from_the_readings_where_none_is_stated(tmp_
     assert "no nominal scale was stated: 2.41, 12, 0.474 V/g was taken from the readings" in found.stdout
     calibration = read_calibration(tmp_path / "readings.calibration.json")
     sensitivity = [
-        calibration.readings["accel"].scale[i] * (1.0 + calibration[f"accel.scale.{a}"].value)
+        calibration.provenance.readings["accel"].scale[i] * (1.0 + calibration[f"accel.scale.{a}"].value)
         for i, a in enumerate("xyz")
     ]
     rows = np.linalg.norm(np.diag(K * ratio) @ [[1, THETA[2], THETA[1]], [0, 1, THETA[0]], [0, 0, 1]], axis=1)
@@ -166,7 +166,7 @@ def test_polarity_comes_from_a_roughly_known_position(tmp_path: Path) -> None:
     found = run(path, "--position", f"{vertex + 1}={direction}")
     assert found.exit_code == 0
     calibration = read_calibration(tmp_path / "readings.calibration.json")
-    assert np.sign(calibration.readings["accel"].scale).tolist() == [-1.0, -1.0, -1.0]
+    assert np.sign(calibration.provenance.readings["accel"].scale).tolist() == [-1.0, -1.0, -1.0]
     assert "polarity of ux, uy, uz: negative" in found.stdout
     assert "the fit needs a reflection" in " ".join(found.stdout.split())
 
@@ -252,9 +252,9 @@ def test_rows_that_are_pasted_twice_count_once(tmp_path: Path) -> None:
     alone, doubled = (calibrate_table(path, scale=[-2.4], terms="linear") for path in (once, twice))
     assert doubled.calibration.covariance == pytest.approx(alone.calibration.covariance, rel=1e-9)
     assert [p.dof for p in doubled.calibration.parameters] == [5.0] * 9
-    note = next(note for note in doubled.calibration.notes if "to the last digit" in note)
+    note = next(note for note in doubled.calibration.provenance.notes if "to the last digit" in note)
     assert "repeat others to the last digit: 14 (line 16 as line 2, line 17 as line 3, line 18 as line 4, 11" in note
-    assert not any("to the last digit" in note for note in alone.calibration.notes)
+    assert not any("to the last digit" in note for note in alone.calibration.provenance.notes)
 
 
 def pasted() -> dict[str, Array]:
@@ -266,7 +266,7 @@ def test_nine_rows_pasted_twice_have_no_uncertainty(tmp_path: Path) -> None:
     nine = readings(np.vstack([cube(1), cube(2)[[0, 1, 4]]]))
     found = calibrate_table(written(tmp_path, np.vstack([nine, nine])), scale=[-2.4]).calibration
     assert all(p.u is None for p in found.parameters)
-    assert any("nothing checks the fit" in note for note in found.notes)
+    assert any("nothing checks the fit" in note for note in found.provenance.notes)
 
 
 def test_no_reading_is_known_better_than_its_last_digit(tmp_path: Path) -> None:
@@ -297,7 +297,7 @@ def test_readings_better_than_their_digits_have_the_u_of_the_digits(tmp_path: Pa
     plain = calibrate_table(path, scale=[-2.4], terms="linear")
     assert plain.fit is not None
     assert plain.fit.scatter == 0.0
-    assert any("no larger than the last digit" in note for note in plain.calibration.notes)
+    assert any("no larger than the last digit" in note for note in plain.calibration.provenance.notes)
     least = 1e-12 / np.sqrt(12.0) / 2.4 * G_STANDARD
     assert 0.2 * least < min(p.u or 0.0 for p in plain.calibration.parameters[:3]) < 3.0 * least
     assert all(p.k == 2.0 for p in plain.calibration.parameters)
@@ -339,8 +339,8 @@ def test_the_uncertainty_of_gravity_is_in_all_scale_factors(tmp_path: Path) -> N
     assert more == pytest.approx(np.outer(sizes, sizes) * (0.002 / 9.81) ** 2, abs=1e-13)
     assert known["accel.bias.x"].dof == 5.0
     assert known["accel.scale.x"].dof is None  # hardly anything of it is estimated
-    assert known.site is not None
-    assert known.site.gravity_u == 0.002
+    assert known.provenance.site is not None
+    assert known.provenance.site.gravity_u == 0.002
 
 
 def test_gravity_that_is_not_stated_is_the_unit_and_that_is_said(tmp_path: Path) -> None:
@@ -348,13 +348,13 @@ def test_gravity_that_is_not_stated_is_the_unit_and_that_is_said(tmp_path: Path)
     found = run(path, "--scale", NEGATIVE)
     assert "gravity is not stated: g at the place of the readings is the unit" in " ".join(found.stdout.split())
     calibration = read_calibration(tmp_path / "readings.calibration.json")
-    assert calibration.site is not None
-    assert calibration.site.gravity_is_unit
+    assert calibration.provenance.site is not None
+    assert calibration.provenance.site.gravity_is_unit
     stated = calibrate_table(path, scale=[-2.4], gravity=9.81).calibration
-    assert stated.site is not None
-    assert not stated.site.gravity_is_unit
-    assert stated.site.gravity_u == 3e-4  # never none
-    assert any("gravity 9.81 m/s^2 with u = 0.0003 m/s^2" in note for note in stated.notes)
+    assert stated.provenance.site is not None
+    assert not stated.provenance.site.gravity_is_unit
+    assert stated.provenance.site.gravity_u == 3e-4  # never none
+    assert any("gravity 9.81 m/s^2 with u = 0.0003 m/s^2" in note for note in stated.provenance.notes)
 
 
 def test_the_uncertainty_of_the_field_is_in_the_scale_factors(tmp_path: Path) -> None:
@@ -416,7 +416,7 @@ def test_terms_beyond_the_linear_model_are_in_u_and_said(grade: str, positions: 
         found = calibrate_table(
             table_of(seen), unit="m/s^2", gravity=9.81, gravity_u=0.0, grade=grade if stated else None
         ).calibration
-        said = next(note for note in found.notes if note.startswith("quadratic and cubic terms"))
+        said = next(note for note in found.provenance.notes if note.startswith("quadratic and cubic terms"))
         assert ("guessed from the" in said) != stated
         z += [(p.value - true) / p.u for p, true in zip(found.parameters, values, strict=False) if p.u]
     assert len(z) == 90

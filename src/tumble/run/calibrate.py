@@ -29,6 +29,7 @@ from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.coverage import by_gravity
+from tumble.result.evidence import Provenance
 from tumble.result.parts import Parameter
 from tumble.run.from_estimate import bridged_in, reference_of, result_of, without_result
 from tumble.run.observed import Progress, inspected, observations_for_calibration
@@ -171,7 +172,7 @@ def calibrate(
     outcome = made.outcome
     chosen = tuple(kind for kind in accepted_kinds(made) if not whole.of(kind))
     if not chosen:
-        return replace(made, notes=(*made.notes, of_whole))
+        return _with_provenance(made, notes=(*made.provenance.notes, of_whole))
     remark = f"accepted without what was left out only, a choice of which u contains nothing; {of_whole}"
     concerns = {**outcome.concerns, remark: chosen}
     return replace(made, outcome=replace(outcome, remarks=(*outcome.remarks, remark), concerns=concerns))
@@ -213,9 +214,9 @@ def _calibrated(
             from tumble.run.magnetometer import with_magnetometer
 
             made = with_magnetometer(made, session.log.magnetometer, estimate[1])
-        made = replace(made, sample_rate=observed.rate)
+        made = _with_provenance(made, sample_rate=observed.rate)
         if prior is not None and estimate[0].of_type:
-            made = replace(made, provenance={**made.provenance, "prior": prior.words})
+            made = _with_provenance(made, prior=prior.words)
         if faults:
             without = session.gyro_block is not None and estimate[0].gyro is None
             concerns = {**made.outcome.concerns, **dict.fromkeys(faults, ("gyro",) if without else ("gyro.bias",))}
@@ -227,9 +228,14 @@ def _calibrated(
                 unobservable=(*made.outcome.unobservable, *names),
             )
             made = replace(made, outcome=outcome)
-    for sentence in (*made.notes, *made.outcome.remarks, *made.outcome.reasons):
+    for sentence in (*made.provenance.notes, *made.outcome.remarks, *made.outcome.reasons):
         _LOG.info("%s: %s", session.name, sentence)
-    return replace(made, circumstances=observed.circumstances)
+    return _with_provenance(made, circumstances=observed.circumstances)
+
+
+def _with_provenance(calibration: Calibration, **changed: Any) -> Calibration:
+    """The calibration with changed fields of its provenance."""
+    return replace(calibration, provenance=replace(calibration.provenance, **changed))
 
 
 def systematic_of(session: Session) -> Mapping[str, float]:
@@ -341,7 +347,7 @@ def by_reference_clock(log: LogSpec) -> tuple[str, ...]:
     )
 
 
-def provenance_of(log_sha256: str) -> dict[str, str]:
-    """Where a calibration is from: its log, the program and the time."""
+def provenance_of(log_sha256: str) -> Provenance:
+    """Log, program and time of a calibration that is made now."""
     created = datetime.now(UTC).isoformat(timespec="seconds")
-    return {"log_sha256": log_sha256, "software": f"tumble {__version__}", "created": created}
+    return Provenance(log_sha256=log_sha256, software=f"tumble {__version__}", created=created)

@@ -44,6 +44,7 @@ from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
 from tumble.result.calibration import Calibration
+from tumble.result.evidence import Evidence
 from tumble.result.further import KINDS
 from tumble.result.parts import CalibratedDevice, Parameter, Readings
 from tumble.run.calibrate import provenance_of
@@ -213,13 +214,15 @@ def calibrate_table(
         covariance=estimate.covariance if estimate is not None and has_u else None,
         **models,
         outcome=outcome,
-        fits={} if fit is None else {KINDS[sensor]: fit.fit(nominal.result_unit)},
-        site=site if sensor == "accel" else None,
-        readings={sensor: worth},
-        notes=(*table.left_out, *_notes(table, nominal, fit), *notes),
         groups=() if estimate is None else estimate.groups,
         prediction=None if estimate is None else estimate.prediction,
-        provenance=provenance_of(table.sha256),
+        evidence=Evidence(fits={} if fit is None else {KINDS[sensor]: fit.fit(nominal.result_unit)}),
+        provenance=replace(
+            provenance_of(table.sha256),
+            site=site if sensor == "accel" else None,
+            readings={sensor: worth},
+            notes=(*table.left_out, *_notes(table, nominal, fit), *notes),
+        ),
     )
     return ReadingsCalibration(
         calibration=calibration, table=table, nominal=nominal, fit=fit, recorded=recorded and fit is not None

@@ -30,8 +30,9 @@ from tumble.recording.session_file import session_from
 from tumble.result.calibration import Calibration
 from tumble.result.correction import reference_of_parameter
 from tumble.result.coverage import by_gravity, degrees_of_mean, shared_gravity
+from tumble.result.evidence import Evidence
 from tumble.result.launch_variances import LaunchVariances, pooled, variance_of_type
-from tumble.result.parts import CalibratedTemperature, Launch, Parameter, learned_fraction
+from tumble.result.parts import CalibratedTemperature, Parameter, learned_fraction
 from tumble.result.shared_errors import by_priors
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.calibrate import DEFAULT_METHOD, Method, calibrate, provenance_of
@@ -106,7 +107,7 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
     """
     launches = [run.calibration for run in runs]
     first, session, count = launches[0], runs[0].session, len(runs)
-    digests = [launch.provenance["log_sha256"] for launch in launches]
+    digests = [launch.provenance.log_sha256 or "" for launch in launches]
     for run in runs[1:]:
         if run.calibration.serial != first.serial:
             raise InputError(
@@ -154,9 +155,11 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
 
     # what is common to all launches: one standard uncertainty of gravity, where they are of one value of g and count
     # it, of the time base and of what is wrong with the priors
-    gravity = np.zeros(len(names))
-    if all(shared_gravity(first.site, launch.site) for launch in launches):
-        changes = [by_gravity([x[n] for n in names], C, x.site) for x, C in zip(launches, covariances, strict=True)]
+    site, gravity = first.provenance.site, np.zeros(len(names))
+    if all(shared_gravity(site, launch.provenance.site) for launch in launches):
+        changes = [
+            by_gravity([x[n] for n in names], C, x.provenance.site) for x, C in zip(launches, covariances, strict=True)
+        ]
         gravity = np.mean(changes, axis=0)
     clock_u = min(run.session.log.time_base_u for run in runs)
     clock = by_time_base(names, clocked(clock_u, session.log.increments))
@@ -200,14 +203,14 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
     budget = UncertaintyBudget(sources=(source("within launches"),), covariances=of_launches[None])
     for each_source, of_source in (
         (source("launches", dof=None if alike else count - 1.0), covariance - of_launches - common),
-        (source("gravity", first.site.gravity_u if first.site else None, "m/s^2"), of_gravity),
+        (source("gravity", None if site is None else site.gravity_u, "m/s^2"), of_gravity),
         (source("clock", clock_u, "1"), of_clock),
         (source("priors"), common - of_gravity - of_clock),
     ):
         budget = budget.beside(each_source, of_source)
 
     by_name = dict(zip(names, mean.tolist(), strict=True))
-    alike_in_all: dict[str, Any] = {key: _common_items([getattr(x, key) for x in launches]) for key in _OF_THE_DEVICE}
+    sources = [launch.provenance for launch in launches]
     return Calibration(
         device=replace(first.device, imu=_common_items([launch.imu for launch in launches])),
         method=first.method,
@@ -223,37 +226,35 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
             unobservable=tuple(dict.fromkeys(name for launch in launches for name in launch.outcome.unobservable)),
             concerns={f"{run.name}: {s}": on for run in runs for s, on in run.calibration.outcome.concerns.items()},
         ),
-        iterations=tuple(
-            {name: sum(step.get(name, 0.0) for step in steps) / count for name in names}
-            for steps in zip_longest(
-                *(launch.iterations for launch in launches), fillvalue={}
-            )  # fewer: none at the end
-        ),
-        site=_common([launch.site for launch in launches]),
-        programme=_common([launch.programme for launch in launches]),
-        notes=(*_notes(runs, names), *pooled_with),
-        launches=tuple(
-            Launch(session=run.name, log_sha256=digest, **{key: getattr(run.calibration, key) for key in _OF_A_LAUNCH})
-            for run, digest in zip(runs, digests, strict=True)
-        ),
-        provenance=provenance_of(digest_of_all(digests)),
         groups=_groups(launches, parameters),
-        budget=contributions_of(budget, names),
         prediction=_prediction(runs, names, mean, covariance),
+        axes=_common_items([launch.axes for launch in launches]),
         temperature=CalibratedTemperature(
             reference=reference,
             thermometers=_common_items([launch.temperature.thermometers for launch in launches]),
             references=references,
         ),
-        circumstances=circumstances_of_all([launch.circumstances for launch in launches]),
-        sample_rate=_mean_where_known([launch.sample_rate for launch in launches]),
-        clock_u=clock_u,
-        **alike_in_all,
+        evidence=Evidence(
+            budget=contributions_of(budget, names),
+            iterations=tuple(
+                {name: sum(step.get(name, 0.0) for step in steps) / count for name in names}
+                for steps in zip_longest(
+                    *(launch.evidence.iterations for launch in launches), fillvalue={}
+                )  # fewer: none at the end
+            ),
+            launches=tuple(run.calibration.as_launch(run.name) for run in runs),
+        ),
+        provenance=replace(
+            provenance_of(digest_of_all(digests)),
+            site=_common([each.site for each in sources]),
+            sample_rate=_mean_where_known([each.sample_rate for each in sources]),
+            clock_u=clock_u,
+            circumstances=circumstances_of_all([each.circumstances for each in sources]),
+            programme=_common([each.programme for each in sources]),
+            readings=_common_items([each.readings for each in sources]),
+            notes=(*_notes(runs, names), *pooled_with),
+        ),
     )
-
-
-_OF_THE_DEVICE = ("readings", "axes")
-_OF_A_LAUNCH = ("parameters", "covariance", "site", "circumstances", "rests", "turns", "fits")
 
 
 def digest_of_all(digests: Iterable[str]) -> str:
@@ -305,7 +306,7 @@ def _notes(runs: Sequence[Run], names: list[str]) -> Iterator[str]:
     some of them have and not all."""
     launches_by_note: dict[str, list[str]] = {}
     for run in runs:
-        for note in run.calibration.notes:
+        for note in run.calibration.provenance.notes:
             launches_by_note.setdefault(note, []).append(run.name)
     for note, launches in launches_by_note.items():
         yield f"{'every launch' if len(launches) == len(runs) else ', '.join(launches)}: {note}"
@@ -382,7 +383,7 @@ def same_recording(first: Means, second: Means) -> bool:
 def _means(calibration: Calibration) -> Means:
     """What the sensors read in the rests of a calibration."""
     means, u = [], []
-    for rest in calibration.rests:
+    for rest in calibration.evidence.rests:
         sensors = [each for each in (rest.accel, rest.gyro) if each is not None]
         if sensors:
             means.append(np.concatenate([each.mean for each in sensors]))

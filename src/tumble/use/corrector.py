@@ -89,7 +89,7 @@ class Ranges:
     @staticmethod
     def of(calibration: Calibration) -> Ranges:
         """Temperatures of the rests and, with MARGIN, the rate of the turns and gravity."""
-        known, site = calibration.prediction, calibration.site
+        known, site = calibration.prediction, calibration.provenance.site
         rate = inf if known is None or known.at_rate is None else (1.0 + MARGIN) * known.at_rate
         force = (1.0 + MARGIN) * (G_STANDARD if site is None else site.gravity)
         return Ranges(temperature=calibration.temperature_range or (-inf, inf), rate=rate, force=force)
@@ -264,7 +264,7 @@ class Corrector:
 
     def __init__(self, calibration: Calibration | FilePath, *, sample_rate: float | None = None) -> None:
         self.calibration = accepted_part(calibration_from(calibration))
-        rate = self.calibration.sample_rate if sample_rate is None else sample_rate
+        rate = self.calibration.provenance.sample_rate if sample_rate is None else sample_rate
         if rate is None or not 0.0 < rate < inf:
             raise InputError(f"sample_rate: expected samples a second, found {rate}; give sample_rate=")
         self.sample_rate = rate
@@ -400,7 +400,7 @@ class Corrector:
         beta = np.concatenate([functions(block, felt[None], spun[None])[0] for block in instrument.blocks])
         J = (beta[:, None] @ derivative(instrument, values, warmer)[:, :, known])[:, 0]
         parameters = np.array(given.covariance_of(names))
-        for bias in given.process_bias:
+        for bias in given.evidence.process_bias:
             if bias.name in names:
                 parameters[(names.index(bias.name),) * 2] = max(given[bias.name].u or 0.0, bias.next_u) ** 2
         kinds = ("accel", "gyro")[: len(instrument.blocks)]
@@ -444,7 +444,7 @@ def white_noise(given: Calibration) -> dict[str, Array]:
     """Density (n,) of the white noise of "accel" and "gyro" in the rests of a calibration, unit/√Hz."""
     white = {}
     for kind in ("accel", "gyro"):
-        rests = [sensors.noise for rest in given.rests if (sensors := getattr(rest, kind)) is not None]
+        rests = [sensors.noise for rest in given.evidence.rests if (sensors := getattr(rest, kind)) is not None]
         if rests:
             white[kind] = np.sqrt(np.mean(np.square(rests), axis=0))
     return white

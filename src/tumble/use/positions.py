@@ -104,15 +104,15 @@ def table_observations(calibration: Calibration, path: Path) -> tuple[Observatio
     CalibrationError
         If the calibration does not say what a reading is worth, or how uncertain it is.
     """
-    table, worth = read_table(path), calibration.readings.get("accel")
-    if calibration.accel is None or worth is None or worth.increments or calibration.site is None:
+    table, worth = read_table(path), calibration.provenance.readings.get("accel")
+    if calibration.accel is None or worth is None or worth.increments or calibration.provenance.site is None:
         raise CalibrationError(
             f"{path}: expected a calibration of three accelerometers that says what their readings are worth, found "
             "none; calibrate again, or check with a session"
         )
 
     # the variance of a row beside the scatter: of a row of its table, or of a mean as long as the rests
-    before = [(np.array(r.accel.noise), r.stop - r.start) for r in calibration.rests if r.accel is not None]
+    before = [(np.array(r.accel.noise), r.stop - r.start) for r in calibration.evidence.rests if r.accel is not None]
     variance = np.array(worth.row_u) ** 2 if worth.row_u else np.zeros(3)
     if before and not worth.row_u:
         variance = np.median([noise**2 / duration for noise, duration in before], axis=0)
@@ -128,7 +128,7 @@ def table_observations(calibration: Calibration, path: Path) -> tuple[Observatio
     observations = Observations(
         accel_block=Block(kind="accel", axes=triad_axes(calibration.accel.matrix)),
         gyro_block=None,
-        site=calibration.site,
+        site=calibration.provenance.site,
         rests=replace(rests, accel_covariance=np.broadcast_to(np.diag(variance), (N, 3, 3))),
     )
     return observations, table
@@ -136,7 +136,7 @@ def table_observations(calibration: Calibration, path: Path) -> tuple[Observatio
 
 def _accelerometer_fit(calibration: Calibration) -> Fit:
     nothing = Fit(chi_square=0.0, degrees=0.0, scatter=0.0, unit="m/s^2")
-    return calibration.fits.get("accelerometers", nothing)
+    return calibration.evidence.fits.get("accelerometers", nothing)
 
 
 def residuals_in(
@@ -164,12 +164,12 @@ def residuals_in(
     seen, J, names, length = _seen(calibration, observations)
     rests, there, block = observations.rests, observations.site, observations.accel_block
     assert calibration.accel is not None
-    if any(launch.log_sha256 == sha256 for launch in calibration.launches):
+    if any(launch.log_sha256 == sha256 for launch in calibration.evidence.launches):
         raise InputError(
             f"calibration of {calibration.serial!r}: expected positions that did not take part in it, or those of its "
-            f"only session, found one of its {len(calibration.launches)} launches; check with another session"
+            f"only session, found one of its {len(calibration.evidence.launches)} launches; check with another session"
         )
-    fit, site = _accelerometer_fit(calibration), calibration.site
+    fit, site = _accelerometer_fit(calibration), calibration.provenance.site
     across = seen.direction[:, None, :] @ calibration.accel.inverse()
     noise = rests.accel_covariance + fit.scatter**2 * np.eye(block.size)
     variance = (across @ noise @ np.swapaxes(across, 1, 2))[:, 0, 0]
@@ -181,7 +181,7 @@ def residuals_in(
         tail = 1.0 - 0.5 * CHANCE / len(difference)
         return float(scipy.special.ndtri(tail) if np.isinf(degrees) else scipy.special.stdtrit(degrees, tail))
 
-    if calibration.provenance.get("log_sha256") == sha256:  # its own positions: each is left out
+    if calibration.provenance.log_sha256 == sha256:  # its own positions: each is left out
         unlearned = _unlearned(calibration, names, J)
         left = 1.0 - np.maximum(by_parameters - unlearned - there.gravity_u**2, 0.0) / variance
         left = np.where(left > NOTHING_LEFT, left, np.nan)
