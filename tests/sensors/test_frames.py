@@ -19,7 +19,7 @@ from tumble.commands.ask import FRAMES as OFFERED
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
-from tumble.result.calibration import Calibration
+from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.evidence import Evidence, Provenance
 from tumble.result.file import ORIGIN
 from tumble.rotation import rotation_matrix

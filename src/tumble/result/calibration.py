@@ -25,7 +25,16 @@ from tumble.inference.prediction import Prediction
 from tumble.recording.session import AutopilotSensor
 from tumble.result.coverage import with_degrees
 from tumble.result.evidence import Evidence, Provenance
-from tumble.result.file import KEYS, content_of, file_record, parsed, text_of, text_of_calibration, write_calibration
+from tumble.result.file import (
+    KEYS,
+    adapter_of,
+    content_of,
+    file_record,
+    parsed,
+    text_of,
+    text_of_calibration,
+    write_calibration,
+)
 from tumble.result.parts import (
     MOST_PARAMETERS,
     CalibratedDevice,
@@ -381,6 +390,11 @@ def calibration_of(text: str, name: str) -> Calibration:
 def _file_record() -> type:
     """The flat record of a calibration file."""
     return file_record(Calibration, Evidence, Provenance)
+
+
+def json_schema() -> dict[str, Any]:
+    """The JSON Schema of a calibration file."""
+    return adapter_of(_file_record()).json_schema()
 
 
 def _calibration_of_record(read: Any) -> Calibration:

@@ -2,9 +2,8 @@
 
 JSON; parameters in SI and radians with standard uncertainties and covariance, the matrices and biases that apply them,
 the outcome with its reasons, and where it all came from. The keys are the fields of `Calibration`, `Evidence` and
-`Provenance`, side by side; the checks are in the types of these fields, and unknown keys are ignored. `json_schema`
-describes the file for other programs. A message names the key: "found 'much' in place of a number at
-parameters[3].value".
+`Provenance`, side by side; the checks are in the types of these fields, and unknown keys are ignored. A message names
+the key: "found 'much' in place of a number at parameters[3].value".
 """
 
 from __future__ import annotations
@@ -64,13 +63,9 @@ def file_record(*parts: type) -> type:
 
 
 @cache
-def _adapter(record: type) -> TypeAdapter[Any]:
+def adapter_of(record: type) -> TypeAdapter[Any]:
+    """What reads a `file_record` and describes it."""
     return TypeAdapter(record)
-
-
-def json_schema(record: type) -> dict[str, Any]:
-    """The JSON Schema of the file of a `file_record`."""
-    return _adapter(record).json_schema()
 
 
 # -------------------- writing --------------------
@@ -216,7 +211,7 @@ def parsed(record: type, text: str, name: str, build: Callable[[Any], Calibratio
             if isinstance(value, float) and abs(value) > LARGEST:
                 size = f"expected a number of at most {LARGEST:g} in size, found {value:g}"
                 raise ValueError(f"{dotted(key)[:80]}: {size}")
-        result = build(_adapter(record).validate_json(text))
+        result = build(adapter_of(record).validate_json(text))
         for key, value in _values(content):
             plain_wanted = key[:1] not in (("notes",), ("absent",))  # but for notes, of characters that do nothing
             if isinstance(value, str) and (len(value) > LONGEST_TEXT or (plain_wanted and not is_plain(value))):
