@@ -15,6 +15,8 @@ from tumble.inference.linearisation import linearise
 from tumble.inference.sources import by_time_base, clocked, common_rounding
 from tumble.inference.start import start_of
 from tumble.planning.setup import Setup
+from tumble.recording.arrays import session_of_arrays
+from tumble.recording.session_file import description_of
 from tumble.reduction.noise.rounding import Rounding
 from tumble.reduction.observations import Observations
 from tumble.sensors.instrument import Instrument
@@ -134,9 +136,9 @@ def test_a_time_base_that_is_not_stated_is_that_of_a_crystal_and_said(tmp_path: 
 def test_readings_in_memory_have_a_time_base() -> None:
     still = np.tile([0.0, 0.0, 9.81], (300, 1))
     for given, u in ((None, 30e-6), (0.0, 0.0), (5.0, 5e-6)):
-        session = tumble.session_of_arrays(accel=still, gyro=0.0 * still, rate=100.0, clock_ppm_u=given)
+        session = session_of_arrays(accel=still, gyro=0.0 * still, rate=100.0, clock_ppm_u=given)
         assert session.log.time_base_u == pytest.approx(u)
-        again = tumble.description_of(session)["log"]
+        again = description_of(session)["log"]
         assert again.get("clock_ppm_u") == (None if given is None else pytest.approx(given))
 
 

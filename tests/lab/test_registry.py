@@ -332,8 +332,9 @@ def test_without_the_extra_it_is_named(module: str, tmp_path: Path) -> None:
     code = (
         f"import sys; sys.modules[{module!r}] = None\n"
         "import tumble\n"
+        "from tumble.lab import open_registry\n"
         "try:\n"
-        f"    with tumble.open_registry({place!r}, create=True): pass\n"
+        f"    with open_registry({place!r}, create=True): pass\n"
         "except tumble.MissingExtraError as error: print(error)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -22,7 +22,7 @@ from tumble.result.evidence import Evidence, Provenance
 from tumble.result.parts import CalibratedDevice, Launch, Parameter, Readings
 from tumble.rotation import rotation_matrix
 from tumble.run.case import relate
-from tumble.run.from_readings import calibrate_table
+from tumble.run.from_readings import calibrate_readings
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array
 from tumble.use.check import check_calibration
@@ -237,7 +237,7 @@ def test_rows_of_a_table_are_as_uncertain_as_those_within_its_positions(tmp_path
     for table, vertical in zip(tables, readings, strict=True):
         rows = vertical + 1e-4 * rng.standard_normal(vertical.shape)
         table.write_text("ux,uy,uz\n" + "\n".join(",".join(f"{v:.9f}" for v in row) for row in rows) + "\n")
-    calibrate_table(tables[0], unit="g", rows_per_position=4).calibration.write(tmp_path / "c.json")
+    calibrate_readings(tables[0], unit="g", rows_per_position=4).calibration.write(tmp_path / "c.json")
     found = check_calibration(tmp_path / "c.json", tables[1])
     assert found.valid
     assert min(rest.u or 0.0 for rest in found.rests) > 0.9e-4 * 9.80665

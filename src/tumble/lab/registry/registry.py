@@ -43,8 +43,9 @@ def open_registry(place: FilePath, *, create: bool = False) -> Iterator[Registry
     answer; MissingExtraError without the extra `lab`.
 
     >>> import tumble
+    >>> from tumble.lab import open_registry
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
-    >>> with tumble.open_registry("registry.sqlite", create=True) as registry:
+    >>> with open_registry("registry.sqlite", create=True) as registry:
     ...     record = registry.add_calibration(tumble.calibrate(folder))
     ...     trend = registry.trend("mems-1", "accel.bias.x")
     >>> record.number, record.occasion, len(trend.parameters[0].points)
