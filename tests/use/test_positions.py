@@ -21,12 +21,11 @@ from tumble.result.calibration import Calibration
 from tumble.result.evidence import Evidence, Provenance
 from tumble.result.parts import CalibratedDevice, Launch, Parameter, Readings
 from tumble.rotation import rotation_matrix
-from tumble.run.case import relate
 from tumble.run.from_readings import calibrate_readings
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array
 from tumble.use.check import check_calibration
-from tumble.use.positions import PositionResiduals, residuals_in, table_observations, verticals
+from tumble.use.positions import PositionResiduals, residuals_in, table_observations
 
 G = 9.8159
 SITE = Site(latitude=None, height=0.0, gravity=G, gravity_u=0.0)
@@ -259,19 +258,3 @@ def test_positions_that_check_nothing_are_refused() -> None:
     launch = Launch(session="own", parameters=(), covariance=None, log_sha256="own")
     with pytest.raises(InputError, match="one of its 2 launches"):
         residuals_in(with_fields(made, launches=(launch, launch), log_sha256=None), own, "own")
-
-
-# -------------------- two blocks on one base --------------------
-
-
-def test_two_calibrated_blocks_on_one_base_are_related() -> None:
-    """A second block, turned by 30° on the base of the first, in the same twelve positions."""
-    rng = np.random.default_rng(12)
-    mat_12 = rotation_matrix(np.array([0.1, 0.5, -0.05]))
-    base = directions("cube-12", rng)
-    seen = [verticals(calibrated_from("cube-14", rng), read(base @ turn, rng)) for turn in (np.eye(3), mat_12)]
-    relation = relate(*seen)
-    found = relation.mat_12 @ mat_12.T
-    psi = 0.5 * np.array([found[2, 1] - found[1, 2], found[0, 2] - found[2, 0], found[1, 0] - found[0, 1]])
-    assert psi @ np.linalg.solve(relation.covariance, psi) < 25.0
-    assert 1e-5 < np.sqrt(np.diag(relation.covariance)).min() < 1e-4

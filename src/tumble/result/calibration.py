@@ -10,6 +10,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
+from importlib import import_module
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -49,7 +50,6 @@ from tumble.result.parts import (
     checked_result,
     checked_sizes,
 )
-from tumble.result.shown import views
 from tumble.result.uncertainty_budget import BudgetLine, uncertainty_budget
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.model import SensorKind
@@ -235,7 +235,7 @@ class Calibration(Mapping[str, Parameter]):
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the headline, the reasons and the table of parameters."""
-        return views().as_html(self)
+        return str(_views().as_html(self))
 
     def uncertainty_budget(self, name: str) -> tuple[BudgetLine, ...]:
         """What the u of a parameter is made of, the largest first: source, type A or B, its standard uncertainty, the
@@ -246,12 +246,12 @@ class Calibration(Mapping[str, Parameter]):
     def table(self) -> str:
         """The parameters in the field's units, with standard and expanded uncertainty (k = 2), as plain text; where
         there are such, with coverage factor, degrees of freedom, prior and learned fraction."""
-        return views().as_text(self)
+        return str(_views().as_text(self))
 
     def plot(self, axes: Axes) -> None:
         """Draw the residual of every rest, |corrected reading| − g, on matplotlib axes, and the scatter between rests
         as a band; without rests the parameters in units of their uncertainty, hollow where a prior gives it."""
-        views().draw(self, axes)
+        _views().draw(self, axes)
 
     def to_polars(self) -> pl.DataFrame:
         """The parameters as a polars frame, a row each, in SI: name, value, u, unit, deviation, run_to_run, and
@@ -356,6 +356,11 @@ def text_and_name(given: Calibration | FilePath) -> tuple[str, str]:
             f"calibration: expected a Calibration or the path of a calibration file, found {type(given).__name__}"
         )
     return text_of(Path(given)), str(given)
+
+
+def _views() -> Any:
+    """What shows calibrations: a folder above this one, loaded when something is first shown."""
+    return import_module("tumble.views.calibration")
 
 
 def _check_sensors(calibration: Any) -> None:

@@ -43,9 +43,8 @@ from tumble.inference.variables import sensors_at
 from tumble.methods.least_squares import sigmas
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
-from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration
-from tumble.run.case import Verticals, verticals_of
+from tumble.rotation import unit_vector
 from tumble.run.readings_table import ReadingsTable, read_table
 from tumble.sensors.frames import Convention, frame_of, triad_axes
 from tumble.sensors.grades import TURN_ON, spread_of
@@ -161,7 +160,8 @@ def residuals_in(
         For positions of other sensors, of one of several launches behind the calibration, or where each of its own
         positions is determined by nothing but itself.
     """
-    seen, J, names, length = _seen(calibration, observations)
+    force, J, names, covariance = _length_and_derivative(calibration, observations)
+    length = np.linalg.norm(force, axis=1)
     rests, there, block = observations.rests, observations.site, observations.accel_block
     assert calibration.accel is not None
     if any(launch.log_sha256 == sha256 for launch in calibration.evidence.launches):
@@ -170,10 +170,10 @@ def residuals_in(
             f"only session, found one of its {len(calibration.evidence.launches)} launches; check with another session"
         )
     fit, site = _accelerometer_fit(calibration), calibration.provenance.site
-    across = seen.direction[:, None, :] @ calibration.accel.inverse()
+    across = unit_vector(force)[:, None, :] @ calibration.accel.inverse()
     noise = rests.accel_covariance + fit.scatter**2 * np.eye(block.size)
     variance = (across @ noise @ np.swapaxes(across, 1, 2))[:, 0, 0]
-    by_parameters = np.einsum("im,mk,ik->i", J, seen.parameter_covariance, J)
+    by_parameters = np.einsum("im,mk,ik->i", J, covariance, J)
     difference = there.gravity - length
 
     def limit(degrees: float) -> float:
@@ -209,7 +209,7 @@ def residuals_in(
         spread, linear = TURN_ON[grade], block.names
         turned_on = np.zeros(len(names))
         turned_on[: len(linear)] = [2.0 * spread_of(spread, name) ** 2 for name in linear]
-        V = np.diag(variance) + by_gravity + J @ (seen.parameter_covariance + np.diag(turned_on)) @ J.T
+        V = np.diag(variance) + by_gravity + J @ (covariance + np.diag(turned_on)) @ J.T
         N, square = len(difference), float(difference @ np.linalg.solve(V, difference))
         if fit.scatter == 0.0 or np.isinf(fit.degrees):
             by_turn_on = square < float(scipy.special.chdtri(N, CHANCE))
@@ -237,15 +237,11 @@ def _unlearned(calibration: Calibration, names: tuple[str, ...], J: Array) -> Ar
     return np.asarray(np.einsum("ik,ki->i", moved, np.linalg.solve(every[len(names) :, len(names) :], moved.T)))
 
 
-def verticals(calibration: Calibration, observations: Observations) -> Verticals:
-    """The vertical in the frame of the calibration in every position, with its covariance, for the relation of two
-    blocks (`tumble.run.case.relate`). Raises as `residuals_in`."""
-    return _seen(accepted_accelerometers(calibration, "positions at rest show the vertical"), observations)[0]
-
-
-def _seen(calibration: Calibration, observations: Observations) -> tuple[Verticals, Array, tuple[str, ...], Array]:
-    """The verticals, the derivative J (N, m) of |true|, the names of the m parameters that a reading of the
-    accelerometers at rest depends on, and |true| (N,)."""
+def _length_and_derivative(
+    calibration: Calibration, observations: Observations
+) -> tuple[Array, Array, tuple[str, ...], Array]:
+    """The true specific force (N, 3) at rest, the derivative J (N, m) of its length, and the names and the covariance
+    (m, m) of the m parameters that it depends on."""
     assert calibration.accel is not None
     block, reference = observations.accel_block, calibration.reference_temperature
     rests, celsius = observations.rests, None
@@ -287,6 +283,5 @@ def _seen(calibration: Calibration, observations: Observations) -> tuple[Vertica
     change = np.concatenate([of_linear, every[:, :, instrument.linear_count :]], axis=2)
     covariance = calibration.covariance_of(names)
     covariance = np.zeros((len(names), len(names))) if covariance is None else covariance
-    seen = verticals_of(calibration.accel, force, change, rests.accel_covariance, covariance)
-    J = -np.einsum("ik,kp,ipm->im", seen.direction, calibration.accel.inverse(), change)
-    return seen, J, names, np.linalg.norm(force, axis=1)
+    J = -np.einsum("ik,kp,ipm->im", unit_vector(force), calibration.accel.inverse(), change)
+    return force, J, names, covariance
