@@ -205,10 +205,13 @@ def test_a_session_is_checked_and_the_calibration_updated(folder: Path) -> None:
     assert "another log" in refused.stderr
     before, updated = read_calibration(made), read_calibration(out)
     assert updated.provenance.notes[0].startswith("no calibration of its own")
-    for name in ("device", "axes", "readings", "frame", "method", "outcome", "fits"):
+    assert updated.evidence.fits == before.evidence.fits
+    assert updated.provenance.readings == before.provenance.readings
+    for name in ("device", "axes", "frame", "method", "outcome"):
         assert getattr(updated, name) == getattr(before, name), name
-    for name in ("rests", "turns", "launches", "together", "hyperparameters", "process_bias", "budget", "clock_u"):
-        assert not getattr(updated, name), name
+    for name in ("rests", "turns", "launches", "together", "hyperparameters", "process_bias", "budget"):
+        assert not getattr(updated.evidence, name), name
+    assert updated.provenance.clock_u == 0.0
     data = json.loads(run("check", made, again, "--json").stdout)
     assert (data["verdict"], data["reasons"], data["changes"], data["turns"]) == ("accepted", [], [], 3)
     largest = max(abs(each["change"]) / each["u"] for each in data["parameters"])

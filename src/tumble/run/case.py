@@ -42,14 +42,13 @@ _WAYS = (("up", 1.0), ("down", -1.0))
 class CaseAlignment:
     """The case in the frame b of the accelerometers: rotation `mat_cb`, covariance and derivative as in
     `frames.Alignment`; `tilt` and `tilt_u` (2,), rad, the lean of the plate's normal to north and east, empty where
-    the azimuths are not known; `scatter`, rad, of a placement about each horizontal axis, and the `residual` (N,),
-    rad, of the placements `rests` (N,)."""
+    the azimuths are not known; `scatter`, rad, of a placement about each horizontal axis; `rests` (N,), the numbers of
+    the placements."""
 
     alignment: Alignment
     tilt: Array
     tilt_u: Array
     scatter: float
-    residual: Array
     rests: IntArray
 
 
@@ -137,7 +136,6 @@ def align_case(
         tilt=step[3:],
         tilt_u=np.sqrt(np.diag(covariance)[3:]),
         scatter=scatter,
-        residual=np.linalg.norm(left.reshape(-1, 2), axis=1),
         rests=rests,
     )
 
